@@ -1,0 +1,215 @@
+"""The numerical model: chaser and target as free-flyers, computed by Pinocchio.
+
+One Pinocchio model holds the bodies of up to :data:`RUNS_PER_MODEL` runs, so that one call of the articulated-body algorithm
+(R. Featherstone, Rigid Body Dynamics Algorithms, 2008, table 9.6) advances them all. A free-flyer is a translation joint in the
+inertial frame followed by a spherical joint at the centre of mass: its velocity is (linear in the inertial frame, angular in the
+body), so that the semi-implicit step adds ``h f/m`` to the momentum of one body and takes it from the other. Pinocchio's own
+free-flyer joint keeps its linear velocity in the body frame, where the same step loses momentum with every turn of the frame.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pinocchio as pin
+from numba import njit
+
+from hiltestbed.frames import (
+    Array,
+    cross,
+    pose_between,
+    quat_from_attitude_deg,
+    quat_mul,
+    rotate,
+    rotate_back,
+    rotation_matrix,
+)
+from hiltestbed.scenario import Body, Scenario
+
+RUNS_PER_MODEL = 16  # Pinocchio's Data holds several (nv, nv) matrices: 16 runs are nv = 192
+CHASER, TARGET = 0, 1
+
+
+class Spacecraft:
+    """Two free-flyers a run, for ``n`` runs, and the relative motion of their ports.
+
+    Attributes:
+        q: ``(n, 2, 7)`` pose of the chaser's and the target's centre of mass in the inertial frame.
+        v: ``(n, 2, 6)`` linear velocity in the inertial frame, angular velocity in the body frame.
+        pose: ``(n, 7)`` pose of A in P.
+        twist: ``(n, 6)`` velocity of A relative to P, in P.
+    """
+
+    def __init__(self, scenarios: Sequence[Scenario]) -> None:
+        n = len(scenarios)
+        self.n = n
+        self.tick = 1.0 / scenarios[0].rate
+        bodies = [(s.spacecraft.chaser, s.spacecraft.target) for s in scenarios]
+        self.mass = np.array([[b.mass for b in pair] for pair in bodies])
+        self.inertia = np.array([[inertia_matrix(b.inertia) for b in pair] for pair in bodies])
+        self.port = np.array([[port_pose(b) for b in pair] for pair in bodies])
+        self.q = np.zeros((n, 2, 7))
+        self.v = np.zeros((n, 2, 6))
+        self.pose = np.zeros((n, 7))
+        self.twist = np.zeros((n, 6))
+        self._tau = np.zeros((n, 2, 6))
+        self._approach = np.array([approach_state(s) for s in scenarios])
+        self.build()
+        self.reset()
+
+    def build(self) -> None:
+        """(Re)make the Pinocchio models from ``mass`` and ``inertia``."""
+        self._blocks = [
+            _Block(self.mass[i : i + RUNS_PER_MODEL], self.inertia[i : i + RUNS_PER_MODEL], slice(i, i + RUNS_PER_MODEL))
+            for i in range(0, self.n, RUNS_PER_MODEL)
+        ]
+
+    def reset(self) -> None:
+        """Target at rest with P at the inertial origin; chaser where and as fast as ``approach`` says."""
+        _place(self._approach, self.port, self.q, self.v)
+        _relative(self.q, self.v, self.port, self.pose, self.twist)
+
+    def advance(self, wrench: Array) -> None:
+        """One semi-implicit Euler step under ``wrench`` ``(n, 6)``, active on passive, in P at P's origin: twists, then poses."""
+        _load(self.q, self.port, wrench, self._tau)
+        for block in self._blocks:
+            block.step(self.q, self.v, self._tau, self.tick)
+        _relative(self.q, self.v, self.port, self.pose, self.twist)
+
+    def buffers(self) -> dict[str, Array]:
+        """The arrays that make up the state."""
+        return {"q": self.q, "v": self.v, "pose": self.pose, "twist": self.twist}
+
+
+class _Block:
+    """The Pinocchio model of some runs of the batch."""
+
+    def __init__(self, mass: Array, inertia: Array, runs: slice) -> None:
+        self.runs = runs
+        self.model = pin.Model()
+        self.model.gravity = pin.Motion.Zero()
+        for i in range(len(mass)):
+            for b in range(2):
+                base = self.model.addJoint(0, pin.JointModelTranslation(), pin.SE3.Identity(), f"position_{i}_{b}")
+                ball = self.model.addJoint(base, pin.JointModelSpherical(), pin.SE3.Identity(), f"attitude_{i}_{b}")
+                self.model.appendBodyToJoint(ball, pin.Inertia(mass[i, b], np.zeros(3), inertia[i, b]), pin.SE3.Identity())
+        self.data = self.model.createData()
+
+    def step(self, q: Array, v: Array, tau: Array, tick: float) -> None:
+        q_, v_, tau_ = q[self.runs].reshape(-1), v[self.runs].reshape(-1), tau[self.runs].reshape(-1)
+        v_ += tick * pin.aba(self.model, self.data, q_, v_, tau_)
+        q_[:] = pin.integrate(self.model, q_, tick * v_)
+
+
+def inertia_matrix(inertia: Sequence[float]) -> Array:
+    """``(3, 3)`` from the diagonal, or from xx, yy, zz, xy, xz, yz [kg m^2]."""
+    xx, yy, zz, xy, xz, yz = (*inertia, 0.0, 0.0, 0.0)[:6]
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+
+
+def port_pose(body: Body) -> Array:
+    """``(7,)`` pose of the port in the body."""
+    return np.concatenate([body.port.position, quat_from_attitude_deg(body.port.attitude_deg)])
+
+
+def approach_state(scenario: Scenario) -> Array:
+    """``(13,)``: pose of A in P and relative twist in P at t = 0."""
+    a = scenario.approach
+    position = [a.offset[0], a.offset[1], -a.gap]
+    return np.concatenate([position, quat_from_attitude_deg(a.attitude_deg), a.velocity, np.radians(a.rate_deg)])
+
+
+def pair_momentum(mass: Array, inertia: Array, q: Array, v: Array) -> Array:
+    """Linear [kg m/s] and angular [N m s] momentum of both bodies together, about the inertial origin.
+
+    Args:
+        mass: ``(..., 2)``. inertia: ``(..., 2, 3, 3)``. q: ``(..., 2, 7)``. v: ``(..., 2, 6)``.
+
+    Returns:
+        ``(..., 6)``.
+    """
+    linear = mass[..., None] * v[..., :3]
+    spin = np.einsum("...ij,...j->...i", rotation_matrix(q[..., 3:]) @ inertia, v[..., 3:])
+    angular = np.cross(q[..., :3], linear) + spin
+    return np.concatenate([linear.sum(axis=-2), angular.sum(axis=-2)], axis=-1)
+
+
+@njit(cache=True)
+def _place(approach, port, q, v):
+    r = np.empty(3)
+    w = np.empty(3)
+    u = np.empty(3)
+    inverse = np.empty(4)
+    for i in range(q.shape[0]):
+        for b in range(2):  # attitude of the body in P: port attitude in P, less port attitude in the body
+            for j in range(3):
+                inverse[j] = -port[i, b, 3 + j]
+            inverse[3] = port[i, b, 6]
+            if b == CHASER:
+                quat_mul(approach[i, 3:7], inverse, q[i, b, 3:7])
+            else:
+                q[i, b, 3:7] = inverse
+            rotate(q[i, b, 3:7], port[i, b, 0:3], r)
+            for j in range(3):
+                q[i, b, j] = -r[j] + (approach[i, j] if b == CHASER else 0.0)
+            v[i, b] = 0.0
+        rotate(q[i, CHASER, 3:7], port[i, CHASER, 0:3], r)  # centre of mass moves slower than the port by w x r
+        w[:] = approach[i, 10:13]
+        cross(w, r, u)
+        for j in range(3):
+            v[i, CHASER, j] = approach[i, 7 + j] - u[j]
+        rotate_back(q[i, CHASER, 3:7], w, v[i, CHASER, 3:6])
+
+
+@njit(cache=True)
+def _port_state(q, v, port, pose, arm, velocity, rate):
+    """World pose of a port, its arm from the centre of mass, its velocity and angular rate, all in inertial axes."""
+    rotate(q[3:7], port[0:3], arm)
+    rotate(q[3:7], v[3:6], rate)
+    cross(rate, arm, velocity)
+    for j in range(3):
+        pose[j] = q[j] + arm[j]
+        velocity[j] += v[j]
+    quat_mul(q[3:7], port[3:7], pose[3:7])
+
+
+@njit(cache=True)
+def _relative(q, v, port, pose, twist):
+    pose_A, pose_P = np.empty(7), np.empty(7)
+    arm, u_A, w_A, u_P, w_P, d, s = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    for i in range(q.shape[0]):
+        _port_state(q[i, CHASER], v[i, CHASER], port[i, CHASER], pose_A, arm, u_A, w_A)
+        _port_state(q[i, TARGET], v[i, TARGET], port[i, TARGET], pose_P, arm, u_P, w_P)
+        pose_between(pose_P, pose_A, pose[i])
+        for j in range(3):
+            d[j] = pose_A[j] - pose_P[j]
+        cross(w_P, d, s)
+        for j in range(3):
+            u_A[j] -= u_P[j] + s[j]
+            w_A[j] -= w_P[j]
+        rotate_back(pose_P[3:7], u_A, twist[i, 0:3])
+        rotate_back(pose_P[3:7], w_A, twist[i, 3:6])
+
+
+@njit(cache=True)
+def _load(q, port, wrench, tau):
+    """Generalised forces of both bodies: force in inertial axes, torque about the centre of mass in body axes."""
+    attitude = np.empty(4)
+    force, torque, arm, point, moment = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    for i in range(q.shape[0]):
+        quat_mul(q[i, TARGET, 3:7], port[i, TARGET, 3:7], attitude)
+        rotate(attitude, wrench[i, 0:3], force)
+        rotate(attitude, wrench[i, 3:6], torque)
+        rotate(q[i, TARGET, 3:7], port[i, TARGET, 0:3], arm)
+        for j in range(3):
+            point[j] = q[i, TARGET, j] + arm[j]
+        for b in range(2):
+            sign = 1.0 if b == TARGET else -1.0
+            for j in range(3):
+                arm[j] = point[j] - q[i, b, j]
+            cross(arm, force, moment)
+            for j in range(3):
+                tau[i, b, j] = sign * force[j]
+                moment[j] = sign * (moment[j] + torque[j])
+            rotate_back(q[i, b, 3:7], moment, tau[i, b, 3:6])
