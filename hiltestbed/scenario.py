@@ -1,0 +1,361 @@
+"""What a run is: every key of a scenario file, its unit, its default and the checks that refuse what cannot be right.
+
+`load_scenario` reads a file (and `--set` overrides), `dump_scenario` writes the resolved form, in which every default stands.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, model_validator
+
+from hiltestbed.effects.vocabulary import EFFECTS
+from hiltestbed.validation import Problem, Strictly, nearest, refuse, validate, vector
+from hiltestbed.yaml_source import Source, describe, read_source
+
+WORKSPACE_TRANSLATION = 0.25  # [m] the platform's reach from home, any axis; home is at the nominal first touch
+WORKSPACE_ROTATION_DEG = 10.0
+TICK_LIMIT = 20_000_000  # a trace of this many rows fills 16 GB
+MECHANISMS_BUILT = ("bumper",)  # the kinds that the rig has a model of
+
+Positive = Annotated[float, Field(gt=0)]
+NotNegative = Annotated[float, Field(ge=0)]
+Vector3 = vector(3)
+_ORIGIN = (0.0, 0.0, 0.0)
+
+
+class Port(Strictly):
+    """Pose of a docking port in its body; its z axis points along the insertion."""
+
+    position: Vector3 = Field(_ORIGIN, description="origin of the port in the body [m], from the centre of mass")
+    attitude_deg: Vector3 = Field(_ORIGIN, description="roll, pitch, yaw about the body's fixed x, y, z [deg]")
+
+
+class Body(Strictly):
+    """One vehicle as the numerical model believes it to be."""
+
+    mass: Positive = Field(description="[kg]")
+    inertia: Annotated[tuple[float, ...], Field(strict=False, min_length=3, max_length=6)] = Field(
+        description="about the centre of mass, body axes [kg m^2]: xx, yy, zz or xx, yy, zz, xy, xz, yz"
+    )
+    port: Port = Port()
+
+    @model_validator(mode="after")
+    def _inertia_is_possible(self) -> Body:
+        refuse((("inertia",), message) for message in _inertia_faults(self.inertia))
+        return self
+
+
+def _inertia_faults(inertia: tuple[float, ...]) -> Iterator[str]:
+    """A rigid body's principal moments are positive and no one exceeds the sum of the other two."""
+    if len(inertia) not in (3, 6):
+        yield f"has the wrong length (got {len(inertia)} items); allowed is 3 (the diagonal) or 6 (xx, yy, zz, xy, xz, yz)"
+        return
+    import numpy as np
+
+    xx, yy, zz, xy, xz, yz = (*inertia, 0.0, 0.0, 0.0)[:6]
+    low, mid, high = (float(p) for p in np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]))
+    moments = f"principal moments {low:g}, {mid:g}, {high:g}"
+    if low <= 0:
+        yield f"is not positive definite (got {moments}); allowed are moments > 0"
+    elif high > (low + mid) * (1 + 1e-9):
+        yield f"breaks the triangle inequality (got {moments}); allowed is no moment above the sum of the other two"
+
+
+class Spacecraft(Strictly):
+    """Both vehicles: the chaser carries the active port A, the target the passive port P."""
+
+    chaser: Body
+    target: Body
+
+
+class Approach(Strictly):
+    """Where the active port starts, relative to the passive one, and how it moves."""
+
+    gap: float = Field(0.01, description="distance from the nominal first touch along the insertion [m]; the start is at pz = -gap")
+    velocity: Vector3 = Field(description="relative velocity of A's origin, in P [m/s]")
+    offset: vector(2) = Field((0.0, 0.0), description="lateral start position, px and py [m]")  # type: ignore[valid-type]
+    attitude_deg: Vector3 = Field(_ORIGIN, description="start attitude of A in P: roll, pitch, yaw about fixed x, y, z [deg]")
+    rate_deg: Vector3 = Field(_ORIGIN, description="angular velocity of A relative to P, in P [deg/s]")
+
+
+class Contact(Strictly):
+    """Contact of the mechanism's surfaces: F = stiffness x + damping v, never pulling in a bumper or a cone."""
+
+    stiffness: Positive = Field(description="[N/m]")
+    damping: NotNegative = Field(0.0, description="[N s/m]")
+    friction: Annotated[float, Field(ge=0, le=2)] = Field(0.0, description="Coulomb coefficient [-]")
+
+
+class Mount(Strictly):
+    """Compliance of the passive side between the mechanism and the sensor: x, y, z, rx, ry, rz."""
+
+    stiffness: Annotated[tuple[Positive, ...], Field(strict=False, min_length=6, max_length=6)] = Field(
+        description="3 x [N/m], 3 x [N m/rad]"
+    )
+    damping: Annotated[tuple[NotNegative, ...], Field(strict=False, min_length=6, max_length=6)] = Field(
+        (0.0,) * 6, description="3 x [N s/m], 3 x [N m s/rad]"
+    )
+
+
+class Mechanism(Strictly):
+    """The docking mechanism: what touches what."""
+
+    kind: Literal["bumper", "probe_cone", "latched"] = "bumper"
+    contact: Contact
+    mount: Mount | None = Field(None, description="null: rigid")
+
+    @model_validator(mode="after")
+    def _is_built(self) -> Mechanism:
+        if self.kind not in MECHANISMS_BUILT:
+            built = ", ".join(MECHANISMS_BUILT)
+            refuse([(("kind",), f"is a mechanism that the rig has no model of yet (got {self.kind!r}); allowed: {built}")])
+        return self
+
+
+class Platform(Strictly):
+    """The motion platform and how it follows."""
+
+    kind: Literal["pss33"] = "pss33"
+    tracking: Literal["servo", "ideal"] = Field("servo", description="ideal: the pose reaches the command exactly, one tick later")
+
+
+class Rig(Strictly):
+    """The physical side."""
+
+    platform: Platform = Platform()
+
+
+class Sensor(Strictly):
+    """The force and torque sensor below the passive port, in the order of its chain."""
+
+    delay: NotNegative = Field(0.0, description="pure delay [s], any length, not only whole ticks")
+    lowpass: Positive | None = Field(None, description="cut-off of the first-order low-pass [Hz]; null: none")
+    time_constant: Positive | None = Field(None, description="of the charge amplifier's high-pass [s]; null: none")
+    noise: NotNegative = Field(0.0, description="1 sigma of each force axis [N]")
+    torque_noise: NotNegative = Field(0.0, description="1 sigma of each torque axis [N m]")
+    drift: Vector3 = Field(_ORIGIN, description="linear drift of the force axes [N/s]")
+    quantisation: NotNegative = Field(0.0, description="step of the force reading [N]; 0: none")
+    torque_quantisation: NotNegative = Field(0.0, description="step of the torque reading [N m]; 0: none")
+    range: Positive | None = Field(None, description="each force axis clips here [N]; null: none")
+    torque_range: Positive | None = Field(None, description="each torque axis clips here [N m]; null: none")
+
+
+class NoForceCompensation(Strictly):
+    """The numerical model is driven with the measured wrench as it is."""
+
+    kind: Literal["none"] = "none"
+
+
+class PhaseLead(Strictly):
+    """(T1 s + 1)/(T2 s + 1) on the measured wrench."""
+
+    kind: Literal["phase_lead"] = "phase_lead"
+    lead: NotNegative | None = Field(None, description="T1 [s]; null: sensor.delay + lag")
+    lag: Positive = Field(0.0005, description="T2 [s]")
+
+
+class NoMotionCompensation(Strictly):
+    """The platform is commanded with the pose alone."""
+
+    kind: Literal["none"] = "none"
+
+
+class Feedforward(Strictly):
+    """Velocity and acceleration feed-forward of the platform's servo."""
+
+    kind: Literal["feedforward"] = "feedforward"
+
+
+ForceCompensation = Annotated[NoForceCompensation | PhaseLead, Field(discriminator="kind")]
+MotionCompensation = Annotated[NoMotionCompensation | Feedforward, Field(discriminator="kind")]
+
+
+class Compensation(Strictly):
+    """What is done against the delays of the loop."""
+
+    force: ForceCompensation = NoForceCompensation()
+    motion: MotionCompensation = Feedforward()
+
+
+class NoIdentification(Strictly):
+    """Stiffness and damping are not estimated."""
+
+    kind: Literal["none"] = "none"
+
+
+class Rls(Strictly):
+    """Recursive least squares of k and c on each axis, in contact alone, with the pose at the time the force was felt."""
+
+    kind: Literal["rls"] = "rls"
+    forgetting: Annotated[float, Field(gt=0, le=1)] = Field(1.0, description="forgetting factor a tick; 1: none")
+
+
+Identification = Annotated[NoIdentification | Rls, Field(discriminator="kind")]
+
+
+class Scenario(Strictly):
+    """One run: two vehicles, how they meet, the rig that plays it, and what is done about the rig's faults."""
+
+    name: Annotated[str, Field(min_length=1, max_length=200)]
+    description: str = ""
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
+    duration: Positive = Field(3.0, description="[s]")
+    rate: Annotated[float, Field(gt=0, le=1e6)] = Field(2000.0, description="passes of the loop [Hz]")
+    physics_rate: Annotated[float, Field(gt=0, le=4e6)] = Field(
+        default_factory=lambda given: 2.0 * given["rate"],  # type: ignore[arg-type]
+        description="steps of the physics [Hz], a whole multiple of rate; left out: twice rate",
+    )
+    spacecraft: Spacecraft
+    approach: Approach
+    mechanism: Mechanism
+    rig: Rig = Rig()
+    sensor: Sensor = Sensor()
+    compensation: Compensation = Compensation()
+    identification: Identification = Rls()
+    effects: Annotated[tuple[dict[str, Any], ...], Field(strict=False)] = Field(
+        (), description="departures from the nominal rig: {kind: ID, parameter: value}"
+    )
+
+    @property
+    def tick(self) -> float:
+        """Time between two passes of the loop [s]."""
+        return 1.0 / self.rate
+
+    @property
+    def ticks(self) -> int:
+        """Passes of the loop in the whole run."""
+        return round(self.duration * self.rate)
+
+    @property
+    def substeps(self) -> int:
+        """Steps of the physics in one tick."""
+        return round(self.physics_rate / self.rate)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _complete_effects(cls, data: Any) -> Any:
+        """Each effect with its defaults written out; a faulty one stays as it is, `_is_possible` says why."""
+        if not isinstance(data, dict) or not isinstance(data.get("effects"), (list, tuple)):
+            return data
+        return data | {"effects": [_complete(entry) for entry in data["effects"]]}
+
+    @model_validator(mode="after")
+    def _is_possible(self) -> Scenario:
+        refuse([*_rate_problems(self), *_delay_problems(self), *_start_problems(self), *_effect_problems(self.effects)])
+        return self
+
+
+def _complete(entry: Any) -> Any:
+    spec = EFFECTS.get(str(entry.get("kind"))) if isinstance(entry, dict) else None
+    given = {name: value for name, value in entry.items() if name != "kind"} if spec else {}
+    if spec is None or spec.faults(given):
+        return entry
+    resolved = {name: list(value) if isinstance(value, tuple) else value for name, value in spec.complete(given).items()}
+    return {"kind": spec.id} | {name: _number(spec.parameters[name].kind, value) for name, value in resolved.items()}
+
+
+def _number(kind: str, value: Any) -> Any:
+    """One way to write a number, so that 1 and 1.0 give the same hash."""
+    if kind == "vector":
+        return [float(item) for item in value]
+    if kind == "number":
+        return float(value)
+    return int(value) if kind == "integer" else value
+
+
+def _rate_problems(scenario: Scenario) -> Iterator[Problem]:
+    ratio = scenario.physics_rate / scenario.rate
+    if round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-9 * ratio:
+        near = max(1, round(ratio)) * scenario.rate
+        yield (
+            ("physics_rate",),
+            (
+                f"does not divide by rate (got {scenario.physics_rate:g} Hz over {scenario.rate:g} Hz = {ratio:g}); "
+                f"allowed is a whole multiple of rate, such as {near:g}"
+            ),
+        )
+    if not 1 <= scenario.duration * scenario.rate <= TICK_LIMIT:
+        yield (
+            ("duration",),
+            (
+                f"is out of range (got {scenario.duration:g} s at {scenario.rate:g} Hz = {scenario.duration * scenario.rate:g} ticks); "
+                f"allowed are 1 to {TICK_LIMIT} ticks"
+            ),
+        )
+
+
+def _delay_problems(scenario: Scenario) -> Iterator[Problem]:
+    if scenario.sensor.delay > scenario.duration:
+        yield (
+            ("sensor", "delay"),
+            (
+                f"cannot be held (got {scenario.sensor.delay:g} s in a run of {scenario.duration:g} s); allowed is 0 to the duration of the run"
+            ),
+        )
+
+
+def _start_problems(scenario: Scenario) -> Iterator[Problem]:
+    """The platform reaches WORKSPACE_TRANSLATION and WORKSPACE_ROTATION_DEG around the nominal first touch, and no further."""
+    approach, reach, turn = scenario.approach, WORKSPACE_TRANSLATION, WORKSPACE_ROTATION_DEG
+    lowest = -reach if scenario.mechanism.kind == "latched" else 0.0
+    limits = [(("approach", "gap"), approach.gap, lowest, reach, "m")]
+    limits += [(("approach", "offset", axis), value, -reach, reach, "m") for axis, value in enumerate(approach.offset)]
+    limits += [(("approach", "attitude_deg", axis), value, -turn, turn, "deg") for axis, value in enumerate(approach.attitude_deg)]
+    for path, value, low, high, unit in limits:
+        if not low <= value <= high:
+            yield path, f"starts outside the workspace (got {value:g} {unit}); allowed is {low:g} to {high:g} {unit}"
+
+
+def _effect_problems(effects: tuple[dict[str, Any], ...]) -> Iterator[Problem]:
+    for index, entry in enumerate(effects):
+        where = ("effects", index)
+        kind = entry.get("kind")
+        if kind is None:
+            yield (*where, "kind"), "is missing; an effect is {kind: ID, parameter: value}"
+        elif not isinstance(kind, str) or kind not in EFFECTS:
+            yield (*where, "kind"), f"unknown effect{nearest(str(kind), EFFECTS)} (got {describe(kind)}); allowed: {', '.join(EFFECTS)}"
+        else:
+            given = {name: value for name, value in entry.items() if name != "kind"}
+            yield from (((*where, name), message) for name, message in EFFECTS[kind].faults(given))
+
+
+def load_scenario(path: str | Path, set: Mapping[str, Any] | None = None) -> Scenario:
+    """The scenario in a YAML file, with dotted keys overridden (`{"approach.velocity.2": 0.05}`). Raises InputError."""
+    return scenario_from(read_source(path).with_set(set))
+
+
+def scenario_from(source: Source | Mapping[str, Any], set: Mapping[str, Any] | None = None) -> Scenario:
+    """The scenario in data that is read already: a `Source`, or a plain dict as it would stand in a file. Raises InputError."""
+    if not isinstance(source, Source):
+        source = Source("scenario", dict(source))
+    return validate(Scenario, source.with_set(set))
+
+
+def resolved(scenario: Scenario) -> dict[str, Any]:
+    """The scenario as plain data with every default written out; `scenario_from` gives the same scenario back."""
+    return scenario.model_dump(mode="json")
+
+
+def dump_scenario(scenario: Scenario) -> str:
+    """The resolved scenario as YAML text."""
+    from ruamel.yaml import YAML
+
+    yaml = YAML(typ="safe", pure=True)
+    yaml.default_flow_style = None  # lists of numbers on one line, mappings below each other
+    yaml.sort_base_mapping_type_on_output = False  # type: ignore[assignment]
+    yaml.width = 120
+    text = io.StringIO()
+    yaml.dump(resolved(scenario), text)
+    return text.getvalue()
+
+
+def scenario_sha256(scenario: Scenario) -> str:
+    """SHA-256 of the resolved form, the same however the file was written."""
+    canonical = json.dumps(resolved(scenario), sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return hashlib.sha256(canonical.encode()).hexdigest()

@@ -1,0 +1,200 @@
+"""From a `Source` to a pydantic model, or to every fault at once, in words that say what is allowed."""
+
+from __future__ import annotations
+
+import copy
+import difflib
+import types
+from collections.abc import Iterable, Iterator
+from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
+
+from pydantic import BaseModel, ConfigDict, Field, Strict, ValidationError
+from pydantic_core import ErrorDetails, PydanticCustomError
+
+from hiltestbed.errors import Fault, InputError
+from hiltestbed.yaml_source import KeyPath, Source, describe
+
+Model = TypeVar("Model", bound=BaseModel)
+Problem = tuple[KeyPath, str]
+
+
+class Strictly(BaseModel):
+    """Base of every model that comes from a file: no unknown key, no silent conversion, no NaN or infinity, never changed."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
+
+
+def vector(size: int) -> Any:
+    """The type of a list of `size` finite numbers, kept as a tuple."""
+    return Annotated[tuple[float, ...], Strict(False), Field(min_length=size, max_length=size)]
+
+
+def refuse(problems: Iterable[Problem]) -> None:
+    """For a validator: raises all of `problems` (path below the model, message) together, if there are any."""
+    found = list(problems)
+    if found:
+        raise PydanticCustomError("problems", "{count} problems", {"count": len(found), "problems": found})
+
+
+def validate(model: type[Model], source: Source) -> Model:
+    """`source.data` as `model`. Raises InputError with every fault.
+
+    Checks that join several keys run only where each key is right by itself, so what was refused in a first pass is left out and the
+    rest is validated again: a misspelt key does not hide two rates that do not divide.
+    """
+    data, problems, seen = source.data, [], set()
+    while True:
+        try:
+            result = model.model_validate(data)
+        except ValidationError as error:
+            new = [item for item in _problems(model, data, error) if item[0] not in seen]
+        else:
+            new = []
+            if not problems:
+                return result
+        joined = [item for item in new if not problems or not item[1].startswith("is missing")]
+        problems += joined
+        removable = [path for path, _ in new if _holds(data, path)]
+        if not removable:
+            raise InputError(sorted((source.fault(*item) for item in problems), key=_order))
+        seen.update(path for path, _ in new)
+        data = copy.deepcopy(data)
+        for path in removable:
+            _remove(data, path)
+
+
+def _order(fault: Fault) -> tuple[bool, int, int]:
+    return (fault.line is None, fault.line or 0, fault.column or 0)
+
+
+def _holds(data: Any, path: KeyPath) -> bool:
+    for part in path:
+        inside = part < len(data) if isinstance(data, list) and isinstance(part, int) else isinstance(data, dict) and part in data
+        if not inside:
+            return False
+        data = data[part]
+    return bool(path)
+
+
+def _remove(data: Any, path: KeyPath) -> None:
+    """Takes the key at `path` away; with an item of a list goes the whole list, since its length has a meaning."""
+    for end in range(len(path)):
+        parent = data
+        for part in path[:end]:
+            if not _holds(parent, (part,)):
+                return
+            parent = parent[part]
+        if end == len(path) - 1 or isinstance(parent.get(path[end]), list):
+            parent.pop(path[end], None)
+            return
+
+
+def _problems(model: type[BaseModel], data: Any, error: ValidationError) -> Iterator[Problem]:
+    for detail in error.errors(include_url=False):
+        if detail["type"] == "default_factory_not_called":
+            continue
+        if detail["type"] == "too_short" and len(detail["input"]) != detail["ctx"]["actual_length"]:  # type: ignore[typeddict-item]
+            continue  # pydantic counts the good items alone; the bad ones have a fault of their own
+        path = _path(data, detail["loc"])
+        if detail["type"] == "problems":
+            yield from (((*path, *below), message) for below, message in detail["ctx"]["problems"])  # type: ignore[typeddict-item]
+        elif detail["type"] == "extra_forbidden":
+            yield path, _unknown(path, _model_at(model, data, path[:-1]))
+        else:
+            yield path, _message(detail)
+
+
+def _path(data: Any, location: tuple[int | str, ...]) -> KeyPath:
+    """pydantic's location without the tags of unions that it holds beside the keys."""
+    path: list[int | str] = []
+    for index, part in enumerate(location):
+        if isinstance(data, dict) and part in data:
+            path.append(part)
+            data = data[part]
+        elif isinstance(data, (list, tuple)) and isinstance(part, int):
+            path.append(part)
+            data = data[part] if part < len(data) else None
+        elif index == len(location) - 1 and not (isinstance(data, dict) and data.get("kind") == part):
+            path.append(part)
+    return tuple(path)
+
+
+def _unknown(path: KeyPath, owner: type[BaseModel] | None) -> str:
+    allowed = list(owner.model_fields) if owner is not None else []
+    return f"unknown key{nearest(str(path[-1]), allowed)}; allowed: {', '.join(allowed) or 'none'}"
+
+
+def nearest(name: str, allowed: Iterable[str]) -> str:
+    """`, did you mean 'x'?`-style hint, or nothing when no name is near."""
+    close = difflib.get_close_matches(name, list(allowed), n=1, cutoff=0.55)
+    return f" (did you mean {close[0]!r}?)" if close else ""
+
+
+def _model_at(model: Any, data: Any, path: KeyPath) -> type[BaseModel] | None:
+    """The model that `path` leads to; among the members of a union, the one whose `kind` the data names."""
+    found = _pick(model, data)
+    for part in path:
+        if found is None:
+            return None
+        annotation = found.model_fields[str(part)].annotation if isinstance(found, type) and str(part) in found.model_fields else None
+        data = data[part] if _holds(data, (part,)) else None
+        if annotation is None and not isinstance(part, int):
+            return None
+        found = _pick(annotation if annotation is not None else found, data)
+    return found if isinstance(found, type) else None
+
+
+def _pick(annotation: Any, data: Any) -> Any:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    origin, members = get_origin(annotation), get_args(annotation)
+    if origin in (Union, types.UnionType, Annotated):
+        models = [found for found in (_pick(member, data) for member in members) if found is not None]
+        kind = data.get("kind") if isinstance(data, dict) else None
+        named = [found for found in models if "kind" in found.model_fields and kind in get_args(found.model_fields["kind"].annotation)]
+        return (named or models or [None])[0]
+    if origin in (list, tuple, dict) and members:
+        return _pick(members[-1] if origin is dict else members[0], data)
+    return None
+
+
+_KINDS = {
+    "float_type": "a number",
+    "int_type": "a whole number",
+    "int_from_float": "a whole number",
+    "string_type": "text",
+    "bool_type": "true or false",
+    "list_type": "a list",
+    "tuple_type": "a list",
+    "dict_type": "a mapping (key: value)",
+    "model_type": "a mapping (key: value)",
+    "model_attributes_type": "a mapping (key: value)",
+    "finite_number": "a finite number",
+}
+_BOUNDS = {"greater_than": (">", "gt"), "greater_than_equal": (">=", "ge"), "less_than": ("<", "lt"), "less_than_equal": ("<=", "le")}
+
+
+def _message(detail: ErrorDetails) -> str:
+    """pydantic's finding as `what is wrong (got ...); what is allowed`."""
+    kind, got, context = detail["type"], describe(detail["input"]), detail.get("ctx", {})
+    if kind == "missing":
+        return "is missing; this key must be given"
+    if kind in _KINDS:
+        return f"has the wrong type (got {got}); allowed is {_KINDS[kind]}"
+    if kind in _BOUNDS:
+        sign, name = _BOUNDS[kind]
+        return f"is out of range (got {got}); allowed is {sign} {context[name]:g}"
+    if kind == "literal_error":
+        choices = context["expected"].replace("'", "").replace(" or ", ", ").split(", ")
+        return f"unknown value{nearest(str(detail['input']), choices)} (got {got}); allowed: {', '.join(choices)}"
+    if kind == "union_tag_invalid":
+        hint = nearest(str(context["tag"]), context["expected_tags"].replace("'", "").split(", "))
+        return f"unknown kind{hint} (got {context['tag']!r}); allowed: {context['expected_tags']}"
+    if kind == "union_tag_not_found":
+        return f"has no kind (got {got}); give it as {{kind: ...}}"
+    if kind in ("too_short", "too_long"):
+        limit = f"at least {context['min_length']}" if kind == "too_short" else f"at most {context['max_length']}"
+        return f"has the wrong length (got {context['actual_length']} items); allowed is {limit}"
+    if kind == "string_too_short":
+        return "is empty; some text is expected"
+    return f"{detail['msg'][:1].lower()}{detail['msg'][1:]} (got {got})"
