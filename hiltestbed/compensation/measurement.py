@@ -1,0 +1,26 @@
+"""What a compensation method may know at a tick."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from hiltestbed.frames import Array
+
+
+@dataclass
+class Measurement:
+    """The rig's side of the loop at t_k, for ``n`` runs. The arrays are the blocks' own: read, do not keep, do not write.
+
+    Attributes:
+        wrench: ``(n, 6)`` what the sensor gave.
+        pose: ``(n, 7)`` pose of A in P that the rig reached.
+        twist: ``(n, 6)`` its velocity.
+        stiffness: ``(n, 6)`` stiffness identified so far, NaN before the first estimate.
+        damping: ``(n, 6)`` likewise damping.
+    """
+
+    wrench: Array
+    pose: Array
+    twist: Array
+    stiffness: Array
+    damping: Array

@@ -1,0 +1,57 @@
+"""First-order phase lead of the measured force.
+
+``G_c(s) = (T1 s + 1)/(T2 s + 1)``: the Taylor expansion of ``exp(tau s)`` cut after its first term, with a pole that makes it
+causal (C. Qi, F. Gao, X. Zhao, Q. Wang, A. Ren, "Low-order model based divergence compensation for hardware-in-the-loop simulation
+of space discrete contact", J. Intell. Robot. Syst. 2016). Backward differences:
+
+    y_k = (y_(k-1) T2/h + u_k + T1 (u_k - u_(k-1))/h) / (1 + T2/h)
+
+``T1 - T2`` is the delay it takes out at low frequency: ``T1 = delay + T2`` unless ``lead`` sets T1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numba import njit
+
+from hiltestbed.compensation.measurement import Measurement
+from hiltestbed.frames import Array
+from hiltestbed.scenario import Scenario
+
+
+class PhaseLead:
+    """The lead on all six components of the wrench, for ``n`` runs."""
+
+    def __init__(self, scenarios: Sequence[Scenario]) -> None:
+        n = len(scenarios)
+        self.tick = 1.0 / scenarios[0].rate
+        time_constants = [lead_and_lag(s) for s in scenarios]
+        self.lead = np.array([lead for lead, _ in time_constants])
+        self.lag = np.array([lag for _, lag in time_constants])
+        self.output = np.zeros((n, 6))
+        self._previous = np.zeros((n, 6))
+
+    def compensate(self, measurement: Measurement) -> Array:
+        """``(n, 6)`` the wrench led by ``T1 - T2``."""
+        _lead(measurement.wrench, self.lead, self.lag, self.tick, self._previous, self.output)
+        return self.output
+
+    def buffers(self) -> dict[str, Array]:
+        return {"output": self.output, "previous": self._previous}
+
+
+def lead_and_lag(scenario: Scenario) -> tuple[float, float]:
+    """T1 and T2 [s] of the scenario's phase lead."""
+    force = scenario.compensation.force
+    return (scenario.sensor.delay + force.lag if force.lead is None else force.lead), force.lag
+
+
+@njit(cache=True)
+def _lead(u, lead, lag, h, previous, y):
+    for i in range(u.shape[0]):
+        a, b = lag[i] / h, lead[i] / h
+        for j in range(6):
+            y[i, j] = (y[i, j] * a + u[i, j] + b * (u[i, j] - previous[i, j])) / (1.0 + a)
+            previous[i, j] = u[i, j]

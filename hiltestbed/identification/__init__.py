@@ -1,0 +1,42 @@
+"""Identification of stiffness and damping, axis by axis, while the contact lasts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol
+
+from hiltestbed.frames import Array
+from hiltestbed.identification.least_squares import RecursiveLeastSquares
+from hiltestbed.scenario import Scenario
+
+
+class Identification(Protocol):
+    """An estimator of ``F = k x + c v`` on six axes, for ``n`` runs.
+
+    Attributes:
+        stiffness, damping: ``(n, 6)`` running estimates, NaN before the first.
+        samples: ``(n, 6)`` number of contact samples used.
+    """
+
+    stiffness: Array
+    damping: Array
+    samples: Array
+
+    def update(self, wrench: Array, pose: Array, twist: Array) -> None:
+        """Take in what was measured at t_k: wrench ``(n, 6)``, pose ``(n, 7)``, twist ``(n, 6)``."""
+        ...
+
+    def buffers(self) -> dict[str, Array]:
+        """The arrays that make up the state."""
+        ...
+
+
+def make_identification(scenarios: Sequence[Scenario]) -> Identification | None:
+    """The estimator that ``identification`` names, or None."""
+    match scenarios[0].identification.kind:
+        case "none":
+            return None
+        case "rls":
+            return RecursiveLeastSquares(scenarios)
+        case kind:
+            raise ValueError(f"identification.kind {kind!r} has no estimator")

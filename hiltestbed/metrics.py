@@ -1,0 +1,204 @@
+"""What a test engineer asks of a run: coefficient of restitution, energy, forces, tracking. Kept up tick by tick.
+
+Running sums instead of a pass over the trace, so that a campaign needs no trace and a safety watch sees the energy as it is made.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from hiltestbed.frames import Array
+from hiltestbed.scenario import Scenario
+
+SETTLE_TIME_CONSTANTS = 5.0  # of the low-pass, after which the rebound speed is read: exp(-5) = 0.7 % of the last force is left
+SETTLE_TICKS = 4  # and ticks on top: the sensor's interpolation, the lead's memory
+
+
+@dataclass(frozen=True)
+class ContactFigures:
+    """The figures of one run. ``cor`` is None when the ports did not meet, or did not part before the end."""
+
+    cor: float | None
+    approach_speed: float | None
+    rebound_speed: float | None
+    energy_generated: float
+    peak_force: float
+    contact_duration: float
+    contacts: int
+    first_contact: float | None
+    impulse: float
+    tracking_delay: float | None
+    tracking_compliance: float | None
+    tracking_error: float
+
+
+class Tally:
+    """Running figures of ``n`` runs.
+
+    Attributes:
+        energy: ``(n,)`` [J] energy that the rig has created so far: the work that the physical side took in at the rig's own motion
+            less what the numerical model paid for it, the integral of ``F . v_act - F_used . v_cmd``. Positive is active.
+        peak_force: ``(n,)`` [N] largest physical contact force so far.
+    """
+
+    def __init__(self, scenarios: Sequence[Scenario]) -> None:
+        n, first = len(scenarios), scenarios[0]
+        self.tick = 1.0 / first.rate
+        self._settle = np.array([settle_ticks(s) for s in scenarios], dtype=np.int64)
+        self.energy = np.zeros(n)
+        self.peak_force = np.zeros(n)
+        self.peak_error = np.zeros(n)
+        self.impulse = np.zeros(n)
+        self.contact_ticks = np.zeros(n, dtype=np.int64)
+        self.contacts = np.zeros(n, dtype=np.int64)
+        self.first_tick = np.full(n, -1, dtype=np.int64)
+        self._last_tick = np.full(n, -1, dtype=np.int64)
+        self._speeds = np.full((n, 2), np.nan)  # approach, rebound along z
+        self._wrench = np.zeros((n, 6))
+        self._twist = np.zeros((n, 6))
+        self._started = np.zeros(n, dtype=bool)
+        self._tracking = np.zeros((n, 5))  # vv, vF, FF, ev, eF along z, in contact
+
+    def start(self, twist: Array) -> None:
+        """The numerical model's twist ``(n, 6)`` before the first tick."""
+        self._twist[:] = twist
+
+    def update(self, k: int, rig: tuple[Array, Array, Array, Array], pose_before: Array, drive: tuple[Array, Array]) -> None:
+        """Take in tick k.
+
+        Args:
+            rig: physical wrench ``(n, 6)``, pose ``(n, 7)``, twist ``(n, 6)`` and contact ``(n,)`` at t_k.
+            pose_before: ``(n, 7)`` pose that had been commanded for t_k.
+            drive: wrench used and new twist of the numerical model, ``(n, 6)`` each.
+        """
+        wrench, pose, twist, contact = rig
+        _update(
+            k,
+            self.tick,
+            wrench,
+            pose,
+            twist,
+            contact,
+            pose_before,
+            *drive,
+            self._settle,
+            self.energy,
+            self.peak_force,
+            self.peak_error,
+            self.impulse,
+            self.contact_ticks,
+            self.contacts,
+            self.first_tick,
+            self._last_tick,
+            self._speeds,
+            self._wrench,
+            self._twist,
+            self._tracking,
+        )
+
+    def figures(self, i: int) -> ContactFigures:
+        """The figures of run ``i``."""
+        approach, rebound = (None if math.isnan(v) else float(v) for v in self._speeds[i])
+        delay, compliance = tracking_fit(self._tracking[i])
+        return ContactFigures(
+            cor=None if approach is None or rebound is None or approach <= 0.0 else -rebound / approach,
+            approach_speed=approach,
+            rebound_speed=rebound,
+            energy_generated=float(self.energy[i]),
+            peak_force=float(self.peak_force[i]),
+            contact_duration=float(self.contact_ticks[i] * self.tick),
+            contacts=int(self.contacts[i]),
+            first_contact=float(self.first_tick[i] * self.tick) if self.first_tick[i] >= 0 else None,
+            impulse=float(self.impulse[i]),
+            tracking_delay=delay,
+            tracking_compliance=compliance,
+            tracking_error=float(self.peak_error[i]),
+        )
+
+    def buffers(self) -> dict[str, Array]:
+        return {name.lstrip("_"): value for name, value in vars(self).items() if isinstance(value, np.ndarray)}
+
+
+def settle_ticks(scenario: Scenario) -> int:
+    """Ticks after the ports have parted until the last of the force has reached the numerical model."""
+    sensor = scenario.sensor
+    lowpass = 0.0 if sensor.lowpass is None else SETTLE_TIME_CONSTANTS / (2.0 * math.pi * sensor.lowpass)
+    lag = SETTLE_TIME_CONSTANTS * getattr(scenario.compensation.force, "lag", 0.0)
+    return SETTLE_TICKS + math.ceil((sensor.delay + lowpass + lag) * scenario.rate)
+
+
+def tracking_fit(sums: Array) -> tuple[float | None, float | None]:
+    """Delay [s] and compliance [m/N] of the platform in contact, from ``z_cmd - z_act = delay v + compliance F``.
+
+    Args:
+        sums: ``(5,)`` sums over the contact of v v, v F, F F, e v, e F along z.
+    """
+    vv, vf, ff, ev, ef = sums
+    det = vv * ff - vf * vf
+    if det <= 1e-9 * vv * ff or vv == 0.0:
+        return None, None
+    return float((ff * ev - vf * ef) / det), float((vv * ef - vf * ev) / det)
+
+
+@njit(cache=True)
+def _update(
+    k,
+    h,
+    wrench,
+    pose,
+    twist,
+    contact,
+    pose_before,
+    used,
+    twist_cmd,
+    settle,
+    energy,
+    peak_force,
+    peak_error,
+    impulse,
+    contact_ticks,
+    contacts,
+    first_tick,
+    last_tick,
+    speeds,
+    wrench_before,
+    twist_before,
+    tracking,
+):
+    for i in range(wrench.shape[0]):
+        square = 0.0
+        error = 0.0
+        for j in range(6):
+            if k > 0:
+                energy[i] += 0.5 * h * (wrench[i, j] + wrench_before[i, j]) * twist[i, j]
+            energy[i] -= 0.5 * h * used[i, j] * (twist_cmd[i, j] + twist_before[i, j])
+            if j < 3:
+                square += wrench[i, j] ** 2
+                error += (pose_before[i, j] - pose[i, j]) ** 2
+        peak_force[i] = max(peak_force[i], math.sqrt(square))
+        peak_error[i] = max(peak_error[i], math.sqrt(error))
+        impulse[i] += h * wrench[i, 2]
+        if contact[i]:
+            if last_tick[i] < 0:
+                first_tick[i] = k
+                speeds[i, 0] = twist_before[i, 2]
+            if last_tick[i] < 0 or k - last_tick[i] > settle[i]:
+                contacts[i] += 1
+            last_tick[i] = k
+            contact_ticks[i] += 1
+            e, v, f = pose_before[i, 2] - pose[i, 2], twist[i, 2], wrench[i, 2]
+            tracking[i, 0] += v * v
+            tracking[i, 1] += v * f
+            tracking[i, 2] += f * f
+            tracking[i, 3] += e * v
+            tracking[i, 4] += e * f
+        elif contacts[i] == 1 and k - last_tick[i] == settle[i]:
+            speeds[i, 1] = twist_cmd[i, 2]
+        for j in range(6):
+            wrench_before[i, j] = wrench[i, j]
+            twist_before[i, j] = twist_cmd[i, j]
