@@ -1,0 +1,121 @@
+"""The sensor's chain: delay of any length, filters against their closed forms, noise that does not depend on the batch."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from hiltestbed.scenario import scenario_from
+from hiltestbed.sensor import Sensor
+
+RATE, SUBSTEPS = 1000.0, 4
+
+
+def scenario(sensor: dict | None = None, effects: list | None = None):
+    body = {"mass": 500.0, "inertia": [200.0, 180.0, 150.0]}
+    return scenario_from({
+        "name": "sensor", "duration": 1.0, "rate": RATE, "physics_rate": RATE * SUBSTEPS,
+        "spacecraft": {"chaser": body, "target": body}, "approach": {"velocity": [0, 0, 0.03]},
+        "mechanism": {"contact": {"stiffness": 1e5}}, "sensor": sensor or {}, "effects": effects or [],
+    })  # fmt: skip
+
+
+def readings(signal, ticks=200, scenarios=None, seed=5):
+    """(ticks, n, 6) readings of the wrench `signal(t)` -> (..., 6)."""
+    scenarios = scenarios or [scenario()]
+    sensor = Sensor(scenarios, [np.random.default_rng(seed + i) for i in range(len(scenarios))])
+    out = np.empty((ticks, len(scenarios), 6))
+    for k in range(ticks):
+        t = k / RATE + np.arange(1 - SUBSTEPS, 1) / (RATE * SUBSTEPS)
+        out[k] = sensor.read(k, np.repeat(signal(np.maximum(t, 0.0))[None], len(scenarios), axis=0))
+    return out
+
+
+def ramp(t):
+    return np.asarray(t)[..., None] * np.array([1.0, -2.0, 300.0, 4.0, 5.0, 6.0])
+
+
+def test_without_delay_the_reading_is_the_wrench_itself():
+    t = np.arange(200) / RATE
+    assert np.array_equal(readings(ramp)[:, 0], ramp(t))
+
+
+@pytest.mark.parametrize("delay", [0.001, 0.005, 0.00025, 0.0033, 0.00417])
+def test_a_linear_wrench_arrives_late_by_any_delay(delay):
+    t = np.arange(200) / RATE
+    expected = ramp(np.maximum(t - delay, 0.0))
+    got = readings(ramp, scenarios=[scenario({"delay": delay})])[:, 0]
+    late = t - delay >= 0  # the step in slope at t = 0 lies between two instants
+    assert np.allclose(got[late], expected[late], rtol=0, atol=1e-9)
+    assert np.all(got[t < delay - 1 / RATE] == 0)
+
+
+def test_effect_and_nominal_delay_add():
+    two = readings(ramp, scenarios=[scenario({"delay": 0.002}, [{"kind": "sensor.delay", "delay": 0.0013}])])
+    one = readings(ramp, scenarios=[scenario({"delay": 0.0033})])
+    assert np.allclose(two, one, atol=1e-9)
+
+
+def test_low_pass_and_lag_step_responses():
+    step = lambda t: np.ones((*np.shape(t), 6))  # noqa: E731
+    tau = 0.01
+    by_cutoff = readings(step, scenarios=[scenario({"lowpass": 1 / (2 * math.pi * tau)})])[:, 0, 2]
+    by_lag = readings(step, scenarios=[scenario(effects=[{"kind": "sensor.lag", "time_constant": tau}])])[:, 0, 2]
+    expected = 1 - np.exp(-(np.arange(200) + 1) / RATE / tau)
+    assert np.allclose(by_cutoff, expected, atol=1e-12)
+    assert np.allclose(by_lag, expected, atol=1e-12)
+
+
+def test_charge_leak_forgets_a_step_and_passes_no_steady_force():
+    step = lambda t: np.ones((*np.shape(t), 6))  # noqa: E731
+    got = readings(step, scenarios=[scenario({"time_constant": 0.05})])[:, 0, 0]
+    assert np.allclose(got, np.exp(-(np.arange(200) + 1) / RATE / 0.05), atol=1e-12)
+
+
+def test_static_effects_follow_their_equations():
+    effects = [
+        {"kind": "sensor.gain", "factor": 1.1, "axis": "z"},
+        {"kind": "sensor.crosstalk", "ratio": 0.02, "source": "z", "axis": "x"},
+        {"kind": "sensor.bias", "force": [0.1, 0.2, 0.3], "torque": [0, 0, 0.4]},
+        {"kind": "sensor.drift", "rate": 2.0, "axis": "y"},
+        {"kind": "sensor.hum", "frequency": 50.0, "amplitude": 0.5, "phase": 0.3, "axis": "y"},
+        {"kind": "sensor.saturation", "limit": 40.0},
+    ]
+    t = np.arange(200) / RATE
+    w = ramp(t)
+    expected = w.copy()
+    expected[:, 2] *= 1.1
+    expected[:, 0] += 0.02 * expected[:, 2]
+    expected[:, 1] += 2.0 * t + 0.5 * np.sin(2 * np.pi * 50 * t + 0.3)
+    expected += [0.1, 0.2, 0.3, 0, 0, 0.4]
+    expected[:, :3] = np.clip(expected[:, :3], -40, 40)
+    assert np.allclose(readings(ramp, scenarios=[scenario(effects=effects)])[:, 0], expected, atol=1e-9)
+
+
+def test_dead_zone_and_quantisation():
+    got = readings(ramp, scenarios=[scenario({"quantisation": 0.5}, [{"kind": "sensor.deadzone", "width": 10.0}])])[:, 0, 2]
+    true = ramp(np.arange(200) / RATE)[:, 2]
+    assert np.all(got[true < 9.9] == 0)
+    assert np.all(np.abs(got - true)[true > 10] <= 0.25 + 1e-9)
+    assert np.allclose(got / 0.5, np.round(got / 0.5))
+
+
+def test_noise_has_its_level_and_does_not_depend_on_the_batch():
+    noisy = scenario({"noise": 0.2, "torque_noise": 0.01})
+    still = lambda t: np.zeros((*np.shape(t), 6))  # noqa: E731
+    alone = readings(still, 600, [noisy])
+    batch = readings(still, 600, [noisy, scenario({"noise": 5.0}), noisy])
+    assert np.array_equal(alone[:, 0], batch[:, 0])
+    assert not np.array_equal(batch[:, 0], batch[:, 2])  # another run, another stream
+    assert alone[..., :3].std() == pytest.approx(0.2, rel=4 / math.sqrt(2 * 1800))
+    assert alone[..., 3:].std() == pytest.approx(0.01, rel=4 / math.sqrt(2 * 1800))
+
+
+def test_jitter_spreads_the_delay_of_a_ramp():
+    jitter = scenario({"delay": 0.01}, [{"kind": "sensor.jitter", "sigma": 0.0005}])
+    got = readings(ramp, 900, [jitter])[:, 0, 2]
+    late = np.arange(900)[50:] / RATE - got[50:] / 300.0
+    assert late.mean() == pytest.approx(0.01, abs=4 * 0.0005 / math.sqrt(850))
+    assert late.std() == pytest.approx(0.0005, rel=4 / math.sqrt(2 * 850))
