@@ -101,6 +101,10 @@ class Tally:
             self._tracking,
         )
 
+    def parted(self, alive: Array) -> bool:
+        """Whether the rebound speed of every run in ``alive`` ``(n,)`` is known."""
+        return not np.isnan(self._speeds[alive, 1]).any()
+
     def figures(self, i: int) -> ContactFigures:
         """The figures of run ``i``."""
         approach, rebound = (None if math.isnan(v) else float(v) for v in self._speeds[i])

@@ -62,7 +62,7 @@ class Sensor:
             k: the tick; called once for each, from 0 on.
             wrench_sub: (n, m, 6) physical wrench at the m physics instants up to t_k, the last of which is t_k.
         """
-        if k >= self._next_block:
+        while k >= self._next_block:  # a loop that starts from a saved state draws what lies before it
             self._draw()
         _read(
             k, self.tick, self.ring, wrench_sub, self._delay_steps, self._jitter_steps, self._noise, self._jitter,

@@ -1,0 +1,124 @@
+"""The closed loop: read this first.
+
+A tick, at t_k: read the physical wrench through the sensor; identify stiffness and damping; compensate and let the numerical model
+move on; tell the platform where to be at t_(k+1); write the row; let the rig run until then. One call a block, in the order of the
+signal, on arrays whose leading axis is the run in the batch.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numba import njit
+
+from hiltestbed.compensation import make_drive
+from hiltestbed.compensation.measurement import Measurement
+from hiltestbed.compensation.motion import MotionCommand
+from hiltestbed.frames import Array
+from hiltestbed.identification import make_identification
+from hiltestbed.metrics import Tally
+from hiltestbed.rig.plant import Plant
+from hiltestbed.scenario import Scenario
+from hiltestbed.sensor import Sensor
+from hiltestbed.signals import Trace
+
+POSE_LIMIT = 10.0  # [m] a commanded position beyond it is a divergence: forty times the platform's reach
+
+
+class Loop:
+    """``n`` runs in lockstep. The scenarios agree in structure (kinds, rates, methods) and differ in numbers.
+
+    Attributes:
+        k: the tick to come.
+        alive: ``(n,)`` runs that go on; a run that diverged is left where it was.
+        trouble: run to (tick, what went wrong).
+    """
+
+    def __init__(self, scenarios: Sequence[Scenario], nthread: int = 1) -> None:
+        n = len(scenarios)
+        self.scenarios = scenarios
+        self.plant = Plant(scenarios, nthread)
+        self.sensor = Sensor(scenarios, [np.random.default_rng(s.seed) for s in scenarios])
+        self.identification = make_identification(scenarios)
+        self.drive = make_drive(scenarios)
+        self.motion = MotionCommand(scenarios)
+        self.tally = Tally(scenarios)
+        self.k = 0
+        self.alive = np.ones(n, dtype=bool)
+        self.trouble: dict[int, tuple[int, str]] = {}
+        self._pose_before = self.drive.pose.copy()
+        self.plant.reset(self.drive.pose, self.drive.twist)
+        self.motion.start(self.drive.twist)
+        self.tally.start(self.drive.twist)
+        unknown = np.full((n, 6), np.nan)
+        estimate = self.identification
+        self._measurement = Measurement(
+            wrench=self.sensor.reading,
+            pose=self.plant.pose_act,
+            twist=self.plant.twist_act,
+            stiffness=estimate.stiffness if estimate else unknown,
+            damping=estimate.damping if estimate else unknown,
+        )
+
+    def step(self, trace: Trace | None = None) -> None:
+        """One tick for every run; the row goes into ``trace``."""
+        k, plant, drive = self.k, self.plant, self.drive
+        self.sensor.read(k, plant.wrench_sub)
+        if self.identification:
+            self.identification.update(self.sensor.reading, plant.pose_act, plant.twist_act)
+        self._pose_before[:] = drive.pose
+        drive.advance(self._measurement)
+        self.motion.update(drive.twist)
+        wrench = plant.wrench_sub[:, -1]
+        self.tally.update(k, (wrench, plant.pose_act, plant.twist_act, plant.contact), self._pose_before, (drive.wrench, drive.twist))
+        if trace is not None:
+            self._write(trace, wrench)
+        if _lost(drive.pose, POSE_LIMIT, self.alive) or plant.diverged.any():
+            self._end_lost_runs()
+        plant.advance(drive.pose, self.motion.twist, self.motion.acceleration)
+        self.k = k + 1
+
+    def _write(self, trace: Trace, wrench: Array) -> None:
+        k, data = self.k, trace.data
+        data["pose_cmd"][k] = self.drive.pose
+        data["pose_act"][k] = self.plant.pose_act
+        data["twist_cmd"][k] = self.drive.twist
+        data["twist_act"][k] = self.plant.twist_act
+        data["wrench_true"][k] = wrench
+        data["wrench_meas"][k] = self.sensor.reading
+        data["wrench_comp"][k] = self.drive.wrench
+        data["slider_cmd"][k] = self.plant.slider_cmd
+        data["slider_act"][k] = self.plant.slider_act
+        data["stiffness_est"][k] = self._measurement.stiffness
+        data["damping_est"][k] = self._measurement.damping
+        trace.contact[k] = self.plant.contact
+
+    def _end_lost_runs(self) -> None:
+        for i in np.flatnonzero(self.alive):
+            if self.plant.diverged[i]:
+                self.trouble[int(i)] = (self.k, self.plant.divergence(i))
+            elif not np.all(np.abs(self.drive.pose[i]) <= POSE_LIMIT):
+                where = ", ".join(f"{v:.3g}" for v in self.drive.pose[i, :3])
+                self.trouble[int(i)] = (self.k, f"the numerical model's relative position left {POSE_LIMIT:g} m (px, py, pz = {where} m)")
+            else:
+                continue
+            self.alive[i] = False
+
+    def buffers(self) -> dict[str, dict[str, Array]]:
+        """The arrays of every block: the state of the loop between two ticks."""
+        blocks = {"plant": self.plant, "sensor": self.sensor, "drive": self.drive, "motion": self.motion, "tally": self.tally}
+        if self.identification:
+            blocks["identification"] = self.identification
+        return {name: block.buffers() for name, block in blocks.items()}
+
+
+@njit(cache=True)
+def _lost(pose, limit, alive):
+    """Whether a run that was alive has left ``limit`` or the numbers."""
+    for i in range(pose.shape[0]):
+        if alive[i]:
+            for j in range(7):
+                if not abs(pose[i, j]) <= limit:
+                    return True
+    return False

@@ -1,0 +1,149 @@
+"""The run folder: scenario.yaml, summary.json, trace.parquet, recording.rrd. A folder that exists is complete."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hiltestbed.errors import InputError
+from hiltestbed.frames import Array
+from hiltestbed.scenario import dump_scenario, load_scenario
+from hiltestbed.signals import GROUPS, RunTrace
+from hiltestbed.simulation import Run
+from hiltestbed.snapshot import Snapshot, flatten, unflatten
+
+SUMMARY, SCENARIO, TRACE, RECORDING, FAILURE = "summary.json", "scenario.yaml", "trace.parquet", "recording.rrd", "failure.npz"
+
+
+@contextmanager
+def whole_folder(path: Path) -> Iterator[Path]:
+    """A folder beside ``path`` to write into; it becomes ``path`` when the block ends well, and is removed when it does not.
+
+    An earlier run's folder at ``path`` is replaced; anything else there is refused.
+
+    Raises:
+        InputError: ``path`` exists and is not a run folder, or cannot be written.
+    """
+    refuse_foreign(path)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        beside = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=".partial", dir=path.parent))
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror}); choose another --out") from None
+    try:
+        yield beside
+        for file in beside.iterdir():
+            _sync(file)
+        beside.chmod(0o755)
+        _swap(beside, path)
+    except BaseException:
+        shutil.rmtree(beside, ignore_errors=True)
+        raise
+
+
+def refuse_foreign(path: Path) -> None:
+    """Refuse to replace what is not a result of ours.
+
+    Raises:
+        InputError: ``path`` is a file, or a folder with other things in it.
+    """
+    if path.is_dir():
+        if any(path.iterdir()) and not (path / SUMMARY).exists():
+            raise InputError(f"{path}: is a folder with other things in it; allowed is a new folder or an earlier run's; choose another --out")
+    elif path.exists() or path.is_symlink():
+        raise InputError(f"{path}: is not a folder; allowed is a new folder or an earlier run's; choose another --out")
+
+
+def _swap(beside: Path, path: Path) -> None:
+    """Put the finished folder in place; an earlier one is moved away first, so that ``path`` is never half of each."""
+    if path.exists():
+        old = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=".old", dir=path.parent))
+        os.rename(path, old / path.name)
+        os.rename(beside, path)
+        shutil.rmtree(old, ignore_errors=True)
+    else:
+        os.rename(beside, path)
+
+
+def _sync(file: Path) -> None:
+    with file.open("rb") as handle:
+        os.fsync(handle.fileno())
+
+
+def write_run(run: Run, path: str | Path, *, rerun: bool = True) -> Path:
+    """Write the run folder and return its path; ``rerun=False`` leaves recording.rrd out.
+
+    Raises:
+        InputError: the folder cannot be written, or holds something else.
+    """
+    path = Path(path)
+    with whole_folder(path) as folder:
+        (folder / SCENARIO).write_text(dump_scenario(run.scenario), encoding="utf-8")
+        (folder / SUMMARY).write_text(json.dumps(run.summary, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+        if run.trace is not None:
+            write_trace(run.trace, folder / TRACE)
+            if rerun:
+                from hiltestbed.viewer import write_recording
+
+                write_recording(folder / RECORDING, run)
+        if run.failure is not None:
+            np.savez(folder / FAILURE, **flatten(run.failure))  # type: ignore[arg-type]
+    return path
+
+
+def read_run(path: str | Path) -> Run:
+    """What a run folder holds.
+
+    Raises:
+        InputError: it is not a run folder.
+    """
+    path = Path(path)
+    if not (path / SUMMARY).is_file():
+        raise InputError(f"{path}: is not a run folder (no {SUMMARY}); allowed is a folder that `hiltestbed run --out` wrote")
+    summary: dict[str, Any] = json.loads((path / SUMMARY).read_text(encoding="utf-8"))
+    trace = read_trace(path / TRACE) if (path / TRACE).is_file() else None
+    return Run(load_scenario(path / SCENARIO), summary, trace, _read_failure(path / FAILURE))
+
+
+def _read_failure(path: Path) -> Snapshot | None:
+    if not path.is_file():
+        return None
+    with np.load(path) as arrays:
+        return unflatten(dict(arrays))
+
+
+def write_trace(trace: RunTrace, path: Path) -> None:
+    """One row a tick, unit, frame and meaning of each column in its field's metadata; the same rows give the same bytes."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    about = {"t": ("s", "", "time from the start, tick/rate"), "contact": ("1", "", "the mechanisms touch")}
+    for group in GROUPS.values():
+        for column, unit in zip(group.columns, group.units, strict=True):
+            about[column] = (unit, group.frame, group.meaning)
+    columns = trace.columns()
+    fields = []
+    for name, values in columns.items():
+        unit, frame, meaning = about[name]
+        kind = pa.bool_() if values.dtype == bool else pa.float64()
+        fields.append(pa.field(name, kind, metadata={"unit": unit, "frame": frame, "meaning": meaning}))
+    arrays = [pa.array(np.ascontiguousarray(v)) for v in columns.values()]
+    pq.write_table(pa.table(arrays, schema=pa.schema(fields)), path, compression="zstd", compression_level=1, use_dictionary=False)
+
+
+def read_trace(path: Path) -> RunTrace:
+    """The trace in a Parquet file."""
+    import pyarrow.parquet as pq
+
+    table = pq.read_table(path)
+    columns: dict[str, Array] = {name: table[name].to_numpy() for name in table.column_names}
+    data = {g.name: np.stack([columns[c] for c in g.columns], axis=-1) for g in GROUPS.values() if g.columns[0] in columns}
+    return RunTrace(columns["t"], data, columns["contact"].astype(bool))

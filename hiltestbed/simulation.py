@@ -1,0 +1,187 @@
+"""Runs and batches of runs: the loop from the first tick to the last, the reference, and what came of it."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+
+from hiltestbed.ledger import delay_ledger, predicted_log_error
+from hiltestbed.loop import Loop
+from hiltestbed.metrics import ContactFigures
+from hiltestbed.scenario import Scenario, scenario_from, scenario_sha256
+from hiltestbed.signals import AXES, RunTrace, Trace
+from hiltestbed.snapshot import Snapshot, Snapshots
+from hiltestbed.versions import versions
+
+Progress = Callable[[int, int], None]
+PROGRESS_TICKS = 500
+
+
+@dataclass
+class Run:
+    """One run: what the run folder holds.
+
+    Attributes:
+        scenario: as it was run.
+        summary: the contents of summary.json.
+        trace: the rows, or None where none was kept.
+        failure: the state some ticks before a divergence or a stop, from which it can be replayed.
+    """
+
+    scenario: Scenario
+    summary: dict[str, Any]
+    trace: RunTrace | None = None
+    failure: Snapshot | None = None
+
+
+@dataclass
+class Batch:
+    """What the loop left behind for ``n`` runs, before it is put in words."""
+
+    scenarios: Sequence[Scenario]
+    figures: list[ContactFigures]
+    trouble: dict[int, tuple[int, str]]
+    identification: list[dict[str, Any]]
+    ticks: int
+    wall: float
+    trace: Trace | None = None
+    failures: dict[int, Snapshot] = field(default_factory=dict)
+
+
+def run(scenario: Scenario, progress: Progress | None = None, nthread: int = 1) -> Run:
+    """Run one scenario, with its trace and its reference."""
+    return run_batch([scenario], trace=True, progress=progress, nthread=nthread)[0]
+
+
+def run_batch(scenarios: Sequence[Scenario], *, trace: bool = False, progress: Progress | None = None, nthread: int = 1) -> list[Run]:
+    """Run scenarios of one structure in lockstep, each with its reference: the same with no delay and perfect tracking.
+
+    A run's result does not depend on the others in its batch.
+    """
+    batch = simulate(scenarios, trace=trace, progress=progress, nthread=nthread)
+    reference = simulate([reference_scenario(s) for s in scenarios], until_parted=True, nthread=nthread)
+    return [_run(batch, reference, i) for i in range(len(scenarios))]
+
+
+def simulate(
+    scenarios: Sequence[Scenario],
+    *,
+    trace: bool = False,
+    until_parted: bool = False,
+    progress: Progress | None = None,
+    nthread: int = 1,
+) -> Batch:
+    """Drive the loop to its end; ``until_parted`` ends it when every run's rebound speed is known."""
+    ticks = max(s.ticks for s in scenarios)
+    loop = Loop(scenarios, nthread)
+    rows = Trace(ticks, len(scenarios), scenarios[0].rate) if trace else None
+    snapshots = Snapshots(loop)
+    start = time.perf_counter()
+    while loop.k < ticks and loop.alive.any():
+        snapshots.keep()
+        loop.step(rows)
+        if loop.trouble:
+            snapshots.failures()
+        if loop.k % PROGRESS_TICKS == 0:
+            if progress:
+                progress(loop.k, ticks)
+            if until_parted and loop.tally.parted(loop.alive):
+                break
+    wall = time.perf_counter() - start
+    if progress:
+        progress(loop.k, ticks)
+    if rows is not None:
+        rows.length[:] = loop.k
+        for i, (k, _) in loop.trouble.items():
+            rows.length[i] = k + 1
+    return Batch(
+        scenarios=scenarios,
+        figures=[loop.tally.figures(i) for i in range(len(scenarios))],
+        trouble=loop.trouble,
+        identification=[_identified(loop, i) for i in range(len(scenarios))],
+        ticks=loop.k,
+        wall=wall,
+        trace=rows,
+        failures=snapshots.failures(),
+    )
+
+
+def reference_scenario(scenario: Scenario) -> Scenario:
+    """The same contact between the same bodies with nothing in between: no sensor, no compensation, perfect tracking.
+
+    Effects of the contact itself stay; those of the rig, the sensor and the numerical model go.
+    """
+    data = scenario.model_dump(mode="json")
+    data["sensor"] = {}
+    data["compensation"] = {"force": {"kind": "none"}, "motion": {"kind": "none"}}
+    data["identification"] = {"kind": "none"}
+    data["rig"]["platform"]["tracking"] = "ideal"
+    data["effects"] = [e for e in data["effects"] if e["kind"].startswith("contact.")]
+    return scenario_from(data)
+
+
+def _identified(loop: Loop, i: int) -> dict[str, Any]:
+    """Per axis: stiffness and damping identified, None where the axis gave no estimate, and the truth where there is one."""
+    contact = loop.scenarios[i].mechanism.contact
+    estimate = loop.identification
+    out = {}
+    for j, axis in enumerate(AXES):
+        truth = axis == "z"
+        out[axis] = {
+            "stiffness": _number(estimate.stiffness[i, j]) if estimate else None,
+            "damping": _number(estimate.damping[i, j]) if estimate else None,
+            "stiffness_true": contact.stiffness if truth else None,
+            "damping_true": contact.damping if truth else None,
+            "samples": int(estimate.samples[i, j]) if estimate else 0,
+        }
+    return out
+
+
+def _number(value: float) -> float | None:
+    return None if not math.isfinite(value) else float(value)
+
+
+def _run(batch: Batch, reference: Batch, i: int) -> Run:
+    scenario, figures = batch.scenarios[i], batch.figures[i]
+    cor, cor_reference = figures.cor, reference.figures[i].cor
+    ledger = delay_ledger(scenario, figures)
+    trouble = batch.trouble.get(i)
+    wall = batch.wall
+    both = cor is not None and cor_reference is not None and cor > 0.0 and cor_reference > 0.0
+    summary = {
+        "name": scenario.name,
+        "scenario_sha256": scenario_sha256(scenario),
+        "seed": scenario.seed,
+        "versions": versions(),
+        "status": "diverged" if trouble else "completed",
+        "stop_reason": f"tick {trouble[0]}, t = {trouble[0] / scenario.rate:.6f} s: {trouble[1]}" if trouble else None,
+        "cor": cor,
+        "cor_reference": cor_reference,
+        "cor_log_error": math.log(cor / cor_reference) if both else None,
+        "cor_log_error_predicted": predicted_log_error(scenario, ledger),
+        "approach_speed": figures.approach_speed,
+        "rebound_speed": figures.rebound_speed,
+        "energy_generated": figures.energy_generated,
+        "peak_force": figures.peak_force,
+        "contact_duration": figures.contact_duration,
+        "contacts": figures.contacts,
+        "first_contact": figures.first_contact,
+        "impulse": figures.impulse,
+        "tracking_error": figures.tracking_error,
+        "tracking_compliance": figures.tracking_compliance,
+        "delay_ledger": [vars(entry) for entry in ledger],
+        "identification": batch.identification[i],
+        "timing": {
+            "ticks": batch.ticks,
+            "wall": wall,
+            "real_time_factor": batch.ticks / scenario.rate * len(batch.scenarios) / wall if wall > 0.0 else None,
+        },
+    }
+    trace = batch.trace.run(i) if batch.trace is not None else None
+    return Run(scenario, summary, trace, batch.failures.get(i))
+
+
