@@ -42,12 +42,14 @@ def validate(model: type[Model], source: Source) -> Model:
     Checks that join several keys run only where each key is right by itself, so what was refused in a first pass is left out and the
     rest is validated again: a misspelt key does not hide two rates that do not divide.
     """
-    data, problems, seen = source.data, [], set()
+    data = source.data
+    problems: list[Problem] = []
+    seen: set[KeyPath] = set()
     while True:
         try:
             result = model.model_validate(data)
         except ValidationError as error:
-            new = [item for item in _problems(model, data, error) if item[0] not in seen]
+            new = [item for item in _problems(model, data, error) if not _overlaps(item[0], seen)]
         else:
             new = []
             if not problems:
@@ -61,6 +63,11 @@ def validate(model: type[Model], source: Source) -> Model:
         data = copy.deepcopy(data)
         for path in removable:
             _remove(data, path)
+
+
+def _overlaps(path: KeyPath, seen: set[KeyPath]) -> bool:
+    """Whether `path` lies on, above or below one that was refused already."""
+    return any(path[: len(other)] == other or other[: len(path)] == path for other in seen)
 
 
 def _order(fault: Fault) -> tuple[bool, int, int]:
@@ -126,7 +133,7 @@ def _unknown(path: KeyPath, owner: type[BaseModel] | None) -> str:
 
 def nearest(name: str, allowed: Iterable[str]) -> str:
     """`, did you mean 'x'?`-style hint, or nothing when no name is near."""
-    close = difflib.get_close_matches(name, list(allowed), n=1, cutoff=0.55)
+    close = difflib.get_close_matches(name, list(allowed), n=1, cutoff=0.5)
     return f" (did you mean {close[0]!r}?)" if close else ""
 
 

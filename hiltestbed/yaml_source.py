@@ -55,6 +55,14 @@ class Source:
                 return Fault(self.file, line, column, key, message)
         return Fault(self.file, *((1, 1) if self.marks else (None, None)), key, message)
 
+    def relocated(self, fault: Fault, base: KeyPath) -> Fault:
+        """A fault of an override that stands in this source below `base`, placed there; any other fault as it is."""
+        if not fault.file.startswith("--set "):
+            return fault
+        key = fault.file.removeprefix("--set ")
+        message = fault.message if fault.key == key else f"{fault.key}: {fault.message}"
+        return self.fault((*base, key), message)
+
     def with_set(self, overrides: Mapping[str, Any] | None) -> Source:
         """The same source with dotted keys set; a string value is read as YAML. Raises InputError with every fault."""
         if not overrides:
@@ -129,6 +137,14 @@ def read_source(path: str | Path) -> Source:
     if not isinstance(data, dict):
         raise InputError(Fault(str(path), 1, 1, "", f"the file holds {describe(data)}; a YAML mapping (key: value) is expected"))
     return Source(str(path), data, marks)
+
+
+def referenced_source(source: Source, key: str = "scenario") -> Source:
+    """The file that a file names under `key`, looked for from the folder of the file that names it. Raises InputError."""
+    target = source.folder / str(source.data[key])
+    if not target.is_file():
+        raise InputError(source.fault((key,), f"names no file (got {describe(source.data[key])}); looked for {target}"))
+    return read_source(target)
 
 
 def _read_text(path: Path) -> str:

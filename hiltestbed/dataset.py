@@ -1,0 +1,105 @@
+"""What a set of measured runs is: which files, what differed in each, which column is which signal.
+
+A dataset file names the scenario that the facility believes in and, for every run, the file and the keys that were different.
+The data themselves are read elsewhere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import Field
+
+from hiltestbed.errors import Fault, InputError
+from hiltestbed.scenario import Scenario, scenario_from
+from hiltestbed.validation import Strictly, nearest, validate
+from hiltestbed.yaml_source import Source, read_source, referenced_source
+
+
+class MeasuredRun(Strictly):
+    """One file of measured data."""
+
+    file: Annotated[str, Field(min_length=1)] = Field(description="CSV, Parquet, HDF5, MAT, MDF4, TDMS or MCAP, from the dataset's folder")
+    set: dict[str, Any] = Field({}, description="what was different in this run: dotted scenario key to value")
+
+
+class Channel(Strictly):
+    """Where a signal of the trace stands in the file."""
+
+    column: Annotated[str, Field(min_length=1)]
+    scale: float = Field(1.0, description="SI value = scale x value in the file")
+
+
+class Dataset(Strictly):
+    """Measured runs of one rig."""
+
+    name: str = ""
+    description: str = ""
+    scenario: Annotated[str, Field(min_length=1)] = Field(description="file of the facility's scenario, from the dataset's folder")
+    runs: Annotated[tuple[MeasuredRun, ...], Field(strict=False, min_length=1)]
+    channels: dict[str, Channel] | None = Field(
+        None, description="signal of the trace to its column; left out: the trace's own names and units"
+    )
+
+
+@dataclass(frozen=True)
+class LoadedDataset:
+    """A dataset whose scenario and overrides hold.
+
+    nominal is the scenario as the file has it; scenarios and files have one entry a run, with that run's overrides applied.
+    """
+
+    spec: Dataset
+    path: Path
+    nominal: Scenario
+    scenarios: tuple[Scenario, ...]
+    files: tuple[Path, ...]
+
+
+def load_dataset(path: str | Path, set: Mapping[str, Any] | None = None) -> LoadedDataset:
+    """The dataset in a YAML file; `set` overrides keys of the dataset. Raises InputError with every fault."""
+    return dataset_from(read_source(path).with_set(set))
+
+
+def dataset_from(source: Source) -> LoadedDataset:
+    """The dataset in a source that is read already. Raises InputError with every fault."""
+    spec = validate(Dataset, source)
+    faults = [*_missing_files(spec, source), *_channel_faults(spec, source)]
+    nominal_source = referenced_source(source)
+    nominal = scenario_from(nominal_source)
+    scenarios = []
+    for index, run in enumerate(spec.runs):
+        try:
+            scenarios.append(scenario_from(nominal_source, run.set))
+        except InputError as error:
+            faults += [source.relocated(fault, ("runs", index, "set")) for fault in error.faults]
+    if faults:
+        raise InputError(faults)
+    files = tuple(source.folder / run.file for run in spec.runs)
+    return LoadedDataset(spec, Path(source.file), nominal, tuple(scenarios), files)
+
+
+def _missing_files(spec: Dataset, source: Source) -> Iterator[Fault]:
+    for index, run in enumerate(spec.runs):
+        if not (source.folder / run.file).is_file():
+            where = source.folder / run.file
+            yield source.fault(("runs", index, "file"), f"names no file (got {run.file!r}); looked for {where}")
+
+
+def _channel_faults(spec: Dataset, source: Source) -> Iterator[Fault]:
+    if spec.channels is None:
+        return
+    from hiltestbed.signals import GROUPS
+
+    known = {"t", "contact"} | {column for group in GROUPS.values() for column in group.columns}
+    for name, channel in spec.channels.items():
+        if name not in known:
+            allowed = f"allowed: t, contact and {', '.join(f'{group.name}.*' for group in GROUPS.values())}"
+            yield source.fault(("channels", name), f"unknown channel{nearest(name, known)}; {allowed}")
+        if channel.scale == 0.0:
+            yield source.fault(("channels", name, "scale"), "is out of range (got 0); allowed is any other number")
+    if "t" not in spec.channels:
+        yield source.fault(("channels",), "has no channel 't'; the time must be named when channels are")
