@@ -1,0 +1,139 @@
+"""Composes the MuJoCo model of a rig from the MJCF files in ``models/``, one folder a mechanism.
+
+The world frame W has its origin where P stands nominally, z up along the insertion: a pose in W is a pose in P while the passive
+side is at its nominal place. Site names: ``A`` and ``P`` on the two mechanisms.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from hiltestbed.errors import InputError
+
+Array = NDArray[np.float64]
+
+# Contact that is a spring and a damper in N/m and N s/m (hiltestbed.rig.contact) needs a small, constant impedance.
+IMPEDANCE = 1e-4
+CONTACT_SOLIMP = (IMPEDANCE, IMPEDANCE, 1e-3, 0.5, 1.0)
+FRICTION_IMPRATIO = 1000.0  # stiffness of friction against that of the normal: below the cone the creep is C impratio
+PRESCRIBED_MASS = 1e15  # [kg], [kg m^2]
+ACTIVE = "active_"
+PASSIVE = "passive_"
+
+
+@cache
+def models_folder() -> Path:
+    """The folder ``models/``: beside the package in a checkout, ``hiltestbed/_data/models`` in an installed wheel."""
+    package = Path(str(files("hiltestbed")))
+    for candidate in (package / "_data" / "models", package.parent / "models"):
+        if (candidate / "pss33" / "pss33.xml").is_file():
+            return candidate
+    raise InputError(f"no models found in {package / '_data' / 'models'} or {package.parent / 'models'}; reinstall hiltestbed")
+
+
+def load(name: str) -> mujoco.MjSpec:
+    """The MJCF ``models/<name>.xml``."""
+    return mujoco.MjSpec.from_file(str(models_folder() / f"{name}.xml"))
+
+
+@dataclass(frozen=True)
+class ContactPair:
+    """One pair of geoms that may touch, by their names in the composed model."""
+
+    active: str
+    passive: str
+
+
+MECHANISMS: dict[str, tuple[ContactPair, ...]] = {
+    "bumper": (ContactPair(ACTIVE + "tip", PASSIVE + "surface"),),
+}
+
+
+def mechanism_pairs(kind: str) -> tuple[ContactPair, ...]:
+    """The contact pairs of a mechanism; :class:`InputError` for a kind there is no model of."""
+    if kind not in MECHANISMS:
+        raise InputError(f"mechanism.kind: no model of {kind!r}; there are {', '.join(sorted(MECHANISMS))}")
+    return MECHANISMS[kind]
+
+
+def _options(spec: mujoco.MjSpec, timestep: float, gravity: bool) -> None:
+    option = spec.option
+    option.timestep = timestep
+    option.gravity = [0.0, 0.0, -9.81] if gravity else [0.0, 0.0, 0.0]
+    option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    option.impratio = FRICTION_IMPRATIO
+    option.integrator = mujoco.mjtIntegrator.mjINT_EULER
+    option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET  # a diverging run stops, it does not start again in silence
+
+
+def _add_pairs(spec: mujoco.MjSpec, kind: str, friction: bool) -> None:
+    for pair in mechanism_pairs(kind):
+        spec.add_pair(
+            name=pair.active + "-" + pair.passive,
+            geomname1=pair.active,
+            geomname2=pair.passive,
+            condim=3 if friction else 1,
+            solimp=CONTACT_SOLIMP,
+        )
+
+
+def _add_passive(spec: mujoco.MjSpec, kind: str) -> None:
+    """The passive mechanism at P, welded, behind the six-axis force sensor at P's origin."""
+    carrier = spec.worldbody.add_body(name="passive_carrier")
+    carrier.add_site(name="P_nominal")
+    spec.attach(load(f"{kind}/passive"), prefix=PASSIVE, frame=carrier.add_frame())
+    for sensor, name in ((mujoco.mjtSensor.mjSENS_FORCE, "force"), (mujoco.mjtSensor.mjSENS_TORQUE, "torque")):
+        spec.add_sensor(name=name, type=sensor, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=PASSIVE + "P")
+
+
+def _site_offset(mechanism: mujoco.MjSpec, site: str) -> Array:
+    """Place of a site in its mechanism's mounting frame [m]."""
+    return np.array(mechanism.site(site).pos)
+
+
+def ideal_model(kind: str, friction: bool) -> mujoco.MjModel:
+    """The mechanisms alone: the active one free, its body frame A itself, to be placed before each evaluation; no gravity.
+
+    What is placed does not yield: the body is made immovable (PRESCRIBED_MASS) while the contact is scaled by an inverse weight of
+    1/kg, so that no acceleration enters the force and stiffness and damping are exact at any lever arm.
+    """
+    spec = mujoco.MjSpec()
+    spec.modelname = f"ideal-{kind}"
+    _options(spec, timestep=1e-3, gravity=False)
+    _add_passive(spec, kind)
+    active = load(f"{kind}/active")
+    offset = _site_offset(active, "A")
+    body = spec.worldbody.add_body(name="A_body")
+    body.add_freejoint(name="A_joint")
+    spec.attach(active, prefix=ACTIVE, frame=body.add_frame(pos=-offset))
+    mechanism = spec.body(ACTIVE + "mechanism")
+    mechanism.mass = PRESCRIBED_MASS
+    mechanism.inertia = np.full(3, PRESCRIBED_MASS)
+    _add_pairs(spec, kind, friction)
+    model = spec.compile()
+    model.body_invweight0[model.body(ACTIVE + "mechanism").id] = 1.0
+    return model
+
+
+def rig_spec(kind: str, friction: bool, timestep: float) -> mujoco.MjSpec:
+    """The whole rig: 3-3 PSS platform with the active mechanism, frame, force sensor, passive mechanism."""
+    spec = load("pss33/pss33")
+    spec.modelname = f"pss33-{kind}"
+    _options(spec, timestep, gravity=True)
+    spec.attach(load("frame/frame"), prefix="frame_", frame=spec.worldbody.add_frame())
+    spec.attach(load(f"{kind}/active"), prefix=ACTIVE, site=spec.site("mount"))
+    _add_passive(spec, kind)
+    _add_pairs(spec, kind, friction)
+    return spec
+
+
+def rig_model(kind: str, friction: bool, timestep: float) -> mujoco.MjModel:
+    """The compiled :func:`rig_spec`."""
+    return rig_spec(kind, friction, timestep).compile()
