@@ -64,6 +64,7 @@ class IdealTracking:
         self.platform = Platform.load()
         self._qpos, self._qvel = self.batch.bind("qpos"), self.batch.bind("qvel")
         self._reading, self._ncon = self.batch.bind("sensordata"), self.batch.bind("ncon")
+        self._warmstart = self.batch.bind("qacc_warmstart")
         self._tare = np.zeros((n, 6))  # there is no gravity
         self._before, self._between = np.zeros((n, 7)), np.zeros((n, 7))
         self._depth, self._rate = np.zeros(n), np.zeros(n)
@@ -72,6 +73,7 @@ class IdealTracking:
         self.contact_now = np.zeros(n, dtype=bool)
         self.slider_act = np.zeros((n, 6))
         self.slider_cmd = np.zeros((n, 6))
+        self.diverged = np.zeros(n, dtype=bool)  # nothing is integrated here: a command that is lost is the loop's to end
         self.causes = [""] * n
 
     def reset(self, pose: Array, twist: Array) -> None:
@@ -99,3 +101,15 @@ class IdealTracking:
         np.greater(self._ncon, 0, out=self.contact_now)
         inverse(self.platform.limbs, self.pose_act, self.slider_act)
         self.slider_cmd[:] = self.slider_act
+
+    def buffers(self) -> dict[str, Array]:
+        """The state between two ticks."""
+        return {
+            "pose_act": self.pose_act,
+            "twist_act": self.twist_act,
+            "wrench_sub": self.wrench_sub,
+            "contact": self.contact_now,
+            "slider_act": self.slider_act,
+            "slider_cmd": self.slider_cmd,
+            "warmstart": self._warmstart,
+        }

@@ -60,8 +60,7 @@ class Plant:
         self.contact: NDArray[np.bool_] = self._tracking.contact_now
         self.slider_cmd: Array = self._tracking.slider_cmd
         self.slider_act: Array = self._tracking.slider_act
-        self.diverged: NDArray[np.bool_] = np.zeros(len(scenarios), dtype=bool)
-        self.causes: list[str] = self._tracking.causes
+        self.diverged: NDArray[np.bool_] = self._tracking.diverged
 
     @property
     def contact_law(self) -> ContactLaw | None:
@@ -75,6 +74,14 @@ class Plant:
     def set_friction(self, friction: Array) -> None:
         """Coulomb coefficient ``(n,)`` of each run; the scenarios' own friction must not be zero."""
         self._tracking.contact.set_friction(friction)
+
+    def divergence(self, i: int) -> str:
+        """Why run ``i`` diverged: which quantity, and its value."""
+        return self._tracking.causes[i]
+
+    def buffers(self) -> dict[str, Array]:
+        """The state between two ticks, by name; written back, the rig goes on from there."""
+        return self._tracking.buffers() | {"diverged": self.diverged}
 
     def reset(self, pose: Array, twist: Array) -> None:
         """Start at the pose ``(n, 7)`` of A in P with the twist ``(n, 6)``: before t = 0 the approach is uniform."""
