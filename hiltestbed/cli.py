@@ -1,0 +1,186 @@
+"""The command line: `hiltestbed run | check | schema | view`.
+
+Exit status: 0 done; 2 bad input; 3 the simulation diverged or a safety limit stopped it; 1 anything else that failed. Results go to
+standard output, progress and messages to standard error. A command imports what it needs when it runs, so that --help is quick.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from hiltestbed.errors import HiltestbedError, InputError
+
+app = typer.Typer(
+    help="A hardware-in-the-loop contact simulator for spacecraft docking, in software.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+
+Out = Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Folder to write; left out: runs/NAME.")]
+Sets = Annotated[
+    list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Override a key: approach.velocity.2=0.05 (repeatable).")
+]
+Json = Annotated[bool, typer.Option("--json", help="One JSON object on standard output, and nothing else there.")]
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        from importlib.metadata import version
+
+        typer.echo(f"hiltestbed {version('hiltestbed')}")
+        raise typer.Exit
+
+
+@app.callback()
+def _root(version: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version.")] = False) -> None:
+    pass
+
+
+@app.command()
+def run(
+    scenario: Annotated[Path, typer.Argument(metavar="SCENARIO", help="Scenario file, or the name of a shipped one.")],
+    out: Out = None,
+    sets: Sets = None,
+    no_rerun: Annotated[bool, typer.Option("--no-rerun", help="Leave recording.rrd out.")] = False,
+    as_json: Json = False,
+) -> None:
+    """Run one scenario and write its run folder."""
+    from hiltestbed.progress import progress_bar
+    from hiltestbed.scenario import scenario_from
+    from hiltestbed.shipped import find_scenario
+    from hiltestbed.yaml_source import read_source
+
+    spec = scenario_from(_scenario_source(read_source(find_scenario(scenario))), set=overrides(sets))
+    folder = out if out is not None else free_folder(Path("runs") / safe_name(spec.name))
+
+    from hiltestbed.recording import refuse_foreign, write_run
+    from hiltestbed.simulation import run as simulate
+
+    refuse_foreign(folder)
+    with progress_bar(spec.name, spec.duration) as progress:
+        result = simulate(spec, progress=progress)
+    write_run(result, folder, rerun=not no_rerun)
+    if as_json:
+        print(json.dumps(result.summary | {"folder": str(folder)}, allow_nan=False))
+    else:
+        from hiltestbed.table import print_run
+
+        print_run(result.summary, folder, recording=not no_rerun)
+    if result.summary["status"] != "completed":
+        print(f"{spec.name}: {result.summary['status']}: {result.summary['stop_reason']}; its state lies in {folder}", file=sys.stderr)
+        raise typer.Exit(3)
+
+
+@app.command()
+def check(
+    files: Annotated[list[Path], typer.Argument(metavar="FILE ...", help="Scenarios, campaigns and datasets.")], as_json: Json = False
+) -> None:
+    """Validate files: every fault at once, with file, line and column."""
+    from hiltestbed.check import check_file
+    from hiltestbed.shipped import find_scenario
+
+    found = [(file, *check_file(find_scenario(file))) for file in files]
+    if as_json:
+        rows = [{"file": str(file), "kind": kind, "faults": [vars(fault) for fault in faults]} for file, kind, faults in found]
+        print(json.dumps({"valid": not any(faults for _, _, faults in found), "files": rows}))
+    else:
+        for file, kind, faults in found:
+            print("\n".join(str(fault) for fault in faults) if faults else f"{file}: {kind}: no faults")
+    if any(faults for _, _, faults in found):
+        raise typer.Exit(2)
+
+
+@app.command()
+def schema(kind: Annotated[str, typer.Argument(metavar="[scenario|campaign|dataset]", help="Which kind of file.")] = "scenario") -> None:
+    """Print the JSON Schema of a kind of file."""
+    from hiltestbed.check import KINDS, json_schema
+
+    if kind not in KINDS:
+        raise InputError(f"schema: unknown kind of file (got {kind!r}); allowed: {', '.join(KINDS)}")
+    print(json.dumps(json_schema(kind), indent=2))
+
+
+def overrides(sets: list[str] | None) -> dict[str, Any]:
+    """`["a.b=1"]` as `{"a.b": "1"}`. Raises InputError for what has no `=`."""
+    result = {}
+    for item in sets or []:
+        key, sign, value = item.partition("=")
+        if not sign or not key.strip():
+            raise InputError(f"--set {item}: is not KEY=VALUE (got {item!r}); write for example --set sensor.delay=0.005")
+        result[key.strip()] = value
+    return result
+
+
+def _scenario_source(source: Any) -> Any:
+    """The source, unless it is another kind of file, which is said before it is taken for a scenario full of faults."""
+    from hiltestbed.check import file_kind
+
+    kind = file_kind(source)
+    if kind != "scenario":
+        other = {"campaign": "hiltestbed sweep FILE", "dataset": "hiltestbed diagnose FILE"}[kind]
+        raise InputError(source.fault((), f"is a {kind} (got its keys); a scenario is expected here, a {kind} is for `{other}`"))
+    return source
+
+
+def free_folder(path: Path) -> Path:
+    """`path`, or the first of path-2, path-3, ... that does not exist."""
+    number, candidate = 1, path
+    while candidate.exists():
+        number += 1
+        candidate = path.with_name(f"{path.name}-{number}")
+    return candidate
+
+
+def safe_name(name: str) -> str:
+    """A scenario's name as the name of a folder."""
+    return "".join(c if c.isalnum() or c in "-_." else "-" for c in name).strip(".-") or "run"
+
+
+def _fail(error: BaseException, text: str, status: int) -> int:
+    """Says what went wrong on standard error; with --json on standard output too, as the one object there."""
+    if "--json" in sys.argv:
+        faults = [vars(fault) for fault in error.faults] if isinstance(error, InputError) else []
+        print(json.dumps({"status": "error", "exit_status": status, "error": text, "faults": faults}))
+    print(text, file=sys.stderr)
+    return status
+
+
+def main() -> None:
+    """Entry point: runs a command and turns what goes wrong into a message and an exit status."""
+    try:
+        status = _run()
+        sys.stdout.flush()
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # the interpreter flushes once more at exit
+        status = 1
+    sys.exit(status)
+
+
+def _run() -> int:
+    try:
+        app()
+    except SystemExit as ended:  # what typer ends with, errors in the arguments (status 2) and Ctrl-C (1) included
+        return ended.code if isinstance(ended.code, int) else int(ended.code is not None)
+    except HiltestbedError as error:
+        return _fail(error, str(error), error.exit_status)
+    except KeyboardInterrupt as error:
+        return _fail(error, "interrupted", 1)
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        where = f"{error.filename}: " if error.filename else ""
+        return _fail(error, f"{where}{error.strerror or error}", 1)
+    except MemoryError as error:
+        return _fail(error, "out of memory; a shorter duration or a lower rate needs less", 1)
+    return 0
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,47 @@
+"""Progress of long runs on standard error: a bar on a terminal, a line every ten seconds in a log, nothing for short runs."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+QUIET = 1.0  # [s] a run that ends within it shows nothing
+LOG_INTERVAL = 10.0  # [s]
+
+
+@contextmanager
+def progress_bar(name: str, duration: float) -> Iterator[Callable[[int, int], None]]:
+    """A callback (ticks done, ticks in all) for a run of `duration` [s] of simulated time."""
+    start = shown = time.monotonic()
+    bar = None
+
+    def update(done: int, total: int) -> None:
+        nonlocal bar, shown
+        now = time.monotonic()
+        if bar is None and now - start > QUIET and done < total and sys.stderr.isatty():
+            bar = _bar(name, total)
+        if bar is not None:
+            bar.update(bar.task_ids[0], completed=done)
+        elif now - shown > LOG_INTERVAL:
+            shown = now
+            left = (now - start) * (total - done) / max(done, 1)
+            sys.stderr.write(f"{name}: {done / total * duration:.2f} of {duration:g} s simulated, {left:.0f} s left\n")
+
+    try:
+        yield update
+    finally:
+        if bar is not None:
+            bar.stop()
+
+
+def _bar(name: str, total: int):
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:>3.0f} %"), TimeRemainingColumn())
+    bar = Progress(*columns, console=Console(stderr=True), transient=True)
+    bar.add_task(name, total=total)
+    bar.start()
+    return bar

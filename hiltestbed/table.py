@@ -1,0 +1,94 @@
+"""What `hiltestbed run` prints: the figures of a run that a test engineer reads at a glance."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+from rich import box
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+
+def print_run(summary: dict[str, Any], folder: Path, recording: bool = True) -> None:
+    """Prints the summary of a run to standard output, and where it lies."""
+    console = Console(highlight=False, soft_wrap=False)
+    console.print(_figures(summary))
+    if summary["delay_ledger"]:
+        console.print(_ledger(summary["delay_ledger"]))
+    identified = _identified(summary["identification"])
+    if identified.row_count:
+        console.print(identified)
+    look = f"hiltestbed view {folder}" if recording else "run again without --no-rerun, then hiltestbed view"
+    console.print(f"run folder: {folder}\nlook at it: {look}", soft_wrap=True, markup=False)
+
+
+def _figures(summary: dict[str, Any]) -> Table:
+    table = _table(f"{summary['name']}: {summary['status']}", header=False)
+    table.add_column("figure")
+    table.add_column("value", justify="right")
+    table.add_column("note")
+    cor, reference, log_error = summary["cor"], summary["cor_reference"], summary["cor_log_error"]
+    table.add_row("coefficient of restitution", _number(cor, 4), _cor_note(cor, reference))
+    if log_error is not None:
+        table.add_row("  ln of the ratio", f"{log_error:+.4f}", _error_note(summary))
+    table.add_row("energy made by the rig", _number(summary["energy_generated"], 4, "J"), "> 0: the rig is active")
+    table.add_row("peak force", _number(summary["peak_force"], 4, "N"), "")
+    table.add_row(
+        "contact time", _number(summary["contact_duration"], 4, "s"), "" if summary["contact_duration"] else "the ports did not touch"
+    )
+    timing = summary["timing"]
+    pace = "" if timing["real_time_factor"] is None else f"{timing['real_time_factor']:.1f} times real time"
+    table.add_row("wall time", _number(timing["wall"], 3, "s"), f"{timing['ticks']} ticks, {pace}")
+    return table
+
+
+def _cor_note(cor: float | None, reference: float | None) -> str:
+    if reference is None:
+        return "" if cor is not None else "no rebound to measure"
+    note = f"reference {reference:.4f} (no delay, ideal)"
+    return note if cor is not None else f"no rebound to measure; {note}"
+
+
+def _error_note(summary: dict[str, Any]) -> str:
+    predicted = summary.get("cor_log_error_predicted")
+    percent = 100.0 * math.expm1(summary["cor_log_error"])
+    return f"{percent:+.1f} %" + ("" if predicted is None else f"; the delay ledger predicts {predicted:+.4f}")
+
+
+def _ledger(entries: list[dict[str, Any]]) -> Table:
+    table = _table("delays in the loop")
+    table.add_column("source")
+    table.add_column("delay [ms]", justify="right")
+    table.add_column("as damping [N s/m]", justify="right")
+    for entry in entries:
+        table.add_row(entry["source"], f"{1e3 * entry['delay']:+.4f}", f"{entry['equivalent_damping']:+.2f}")
+    return table
+
+
+def _identified(axes: dict[str, dict[str, Any]]) -> Table:
+    table = _table("identified against true; k in N/m (rx, ry, rz: N m/rad), c in N s/m (N m s/rad)")
+    table.add_column("axis")
+    for heading in ("k", "true", "error", "c", "true", "error", "samples"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    for axis, values in axes.items():
+        if values["stiffness"] is None:
+            continue
+        cells = [cell for quantity in ("stiffness", "damping") for cell in _against(values[quantity], values[f"{quantity}_true"])]
+        table.add_row(axis, *cells, str(values["samples"]))
+    return table
+
+
+def _table(title: str, header: bool = True) -> Table:
+    return Table(title=escape(title), title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, show_header=header, pad_edge=False)
+
+
+def _against(value: float | None, true: float | None) -> tuple[str, str, str]:
+    error = "" if value is None or not true else f"{100.0 * (value / true - 1.0):+.2f} %"
+    return _number(value, 6), _number(true, 6), error
+
+
+def _number(value: float | None, digits: int, unit: str = "") -> str:
+    return "-" if value is None else f"{value:.{digits}g} {unit}".rstrip()
