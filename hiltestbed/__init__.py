@@ -1,1 +1,46 @@
-"""hiltestbed: a hardware-in-the-loop contact simulator for spacecraft docking, in software."""
+"""hiltestbed: a hardware-in-the-loop contact simulator for spacecraft docking, in software.
+
+The closed loop is ``hiltestbed/loop.py``: read that first. From Python as from the shell:
+
+    import hiltestbed
+    scenario = hiltestbed.load_scenario("scenarios/reference-bumper.yaml", set={"sensor.delay": 0.010})
+    run = hiltestbed.run(scenario)
+    run.summary["cor"], run.trace["pose_act"]
+    hiltestbed.write_run(run, "runs/first")
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from hiltestbed.recording import read_run, write_run
+    from hiltestbed.replay import replay
+    from hiltestbed.scenario import dump_scenario, load_scenario
+    from hiltestbed.shipped import shipped
+    from hiltestbed.simulation import run, run_batch
+
+__all__ = ["dump_scenario", "load_scenario", "read_run", "replay", "run", "run_batch", "shipped", "write_run"]
+
+_HOME = {
+    "dump_scenario": "scenario",
+    "load_scenario": "scenario",
+    "read_run": "recording",
+    "replay": "replay",
+    "run": "simulation",
+    "run_batch": "simulation",
+    "shipped": "shipped",
+    "write_run": "recording",
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Public names are imported when they are asked for, so that importing the package costs nothing."""
+    if name in _HOME:
+        return getattr(import_module(f"hiltestbed.{_HOME[name]}"), name)
+    raise AttributeError(f"module 'hiltestbed' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return __all__

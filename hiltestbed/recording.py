@@ -57,7 +57,9 @@ def refuse_foreign(path: Path) -> None:
     """
     if path.is_dir():
         if any(path.iterdir()) and not (path / SUMMARY).exists():
-            raise InputError(f"{path}: is a folder with other things in it; allowed is a new folder or an earlier run's; choose another --out")
+            raise InputError(
+                f"{path}: is a folder with other things in it; allowed is a new folder or an earlier run's; choose another --out"
+            )
     elif path.exists() or path.is_symlink():
         raise InputError(f"{path}: is not a folder; allowed is a new folder or an earlier run's; choose another --out")
 

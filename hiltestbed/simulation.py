@@ -183,5 +183,3 @@ def _run(batch: Batch, reference: Batch, i: int) -> Run:
     }
     trace = batch.trace.run(i) if batch.trace is not None else None
     return Run(scenario, summary, trace, batch.failures.get(i))
-
-

@@ -1,0 +1,36 @@
+"""Play a failure again from the state that was kept before it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from hiltestbed.errors import InputError
+from hiltestbed.loop import Loop
+from hiltestbed.recording import FAILURE, read_run
+from hiltestbed.snapshot import restore
+
+
+def replay(folder: str | Path) -> tuple[Loop, tuple[int, str]]:
+    """Run a failed run's loop again from its saved state to its failure.
+
+    Args:
+        folder: the folder of a run that diverged or was stopped.
+
+    Returns:
+        The loop as it stands after the tick that failed, and (tick, what went wrong), the same as in the first place.
+
+    Raises:
+        InputError: the run did not fail, or its failure does not come again (other versions than those in its summary).
+    """
+    failed = read_run(folder)
+    if failed.failure is None:
+        raise InputError(
+            f"{folder}: holds no {FAILURE}, its status is {failed.summary['status']!r}; only a run that failed can be replayed"
+        )
+    loop = Loop([failed.scenario])
+    restore(loop, failed.failure)
+    while loop.k < failed.scenario.ticks and not loop.trouble:
+        loop.step()
+    if not loop.trouble:
+        raise InputError(f"{folder}: did not fail again; it was run with {failed.summary['versions']}")
+    return loop, loop.trouble[0]

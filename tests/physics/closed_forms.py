@@ -1,0 +1,36 @@
+"""What theory says of one bounce of two free bodies: the yardsticks of the tests in this folder."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from scipy.integrate import quad
+from scipy.optimize import brentq
+
+
+def cor_at_zero_force(k: float, c: float, mu: float) -> float:
+    """Coefficient of restitution of ``mu x'' = -(k x + c x')`` from x = 0 to the first F = 0.
+
+    With z = c/(2 sqrt(k mu)), s = sqrt(1 - z^2), the phase at which F vanishes is pi - atan2(2 z s, 1 - 2 z^2), and the speed has
+    decayed by exp(-z/s times that phase) while F = 0 makes the velocity -v0 times the decay.
+    """
+    z = c / (2.0 * math.sqrt(k * mu))
+    s = math.sqrt(1.0 - z * z)
+    return math.exp(-(z / s) * (math.pi - math.atan2(2.0 * z * s, 1.0 - 2.0 * z * z)))
+
+
+def cor_pure_delay(w: float, tau: float) -> float:
+    """Coefficient of restitution of an undamped contact whose force arrives ``tau`` late.
+
+    The method of steps on ``x'' = -w^2 x(t - tau)``, x = v0 t before: x(t) = v0 sum_n (-1)^n w^(2n) (t - n tau)_+^(2n+1)/(2n+1)!,
+    contact until its first zero, and the whole impulse arrives: e = w^2/v0 times the integral of x, less 1.
+    """
+
+    def x(t: float) -> float:
+        return sum((-1) ** n * w ** (2 * n) * max(t - n * tau, 0.0) ** (2 * n + 1) / math.factorial(2 * n + 1) for n in range(60))
+
+    times = np.linspace(1e-6, 6.0 / w, 2000)
+    after = int(np.argmax(np.array([x(t) for t in times]) < 0.0))
+    end = brentq(x, times[after - 1], times[after])
+    return w * w * quad(x, 0.0, end, limit=200)[0] - 1.0

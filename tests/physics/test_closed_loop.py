@@ -1,0 +1,119 @@
+"""Laws that the whole loop obeys."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hiltestbed.ledger import delay_ledger, predicted_log_error
+from hiltestbed.loop import Loop
+from hiltestbed.scenario import Scenario, load_scenario
+from hiltestbed.simulation import run_batch, simulate
+from hiltestbed.spacecraft import pair_momentum
+from tests.physics.closed_forms import cor_at_zero_force, cor_pure_delay
+
+SCENARIOS = Path(__file__).parents[2] / "scenarios"
+K, MU = 1.0e5, 400.0  # 500 kg against 2000 kg
+W = math.sqrt(K / MU)
+
+
+def head_on(**changes: object) -> Scenario:
+    return load_scenario(SCENARIOS / "02-bumper.yaml", set={key.replace("__", "."): value for key, value in changes.items()})
+
+
+@pytest.mark.parametrize("damping", [0.0, 400.0, 2500.0])
+def test_a_rebound_without_delay_is_the_closed_form(damping: float) -> None:
+    figures = simulate([head_on(mechanism__contact__damping=damping)]).figures[0]
+    assert figures.cor is not None
+    assert abs(math.log(figures.cor / cor_at_zero_force(K, damping, MU))) < 2e-3
+    # sd of the momentum: impulse = mu (v_approach + v_rebound), to round-off
+    assert figures.impulse == pytest.approx(MU * 0.03 * (1.0 + figures.cor), rel=1e-9)
+
+
+@pytest.mark.parametrize("w_tau", [0.063, 0.126, 0.251, 0.503, 1.005])
+def test_a_pure_delay_makes_the_energy_of_the_exact_series(w_tau: float) -> None:
+    scenario = head_on(mechanism__contact__damping=0.0, sensor__delay=w_tau / W)
+    figures = simulate([scenario]).figures[0]
+    assert figures.cor is not None
+    assert figures.cor == pytest.approx(cor_pure_delay(W, w_tau / W), rel=5e-3)
+    made = 0.5 * MU * 0.03**2 * (figures.cor**2 - 1.0)  # what the rebound has more than the approach
+    assert figures.energy_generated == pytest.approx(made, rel=1e-3)
+
+
+@pytest.mark.parametrize("w_tau", [0.063, 0.126, 0.251])
+@pytest.mark.parametrize("damping", [0.0, 400.0])
+def test_the_delay_ledger_predicts_the_rebound(w_tau: float, damping: float) -> None:
+    scenario = head_on(mechanism__contact__damping=damping, sensor__delay=w_tau / W)
+    figures = simulate([scenario]).figures[0]
+    assert figures.cor is not None
+    predicted = predicted_log_error(scenario, delay_ledger(scenario, figures))
+    assert predicted == pytest.approx(math.log(figures.cor / cor_at_zero_force(K, damping, MU)), abs=0.01)
+
+
+@pytest.mark.parametrize("rate", [1000, 2000, 4000])
+def test_the_coupling_adds_no_delay(rate: int) -> None:
+    """Half a tick, which a hold would add, shows as ln e = (pi/2) w h/2; less than a twentieth of a tick is there."""
+    figures = simulate([head_on(rate=rate, physics_rate=2 * rate)]).figures[0]
+    assert figures.cor is not None
+    assert abs(math.log(figures.cor / cor_at_zero_force(K, 400.0, MU))) < 0.5 * math.pi * W * 0.05 / rate
+
+
+def test_momentum_is_constant_off_centre() -> None:
+    scenario = load_scenario(SCENARIOS / "05-off-centre.yaml", set={"rig.platform.tracking": "ideal", "rate": 8000, "physics_rate": 16000})
+    loop = Loop([scenario])
+    craft = loop.drive.spacecraft  # type: ignore[attr-defined]
+    before = pair_momentum(craft.mass, craft.inertia, craft.q, craft.v)[0]
+    arm = np.abs(craft.q[0, :, :3]).max()
+    for _ in range(scenario.ticks):
+        loop.step()
+    after = pair_momentum(craft.mass, craft.inertia, craft.q, craft.v)[0]
+    assert loop.tally.peak_force[0] > 50.0
+    exchanged = loop.tally.impulse[0]  # the scale: what the bodies gave to each other
+    assert np.abs(after[:3] - before[:3]).max() < 1e-12 * exchanged
+    assert np.abs(after[3:] - before[3:]).max() < 1e-6 * exchanged * arm
+
+
+def test_free_flight_makes_neither_force_nor_energy() -> None:
+    batch = simulate([load_scenario(SCENARIOS / "01-free-flight.yaml", set={"rig.platform.tracking": "ideal"})], trace=True)
+    assert batch.trace is not None
+    assert not batch.trace.contact.any()
+    assert not batch.trace["wrench_true"].any()
+    assert batch.figures[0].energy_generated == 0.0
+    assert batch.figures[0].cor is None
+
+
+@pytest.mark.parametrize("tracking", ["ideal", "servo"])
+def test_stiffness_and_damping_are_identified_through_the_delay(tracking: str) -> None:
+    """5 ms late, noise 0.2 % of the peak, one contact. c within 3 %: sd(c)/c = sqrt(2/N) 0.002/(2 zeta) = 0.2 % with N = 390."""
+    name = "04-bumper-delay-compensated.yaml"
+    scenarios = [load_scenario(SCENARIOS / name, set={"rig.platform.tracking": tracking, "seed": seed}) for seed in range(8)]
+    batch = simulate(scenarios)
+    for identified in batch.identification:
+        assert identified["z"]["stiffness"] == pytest.approx(K, rel=5e-3)
+        assert identified["z"]["damping"] == pytest.approx(400.0, rel=3e-2)
+
+
+def test_the_same_seed_gives_the_same_bytes_alone_and_in_a_batch() -> None:
+    base = load_scenario(SCENARIOS / "05-off-centre.yaml", set={"duration": 0.5})
+    others = [
+        load_scenario(SCENARIOS / "05-off-centre.yaml", set={"duration": 0.5, "seed": 50 + i, "sensor.delay": 1e-4 * i}) for i in range(63)
+    ]
+    alone = simulate([base], trace=True).trace
+    again = simulate([base], trace=True).trace
+    among = simulate([*others[:30], base, *others[30:]], trace=True, nthread=2).trace
+    assert alone is not None
+    assert again is not None
+    assert among is not None
+    for name, array in alone.data.items():
+        assert array[:, 0].tobytes() == again[name][:, 0].tobytes(), name
+        assert array[:, 0].tobytes() == among[name][:, 30].tobytes(), name
+
+
+def test_the_reference_is_the_closed_form() -> None:
+    runs = run_batch([head_on(sensor__delay=0.01, mechanism__contact__damping=c) for c in (0.0, 400.0)])
+    for run, damping in zip(runs, (0.0, 400.0), strict=True):
+        assert abs(math.log(run.summary["cor_reference"] / cor_at_zero_force(K, damping, MU))) < 2e-3
+        assert run.summary["cor_log_error"] > 0.2
