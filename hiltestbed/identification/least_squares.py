@@ -27,6 +27,7 @@ GATE_PEAK = 0.02  # and this part of the peak so far
 FILTER_MEMORY = 3.0  # time constants of the low-pass that are left out at both ends of a contact: exp(-3) = 5 % is left
 MINIMUM_SAMPLES = 8
 MINIMUM_TRAVEL = 1e-6  # [m, rad] standard deviation of x below which an axis is not excited
+EXPLAINED = 0.9  # part of the force's variance that k x + c v must explain, else the axis carries no spring that could be told
 SUMS = 9  # n, x, v, y, xx, xv, vv, xy, vy (yy is kept apart: it only serves the intervals)
 
 
@@ -178,7 +179,10 @@ def _solve(gated, margin, sums, yy, stiffness, damping, stiffness_sd, damping_sd
                 continue
             k = (vv * xy - xv * vy) / det
             c = (xx * vy - xv * xy) / det
-            variance = max(0.0, yy[i, j] - y * y / n - k * xy - c * vy) / max(1.0, n - 3.0)
+            total = yy[i, j] - y * y / n
+            if k * xy + c * vy < EXPLAINED * total:
+                continue
+            variance = max(0.0, total - k * xy - c * vy) / max(1.0, n - 3.0)
             stiffness[i, j] = k
             damping[i, j] = c
             stiffness_sd[i, j] = math.sqrt(variance * vv / det)
