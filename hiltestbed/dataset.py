@@ -16,21 +16,21 @@ from pydantic import Field
 from hiltestbed.errors import Fault, InputError
 from hiltestbed.scenario import Scenario, scenario_from
 from hiltestbed.validation import Strictly, nearest, validate
-from hiltestbed.yaml_source import Source, read_source, referenced_source
+from hiltestbed.yaml_source import KeyPath, Source, read_source, referenced_source
 
 
 class MeasuredRun(Strictly):
     """One file of measured data."""
 
     file: Annotated[str, Field(min_length=1)] = Field(description="CSV, Parquet, HDF5, MAT, MDF4, TDMS or MCAP, from the dataset's folder")
-    set: dict[str, Any] = Field({}, description="what was different in this run: dotted scenario key to value")
+    set: dict[str, Any] = Field(default={}, description="what was different in this run: dotted scenario key to value")
 
 
 class Channel(Strictly):
     """Where a signal of the trace stands in the file."""
 
     column: Annotated[str, Field(min_length=1)]
-    scale: float = Field(1.0, description="SI value = scale x value in the file")
+    scale: float = Field(default=1.0, description="SI value = scale x value in the file")
 
 
 class Dataset(Strictly):
@@ -41,7 +41,7 @@ class Dataset(Strictly):
     scenario: Annotated[str, Field(min_length=1)] = Field(description="file of the facility's scenario, from the dataset's folder")
     runs: Annotated[tuple[MeasuredRun, ...], Field(strict=False, min_length=1)]
     channels: dict[str, Channel] | None = Field(
-        None, description="signal of the trace to its column; left out: the trace's own names and units"
+        default=None, description="signal of the trace to its column; a signal left out is looked for under the trace's own name and unit"
     )
 
 
@@ -90,16 +90,22 @@ def _missing_files(spec: Dataset, source: Source) -> Iterator[Fault]:
 
 
 def _channel_faults(spec: Dataset, source: Source) -> Iterator[Fault]:
-    if spec.channels is None:
-        return
+    yield from _map_faults(spec.channels or {}, source, ("channels",))
+    for index, run in enumerate(spec.runs):
+        yield from _map_faults(run.channels, source, ("runs", index, "channels"))
+
+
+def _map_faults(channels: Mapping[str, Channel], source: Source, where: KeyPath) -> Iterator[Fault]:
+    from hiltestbed.measured.units import unit_fault
     from hiltestbed.signals import GROUPS
 
     known = {"t", "contact"} | {column for group in GROUPS.values() for column in group.columns}
-    for name, channel in spec.channels.items():
+    for name, channel in channels.items():
         if name not in known:
             allowed = f"allowed: t, contact and {', '.join(f'{group.name}.*' for group in GROUPS.values())}"
-            yield source.fault(("channels", name), f"unknown channel{nearest(name, known)}; {allowed}")
+            yield source.fault((*where, name), f"unknown channel{nearest(name, known)}; {allowed}")
         if channel.scale == 0.0:
-            yield source.fault(("channels", name, "scale"), "is out of range (got 0); allowed is any other number")
-    if "t" not in spec.channels:
-        yield source.fault(("channels",), "has no channel 't'; the time must be named when channels are")
+            yield source.fault((*where, name, "scale"), "is out of range (got 0); allowed is any other number")
+        fault = unit_fault(name, channel.unit)
+        if fault:
+            yield source.fault((*where, name, "unit"), fault)

@@ -15,7 +15,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, model_validator
 
 from hiltestbed.effects.vocabulary import EFFECTS
-from hiltestbed.validation import Problem, Strictly, nearest, refuse, validate, vector
+from hiltestbed.validation import Problem, Strictly, Vector2, Vector3, nearest, refuse, validate
 from hiltestbed.yaml_source import Source, describe, read_source
 
 WORKSPACE_TRANSLATION = 0.25  # [m] the platform's reach from home, any axis; home is at the nominal first touch
@@ -25,15 +25,14 @@ MECHANISMS_BUILT = ("bumper",)  # the kinds that the rig has a model of
 
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
-Vector3 = vector(3)
 _ORIGIN = (0.0, 0.0, 0.0)
 
 
 class Port(Strictly):
     """Pose of a docking port in its body; its z axis points along the insertion."""
 
-    position: Vector3 = Field(_ORIGIN, description="origin of the port in the body [m], from the centre of mass")
-    attitude_deg: Vector3 = Field(_ORIGIN, description="roll, pitch, yaw about the body's fixed x, y, z [deg]")
+    position: Vector3 = Field(default=_ORIGIN, description="origin of the port in the body [m], from the centre of mass")
+    attitude_deg: Vector3 = Field(default=_ORIGIN, description="roll, pitch, yaw about the body's fixed x, y, z [deg]")
 
 
 class Body(Strictly):
@@ -77,19 +76,19 @@ class Spacecraft(Strictly):
 class Approach(Strictly):
     """Where the active port starts, relative to the passive one, and how it moves."""
 
-    gap: float = Field(0.01, description="distance from the nominal first touch along the insertion [m]; the start is at pz = -gap")
+    gap: float = Field(default=0.01, description="distance from the nominal first touch along the insertion [m]; the start is at pz = -gap")
     velocity: Vector3 = Field(description="relative velocity of A's origin, in P [m/s]")
-    offset: vector(2) = Field((0.0, 0.0), description="lateral start position, px and py [m]")  # type: ignore[valid-type]
-    attitude_deg: Vector3 = Field(_ORIGIN, description="start attitude of A in P: roll, pitch, yaw about fixed x, y, z [deg]")
-    rate_deg: Vector3 = Field(_ORIGIN, description="angular velocity of A relative to P, in P [deg/s]")
+    offset: Vector2 = Field(default=(0.0, 0.0), description="lateral start position, px and py [m]")
+    attitude_deg: Vector3 = Field(default=_ORIGIN, description="start attitude of A in P: roll, pitch, yaw about fixed x, y, z [deg]")
+    rate_deg: Vector3 = Field(default=_ORIGIN, description="angular velocity of A relative to P, in P [deg/s]")
 
 
 class Contact(Strictly):
     """Contact of the mechanism's surfaces: F = stiffness x + damping v, never pulling in a bumper or a cone."""
 
     stiffness: Positive = Field(description="[N/m]")
-    damping: NotNegative = Field(0.0, description="[N s/m]")
-    friction: Annotated[float, Field(ge=0, le=2)] = Field(0.0, description="Coulomb coefficient [-]")
+    damping: NotNegative = Field(default=0.0, description="[N s/m]")
+    friction: Annotated[float, Field(ge=0, le=2)] = Field(default=0.0, description="Coulomb coefficient [-]")
 
 
 class Mount(Strictly):
@@ -99,7 +98,7 @@ class Mount(Strictly):
         description="3 x [N/m], 3 x [N m/rad]"
     )
     damping: Annotated[tuple[NotNegative, ...], Field(strict=False, min_length=6, max_length=6)] = Field(
-        (0.0,) * 6, description="3 x [N s/m], 3 x [N m s/rad]"
+        default=(0.0,) * 6, description="3 x [N s/m], 3 x [N m s/rad]"
     )
 
 
@@ -108,7 +107,7 @@ class Mechanism(Strictly):
 
     kind: Literal["bumper", "probe_cone", "latched"] = "bumper"
     contact: Contact
-    mount: Mount | None = Field(None, description="null: rigid")
+    mount: Mount | None = Field(default=None, description="null: rigid")
 
     @model_validator(mode="after")
     def _is_built(self) -> Mechanism:
@@ -122,7 +121,7 @@ class Platform(Strictly):
     """The motion platform and how it follows."""
 
     kind: Literal["pss33"] = "pss33"
-    tracking: Literal["servo", "ideal"] = Field("servo", description="ideal: the pose reaches the command exactly, one tick later")
+    tracking: Literal["servo", "ideal"] = Field(default="servo", description="ideal: the pose reaches the command exactly, one tick later")
 
 
 class Rig(Strictly):
@@ -134,16 +133,16 @@ class Rig(Strictly):
 class Sensor(Strictly):
     """The force and torque sensor below the passive port, in the order of its chain."""
 
-    delay: NotNegative = Field(0.0, description="pure delay [s], any length, not only whole ticks")
-    lowpass: Positive | None = Field(None, description="cut-off of the first-order low-pass [Hz]; null: none")
-    time_constant: Positive | None = Field(None, description="of the charge amplifier's high-pass [s]; null: none")
-    noise: NotNegative = Field(0.0, description="1 sigma of each force axis [N]")
-    torque_noise: NotNegative = Field(0.0, description="1 sigma of each torque axis [N m]")
-    drift: Vector3 = Field(_ORIGIN, description="linear drift of the force axes [N/s]")
-    quantisation: NotNegative = Field(0.0, description="step of the force reading [N]; 0: none")
-    torque_quantisation: NotNegative = Field(0.0, description="step of the torque reading [N m]; 0: none")
-    range: Positive | None = Field(None, description="each force axis clips here [N]; null: none")
-    torque_range: Positive | None = Field(None, description="each torque axis clips here [N m]; null: none")
+    delay: NotNegative = Field(default=0.0, description="pure delay [s], any length, not only whole ticks")
+    lowpass: Positive | None = Field(default=None, description="cut-off of the first-order low-pass [Hz]; null: none")
+    time_constant: Positive | None = Field(default=None, description="of the charge amplifier's high-pass [s]; null: none")
+    noise: NotNegative = Field(default=0.0, description="1 sigma of each force axis [N]")
+    torque_noise: NotNegative = Field(default=0.0, description="1 sigma of each torque axis [N m]")
+    drift: Vector3 = Field(default=_ORIGIN, description="linear drift of the force axes [N/s]")
+    quantisation: NotNegative = Field(default=0.0, description="step of the force reading [N]; 0: none")
+    torque_quantisation: NotNegative = Field(default=0.0, description="step of the torque reading [N m]; 0: none")
+    range: Positive | None = Field(default=None, description="each force axis clips here [N]; null: none")
+    torque_range: Positive | None = Field(default=None, description="each torque axis clips here [N m]; null: none")
 
 
 class NoForceCompensation(Strictly):
@@ -156,8 +155,8 @@ class PhaseLead(Strictly):
     """(T1 s + 1)/(T2 s + 1) on the measured wrench."""
 
     kind: Literal["phase_lead"] = "phase_lead"
-    lead: NotNegative | None = Field(None, description="T1 [s]; null: sensor.delay + lag")
-    lag: Positive = Field(0.0005, description="T2 [s]")
+    lead: NotNegative | None = Field(default=None, description="T1 [s]; null: sensor.delay + lag")
+    lag: Positive = Field(default=0.0005, description="T2 [s]")
 
 
 class NoMotionCompensation(Strictly):
@@ -193,7 +192,7 @@ class Rls(Strictly):
     """Recursive least squares of k and c on each axis, in contact alone, with the pose at the time the force was felt."""
 
     kind: Literal["rls"] = "rls"
-    forgetting: Annotated[float, Field(gt=0, le=1)] = Field(1.0, description="forgetting factor a tick; 1: none")
+    forgetting: Annotated[float, Field(gt=0, le=1)] = Field(default=1.0, description="forgetting factor a tick; 1: none")
 
 
 Identification = Annotated[NoIdentification | Rls, Field(discriminator="kind")]
@@ -205,8 +204,8 @@ class Scenario(Strictly):
     name: Annotated[str, Field(min_length=1, max_length=200)]
     description: str = ""
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
-    duration: Positive = Field(3.0, description="[s]")
-    rate: Annotated[float, Field(gt=0, le=1e6)] = Field(2000.0, description="passes of the loop [Hz]")
+    duration: Positive = Field(default=3.0, description="[s]")
+    rate: Annotated[float, Field(gt=0, le=1e6)] = Field(default=2000.0, description="passes of the loop [Hz]")
     physics_rate: Annotated[float, Field(gt=0, le=4e6)] = Field(
         default_factory=lambda given: 2.0 * given["rate"],  # type: ignore[arg-type]
         description="steps of the physics [Hz], a whole multiple of rate; left out: twice rate",
@@ -219,7 +218,7 @@ class Scenario(Strictly):
     compensation: Compensation = Compensation()
     identification: Identification = Rls()
     effects: Annotated[tuple[dict[str, Any], ...], Field(strict=False)] = Field(
-        (), description="departures from the nominal rig: {kind: ID, parameter: value}"
+        default=(), description="departures from the nominal rig: {kind: ID, parameter: value}"
     )
 
     @property
@@ -294,9 +293,7 @@ def _delay_problems(scenario: Scenario) -> Iterator[Problem]:
     if scenario.sensor.delay > scenario.duration:
         yield (
             ("sensor", "delay"),
-            (
-                f"cannot be held (got {scenario.sensor.delay:g} s in a run of {scenario.duration:g} s); allowed is 0 to the duration of the run"
-            ),
+            (f"cannot be held (got {scenario.sensor.delay:g} s in a run of {scenario.duration:g} s); allowed is 0 to the run's duration"),
         )
 
 
@@ -334,7 +331,17 @@ def scenario_from(source: Source | Mapping[str, Any], set: Mapping[str, Any] | N
     """The scenario in data that is read already: a `Source`, or a plain dict as it would stand in a file. Raises InputError."""
     if not isinstance(source, Source):
         source = Source("scenario", dict(source))
-    return validate(Scenario, source.with_set(set))
+    return validate(Scenario, source.with_set(set), _SPECIMEN)
+
+
+_BODY = {"mass": 1.0, "inertia": [1.0, 1.0, 1.0]}
+_SPECIMEN = {  # holds whatever the other keys are: stands in for what is refused while the rest is checked
+    "name": "specimen",
+    "duration": 1.0,
+    "spacecraft": {"chaser": _BODY, "target": _BODY},
+    "approach": {"velocity": [0.0, 0.0, 0.0]},
+    "mechanism": {"kind": "bumper", "contact": {"stiffness": 1.0}},
+}
 
 
 def resolved(scenario: Scenario) -> dict[str, Any]:

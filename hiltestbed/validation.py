@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import difflib
 import types
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, Field, Strict, ValidationError
@@ -24,9 +24,8 @@ class Strictly(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 
 
-def vector(size: int) -> Any:
-    """The type of a list of `size` finite numbers, kept as a tuple."""
-    return Annotated[tuple[float, ...], Strict(False), Field(min_length=size, max_length=size)]
+Vector2 = Annotated[tuple[float, ...], Strict(False), Field(min_length=2, max_length=2)]  # lists in a file, tuples in memory
+Vector3 = Annotated[tuple[float, ...], Strict(False), Field(min_length=3, max_length=3)]
 
 
 def refuse(problems: Iterable[Problem]) -> None:
@@ -36,38 +35,41 @@ def refuse(problems: Iterable[Problem]) -> None:
         raise PydanticCustomError("problems", "{count} problems", {"count": len(found), "problems": found})
 
 
-def validate(model: type[Model], source: Source) -> Model:
+def validate(model: type[Model], source: Source, specimen: Mapping[str, Any] | None = None) -> Model:
     """`source.data` as `model`. Raises InputError with every fault.
 
-    Checks that join several keys run only where each key is right by itself, so what was refused in a first pass is left out and the
-    rest is validated again: a misspelt key does not hide two rates that do not divide.
+    Checks that join several keys run only where each key is right by itself, so what a pass refuses is replaced by the value of a
+    `specimen` that holds (or left out), and the rest is validated again: a misspelt key does not hide two rates that do not divide.
     """
     data = source.data
     problems: list[Problem] = []
-    seen: set[KeyPath] = set()
     while True:
         try:
             result = model.model_validate(data)
         except ValidationError as error:
-            new = [item for item in _problems(model, data, error) if not _overlaps(item[0], seen)]
+            new = [item for item in _problems(model, data, error) if not _overlaps(item[0], problems)]
         else:
             new = []
             if not problems:
                 return result
-        joined = [item for item in new if not problems or not item[1].startswith("is missing")]
-        problems += joined
-        removable = [path for path, _ in new if _holds(data, path)]
-        if not removable:
-            raise InputError(sorted((source.fault(*item) for item in problems), key=_order))
-        seen.update(path for path, _ in new)
+        problems += new
+        if not new:
+            raise InputError(sorted((source.fault(*item) for item in problems if not _is_misspelt(item, problems)), key=_order))
         data = copy.deepcopy(data)
-        for path in removable:
-            _remove(data, path)
+        for path, _ in new:
+            _repair(data, path, specimen or {})
 
 
-def _overlaps(path: KeyPath, seen: set[KeyPath]) -> bool:
+def _overlaps(path: KeyPath, problems: list[Problem]) -> bool:
     """Whether `path` lies on, above or below one that was refused already."""
-    return any(path[: len(other)] == other or other[: len(path)] == path for other in seen)
+    return any(path[: len(other)] == other or other[: len(path)] == path for other, _ in problems)
+
+
+def _is_misspelt(missing: Problem, problems: list[Problem]) -> bool:
+    """Whether a missing key stands beside it under a wrong name, which is the one fault then."""
+    path, message = missing
+    hint = f"unknown key (did you mean {str(path[-1])!r}?)" if path else ""
+    return message.startswith("is missing") and any(other[:-1] == path[:-1] and text.startswith(hint) for other, text in problems)
 
 
 def _order(fault: Fault) -> tuple[bool, int, int]:
@@ -79,21 +81,22 @@ def _holds(data: Any, path: KeyPath) -> bool:
         inside = part < len(data) if isinstance(data, list) and isinstance(part, int) else isinstance(data, dict) and part in data
         if not inside:
             return False
-        data = data[part]
+        data = data[part]  # type: ignore[index, call-overload]
     return bool(path)
 
 
-def _remove(data: Any, path: KeyPath) -> None:
-    """Takes the key at `path` away; with an item of a list goes the whole list, since its length has a meaning."""
-    for end in range(len(path)):
-        parent = data
-        for part in path[:end]:
-            if not _holds(parent, (part,)):
-                return
-            parent = parent[part]
-        if end == len(path) - 1 or isinstance(parent.get(path[end]), list):
-            parent.pop(path[end], None)
+def _repair(data: Any, path: KeyPath, specimen: Any) -> None:
+    """Puts the specimen's value at `path`, or takes the key away; of a list all items, since its length has a meaning."""
+    for depth, part in enumerate(path):
+        specimen = specimen[part] if _holds(specimen, (part,)) else None
+        if not isinstance(data, dict):
             return
+        if depth == len(path) - 1 or isinstance(data.get(part), list):
+            data.pop(part, None)
+            if specimen is not None:
+                data[part] = copy.deepcopy(specimen)
+            return
+        data = data.get(part)
 
 
 def _problems(model: type[BaseModel], data: Any, error: ValidationError) -> Iterator[Problem]:

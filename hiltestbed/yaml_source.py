@@ -15,8 +15,8 @@ from typing import Any
 
 from hiltestbed.errors import Fault, InputError
 
-SIZE_LIMIT = 1_000_000  # [byte] a scenario is a page or two; a thousand times that is some other file
-VALUE_LIMIT = 200_000  # values after aliases are expanded: aliases of aliases grow without bound
+SIZE_LIMIT = 500_000  # [byte] a scenario is a page or two; a hundred times that is some other file
+VALUE_LIMIT = 100_000  # values after aliases are expanded: aliases of aliases grow without bound
 DEPTH_LIMIT = 40
 
 KeyPath = tuple[str | int, ...]
@@ -102,18 +102,17 @@ def _assign(data: Any, path: KeyPath, value: Any) -> str | None:
                 return f"{where} is a list (got the key {part!r}); its items are numbered 0 to {max(len(node) - 1, 0)}"
             if part > len(node):
                 return f"{where} has {len(node)} items (got number {part}); allowed is 0 to {len(node)}"
-            if part == len(node):
-                node.append({})
+            node += [None] * (part == len(node))
         elif isinstance(node, dict):
             part = str(part)
-            if node.get(part) is None:
-                node[part] = {}
+            node.setdefault(part)
         else:
             return f"{where} is {describe(node)}, which has no keys (got the key {part!r})"
         if last:
             node[part] = value  # type: ignore[index]
-        else:
-            node = node[part]  # type: ignore[index]
+        elif node[part] is None:  # type: ignore[index]
+            node[part] = [] if isinstance(path[depth + 1], int) else {}  # type: ignore[index]
+        node = node[part]  # type: ignore[index]
     return None
 
 
@@ -160,7 +159,7 @@ def _read_text(path: Path) -> str:
             raise refuse("is not a regular file; a YAML file is expected")
         size = path.stat().st_size
         if size > SIZE_LIMIT:
-            raise refuse(f"the file is too large (got {size / 1e6:.1f} MB); at most {SIZE_LIMIT / 1e6:.0f} MB is read")
+            raise refuse(f"the file is too large (got {size / 1e6:.1f} MB); at most {SIZE_LIMIT / 1e6:g} MB is read")
         raw = path.read_bytes()
     except (OSError, ValueError) as error:  # ValueError: a NUL in the path
         raise refuse(f"cannot be read ({getattr(error, 'strerror', None) or error})") from None

@@ -12,22 +12,24 @@ from pydantic import Field, model_validator
 
 from hiltestbed.errors import Fault, InputError
 from hiltestbed.scenario import Scenario, scenario_from
-from hiltestbed.validation import Problem, Strictly, refuse, validate, vector
+from hiltestbed.validation import Problem, Strictly, Vector2, refuse, validate
 from hiltestbed.yaml_source import Source, key_path, read_source, referenced_source
 
 CASE_LIMIT = 10_000_000  # a day on a thousand cores; past it a design is a slip of the pen
-
-Range = vector(2)
 
 
 class Variation(Strictly):
     """How one key varies: exactly one of values, uniform, log_uniform and normal."""
 
-    values: Annotated[tuple[Any, ...], Field(strict=False, min_length=1)] | None = Field(None, description="these values, each as likely")
-    uniform: Range | None = Field(None, description="[low, high]")  # type: ignore[valid-type]
-    log_uniform: Range | None = Field(None, description="[low, high], uniform in the logarithm")  # type: ignore[valid-type]
-    normal: Range | None = Field(None, description="[mean, standard deviation]")  # type: ignore[valid-type]
-    points: Annotated[int, Field(ge=1)] | None = Field(None, description="number of points of a range in a grid, both ends included")
+    values: Annotated[tuple[Any, ...], Field(strict=False, min_length=1)] | None = Field(
+        default=None, description="these values, each as likely"
+    )
+    uniform: Vector2 | None = Field(default=None, description="[low, high]")
+    log_uniform: Vector2 | None = Field(default=None, description="[low, high], uniform in the logarithm")
+    normal: Vector2 | None = Field(default=None, description="[mean, standard deviation]")
+    points: Annotated[int, Field(ge=1)] | None = Field(
+        default=None, description="number of points of a range in a grid, both ends included"
+    )
 
     @property
     def kind(self) -> str:
@@ -108,10 +110,12 @@ class Campaign(Strictly):
     name: str = ""
     description: str = ""
     scenario: Annotated[str, Field(min_length=1)] = Field(description="scenario file, from the campaign's folder")
-    set: dict[str, Any] = Field({}, description="keys of the scenario that every case has set: dotted key to value")
+    set: dict[str, Any] = Field(default={}, description="keys of the scenario that every case has set: dotted key to value")
     vary: Annotated[dict[str, Variation], Field(min_length=1)] = Field(description="dotted scenario key to how it varies")
     design: Annotated[Grid | Sobol | Random, Field(discriminator="kind")]
-    keep: Literal["summary", "trace", "all"] = Field("summary", description="of each case: its row; its trace too; its whole run folder")
+    keep: Literal["summary", "trace", "all"] = Field(
+        default="summary", description="of each case: its row; its trace too; its whole run folder"
+    )
 
     @property
     def cases(self) -> int:
