@@ -181,6 +181,7 @@ def _solve(gated, margin, sums, yy, stiffness, damping, stiffness_sd, damping_sd
             c = (xx * vy - xv * xy) / det
             total = yy[i, j] - y * y / n
             if k * xy + c * vy < EXPLAINED * total:
+                stiffness[i, j] = damping[i, j] = stiffness_sd[i, j] = damping_sd[i, j] = np.nan
                 continue
             variance = max(0.0, total - k * xy - c * vy) / max(1.0, n - 3.0)
             stiffness[i, j] = k
