@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from hiltestbed.recording import read_run, write_run
-    from hiltestbed.replay import replay
+    from hiltestbed.failure import replay
     from hiltestbed.scenario import dump_scenario, load_scenario
     from hiltestbed.shipped import shipped
     from hiltestbed.simulation import run, run_batch
@@ -27,7 +27,7 @@ _HOME = {
     "dump_scenario": "scenario",
     "load_scenario": "scenario",
     "read_run": "recording",
-    "replay": "replay",
+    "replay": "failure",
     "run": "simulation",
     "run_batch": "simulation",
     "shipped": "shipped",

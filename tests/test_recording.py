@@ -1,0 +1,110 @@
+"""The run folder: complete or absent, the same bytes for the same run, and read back as it was."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from hiltestbed import load_scenario, read_run, replay, run, write_run
+from hiltestbed import recording as recording_module
+from hiltestbed.errors import InputError
+from hiltestbed.signals import GROUPS
+
+SCENARIOS = Path(__file__).parents[1] / "scenarios"
+
+
+@pytest.fixture(scope="module")
+def short_run():
+    return run(load_scenario(SCENARIOS / "04-bumper-delay-compensated.yaml", set={"duration": 0.45, "rig.platform.tracking": "ideal"}))
+
+
+def test_a_run_is_read_back_as_it_was(short_run, tmp_path: Path) -> None:
+    folder = write_run(short_run, tmp_path / "run", rerun=False)
+    again = read_run(folder)
+    assert again.scenario == short_run.scenario
+    assert again.summary == short_run.summary
+    assert again.trace is not None
+    for name, values in short_run.trace.columns().items():
+        np.testing.assert_array_equal(again.trace.columns()[name], values)
+
+
+def test_every_column_says_its_unit_and_frame(short_run, tmp_path: Path) -> None:
+    schema = pq.read_schema(write_run(short_run, tmp_path / "run", rerun=False) / "trace.parquet")
+    for group in GROUPS.values():
+        for column, unit in zip(group.columns, group.units, strict=True):
+            metadata = schema.field(column).metadata
+            assert metadata[b"unit"].decode() == unit
+            assert metadata[b"frame"]
+
+
+def test_the_same_seed_gives_the_same_file(short_run, tmp_path: Path) -> None:
+    first = write_run(short_run, tmp_path / "first", rerun=False)
+    second = write_run(run(short_run.scenario), tmp_path / "second", rerun=False)
+    assert (first / "trace.parquet").read_bytes() == (second / "trace.parquet").read_bytes()
+
+
+def test_what_fails_half_way_leaves_nothing(short_run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full_disk(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(recording_module, "write_trace", full_disk)
+    with pytest.raises(OSError, match="No space"):
+        write_run(short_run, tmp_path / "run", rerun=False)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_earlier_run_is_kept_when_the_new_one_fails(short_run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = write_run(short_run, tmp_path / "run", rerun=False)
+    before = (folder / "trace.parquet").read_bytes()
+
+    def full_disk(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(recording_module, "write_trace", full_disk)
+    with pytest.raises(OSError, match="No space"):
+        write_run(short_run, folder, rerun=False)
+    assert (folder / "trace.parquet").read_bytes() == before
+
+
+def test_a_folder_with_other_things_in_it_is_refused_untouched(short_run, tmp_path: Path) -> None:
+    (tmp_path / "notes.txt").write_text("mine")
+    with pytest.raises(InputError, match="other things"):
+        write_run(short_run, tmp_path, rerun=False)
+    assert [p.name for p in tmp_path.iterdir()] == ["notes.txt"]
+
+
+def test_a_divergence_says_when_and_why_and_can_be_replayed(tmp_path: Path) -> None:
+    """A spring of 1e12 N/m felt 5 ms late throws the bodies apart at some 1e6 m/s: the model leaves the room in the next tick."""
+    scenario = load_scenario(
+        SCENARIOS / "04-bumper-delay-compensated.yaml",
+        set={"rig.platform.tracking": "ideal", "mechanism.contact.stiffness": 1e12, "compensation.force": {"kind": "none"}},
+    )
+    failed = run(scenario)
+    assert failed.summary["status"] == "diverged"
+    assert "tick" in failed.summary["stop_reason"]
+    folder = write_run(failed, tmp_path / "failed", rerun=False)
+    loop, (tick, reason) = replay(folder)
+    assert f"tick {tick}," in failed.summary["stop_reason"]
+    assert reason in failed.summary["stop_reason"]
+    assert failed.trace is not None
+    np.testing.assert_array_equal(loop.drive.pose[0], failed.trace["pose_cmd"][-1])
+
+
+def test_a_run_that_diverges_leaves_the_others_of_its_batch_alone() -> None:
+    from hiltestbed.simulation import simulate
+
+    base = load_scenario(SCENARIOS / "04-bumper-delay-compensated.yaml", set={"rig.platform.tracking": "ideal", "duration": 0.6})
+    wild = load_scenario(
+        SCENARIOS / "04-bumper-delay-compensated.yaml",
+        set={"rig.platform.tracking": "ideal", "duration": 0.6, "mechanism.contact.stiffness": 1e12, "seed": 9},
+    )
+    alone = simulate([base], trace=True).trace
+    batch = simulate([wild, base], trace=True)
+    assert list(batch.trouble) == [0]
+    assert alone is not None
+    assert batch.trace is not None
+    assert alone["pose_cmd"][:, 0].tobytes() == batch.trace["pose_cmd"][:, 1].tobytes()
+    assert batch.trace.length[0] < batch.trace.length[1]
