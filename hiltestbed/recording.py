@@ -24,15 +24,15 @@ SUMMARY, SCENARIO, TRACE, RECORDING, FAILURE = "summary.json", "scenario.yaml", 
 
 
 @contextmanager
-def whole_folder(path: Path) -> Iterator[Path]:
+def whole_folder(path: Path, mark: str = SUMMARY) -> Iterator[Path]:
     """A folder beside ``path`` to write into; it becomes ``path`` when the block ends well, and is removed when it does not.
 
-    An earlier run's folder at ``path`` is replaced; anything else there is refused.
+    An earlier result at ``path``, known by its file ``mark``, is replaced; anything else there is refused.
 
     Raises:
-        InputError: ``path`` exists and is not a run folder, or cannot be written.
+        InputError: ``path`` exists and holds something else, or cannot be written.
     """
-    refuse_foreign(path)
+    refuse_foreign(path, mark)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         beside = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=".partial", dir=path.parent))
@@ -49,19 +49,19 @@ def whole_folder(path: Path) -> Iterator[Path]:
         raise
 
 
-def refuse_foreign(path: Path) -> None:
+def refuse_foreign(path: Path, mark: str = SUMMARY) -> None:
     """Refuse to replace what is not a result of ours.
 
     Raises:
         InputError: ``path`` is a file, or a folder with other things in it.
     """
     if path.is_dir():
-        if any(path.iterdir()) and not (path / SUMMARY).exists():
+        if any(path.iterdir()) and not (path / mark).exists():
             raise InputError(
-                f"{path}: is a folder with other things in it; allowed is a new folder or an earlier run's; choose another --out"
+                f"{path}: is a folder with other things in it; allowed is a new folder or an earlier result; choose another --out"
             )
     elif path.exists() or path.is_symlink():
-        raise InputError(f"{path}: is not a folder; allowed is a new folder or an earlier run's; choose another --out")
+        raise InputError(f"{path}: is not a folder; allowed is a new folder or an earlier result; choose another --out")
 
 
 def _swap(beside: Path, path: Path) -> None:

@@ -1,0 +1,1 @@
+"""Benchmarks: what the rig, the compensators, the identification and the diagnosis are worth, in numbers."""

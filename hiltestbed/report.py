@@ -1,0 +1,89 @@
+"""One self-contained HTML page: headings, text, tables and pictures, with nothing fetched from anywhere."""
+
+from __future__ import annotations
+
+import base64
+import io
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from jinja2 import Environment
+from markupsafe import Markup, escape
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_PAGE = Environment(autoescape=True).from_string("""<!doctype html>
+<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
+<title>{{ title }}</title>
+<style>
+:root { color-scheme: light; --ink: #1b2530; --soft: #5b6b7a; --line: #d9e0e6; --accent: #0b6e99; --paper: #ffffff; --shade: #f4f7f9 }
+body { font: 15px/1.55 system-ui, sans-serif; color: var(--ink); background: var(--paper); max-width: 62rem; margin: 2rem auto; padding: 0 1rem }
+h1 { font-size: 1.7rem; margin-bottom: .2rem } h2 { margin-top: 2.2rem; border-bottom: 1px solid var(--line); padding-bottom: .2rem }
+p.lead { font-size: 1.15rem; border-left: 4px solid var(--accent); padding: .3rem .9rem; background: var(--shade) }
+table { border-collapse: collapse; margin: 1rem 0; font-variant-numeric: tabular-nums } th, td { padding: .25rem .7rem; text-align: right }
+th { background: var(--shade); border-bottom: 2px solid var(--line) } td { border-bottom: 1px solid var(--line) }
+th:first-child, td:first-child { text-align: left } figure { margin: 1.2rem 0 } figure img { max-width: 100% }
+figcaption, .soft { color: var(--soft); font-size: .92rem } pre { background: var(--shade); padding: .6rem .9rem; overflow-x: auto }
+.scroll { overflow-x: auto }
+</style></head><body><h1>{{ title }}</h1>{% for part in parts %}{{ part }}{% endfor %}</body></html>
+""")
+
+
+class Report:
+    """A page that is written from top to bottom."""
+
+    def __init__(self, title: str) -> None:
+        self.title = title
+        self._parts: list[Markup] = []
+
+    def lead(self, text: str) -> None:
+        """The finding, in a sentence."""
+        self._parts.append(Markup('<p class="lead">{}</p>').format(text))
+
+    def heading(self, text: str) -> None:
+        self._parts.append(Markup("<h2>{}</h2>").format(text))
+
+    def text(self, text: str) -> None:
+        self._parts.append(Markup("<p>{}</p>").format(text))
+
+    def code(self, text: str) -> None:
+        self._parts.append(Markup("<pre>{}</pre>").format(text))
+
+    def table(self, header: Sequence[str], rows: Sequence[Sequence[object]], caption: str = "") -> None:
+        """Cells are escaped; numbers should come formatted."""
+        head = Markup("").join(Markup("<th>{}</th>").format(cell) for cell in header)
+        body = Markup("").join(
+            Markup("<tr>{}</tr>").format(Markup("").join(Markup("<td>{}</td>").format(escape(cell)) for cell in row)) for row in rows
+        )
+        below = Markup('<p class="soft">{}</p>').format(caption) if caption else Markup("")
+        self._parts.append(Markup('<div class="scroll"><table><tr>{}</tr>{}</table></div>{}').format(head, body, below))
+
+    def figure(self, figure: Figure, caption: str = "") -> None:
+        """A matplotlib figure, as a PNG inside the page; it is closed."""
+        import matplotlib.pyplot as plt
+
+        data = io.BytesIO()
+        figure.savefig(data, format="png", dpi=110, bbox_inches="tight", metadata={"Software": None})
+        plt.close(figure)
+        source = "data:image/png;base64," + base64.b64encode(data.getvalue()).decode()
+        self._parts.append(
+            Markup('<figure><img alt="{}" src="{}"><figcaption>{}</figcaption></figure>').format(caption, Markup(source), caption)
+        )
+
+    def html(self) -> str:
+        return _PAGE.render(title=self.title, parts=self._parts)
+
+    def write(self, path: Path) -> None:
+        path.write_text(self.html(), encoding="utf-8")
+
+
+def new_figure(width: float = 8.0, height: float = 4.0, **subplots: object):
+    """A figure and its axes that need no screen."""
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    import matplotlib.pyplot as plt
+
+    return plt.subplots(figsize=(width, height), layout="constrained", **subplots)  # type: ignore[arg-type]
