@@ -15,3 +15,22 @@ def read_wrench(reading, tare, wrench_sub, sub):
     for i in range(reading.shape[0]):
         for j in range(6):
             wrench_sub[i, sub, j] = tare[i, j] - reading[i, j]
+
+
+@njit(cache=True)
+def read_history(history, tare, wrench_sub):
+    """Fill ``wrench_sub[:, :-1]`` from the histories of the two sensors, the last m readings of each.
+
+    A tick's m steps leave readings at t_k, t_k + dt, ..; the first stands in the wrench of the tick before. MuJoCo keeps a ring
+    a sensor: user value, cursor of the newest, m times, m values of 3.
+    """
+    m = wrench_sub.shape[1]
+    size = 2 + 4 * m
+    for i in range(history.shape[0]):
+        for part in range(2):
+            start = part * size
+            newest = int(history[i, start + 1])
+            for s in range(m - 1):
+                slot = (newest - (m - 2 - s)) % m
+                for j in range(3):
+                    wrench_sub[i, s, 3 * part + j] = tare[i, 3 * part + j] - history[i, start + 2 + m + 3 * slot + j]

@@ -69,7 +69,8 @@ def _options(spec: mujoco.MjSpec, timestep: float, gravity: bool) -> None:
     option.gravity = [0.0, 0.0, -9.81] if gravity else [0.0, 0.0, 0.0]
     option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     option.impratio = FRICTION_IMPRATIO
-    option.integrator = mujoco.mjtIntegrator.mjINT_EULER
+    option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST  # the drives' damping acts on the new velocity
+    option.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND  # one island: looking for more costs a tenth of a step
     option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET  # a diverging run stops, it does not start again in silence
 
 
@@ -123,7 +124,10 @@ def ideal_model(kind: str, friction: bool) -> mujoco.MjModel:
 
 
 def rig_spec(kind: str, friction: bool, timestep: float) -> mujoco.MjSpec:
-    """The whole rig: 3-3 PSS platform with the active mechanism, frame, force sensor, passive mechanism."""
+    """The whole rig: 3-3 PSS platform with the active mechanism, frame, force sensor, passive mechanism.
+
+    The spherical joints are held as stiffly as MuJoCo allows: a time constant of two steps.
+    """
     spec = load("pss33/pss33")
     spec.modelname = f"pss33-{kind}"
     _options(spec, timestep, gravity=True)
@@ -131,9 +135,20 @@ def rig_spec(kind: str, friction: bool, timestep: float) -> mujoco.MjSpec:
     spec.attach(load(f"{kind}/active"), prefix=ACTIVE, site=spec.site("mount"))
     _add_passive(spec, kind)
     _add_pairs(spec, kind, friction)
+    for joint in spec.equalities:
+        joint.solref[:] = [2.0 * timestep, 1.0]
     return spec
 
 
-def rig_model(kind: str, friction: bool, timestep: float) -> mujoco.MjModel:
-    """The compiled :func:`rig_spec`."""
-    return rig_spec(kind, friction, timestep).compile()
+def rig_model(kind: str, friction: bool, timestep: float, kept: int) -> mujoco.MjModel:
+    """The rig as it is simulated: nothing that is only drawn, and the last ``kept`` readings of the sensor in its history."""
+    spec = rig_spec(kind, friction, timestep)
+    spec.compiler.discardvisual = True
+    for sensor in spec.sensors:
+        sensor.nsample = kept
+    return spec.compile()
+
+
+def rig_scene(kind: str) -> mujoco.MjModel:
+    """The rig as it is drawn."""
+    return rig_spec(kind, friction=False, timestep=1e-3).compile()

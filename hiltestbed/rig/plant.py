@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array
 from hiltestbed.rig.contact import ContactLaw
+from hiltestbed.rig.driven import ServoTracking
 from hiltestbed.rig.ideal import IdealTracking
 
 if TYPE_CHECKING:
@@ -50,10 +51,8 @@ class Plant:
                 "one Plant takes runs of one structure: the same rate, physics_rate, mechanism.kind, contact.friction > 0 or not, "
                 "mechanism.mount given or not, and rig.platform"
             )
-        if scenarios[0].rig.platform.tracking == "ideal":
-            self._tracking = IdealTracking(scenarios, nthread)
-        else:
-            raise InputError("rig.platform.tracking: servo is not built yet; allowed: ideal")
+        tracking = IdealTracking if scenarios[0].rig.platform.tracking == "ideal" else ServoTracking
+        self._tracking = tracking(scenarios, nthread)
         self.pose_act: Array = self._tracking.pose_act
         self.twist_act: Array = self._tracking.twist_act
         self.wrench_sub: Array = self._tracking.wrench_sub
@@ -85,7 +84,6 @@ class Plant:
 
     def reset(self, pose: Array, twist: Array) -> None:
         """Start at the pose ``(n, 7)`` of A in P with the twist ``(n, 6)``: before t = 0 the approach is uniform."""
-        self.diverged[:] = False
         self._tracking.reset(pose, twist)
 
     def advance(self, pose_cmd: Array, twist_cmd: Array, accel_cmd: Array) -> None:

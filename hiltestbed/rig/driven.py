@@ -1,0 +1,155 @@
+"""Servo tracking: the whole rig in MuJoCo, its platform driven towards the commanded pose."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import mujoco
+import numpy as np
+from mujoco.batch import Batch
+from numpy.typing import NDArray
+
+from hiltestbed.frames import Array
+from hiltestbed.rig import contact, model
+from hiltestbed.rig.batch_wrench import read_history, read_wrench
+from hiltestbed.rig.servo import Servo
+from hiltestbed.rig.surfaces import tip_against_plane
+
+if TYPE_CHECKING:
+    from hiltestbed.scenario import Scenario
+
+SPEED_LIMIT = 1e3  # [m/s], [rad/s] a joint faster than this has diverged
+ACC = int(mujoco.mjtStage.mjSTAGE_ACC)
+
+
+class ServoTracking:
+    """The rigs of `n` runs under servo tracking; arrays as in :class:`hiltestbed.rig.plant.Plant`.
+
+    The force at t_(k+1) is read from the forward stages at the new state, without a step's delay; the readings at the substeps in
+    between come from the sensor's history.
+    """
+
+    def __init__(self, scenarios: Sequence[Scenario], nthread: int) -> None:
+        first, n = scenarios[0], len(scenarios)
+        self.substeps = m = first.substeps
+        self.model = model.rig_model(first.mechanism.kind, first.mechanism.contact.friction > 0, first.tick / m, kept=m)
+        self.batch = Batch(self.model, n, nthread, persistent=True)
+        self.contact = contact.PairContact(self.batch, scenarios, scale=1.0)
+        feed = np.array([s.compensation.motion.kind != "none" for s in scenarios])
+        self.servo = Servo(self.model, n, first.tick, m, feed)
+        bind = self.batch.bind
+        self._qpos, self._qvel, self._ctrl, self._time = bind("qpos"), bind("qvel"), bind("ctrl"), bind("time")
+        self._warmstart, self._history = bind("qacc_warmstart"), bind("history")
+        self._reading, self._ncon = bind("sensordata"), bind("ncon")
+        self._tare = np.zeros((n, 6))
+        self._depth, self._rate = np.zeros(n), np.zeros(n)
+        self.pose_act, self.twist_act = np.zeros((n, 7)), np.zeros((n, 6))
+        self.wrench_sub = np.zeros((n, m, 6))
+        self.contact_now = np.zeros(n, dtype=bool)
+        self.slider_act = np.zeros((n, 6))
+        self.slider_cmd = self.servo.target
+        self.diverged = np.zeros(n, dtype=bool)
+        self.causes = [""] * n
+        self._going: NDArray[np.intp] | None = None  # the runs that are stepped; None: all
+        self._weigh()
+
+    def _weigh(self) -> None:
+        """Tare: the reading of the sensor at home, before anything touches."""
+        data = mujoco.MjData(self.model)
+        data.joint("platform").qpos[2] -= 1.0
+        mujoco.mj_forward(self.model, data)
+        self._tare[:] = data.sensordata
+
+    def reset(self, pose: Array, twist: Array) -> None:
+        """Start at ``pose`` (n, 7), moving with ``twist`` (n, 6); forces start from zero."""
+        self.batch.reset(stage=int(mujoco.mjtStage.mjSTAGE_NONE))
+        self.diverged[:] = False
+        self._going = None
+        self.servo.settle(pose, twist, self._qpos, self._qvel)
+        self._apply_law()
+        self.batch.forward()
+        self.wrench_sub[:] = 0.0
+        read_wrench(self._reading, self._tare, self.wrench_sub, self.substeps - 1)
+        self._observe()
+
+    def advance(self, pose_cmd: Array, twist_cmd: Array, accel_cmd: Array) -> None:
+        """One tick towards ``pose_cmd`` (n, 7), with ``twist_cmd`` and ``accel_cmd`` (n, 6)."""
+        self.servo.aim(pose_cmd, twist_cmd, accel_cmd)
+        if self.contact.law is None:
+            self._run()
+        else:
+            self._run_law()
+        self._observe()
+
+    def _run(self) -> None:
+        last = self.substeps - 1
+        for s in range(last):
+            self._ctrl[:] = self.servo.controls[:, s]
+            self.batch.step(self._going)
+        self._ctrl[:] = self.servo.controls[:, last]
+        self.batch.step(self._going, stage=ACC)
+        read_history(self._history, self._tare, self.wrench_sub)
+        read_wrench(self._reading, self._tare, self.wrench_sub, last)
+
+    def _run_law(self) -> None:
+        """The law's force is written at every state before it acts, so the last reading takes a forward pass of its own."""
+        for s in range(self.substeps):
+            self._ctrl[:] = self.servo.controls[:, s]
+            self.batch.step(self._going)
+            if s > 0:
+                read_wrench(self._reading, self._tare, self.wrench_sub, s - 1)
+            self._apply_law()
+        self.batch.forward(self._going)
+        read_wrench(self._reading, self._tare, self.wrench_sub, self.substeps - 1)
+
+    def _apply_law(self) -> None:
+        if self.contact.law is not None:
+            self.servo.observe(self._qpos, self._qvel, SPEED_LIMIT, self.pose_act, self.twist_act, self.slider_act, self.diverged)
+            tip_against_plane(self.pose_act, self.twist_act, self._depth, self._rate)
+            self.contact.update(self._depth, self._rate)
+
+    def _observe(self) -> None:
+        lost = self.servo.observe(self._qpos, self._qvel, SPEED_LIMIT, self.pose_act, self.twist_act, self.slider_act, self.diverged)
+        np.greater(self._ncon, 0, out=self.contact_now)
+        if lost:
+            self._leave_out()
+        if self._going is not None:
+            self.wrench_sub[self.diverged] = 0.0
+
+    def _leave_out(self) -> None:
+        """Name the cause for the runs that have just diverged, and step the others alone from now on."""
+        for i in np.flatnonzero(self.diverged):
+            if not self.causes[i]:
+                self.causes[i] = _cause(self.model, self._qpos[i], self._qvel[i])
+        self._going = np.flatnonzero(~self.diverged)
+
+    def buffers(self) -> dict[str, Array]:
+        """The state between two ticks."""
+        return {
+            "qpos": self._qpos,
+            "qvel": self._qvel,
+            "ctrl": self._ctrl,
+            "time": self._time,
+            "warmstart": self._warmstart,
+            "history": self._history,
+            "target": self.servo.target,
+            "speed": self.servo.speed,
+            "velocity": self.servo.velocity,
+            "pose_act": self.pose_act,
+            "twist_act": self.twist_act,
+            "wrench_sub": self.wrench_sub,
+            "contact": self.contact_now,
+            "slider_act": self.slider_act,
+        }
+
+
+def _cause(m: mujoco.MjModel, qpos: Array, qvel: Array) -> str:
+    """The fastest joint of a rig that diverged, and its state."""
+    speed = np.where(np.isfinite(qvel), np.abs(qvel), np.inf)
+    if np.all(speed < SPEED_LIMIT):
+        return "a position of the rig is not a number"
+    dof = int(np.argmax(speed))
+    joint = m.joint(int(m.dof_jntid[dof])).name
+    unit = "rad/s" if joint.startswith("universal") or (joint == "platform" and dof - m.joint(joint).dofadr[0] > 2) else "m/s"
+    return f"{joint} moves at {qvel[dof]:.3g} {unit} (limit {SPEED_LIMIT:g})"

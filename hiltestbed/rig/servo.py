@@ -1,0 +1,168 @@
+"""The motion platform under its six position drives.
+
+Over a tick each slider's reference runs along the cubic that starts from the last reference with its velocity, reaches the commanded
+pose at t_(k+1), and leaves it with the velocity that the numerical model will have there: that of the tick plus half a tick of its
+acceleration, since a semi-implicit velocity belongs to the middle of its tick. A drive's one input carries position, velocity and
+acceleration:
+
+    u = s + (kv/kp) s' + f/kp,   f the force that the motion and gravity need (:mod:`hiltestbed.rig.dynamics`)
+
+taken as differences at the physics step, so that without contact MuJoCo's own integrator lands on the reference.
+"""
+
+from __future__ import annotations
+
+import math
+
+import mujoco
+import numpy as np
+from numba import njit
+
+from hiltestbed.frames import Array, rotate, rotate_back
+from hiltestbed.rig.dynamics import drive_forces, invert, load_constants
+from hiltestbed.rig.kinematics import Platform, jacobian, joints
+
+
+@njit(cache=True)
+def _hermite(t, s0, v0, s1, v1, h):
+    """The cubic at the fraction ``t`` of a tick ``h`` [s] between two positions and velocities."""
+    a = s1 - s0
+    return s0 + t * (h * v0 + t * ((3.0 * a - h * (2.0 * v0 + v1)) + t * (h * (v0 + v1) - 2.0 * a)))
+
+
+@njit(cache=True)
+def _aim(limbs, load, kp, kv, feed, h, pose_cmd, twist_cmd, accel_cmd, target, speed, velocity, controls):
+    """Write the inputs of a tick's substeps, ``controls`` (n, m, 6), and move the references on.
+
+    target: (n, 6) slider references [m]; speed: their velocity, that of the cubic; velocity: the difference at the last substep.
+    Without ``feed`` (n,) the drives are told the position alone, on a straight line.
+    """
+    n, m = controls.shape[0], controls.shape[1]
+    dt = h / m
+    jac, inverse = np.empty((6, 6)), np.empty((6, 6))
+    goal, leave, now, before = np.empty(6), np.empty(6), np.empty(6), np.empty(6)
+    rate, accel, force = np.empty(6), np.empty(6), np.empty(6)
+    for i in range(n):
+        jacobian(limbs, pose_cmd[i], goal, jac)
+        for j in range(6):
+            leave[j] = 0.0
+            for k in range(6):
+                leave[j] += jac[j, k] * (twist_cmd[i, k] + 0.5 * h * accel_cmd[i, k])
+            before[j] = target[i, j]
+        invert(jac, inverse)
+        for s in range(m):
+            t = (s + 1.0) / m
+            for j in range(6):
+                if feed[i]:
+                    now[j] = _hermite(t, target[i, j], speed[i, j], goal[j], leave[j], h)
+                    rate[j] = (now[j] - before[j]) / dt
+                    accel[j] = (rate[j] - velocity[i, j]) / dt
+                else:
+                    now[j] = target[i, j] + t * (goal[j] - target[i, j])
+                    rate[j] = accel[j] = 0.0
+            drive_forces(limbs, load, pose_cmd[i], inverse, accel, force)
+            for j in range(6):
+                controls[i, s, j] = before[j] + (kv * rate[j] + force[j]) / kp
+                velocity[i, j] = rate[j]
+                before[j] = now[j]
+        target[i] = goal
+        speed[i] = leave
+
+
+@njit(cache=True)
+def _settle(limbs, load, kp, kv, feed, pose, twist, target, speed, velocity, qpos, qvel, adr, platform, centre):
+    """Joints, rates and references of a rig that moves uniformly with ``twist`` (n, 6) through ``pose`` (n, 7)."""
+    q, v = np.empty(3), np.empty(3)
+    arm, turn = np.empty(3), np.empty(3)
+    for i in range(pose.shape[0]):
+        for j in range(6):
+            joints(limbs[j], pose[i], twist[i], q, v)
+            for k in range(3):
+                qpos[i, adr[0, j] + k] = q[k]
+                qvel[i, adr[1, j] + k] = v[k]
+            target[i, j] = q[0]
+            speed[i, j] = velocity[i, j] = v[0]
+        rotate(pose[i, 3:7], centre, arm)
+        rotate_back(pose[i, 3:7], twist[i, 3:6], turn)
+        p, d = platform[0], platform[1]
+        for k in range(3):
+            qpos[i, p + k] = pose[i, k] + arm[k]
+            qpos[i, p + 4 + k] = pose[i, 3 + k]
+            qvel[i, d + 3 + k] = turn[k]
+        qpos[i, p + 3] = pose[i, 6]
+        qvel[i, d] = twist[i, 0] + twist[i, 4] * arm[2] - twist[i, 5] * arm[1]
+        qvel[i, d + 1] = twist[i, 1] + twist[i, 5] * arm[0] - twist[i, 3] * arm[2]
+        qvel[i, d + 2] = twist[i, 2] + twist[i, 3] * arm[1] - twist[i, 4] * arm[0]
+
+
+@njit(cache=True)
+def _observe(qpos, qvel, adr, platform, centre, limit, pose, twist, sliders, diverged):
+    """Pose, twist and sliders from the joints; returns whether a run has left ``limit`` or the numbers just now."""
+    arm, turn = np.empty(3), np.empty(3)
+    lost = False
+    p, d = platform[0], platform[1]
+    for i in range(qpos.shape[0]):
+        if diverged[i]:
+            continue
+        worst = 0.0
+        for k in range(qvel.shape[1]):
+            worst = max(worst, abs(qvel[i, k])) if math.isfinite(qvel[i, k]) else math.inf
+        for k in range(qpos.shape[1]):
+            worst = worst if math.isfinite(qpos[i, k]) else math.inf
+        if not worst < limit:
+            diverged[i] = True
+            lost = True
+            continue
+        pose[i, 3:6] = qpos[i, p + 4 : p + 7]
+        pose[i, 6] = qpos[i, p + 3]
+        rotate(pose[i, 3:7], centre, arm)
+        rotate(pose[i, 3:7], qvel[i, d + 3 : d + 6], turn)
+        twist[i, 3:6] = turn
+        twist[i, 0] = qvel[i, d] - (turn[1] * arm[2] - turn[2] * arm[1])
+        twist[i, 1] = qvel[i, d + 1] - (turn[2] * arm[0] - turn[0] * arm[2])
+        twist[i, 2] = qvel[i, d + 2] - (turn[0] * arm[1] - turn[1] * arm[0])
+        for k in range(3):
+            pose[i, k] = qpos[i, p + k] - arm[k]
+        for j in range(6):
+            sliders[i, j] = qpos[i, adr[0, j]]
+    return lost
+
+
+class Servo:
+    """References and inputs of the drives of `n` rigs, and what the joints of the model say.
+
+    Attributes:
+        target: (n, 6) slider references at the end of the tick [m].
+        controls: (n, m, 6) inputs of the drives in the substeps of a tick [m].
+    """
+
+    def __init__(self, model: mujoco.MjModel, n: int, tick: float, substeps: int, feed: Array) -> None:
+        self.platform = Platform.load()
+        self.tick, self._feed = tick, feed
+        self._load = load_constants(model)
+        self._kp = float(model.actuator_gainprm[0, 0])
+        self._kv = float(-model.actuator_biasprm[0, 2])
+        sliders = [model.joint(f"slider_{j}") for j in range(6)]
+        free = model.joint("platform")
+        self._adr = np.array([[s.qposadr[0] for s in sliders], [s.dofadr[0] for s in sliders]])
+        self._free = np.array([free.qposadr[0], free.dofadr[0]])
+        self.target, self.speed, self.velocity = np.zeros((n, 6)), np.zeros((n, 6)), np.zeros((n, 6))
+        self.controls = np.zeros((n, substeps, 6))
+
+    def settle(self, pose: Array, twist: Array, qpos: Array, qvel: Array) -> None:
+        """Put the joints where a rig is that moves uniformly with ``twist`` (n, 6) through ``pose`` (n, 7), and the references."""
+        _settle(
+            self.platform.limbs, self._load, self._kp, self._kv, self._feed, pose, twist,
+            self.target, self.speed, self.velocity, qpos, qvel, self._adr, self._free, self.platform.centre,
+        )  # fmt: skip
+
+    def aim(self, pose_cmd: Array, twist_cmd: Array, accel_cmd: Array) -> None:
+        """The inputs of one tick, at whose end ``pose_cmd`` (n, 7) is to be reached."""
+        _aim(
+            self.platform.limbs, self._load, self._kp, self._kv, self._feed, self.tick, pose_cmd, twist_cmd, accel_cmd,
+            self.target, self.speed, self.velocity, self.controls,
+        )  # fmt: skip
+
+    def observe(self, qpos: Array, qvel: Array, limit: float, pose: Array, twist: Array, sliders: Array, diverged: Array) -> bool:
+        """Read pose, twist and sliders; True where a run has just left ``limit`` [m/s, rad/s], which ``diverged`` then names."""
+        return _observe(qpos, qvel, self._adr, self._free, self.platform.centre, limit, pose, twist, sliders, diverged)
