@@ -19,7 +19,8 @@ _PAGE = Environment(autoescape=True).from_string("""<!doctype html>
 <title>{{ title }}</title>
 <style>
 :root { color-scheme: light; --ink: #1b2530; --soft: #5b6b7a; --line: #d9e0e6; --accent: #0b6e99; --paper: #ffffff; --shade: #f4f7f9 }
-body { font: 15px/1.55 system-ui, sans-serif; color: var(--ink); background: var(--paper); max-width: 62rem; margin: 2rem auto; padding: 0 1rem }
+body { font: 15px/1.55 system-ui, sans-serif; color: var(--ink); background: var(--paper); max-width: 62rem; margin: 2rem auto;
+  padding: 0 1rem }
 h1 { font-size: 1.7rem; margin-bottom: .2rem } h2 { margin-top: 2.2rem; border-bottom: 1px solid var(--line); padding-bottom: .2rem }
 p.lead { font-size: 1.15rem; border-left: 4px solid var(--accent); padding: .3rem .9rem; background: var(--shade) }
 table { border-collapse: collapse; margin: 1rem 0; font-variant-numeric: tabular-nums } th, td { padding: .25rem .7rem; text-align: right }
