@@ -1,0 +1,59 @@
+"""The algebra of rotations and poses, against an independent implementation (scipy) and its own axioms."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from hiltestbed import frames
+
+
+@pytest.fixture
+def quaternions() -> np.ndarray:
+    return Rotation.random(20, random_state=np.random.default_rng(1)).as_quat()
+
+
+def test_products_and_rotations_are_scipys(quaternions: np.ndarray) -> None:
+    out, v = np.empty(4), np.array([0.3, -1.2, 0.7])
+    for a, b in zip(quaternions[:10], quaternions[10:], strict=True):
+        frames.quat_mul(a, b, out)
+        assert abs(out @ (Rotation.from_quat(a) * Rotation.from_quat(b)).as_quat()) == pytest.approx(1.0, abs=1e-14)
+        frames.quat_conj_mul(a, b, out)
+        assert abs(out @ (Rotation.from_quat(a).inv() * Rotation.from_quat(b)).as_quat()) == pytest.approx(1.0, abs=1e-14)
+        w = np.empty(3)
+        frames.rotate(a, v, w)
+        np.testing.assert_allclose(w, Rotation.from_quat(a).apply(v), atol=1e-14)
+        frames.rotate_back(a, w, w)
+        np.testing.assert_allclose(w, v, atol=1e-14)
+
+
+@pytest.mark.parametrize("size", [1e-14, 1e-9, 1e-5, 0.9e-4, 1.1e-4, 0.1, 3.0])
+def test_exponential_and_logarithm_are_inverse(size: float) -> None:
+    r = size * np.array([0.6, -0.64, 0.48])
+    q, back = np.empty(4), np.empty(3)
+    frames.quat_exp(r, q)
+    assert np.linalg.norm(q) == pytest.approx(1.0, abs=1e-15)
+    frames.rotation_vector(q, back)
+    np.testing.assert_allclose(back, r, rtol=1e-12)
+    np.testing.assert_allclose(frames.rotation_vectors(-q), r, rtol=1e-12)  # -q is the same attitude
+
+
+def test_attitude_deg_turns_about_the_fixed_axes() -> None:
+    angles = np.array([12.0, -7.0, 30.0])
+    ours, scipys = frames.quat_from_attitude_deg(angles), Rotation.from_euler("xyz", angles, degrees=True).as_quat()
+    assert abs(ours @ scipys) == pytest.approx(1.0, abs=1e-15)
+    np.testing.assert_allclose(frames.rotation_matrix(ours), Rotation.from_euler("xyz", angles, degrees=True).as_matrix(), atol=1e-15)
+
+
+def test_the_slope_between_two_poses_takes_one_to_the_other(quaternions: np.ndarray) -> None:
+    start = np.concatenate([[0.1, -0.2, 0.3], quaternions[0]])
+    twist, end, slope = np.array([0.1, 0.2, -0.3, 0.5, -0.4, 0.3]), np.empty(7), np.empty(6)
+    frames.pose_step(start, twist, 0.02, end)
+    frames.twist_between(start, end, 0.02, slope)
+    np.testing.assert_allclose(slope, twist, rtol=1e-12)
+
+
+def test_mujoco_order_is_undone(quaternions: np.ndarray) -> None:
+    np.testing.assert_array_equal(frames.quat_from_mujoco(frames.quat_to_mujoco(quaternions)), quaternions)
+    np.testing.assert_array_equal(frames.quat_to_mujoco(np.array([1.0, 2.0, 3.0, 4.0])), [4.0, 1.0, 2.0, 3.0])

@@ -1,0 +1,92 @@
+"""Recursive identification: a planted k and c must be found, through delay, filters and noise."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hiltestbed import load_scenario
+from hiltestbed.identification.least_squares import RecursiveLeastSquares
+from hiltestbed.sensor import Sensor
+
+SCENARIO = Path(__file__).parents[1] / "scenarios" / "04-bumper-delay-compensated.yaml"
+K, C, MU, V0 = 1.0e5, 400.0, 400.0, 0.03
+
+
+def _bounce(rate: int, substeps: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """One bounce in closed form at ``substeps`` instants a tick: x, v, F, beginning and ending free."""
+    w, z = math.sqrt(K / MU), C / (2.0 * math.sqrt(K * MU))
+    wd = w * math.sqrt(1.0 - z * z)
+    t = np.arange(-0.05, 0.4, 1.0 / (rate * substeps))
+    decay = np.exp(-z * w * t)
+    x = np.where(t < 0, V0 * t, V0 / wd * decay * np.sin(wd * t))
+    v = np.where(t < 0, V0, V0 * decay * (np.cos(wd * t) - z * w / wd * np.sin(wd * t)))
+    force = np.maximum(K * x + C * v, 0.0) * (t >= 0)
+    end = np.argmax((force <= 0) & (t > 0.01))
+    x[end:], v[end:], force[end:] = x[end] + v[end] * (t[end:] - t[end]), v[end], 0.0
+    return x, v, force
+
+
+def _identify(scenarios, offset: float = 0.0) -> RecursiveLeastSquares:
+    first = scenarios[0]
+    x, v, force = _bounce(int(first.rate), first.substeps)
+    n, m = len(scenarios), first.substeps
+    sensor = Sensor(scenarios, [np.random.default_rng(s.seed) for s in scenarios])
+    estimator = RecursiveLeastSquares(scenarios)
+    pose, twist, wrench = np.zeros((n, 7)), np.zeros((n, 6)), np.zeros((n, m, 6))
+    pose[:, 6] = 1.0
+    for k in range(1, len(x) // m):
+        now = k * m
+        wrench[:, :, 2] = force[now - m + 1 : now + 1]
+        pose[:, 2], twist[:, 2] = x[now] + offset, v[now]
+        estimator.update(sensor.read(k - 1, wrench), pose, twist)
+    return estimator
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.005, 0.00537, 0.02])
+@pytest.mark.parametrize("lowpass", [None, 200.0, 50.0])
+def test_delay_and_filter_do_not_bias_the_estimate(delay: float, lowpass: float | None) -> None:
+    """Without noise what is left is the sensor's interpolation and the tick-wise filter: far below 0.1 % of k and 1 % of c."""
+    s = {"sensor.delay": delay, "sensor.noise": 0.0, "sensor.lowpass": lowpass, "rig.platform.tracking": "servo"}
+    estimator = _identify([load_scenario(SCENARIO, set=s)])
+    assert estimator.stiffness[0, 2] == pytest.approx(K, rel=1e-3)
+    assert estimator.damping[0, 2] == pytest.approx(C, rel=1e-2)
+
+
+def test_a_high_pass_and_a_touch_point_that_is_off_do_not_bias_the_estimate() -> None:
+    s = {"sensor.noise": 0.0, "sensor.time_constant": 1.0, "rig.platform.tracking": "servo"}
+    estimator = _identify([load_scenario(SCENARIO, set=s)], offset=2e-4)
+    assert estimator.stiffness[0, 2] == pytest.approx(K, rel=1e-3)
+    assert estimator.damping[0, 2] == pytest.approx(C, rel=1e-2)
+
+
+def test_the_scatter_is_what_theory_says_and_what_is_reported() -> None:
+    """sd(k)/k = (sigma/F_peak) sqrt(2/N), sd(c)/c = that/(2 zeta), over an exact half cycle; the intercept makes sd(k) larger.
+
+    With the intercept k is told from the force's variance about its mean: for a half sine var = 1/2 - (2/pi)^2, against 1/2 about
+    zero, so sd(k) grows by sqrt(0.5/(0.5 - 4/pi^2)) = 2.3.
+    """
+    s = {"rig.platform.tracking": "servo"}
+    runs = 200
+    estimator = _identify([load_scenario(SCENARIO, set=s | {"seed": i}) for i in range(runs)])
+    sigma, peak = 0.38, 0.03 * math.sqrt(K * MU) * 0.955  # closed form of the peak force at zeta = 0.032
+    samples = estimator.samples[0, 2]
+    zeta = C / (2.0 * math.sqrt(K * MU))
+    sd_k = K * sigma / peak * math.sqrt(2.0 / samples) * math.sqrt(0.5 / (0.5 - 4.0 / math.pi**2))
+    sd_c = C * sigma / peak * math.sqrt(2.0 / samples) / (2.0 * zeta)
+    k, c = estimator.stiffness[:, 2], estimator.damping[:, 2]
+    spread = 3.0 / math.sqrt(2.0 * runs)  # three standard deviations of a standard deviation
+    assert k.std() == pytest.approx(sd_k, rel=spread)
+    assert c.std() == pytest.approx(sd_c, rel=spread)
+    assert estimator.stiffness_sd[:, 2].mean() == pytest.approx(k.std(), rel=spread)
+    assert estimator.damping_sd[:, 2].mean() == pytest.approx(c.std(), rel=spread)
+    assert abs(k.mean() - K) < 4.0 * sd_k / math.sqrt(runs)
+    assert abs(c.mean() - C) < 4.0 * sd_c / math.sqrt(runs)
+
+
+def test_an_axis_without_force_gives_no_estimate() -> None:
+    estimator = _identify([load_scenario(SCENARIO)])
+    assert np.isnan(estimator.stiffness[0, [0, 1, 3, 4, 5]]).all()
