@@ -166,8 +166,8 @@ def main() -> None:
 def _run() -> int:
     try:
         app()
-    except SystemExit as ended:  # what typer ends with, errors in the arguments (status 2) and Ctrl-C (1) included
-        return ended.code if isinstance(ended.code, int) else int(ended.code is not None)
+    except SystemExit as ended:  # what typer ends with: 2 for a wrong call, 130 after Ctrl-C
+        return ended.code if ended.code in (0, 1, 2, 3) else int(ended.code is not None)  # type: ignore[return-value]
     except HiltestbedError as error:
         return _fail(error, str(error), error.exit_status)
     except KeyboardInterrupt as error:

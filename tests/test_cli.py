@@ -1,0 +1,218 @@
+"""The command line: what stands on standard output, what on standard error, and the exit status."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from hiltestbed import cli
+from hiltestbed.scenario import load_scenario
+
+TEXT = """\
+name: head-on
+duration: 0.6
+rate: 1000
+spacecraft:
+  chaser: {mass: 500.0, inertia: [200.0, 180.0, 150.0]}
+  target: {mass: 2000.0, inertia: [900.0, 900.0, 700.0]}
+approach: {gap: 0.002, velocity: [0, 0, 0.03]}
+mechanism: {contact: {stiffness: 1e5, damping: 100.0}}
+rig: {platform: {tracking: ideal}}
+"""
+CAMPAIGN = "scenario: s.yaml\nvary: {sensor.delay: {values: [0.0, 0.01]}}\ndesign: {kind: grid}\n"
+DATASET = "scenario: s.yaml\nruns: [{file: run.csv, set: {sensor.delay: 0.01}}]\n"
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    Path("s.yaml").write_text(TEXT)
+    Path("c.yaml").write_text(CAMPAIGN)
+    Path("d.yaml").write_text(DATASET)
+    Path("run.csv").write_text("t\n0\n")
+    return tmp_path
+
+
+@pytest.fixture
+def call(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
+    """Runs one command in this process: (exit status, standard output, standard error)."""
+
+    def run(*arguments: str) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, "argv", ["hiltestbed", *arguments])
+        with pytest.raises(SystemExit) as ended:
+            cli.main()
+        captured = capsys.readouterr()
+        assert "Traceback" not in captured.out + captured.err
+        return int(ended.value.code or 0), captured.out, captured.err
+
+    return run
+
+
+def test_run_writes_the_folder_and_prints_a_table(folder: Path, call) -> None:
+    status, out, _ = call("run", "s.yaml", "--no-rerun", "--out", "r")
+    assert status == 0
+    for words in ("coefficient of restitution", "energy made by the rig", "peak force", "contact time", "times real time", "run folder: r"):
+        assert words in out
+    summary = json.loads(Path("r/summary.json").read_text())
+    assert f"{summary['cor']:.4g}" in out
+    assert load_scenario("r/scenario.yaml").name == "head-on"
+    assert Path("r/trace.parquet").is_file()
+
+
+def test_run_json_is_one_object_and_nothing_else(folder: Path, call) -> None:
+    status, out, _ = call("run", "s.yaml", "--no-rerun", "--json", "--set", "approach.velocity.2=0.02")
+    summary = json.loads(out)
+    assert status == 0
+    assert summary["status"] == "completed"
+    assert summary["folder"] == "runs/head-on"
+    assert load_scenario(Path(summary["folder"]) / "scenario.yaml").approach.velocity[2] == 0.02
+    assert json.loads(call("run", "s.yaml", "--no-rerun", "--json")[1])["folder"] == "runs/head-on-2", "nothing is overwritten unasked"
+
+
+def test_a_run_that_diverges_ends_with_status_3(folder: Path, call) -> None:
+    """A bumper that is too stiff for the rate (w h = 30, semi-implicit Euler needs < 2) throws the model out of the numbers."""
+    faster = ("--set", "mechanism.contact.stiffness=3.6e11", "--set", "approach.velocity.2=0.2")
+    status, out, err = call("run", "s.yaml", "--no-rerun", "--json", "--out", "r", *faster)
+    summary = json.loads(out)
+    assert (status, summary["status"]) == (3, "diverged")
+    assert summary["stop_reason"] in err
+    assert "r" in err
+
+
+@pytest.mark.parametrize(
+    ("content", "line", "words"),
+    [
+        (TEXT.replace("velocity", "velocty"), 7, "did you mean 'velocity'"),
+        (TEXT.replace("500.0", "heavy"), 5, "allowed is a number"),
+        (TEXT.replace("500.0", "-1"), 5, "allowed is > 0"),
+        (TEXT.replace("150.0", "500.0"), 5, "triangle inequality"),
+        (TEXT + "physics_rate: 1500\n", 10, "whole multiple of rate"),
+        (TEXT.replace("gap: 0.002", "gap: 1"), 7, "outside the workspace"),
+        (TEXT.replace("{contact:", "{kind: net, contact:"), 8, "allowed: bumper"),
+        (TEXT + "rate: 1000\n", 10, "given twice (first in line 3)"),
+        ("name: [1\n", 2, "is not YAML"),
+    ],
+)
+def test_bad_input_ends_with_status_2_file_line_and_what_is_allowed(folder: Path, call, content: str, line: int, words: str) -> None:
+    Path("bad.yaml").write_text(content)
+    status, out, err = call("run", "bad.yaml")
+    assert (status, out) == (2, "")
+    assert err.startswith(f"bad.yaml:{line}:")
+    assert words in err
+    assert not Path("runs").exists()
+    status, out, _ = call("check", "s.yaml", "bad.yaml")
+    assert status == 2
+    assert words in out
+    assert "s.yaml: scenario: no faults" in out
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("run", "none.yaml"),
+        ("run", "."),
+        ("run", "s.yaml", "--set", "sensor.delay"),
+        ("run", "s.yaml", "--set", "=3"),
+        ("run", "s.yaml", "--set", "sensor.dely=3"),
+        ("run", "s.yaml", "--out", "s.yaml"),
+        ("run", "s.yaml", "--out", "."),
+        ("run", "s.yaml", "--out", "s.yaml/below"),
+        ("run", "c.yaml"),
+        ("run", "d.yaml"),
+        ("run",),
+        ("run", "s.yaml", "--bogus"),
+        ("check",),
+        ("schema", "novel"),
+        ("dance",),
+    ],
+)
+def test_a_wrong_call_ends_with_status_2_and_says_why(folder: Path, call, arguments: tuple[str, ...]) -> None:
+    status, out, err = call(*arguments)
+    assert (status, out) == (2, "")
+    assert err.strip()
+
+
+def test_bad_input_with_json_is_one_object_too(folder: Path, call) -> None:
+    status, out, _ = call("run", "s.yaml", "--json", "--set", "sensor.delay=-1", "--set", "rate=x")
+    told = json.loads(out)
+    assert (status, told["exit_status"]) == (2, 2)
+    assert {fault["key"] for fault in told["faults"]} == {"sensor.delay", "rate"}
+
+
+def test_a_folder_that_cannot_be_written_is_said(folder: Path, call) -> None:
+    if os.geteuid() == 0:
+        status, _, err = call("run", "s.yaml", "--no-rerun", "--out", "/proc/none/r")
+    else:
+        Path("locked").mkdir(mode=0o500)
+        status, _, err = call("run", "s.yaml", "--no-rerun", "--out", "locked/r")
+    assert status == 2
+    assert "--out" in err
+
+
+def test_check_knows_the_kind_of_a_file_by_its_keys(folder: Path, call) -> None:
+    status, out, _ = call("check", "s.yaml", "c.yaml", "d.yaml")
+    assert status == 0
+    assert out.splitlines() == ["s.yaml: scenario: no faults", "c.yaml: campaign: no faults", "d.yaml: dataset: no faults"]
+
+
+def test_check_follows_a_campaign_and_a_dataset_into_their_scenario(folder: Path, call) -> None:
+    Path("c.yaml").write_text(CAMPAIGN.replace("sensor.delay", "sensor.dealy"))
+    Path("d.yaml").write_text(DATASET.replace("run.csv", "gone.csv").replace("0.01", "-1"))
+    status, out, _ = call("check", "c.yaml", "d.yaml", "--json")
+    told = json.loads(out)
+    keys = [[fault["key"] for fault in file["faults"]] for file in told["files"]]
+    assert status == 2
+    assert keys == [["vary.sensor.dealy"], ["runs.0.file", "runs.0.set.sensor.delay"]]
+
+
+@pytest.mark.parametrize("kind", ["scenario", "campaign", "dataset"])
+def test_schema_refuses_unknown_keys(folder: Path, call, kind: str) -> None:
+    status, out, _ = call("schema", kind)
+    assert status == 0
+    assert json.loads(out)["additionalProperties"] is False
+
+
+def command(*arguments: str, **options) -> subprocess.Popen:
+    return subprocess.Popen([sys.executable, "-m", "hiltestbed.cli", *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, **options)
+
+
+def test_help_is_quick_and_version_is_told() -> None:
+    """0.6 s is what a user waits for without noticing; the best of three, since the machine may be busy."""
+    times = []
+    for _ in range(3):
+        start = time.perf_counter()
+        process = command("--help")
+        out, _ = process.communicate()
+        times.append(time.perf_counter() - start)
+        assert process.returncode == 0
+        assert b"check" in out
+    assert min(times) < 0.6
+    out, _ = command("--version").communicate()
+    assert out.startswith(b"hiltestbed ")
+
+
+def test_a_reader_that_hangs_up_gets_no_traceback(folder: Path) -> None:
+    read, write = os.pipe()
+    os.close(read)
+    process = subprocess.Popen([sys.executable, "-m", "hiltestbed.cli", "schema"], stdout=write, stderr=subprocess.PIPE)
+    os.close(write)
+    _, err = process.communicate()
+    assert b"Traceback" not in err
+    assert process.returncode == 1
+
+
+def test_interrupted_leaves_no_folder_and_no_traceback(folder: Path) -> None:
+    process = command("run", "s.yaml", "--set", "duration=2000", "--no-rerun", "--out", "r")
+    time.sleep(4.0)
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == 1
+    assert b"Traceback" not in err
+    assert not Path("r").exists()
