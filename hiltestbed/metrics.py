@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from hiltestbed.frames import Array
+from hiltestbed.frames import Array, twist_between
 from hiltestbed.scenario import Scenario
 
 SETTLE_TIME_CONSTANTS = 5.0  # of the low-pass, after which the rebound speed is read: exp(-5) = 0.7 % of the last force is left
@@ -60,6 +60,7 @@ class Tally:
         self._last_tick = np.full(n, -1, dtype=np.int64)
         self._speeds = np.full((n, 2), np.nan)  # approach, rebound along z
         self._wrench = np.zeros((n, 6))
+        self._pose = np.zeros((n, 7))
         self._twist = np.zeros((n, 6))
         self._started = np.zeros(n, dtype=bool)
         self._tracking = np.zeros((n, 5))  # vv, vF, FF, ev, eF along z, in contact
@@ -97,6 +98,7 @@ class Tally:
             self._last_tick,
             self._speeds,
             self._wrench,
+            self._pose,
             self._twist,
             self._tracking,
         )
@@ -171,15 +173,19 @@ def _update(
     last_tick,
     speeds,
     wrench_before,
+    rig_pose_before,
     twist_before,
     tracking,
 ):
+    slope = np.zeros(6)
     for i in range(wrench.shape[0]):
         square = 0.0
         error = 0.0
+        if k > 0:
+            twist_between(rig_pose_before[i], pose[i], h, slope)
+        rig_pose_before[i] = pose[i]
         for j in range(6):
-            if k > 0:
-                energy[i] += 0.5 * h * (wrench[i, j] + wrench_before[i, j]) * twist[i, j]
+            energy[i] += 0.5 * h * (wrench[i, j] + wrench_before[i, j]) * slope[j]
             energy[i] -= 0.5 * h * used[i, j] * (twist_cmd[i, j] + twist_before[i, j])
             if j < 3:
                 square += wrench[i, j] ** 2
