@@ -19,18 +19,21 @@ from hiltestbed.validation import Strictly, nearest, validate
 from hiltestbed.yaml_source import KeyPath, Source, read_source, referenced_source
 
 
+class Channel(Strictly):
+    """Where a signal of the trace stands in the file: SI value = scale x (unit in SI) x value in the file + offset."""
+
+    column: Annotated[str, Field(min_length=1)] | None = Field(default=None, description="name in the file; left out: the trace's own name")
+    scale: float = Field(default=1.0, description="factor, and -1 for a sign that is the other way round")
+    offset: float = Field(default=0.0, description="added last, in SI units; for t the shift of the clock [s]")
+    unit: str | None = Field(default=None, description="unit of the column, such as mm, kN, ms or deg/s; left out: SI")
+
+
 class MeasuredRun(Strictly):
     """One file of measured data."""
 
     file: Annotated[str, Field(min_length=1)] = Field(description="CSV, Parquet, HDF5, MAT, MDF4, TDMS or MCAP, from the dataset's folder")
     set: dict[str, Any] = Field(default={}, description="what was different in this run: dotted scenario key to value")
-
-
-class Channel(Strictly):
-    """Where a signal of the trace stands in the file."""
-
-    column: Annotated[str, Field(min_length=1)]
-    scale: float = Field(default=1.0, description="SI value = scale x value in the file")
+    channels: dict[str, Channel] = Field(default={}, description="channels that stand elsewhere in this file than in the others")
 
 
 class Dataset(Strictly):

@@ -1,0 +1,167 @@
+"""Time stamps of a file and the loop's ticks: what is wrong with the clock, and which sample belongs to which tick."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hiltestbed.frames import Array
+from hiltestbed.measured.remark import Remark
+
+ON_TICK = 1e-6  # of a tick: a stamp this close to a tick is that tick, and its value is taken as it is
+REPEATED_LIMIT = 0.1  # part of the rows that may repeat a time stamp before the clock is too coarse to use
+GAP = 1.75  # sample intervals: a longer one is a gap
+LENGTH_LIMIT = 20.0  # times the scenario's duration that a record may last
+JITTER_LIMIT = 0.02  # of the interval, above which the spread of the sampling is worth a note
+
+
+@dataclass(frozen=True)
+class Clock:
+    """The rows of a file that are usable, in time order.
+
+    Attributes:
+        t: ``(kept,)`` [s], strictly increasing.
+        rows: ``(kept,)`` their rows in the file.
+        interval: [s] median distance of two samples.
+    """
+
+    t: Array
+    rows: NDArray[np.intp]
+    interval: float
+
+
+def check_clock(run: int, t: Array, tick: float, duration: float) -> tuple[Clock | None, list[Remark]]:
+    """The usable rows of time stamps ``(rows,)`` [s], and what is to be said of them; None when they cannot be used.
+
+    Args:
+        run: its number.
+        tick: [s] of the loop.
+        duration: [s] of the run by its scenario.
+    """
+    if len(t) < 2:
+        text = f"holds {len(t)} row{'' if len(t) == 1 else 's'}; a run needs at least 2"
+        return None, [Remark("error", run, "t", text, "record the run again or take it out of the dataset", {"rows": len(t)})]
+    remarks: list[Remark] = []
+    finite = np.isfinite(t)
+    if finite.sum() < 0.5 * len(t):
+        text = f"is not a number in {len(t) - finite.sum()} of {len(t)} rows"
+        return None, [Remark("error", run, "t", text, "name the right column under channels: {t: {column: ...}}")]
+    if not finite.all():
+        lost = int(len(t) - finite.sum())
+        remarks.append(Remark("loss", run, "t", f"is not a number in {lost} of {len(t)} rows, which are left out", "", {"rows": lost}))
+    rows = np.flatnonzero(finite)
+    steps = np.diff(t[rows])
+    backwards = np.flatnonzero(steps < 0)
+    if len(backwards):
+        return None, [*remarks, _backwards(run, t, rows, backwards)]
+    rows, repeated = rows[np.r_[True, steps > 0]], int((steps == 0).sum())
+    if repeated:
+        remark = _repeated(run, t[np.flatnonzero(finite)], steps, repeated)
+        remarks.append(remark)
+        if remark.severity == "error":
+            return None, remarks
+    stamps = t[rows]
+    interval = float(np.median(np.diff(stamps)))
+    scale = _wrong_length(run, stamps, interval, tick, duration)
+    if scale is not None:
+        return None, [*remarks, scale]
+    return Clock(stamps, rows, interval), [*remarks, *_sampling(run, stamps, interval, tick)]
+
+
+def _backwards(run: int, t: Array, rows: NDArray[np.intp], backwards: NDArray[np.intp]) -> Remark:
+    row, after = rows[backwards[0]], rows[backwards[0] + 1]
+    text = f"runs backwards at {len(backwards)} place(s), first from row {row} ({t[row]:.9g} s) to row {after} ({t[after]:.9g} s)"
+    fix = "allowed are rows in order of time; sort them, or split the file where a second record begins"
+    return Remark("error", run, "t", text, fix, {"places": len(backwards), "row": float(row)})
+
+
+def _repeated(run: int, t: Array, steps: Array, repeated: int) -> Remark:
+    first = int(np.flatnonzero(steps == 0)[0])
+    evidence = {"rows": repeated, "of": len(t), "first_row": first}
+    text = f"has the same stamp in {repeated} of {len(t)} rows, first {t[first]:.9g} s at row {first}"
+    if repeated > REPEATED_LIMIT * len(t):
+        return Remark("error", run, "t", text, "the clock is too coarse for the sampling; export it with more digits", evidence)
+    return Remark("loss", run, "t", text + "; the first of each is kept", "", evidence)
+
+
+def _wrong_length(run: int, t: Array, interval: float, tick: float, duration: float) -> Remark | None:
+    """A record that is very much longer or shorter than its scenario: mostly a clock in another unit."""
+    span, ratio = float(t[-1] - t[0]), interval / tick
+    longer = span > LENGTH_LIMIT * max(duration, tick)
+    shorter = span < duration / LENGTH_LIMIT and ratio < 1 / LENGTH_LIMIT
+    if not (longer or shorter):
+        return None
+    text = f"lasts {span:.4g} s at {interval:.3g} s a sample; the scenario lasts {duration:.4g} s at {tick:.3g} s a tick"
+    fix = f"cut the file to the run, or give the scenario a duration of at least {span / LENGTH_LIMIT:.3g} s"
+    if shorter or ratio > LENGTH_LIMIT:
+        power = round(math.log10(ratio if longer else span / duration))
+        fix = f"if its unit is another, channels: {{t: {{scale: {10.0**-power:g}}}}} on top of any scale there"
+    return Remark("error", run, "t", text, fix, {"span": span, "duration": duration, "interval": interval, "tick": tick})
+
+
+def start_of_run(run: int, first: float, tick: float, duration: float) -> tuple[float, list[Remark]]:
+    """What to take off the stamps so that they count from the start of the run, and what is to be said of it.
+
+    A clock that reads less than 0 or more than the run lasts at its first row (a wall clock) counts from that row.
+    """
+    if -0.5 * tick <= first <= max(duration, tick):
+        late = first > 1.5 * tick
+        text = f"begins {first:.6g} s after the start of the run; the ticks before are not measured"
+        return 0.0, [Remark("loss", run, "t", text, "", {"first": first})] if late else []
+    text = f"reads {first:.9g} s at the first row, which is outside the run; time is counted from that row"
+    fix = "if the run began at another time, give channels: {t: {offset: ...}} for it"
+    return first, [Remark("note", run, "t", text, fix, {"first": first})]
+
+
+def _sampling(run: int, t: Array, interval: float, tick: float) -> list[Remark]:
+    """Notes on rate, spread and gaps."""
+    remarks, steps = [], np.diff(t)
+    if abs(interval - tick) > 0.01 * tick:
+        text = f"is sampled at {1 / interval:.6g} Hz, the loop runs at {1 / tick:.6g} Hz; resampled to the ticks"
+        text += ", of which most hold no sample" if interval > 1.5 * tick else ""
+        remarks.append(Remark("note", run, "t", text, "", {"sample_rate": 1 / interval, "rate": 1 / tick}))
+    gaps = np.flatnonzero(steps > GAP * interval)
+    if len(gaps):
+        longest, missing = float(steps.max()), float((steps[gaps] / interval - 1).sum())
+        text = f"has {len(gaps)} gap(s), about {missing:.0f} samples; the longest {longest:.4g} s from {t[steps.argmax()]:.6g} s"
+        remarks.append(Remark("loss", run, "t", text, "", {"gaps": len(gaps), "longest": longest, "missing": missing}))
+    spread = float(np.std(steps[steps <= GAP * interval])) / interval
+    if spread > JITTER_LIMIT:
+        text = f"is sampled unevenly: the interval of {interval:.4g} s spreads by {100 * spread:.1f} % (1 sigma)"
+        remarks.append(Remark("note", run, "t", text, "", {"spread": spread}))
+    return remarks
+
+
+def to_ticks(t: Array, values: Array, ticks: int, tick: float, interval: float) -> tuple[Array, NDArray[np.bool_]]:
+    """Values at the loop's ticks, and which of them were measured.
+
+    A sample that stands on a tick is taken as it is. Between two samples that are no further apart than a gap, the value is
+    interpolated linearly, but counts only at ticks with a sample within half a tick: no tick is filled that the file says nothing of.
+
+    Args:
+        t: ``(rows,)`` [s], strictly increasing.
+        values: ``(rows,)``, NaN where missing.
+
+    Returns:
+        ``(ticks,)`` values, NaN where not measured, and ``(ticks,)`` mask.
+    """
+    known = np.isfinite(values)
+    t, values = t[known], values[known]
+    out, valid = np.full(ticks, np.nan), np.zeros(ticks, dtype=bool)
+    if not len(t):
+        return out, valid
+    at = np.arange(ticks) * tick
+    after = np.clip(np.searchsorted(t, at), 1, len(t) - 1) if len(t) > 1 else np.zeros(ticks, dtype=np.intp)
+    before = np.maximum(after - 1, 0)
+    nearest = np.where(np.abs(t[after] - at) < np.abs(at - t[before]), after, before)
+    distance = np.abs(t[nearest] - at)
+    on = distance <= ON_TICK * tick
+    out[on] = values[nearest[on]]
+    width = t[after] - t[before]
+    between = ~on & (distance <= 0.5 * tick) & (at >= t[0]) & (at <= t[-1]) & (width <= max(GAP * interval, GAP * tick))
+    part = np.divide(at - t[before], width, out=np.zeros(ticks), where=width > 0)
+    out[between] = ((1 - part) * values[before] + part * values[after])[between]
+    return out, on | between

@@ -1,0 +1,81 @@
+"""Columns of one data file, as the file has them: names, values, and the clock of each where it has one of its own.
+
+A reader is a function ``read(path, wanted) -> Columns``; it loads the columns in ``wanted`` alone and lists the names of the others.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from hiltestbed.errors import Fault, InputError
+from hiltestbed.frames import Array
+from hiltestbed.signals import GROUPS
+
+SAMPLE_LIMIT = 32_000_000  # numbers that one file may bring into memory: 256 MB
+
+
+@dataclass
+class Columns:
+    """What a reader found in a file.
+
+    Attributes:
+        names: every column the file holds, read or not.
+        data: name to ``(rows,)`` of the columns that were wanted and are there.
+        clock: name to ``(rows,)`` [s] for columns that carry their own time stamps (MDF4, TDMS, MCAP); others share a time column.
+    """
+
+    names: tuple[str, ...]
+    data: dict[str, Array]
+    clock: dict[str, Array] = field(default_factory=dict)
+
+
+def unreadable(path: Path, what: str, do: str) -> InputError:
+    """The error of a file that cannot be taken in: what is wrong with it and what to do."""
+    return InputError(Fault(str(path), None, None, "", f"{what}; {do}"))
+
+
+def refuse_large(path: Path, rows: int, columns: int) -> None:
+    """Raises InputError when ``rows`` x ``columns`` numbers are more than SAMPLE_LIMIT; called before anything is read."""
+    if rows * columns > SAMPLE_LIMIT:
+        what = f"is too large (got about {rows:.3g} rows of {columns} channels); allowed are {SAMPLE_LIMIT:.3g} numbers a run"
+        raise unreadable(path, what, "cut the file to the run, thin it out, or store only the channels that are mapped")
+
+
+def as_numbers(path: Path, name: str, values: object) -> Array:
+    """``values`` as float64 ``(rows,)``. Raises InputError when they are not real numbers."""
+    array = np.asarray(values)
+    if array.dtype.kind not in "biuf":
+        kind = "complex numbers" if array.dtype.kind == "c" else f"values of type {array.dtype}"
+        raise InputError(Fault(str(path), None, None, name, f"is not numeric (got {kind}); allowed are real numbers"))
+    return np.ascontiguousarray(array, dtype=np.float64)
+
+
+def split_matrix(name: str, shape: tuple[int, ...]) -> list[tuple[str, tuple[int, ...]]]:
+    """Names for the columns of an array that a file stores under one name, each with its index along the columns.
+
+    A vector (or a matrix of one column or row) keeps its name; a matrix named after a group of the trace, of the right width,
+    takes the group's parts (``pose_act`` of 7 columns gives ``pose_act.px`` ...); any other is numbered: ``name.0``, ``name.1`` ...
+    """
+    if len(shape) == 1 or (len(shape) == 2 and 1 in shape):
+        return [(name, ())]
+    if len(shape) != 2:
+        return []
+    group = GROUPS.get(name)
+    if group is not None and len(group.parts) == shape[1]:
+        return [(column, (j,)) for j, column in enumerate(group.columns)]
+    return [(f"{name}.{j}", (j,)) for j in range(shape[1])]
+
+
+def near(name: str, names: Iterable[str]) -> str:
+    """The names most like ``name``, or the first few, for an error message."""
+    known = list(names)
+    close = difflib.get_close_matches(name, known, n=3, cutoff=0.5)
+    if close:
+        return "nearest: " + ", ".join(close)
+    shown = ", ".join(known[:12]) + (f" and {len(known) - 12} more" if len(known) > 12 else "")
+    return "the file has: " + (shown or "no columns")

@@ -1,0 +1,37 @@
+"""Which reader takes which file, by its suffix; a reader is imported when a file asks for it."""
+
+from __future__ import annotations
+
+from collections.abc import Set
+from importlib import import_module
+from pathlib import Path
+
+from hiltestbed.measured.columns import Columns, unreadable
+
+READERS = {
+    ".csv": "csv_file",
+    ".txt": "csv_file",
+    ".tsv": "csv_file",
+    ".parquet": "parquet_file",
+    ".pq": "parquet_file",
+    ".h5": "hdf5_file",
+    ".hdf5": "hdf5_file",
+    ".mat": "matlab_file",
+    ".mf4": "mdf_file",
+    ".mdf": "mdf_file",
+    ".tdms": "tdms_file",
+    ".mcap": "mcap_file",
+}
+
+
+def read_columns(path: Path, wanted: Set[str]) -> Columns:
+    """The columns ``wanted`` of a data file, as many as it has. Raises InputError; MissingExtra with the install line."""
+    module = READERS.get(path.suffix.lower())
+    if module is None:
+        allowed = ", ".join(READERS)
+        raise unreadable(path, f"has a format that is not known (got suffix {path.suffix!r})", f"allowed: {allowed}")
+    if not path.is_file():
+        raise unreadable(path, "is not a file", "check the name in the dataset")
+    if path.stat().st_size == 0:
+        raise unreadable(path, "is empty (0 bytes)", "record the run again or take it out of the dataset")
+    return import_module(f"hiltestbed.measured.{module}").read(path, wanted)

@@ -1,0 +1,88 @@
+"""One measured run on the ticks of the loop, with a mask that says which samples were measured."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hiltestbed.frames import Array
+from hiltestbed.signals import GROUPS
+
+MEASURED_GROUPS = ("pose_cmd", "pose_act", "twist_cmd", "twist_act", "wrench_meas", "wrench_comp")
+IDENTITY = (0.0, 0.0, 0.0, 1.0)
+
+
+@dataclass(frozen=True)
+class Record:
+    """One run of a dataset.
+
+    Attributes:
+        run: its number in the dataset.
+        file: where it was read from.
+        t: ``(ticks,)`` [s], ``tick/rate``, from 0 to the last tick that the file reaches.
+        data: group name to ``(ticks, parts)``, SI units; NaN where ``valid`` is False. Groups without any column are left out.
+        valid: group name to ``(ticks, parts)``: a sample of the file lies at this tick (within half a tick).
+        clipped: group name to ``(ticks, parts)``: the sample stands at a limit of the channel; what lies beyond is lost.
+        absent: columns of MEASURED_GROUPS that the file does not hold, or that were lost.
+        sample_rate: [Hz] of the file.
+    """
+
+    run: int
+    file: Path
+    t: Array
+    data: dict[str, Array]
+    valid: dict[str, NDArray[np.bool_]]
+    clipped: dict[str, NDArray[np.bool_]] = field(default_factory=dict)
+    absent: tuple[str, ...] = ()
+    sample_rate: float = 0.0
+
+    @property
+    def ticks(self) -> int:
+        return len(self.t)
+
+    def has(self, name: str) -> bool:
+        """Whether the record holds a group (any column of it) or a column, such as ``wrench_meas`` or ``wrench_meas.fz``."""
+        return name in self.data if name in GROUPS else name in self.columns()
+
+    def columns(self) -> tuple[str, ...]:
+        """The columns that were measured."""
+        return tuple(c for name in self.data for c in GROUPS[name].columns if c not in self.absent)
+
+    def column(self, name: str) -> Array:
+        """``(ticks,)`` of one column, NaN where not measured; KeyError when the record does not hold it."""
+        group, part = place(name)
+        return self.data[group][:, part]
+
+    def measured(self, name: str) -> NDArray[np.bool_]:
+        """``(ticks,)``: where a column was measured."""
+        group, part = place(name)
+        return self.valid[group][:, part]
+
+    def filled(self, group: str) -> Array:
+        """``(ticks, parts)`` without NaN, to drive a model with; not for residuals, which count where ``valid`` alone.
+
+        Gaps are bridged linearly (quaternions are brought to unit length again) and before the first and after the last sample the
+        value is held. Axes that are absent are zero, an absent attitude is none.
+        """
+        values = self.data[group].copy()
+        default = (0.0,) * 3 + IDENTITY if group.startswith("pose") else (0.0,) * values.shape[1]
+        for j in range(values.shape[1]):
+            known = self.valid[group][:, j]
+            if not known.any():
+                values[:, j] = default[j]
+            elif not known.all():
+                values[:, j] = np.interp(self.t, self.t[known], values[known, j])
+        if group.startswith("pose"):
+            bridged = ~self.valid[group][:, 3:].all(axis=1)
+            norm = np.linalg.norm(values[bridged, 3:], axis=1, keepdims=True)
+            values[bridged, 3:] = np.where(norm > 0, values[bridged, 3:] / np.where(norm > 0, norm, 1.0), IDENTITY)
+        return values
+
+
+def place(column: str) -> tuple[str, int]:
+    """Group and part number of a column of the trace."""
+    group, _, part = column.rpartition(".")
+    return group, GROUPS[group].parts.index(part)

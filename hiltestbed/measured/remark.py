@@ -1,0 +1,35 @@
+"""What the check of measured data has to say about one channel of one run."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+Severity = Literal["error", "loss", "note"]
+
+
+@dataclass(frozen=True)
+class Remark:
+    """One finding. Nothing is ever corrected on the strength of one: the fix is for the owner of the data to make.
+
+    Attributes:
+        severity: ``error``: a diagnosis of these data would be wrong; ``loss``: a channel, a run or samples cannot be used;
+            ``note``: good to know.
+        run: number of the run, or None for the whole dataset.
+        channel: column or group of the trace, ``t``, or empty for the run as a whole.
+        text: what was found, with its numbers.
+        fix: what to do, as it would stand in the dataset file where that is possible; may be empty.
+        evidence: the numbers, by name.
+    """
+
+    severity: Severity
+    run: int | None
+    channel: str
+    text: str
+    fix: str = ""
+    evidence: Mapping[str, float] = field(default_factory=dict)
+
+    def __str__(self) -> str:
+        where = "all runs" if self.run is None else f"run {self.run}"
+        return f"{self.severity}: {where}: {self.channel + ': ' if self.channel else ''}{self.text}{'; ' + self.fix if self.fix else ''}"
