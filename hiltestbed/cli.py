@@ -107,6 +107,38 @@ def schema(kind: Annotated[str, typer.Argument(metavar="[scenario|campaign|datas
     print(json.dumps(json_schema(kind), indent=2))
 
 
+BENCHES = {"throughput": "hiltestbed.bench.throughput"}  # name to the module whose function of that name measures
+
+
+@app.command()
+def bench(
+    name: Annotated[str, typer.Argument(metavar="|".join(BENCHES), help="Which benchmark.")],
+    out: Out = None,
+    quick: Annotated[bool, typer.Option("--quick", help="A smaller grid.")] = False,
+    as_json: Json = False,
+) -> None:
+    """Run a benchmark and write its bench.json and report.html."""
+    from importlib import import_module
+
+    if name not in BENCHES:
+        raise InputError(f"bench: unknown benchmark (got {name!r}); allowed: {', '.join(BENCHES)}")
+    from hiltestbed.bench.result import BENCH, write_bench
+    from hiltestbed.progress import count_bar
+    from hiltestbed.recording import refuse_foreign
+
+    folder = out if out is not None else free_folder(Path("runs") / f"bench-{name}")
+    refuse_foreign(folder, BENCH)
+    with count_bar(f"bench {name}") as progress:
+        result = getattr(import_module(BENCHES[name]), name)(quick=quick, progress=progress)
+    write_bench(result, folder)
+    if as_json:
+        print(json.dumps({"name": name, "folder": str(folder), "summary": result.summary}, allow_nan=False))
+    else:
+        from hiltestbed.table import print_lines
+
+        print_lines(f"bench {name}", result.lines, folder)
+
+
 def overrides(sets: list[str] | None) -> dict[str, Any]:
     """`["a.b=1"]` as `{"a.b": "1"}`. Raises InputError for what has no `=`."""
     result = {}

@@ -33,6 +33,7 @@ class Loop:
         k: the tick to come.
         alive: ``(n,)`` runs that go on; a run that diverged is left where it was.
         trouble: run to (tick, what went wrong).
+        measurement: what the compensation and the identification know at t_k.
     """
 
     def __init__(self, scenarios: Sequence[Scenario], nthread: int = 1) -> None:
@@ -53,7 +54,7 @@ class Loop:
         self.tally.start(self.drive.twist)
         unknown = np.full((n, 6), np.nan)
         estimate = self.identification
-        self._measurement = Measurement(
+        self.measurement = Measurement(
             wrench=self.sensor.reading,
             pose=self.plant.pose_act,
             twist=self.plant.twist_act,
@@ -68,30 +69,31 @@ class Loop:
         if self.identification:
             self.identification.update(self.sensor.reading, plant.pose_act, plant.twist_act)
         self._pose_before[:] = drive.pose
-        drive.advance(self._measurement)
+        drive.advance(self.measurement)
         self.motion.update(drive.twist)
         wrench = plant.wrench_sub[:, -1]
         self.tally.update(k, (wrench, plant.pose_act, plant.twist_act, plant.contact), self._pose_before, (drive.wrench, drive.twist))
         if trace is not None:
-            self._write(trace, wrench)
+            self.write(trace)
         if _lost(drive.pose, POSE_LIMIT, self.alive) or plant.diverged.any():
             self._end_lost_runs()
         plant.advance(drive.pose, self.motion.twist, self.motion.acceleration)
         self.k = k + 1
 
-    def _write(self, trace: Trace, wrench: Array) -> None:
+    def write(self, trace: Trace) -> None:
+        """Row k: what was read at t_k and what was commanded from it."""
         k, data = self.k, trace.data
         data["pose_cmd"][k] = self.drive.pose
         data["pose_act"][k] = self.plant.pose_act
         data["twist_cmd"][k] = self.drive.twist
         data["twist_act"][k] = self.plant.twist_act
-        data["wrench_true"][k] = wrench
+        data["wrench_true"][k] = self.plant.wrench_sub[:, -1]
         data["wrench_meas"][k] = self.sensor.reading
         data["wrench_comp"][k] = self.drive.wrench
         data["slider_cmd"][k] = self.plant.slider_cmd
         data["slider_act"][k] = self.plant.slider_act
-        data["stiffness_est"][k] = self._measurement.stiffness
-        data["damping_est"][k] = self._measurement.damping
+        data["stiffness_est"][k] = self.measurement.stiffness
+        data["damping_est"][k] = self.measurement.damping
         trace.contact[k] = self.plant.contact
 
     def _end_lost_runs(self) -> None:

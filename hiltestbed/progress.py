@@ -14,6 +14,19 @@ LOG_INTERVAL = 10.0  # [s]
 @contextmanager
 def progress_bar(name: str, duration: float) -> Iterator[Callable[[int, int], None]]:
     """A callback (ticks done, ticks in all) for a run of `duration` [s] of simulated time."""
+    with _bar_or_lines(name, lambda part: f"{part * duration:.2f} of {duration:g} s simulated") as update:
+        yield update
+
+
+@contextmanager
+def count_bar(name: str) -> Iterator[Callable[[int, int], None]]:
+    """A callback (parts done, parts in all)."""
+    with _bar_or_lines(name, lambda part: f"{100.0 * part:.0f} % done") as update:
+        yield update
+
+
+@contextmanager
+def _bar_or_lines(name: str, told: Callable[[float], str]) -> Iterator[Callable[[int, int], None]]:
     start = shown = time.monotonic()
     bar = None
 
@@ -27,7 +40,7 @@ def progress_bar(name: str, duration: float) -> Iterator[Callable[[int, int], No
         elif now - shown > LOG_INTERVAL:
             shown = now
             left = (now - start) * (total - done) / max(done, 1)
-            sys.stderr.write(f"{name}: {done / total * duration:.2f} of {duration:g} s simulated, {left:.0f} s left\n")
+            sys.stderr.write(f"{name}: {told(done / total)}, {left:.0f} s left\n")
 
     try:
         yield update

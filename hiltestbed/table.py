@@ -25,6 +25,18 @@ def print_run(summary: dict[str, Any], folder: Path, recording: bool = True) -> 
     console.print(f"run folder: {folder}\nlook at it: {look}", soft_wrap=True, markup=False)
 
 
+def print_lines(title: str, lines: list[tuple[str, str]], folder: Path) -> None:
+    """Prints the figures of a benchmark to standard output, and where its report lies."""
+    table = _table(title, header=False)
+    table.add_column("figure")
+    table.add_column("value", justify="right")
+    for label, value in lines:
+        table.add_row(label, value)
+    console = Console(highlight=False)
+    console.print(table)
+    console.print(f"report: {folder / 'report.html'}", soft_wrap=True, markup=False)
+
+
 def _figures(summary: dict[str, Any]) -> Table:
     table = _table(f"{summary['name']}: {summary['status']}", header=False)
     table.add_column("figure")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
@@ -32,6 +33,8 @@ class ServoTracking:
 
     def __init__(self, scenarios: Sequence[Scenario], nthread: int) -> None:
         first, n = scenarios[0], len(scenarios)
+        if mujoco.get_mju_user_warning() is None:  # else MuJoCo writes MUJOCO_LOG.TXT into the working folder
+            mujoco.set_mju_user_warning(_said)
         self.substeps = m = first.substeps
         self.model = model.rig_model(first.mechanism.kind, first.mechanism.contact.friction > 0, first.tick / m, kept=m)
         self.batch = Batch(self.model, n, nthread, persistent=True)
@@ -82,12 +85,17 @@ class ServoTracking:
             self._run_law()
         self._observe()
 
+    def bare_steps(self, count: int) -> None:
+        """``count`` steps with the inputs as they are."""
+        for _ in range(count):
+            self.batch.step()
+
     def _run(self) -> None:
         last = self.substeps - 1
         for s in range(last):
-            self._ctrl[:] = self.servo.controls[:, s]
+            self.servo.push(s, self._qpos, self._qvel, self._ctrl)
             self.batch.step(self._going)
-        self._ctrl[:] = self.servo.controls[:, last]
+        self.servo.push(last, self._qpos, self._qvel, self._ctrl)
         self.batch.step(self._going, stage=ACC)
         read_history(self._history, self._tare, self.wrench_sub)
         read_wrench(self._reading, self._tare, self.wrench_sub, last)
@@ -95,7 +103,7 @@ class ServoTracking:
     def _run_law(self) -> None:
         """The law's force is written at every state before it acts, so the last reading takes a forward pass of its own."""
         for s in range(self.substeps):
-            self._ctrl[:] = self.servo.controls[:, s]
+            self.servo.push(s, self._qpos, self._qvel, self._ctrl)
             self.batch.step(self._going)
             if s > 0:
                 read_wrench(self._reading, self._tare, self.wrench_sub, s - 1)
@@ -142,6 +150,11 @@ class ServoTracking:
             "contact": self.contact_now,
             "slider_act": self.slider_act,
         }
+
+
+def _said(message: str) -> None:
+    """A warning of MuJoCo's: that a state is lost is noticed and told by :class:`ServoTracking` itself."""
+    logging.getLogger("hiltestbed.rig").debug("MuJoCo: %s", message)
 
 
 def _cause(m: mujoco.MjModel, qpos: Array, qvel: Array) -> str:

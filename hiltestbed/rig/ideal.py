@@ -82,6 +82,11 @@ class IdealTracking:
         _back(self.pose_act, self.twist_act, self.tick, self._before)
         self._evaluate()
 
+    def bare_steps(self, count: int) -> None:
+        """``count`` evaluations of the contact where it is."""
+        for _ in range(count):
+            self.batch.forward()
+
     def advance(self, pose_cmd: Array, twist_cmd: Array, accel_cmd: Array) -> None:
         """Move to ``pose_cmd`` (n, 7) over one tick; its derivatives are not needed here."""
         self._before[:] = self.pose_act

@@ -86,6 +86,10 @@ class Plant:
         """Start at the pose ``(n, 7)`` of A in P with the twist ``(n, 6)``: before t = 0 the approach is uniform."""
         self._tracking.reset(pose, twist)
 
+    def bare_steps(self, count: int) -> None:
+        """``count`` steps of the same physics with nothing around them, a call each: what the loop's cost is compared with."""
+        self._tracking.bare_steps(count)
+
     def advance(self, pose_cmd: Array, twist_cmd: Array, accel_cmd: Array) -> None:
         """From t_k to t_(k+1): ``pose_cmd`` (n, 7) is to be reached then, with ``twist_cmd`` and ``accel_cmd`` (n, 6)."""
         self._tracking.advance(pose_cmd, twist_cmd, accel_cmd)

@@ -1,0 +1,155 @@
+"""Speed: what the loop costs beside the bare physics steps that it contains.
+
+Ratios are measured side by side: stretches of the loop and of bare steps of the same plant in the same state take turns within one
+process, so that a machine whose speed drifts changes both. The loop writes its trace while it is timed.
+"""
+
+from __future__ import annotations
+
+import statistics
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from hiltestbed.bench.result import BenchResult
+from hiltestbed.loop import Loop
+from hiltestbed.report import Report, new_figure
+from hiltestbed.scenario import Scenario, load_scenario
+from hiltestbed.shipped import shipped
+from hiltestbed.signals import Trace
+from hiltestbed.simulation import run
+
+STRETCH = 0.05  # [s] about what a stretch should last
+Progress = Callable[[int, int], None]
+
+
+def throughput(quick: bool = False, progress: Progress | None = None) -> BenchResult:
+    """Loop against bare steps for batches of 1 to 512 runs on one and two threads; recording; growth with ticks."""
+    scenario = load_scenario(shipped("scenarios") / "reference-bumper.yaml")
+    sizes = [(1, 1), (64, 1), (64, 2)] if quick else [(n, t) for t in (1, 2) for n in (1, 4, 16, 64, 256, 512)]
+    records = []
+    for done, (n, threads) in enumerate(sizes):
+        if progress:
+            progress(done, len(sizes) + 1)
+        records.append(side_by_side(scenario, n, threads, stretches=6 if quick else 12))
+    recording = seconds_per_1e5_ticks(scenario)
+    single = next(r for r in records if r["runs"] == 1 and r["threads"] == 1)
+    batch = next(r for r in records if r["runs"] == 64 and r["threads"] == 2)
+    summary = {
+        "single_run_ratio": single["ratio"],
+        "batch_ratio": batch["ratio"],
+        "real_time_factor": single["real_time_factor"],
+        "recording_per_1e5_ticks": recording,
+    }
+    blocks = {n: per_block(scenario, n) for n in (1, 64)}
+    if progress:
+        progress(len(sizes) + 1, len(sizes) + 1)
+    lines = [
+        ("one pass of the loop over its bare steps, one run", f"{single['ratio']:.2f}"),
+        ("a sim-tick of 64 runs over its bare steps, 2 threads", f"{batch['ratio']:.2f}"),
+        ("real-time factor of one run, one core", f"{single['real_time_factor']:.1f}"),
+        ("recording of 1e5 ticks", f"{recording:.2f} s"),
+    ]
+    return BenchResult("throughput", records, summary, _report(records, summary, blocks), lines)
+
+
+def side_by_side(scenario: Scenario, n: int, threads: int, stretches: int) -> dict[str, Any]:
+    """The loop and the bare steps of an equal plant, in turns over one scenario; medians over the stretches."""
+    loop, bare = Loop([scenario] * n, threads), Loop([scenario] * n, threads)
+    trace = Trace(scenario.ticks, n, scenario.rate)
+    m = scenario.substeps
+    loop.step(trace)
+    bare.plant.bare_steps(m)
+    start = time.perf_counter()
+    loop.step(trace)
+    ticks = max(4, min(scenario.ticks // (2 * stretches), int(STRETCH / max(time.perf_counter() - start, 1e-6))))
+    skip = int(0.3 * scenario.rate)  # the stretches lie around the contact
+    ratios, passes = [], []
+    for s in range(stretches):
+        while n <= 16 and loop.k < skip + s * ticks:
+            loop.step(trace)
+        for block, arrays in bare.plant.buffers().items():
+            arrays[...] = loop.plant.buffers()[block]
+        a = time.perf_counter()
+        for _ in range(ticks):
+            loop.step(trace)
+        b = time.perf_counter()
+        bare.plant.bare_steps(m * ticks)
+        c = time.perf_counter()
+        ratios.append((b - a) / (c - b))
+        passes.append((b - a) / ticks)
+    each = statistics.median(passes)
+    return {
+        "runs": n,
+        "threads": threads,
+        "ratio": statistics.median(ratios),
+        "ratio_low": min(ratios),
+        "ratio_high": max(ratios),
+        "sim_ticks_per_second": n / each,
+        "real_time_factor": n / each / scenario.rate,
+    }
+
+
+def per_block(scenario: Scenario, n: int) -> dict[str, float]:
+    """Microseconds a tick in each block of the loop."""
+    loop = Loop([scenario] * n)
+    trace = Trace(scenario.ticks, n, scenario.rate)
+    for _ in range(int(0.4 * scenario.rate)):
+        loop.step(trace)
+    plant, drive, repeats = loop.plant, loop.drive, 200
+    wrench = plant.wrench_sub[:, -1]
+    rig = (wrench, plant.pose_act, plant.twist_act, plant.contact)
+    calls: dict[str, Callable[[], Any]] = {
+        "sensor": lambda: loop.sensor.read(loop.k, plant.wrench_sub),
+        "compensation and numerical model": lambda: drive.advance(loop.measurement),
+        "figures": lambda: loop.tally.update(loop.k, rig, drive.pose, (drive.wrench, drive.twist)),
+        "trace": lambda: loop.write(trace),
+        "platform, mechanisms, contact": lambda: plant.advance(drive.pose, loop.motion.twist, loop.motion.acceleration),
+    }
+    if loop.identification:
+        identification = loop.identification
+        calls["identification"] = lambda: identification.update(loop.sensor.reading, plant.pose_act, plant.twist_act)
+    out = {}
+    for name, call in calls.items():
+        start = time.perf_counter()
+        for _ in range(repeats):
+            call()
+        out[name] = 1e6 * (time.perf_counter() - start) / repeats
+    return out
+
+
+def seconds_per_1e5_ticks(scenario: Scenario) -> float:
+    """Time to write the recording of a run of 1e5 ticks."""
+    from hiltestbed.viewer import write_recording
+
+    data = scenario.model_copy(update={"duration": 1.0e5 / scenario.rate})
+    result = run(data)
+    with tempfile.TemporaryDirectory() as folder:
+        start = time.perf_counter()
+        write_recording(Path(folder) / "recording.rrd", result)
+        return time.perf_counter() - start
+
+
+def _report(records: list[dict[str, Any]], summary: dict[str, Any], blocks: dict[int, dict[str, float]]) -> Report:
+    report = Report("Throughput")
+    report.lead(
+        f"One pass of the loop costs {summary['single_run_ratio']:.2f} times its bare physics steps for one run and "
+        f"{summary['batch_ratio']:.2f} times for 64 runs on two threads; one run goes {summary['real_time_factor']:.1f} times real time."
+    )
+    header = ["runs", "threads", "loop / bare steps", "lowest", "highest", "sim-ticks per second"]
+    keys = ("ratio", "ratio_low", "ratio_high")
+    rows = [[r["runs"], r["threads"], *(f"{r[k]:.2f}" for k in keys), f"{r['sim_ticks_per_second']:.3g}"] for r in records]
+    report.table(header, rows, "Stretches of the loop and of bare steps of the same plant took turns; the ratio is the median over them.")
+    figure, axes = new_figure(8, 3.4)
+    for threads in sorted({r["threads"] for r in records}):
+        line = [r for r in records if r["threads"] == threads]
+        axes.plot([r["runs"] for r in line], [r["sim_ticks_per_second"] for r in line], "o-", label=f"{threads} thread(s)")
+    axes.set(xscale="log", xlabel="runs in the batch", ylabel="sim-ticks per second")
+    axes.legend()
+    report.figure(figure, "Simulated ticks a second against the size of the batch.")
+    report.heading("Where a tick goes")
+    names = list(blocks[1])
+    report.table(["block", *(f"{n} run(s) [us]" for n in blocks)], [[name, *(f"{blocks[n][name]:.1f}" for n in blocks)] for name in names])
+    return report
