@@ -18,6 +18,7 @@ from hiltestbed.snapshot import Snapshot, Snapshots
 from hiltestbed.versions import versions
 
 Progress = Callable[[int, int], None]
+MakeTrace = Callable[[Loop], Any]  # what takes the rows of a loop in place of a Trace
 PROGRESS_TICKS = 500
 
 
@@ -57,7 +58,9 @@ def run(scenario: Scenario, progress: Progress | None = None, nthread: int = 1) 
     return run_batch([scenario], trace=True, progress=progress, nthread=nthread)[0]
 
 
-def run_batch(scenarios: Sequence[Scenario], *, trace: bool = False, progress: Progress | None = None, nthread: int = 1) -> list[Run]:
+def run_batch(
+    scenarios: Sequence[Scenario], *, trace: bool | MakeTrace = False, progress: Progress | None = None, nthread: int = 1
+) -> list[Run]:
     """Run scenarios of one structure in lockstep, each with its reference: the same with no delay and perfect tracking.
 
     A run's result does not depend on the others in its batch.
@@ -70,7 +73,7 @@ def run_batch(scenarios: Sequence[Scenario], *, trace: bool = False, progress: P
 def simulate(
     scenarios: Sequence[Scenario],
     *,
-    trace: bool = False,
+    trace: bool | MakeTrace = False,
     until_parted: bool = False,
     progress: Progress | None = None,
     nthread: int = 1,
@@ -78,7 +81,7 @@ def simulate(
     """Drive the loop to its end; ``until_parted`` ends it when every run's rebound speed is known."""
     ticks = max(s.ticks for s in scenarios)
     loop = Loop(scenarios, nthread)
-    rows = Trace(ticks, len(scenarios), scenarios[0].rate) if trace else None
+    rows = trace(loop) if callable(trace) else Trace(ticks, len(scenarios), scenarios[0].rate) if trace else None
     snapshots = Snapshots(loop)
     start = time.perf_counter()
     while loop.k < ticks and loop.alive.any():

@@ -1,0 +1,83 @@
+"""The columns of cases.parquet: fixed by the campaign alone, so that every chunk of it has the same."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+from hiltestbed.campaign.schema import Campaign, Variation
+from hiltestbed.signals import AXES
+
+_TEXT = ("name", "scenario_sha256", "status", "stop_reason")
+_COUNTS = ("seed", "contacts")
+_FIGURES = (
+    "cor",
+    "cor_reference",
+    "cor_log_error",
+    "cor_log_error_predicted",
+    "approach_speed",
+    "rebound_speed",
+    "energy_generated",
+    "peak_force",
+    "contact_duration",
+    "first_contact",
+    "impulse",
+    "tracking_error",
+    "tracking_compliance",
+)
+SCALARS = (*_TEXT, *_COUNTS, *_FIGURES)
+ESTIMATES = tuple(f"identification.{axis}.{quantity}" for axis in AXES for quantity in ("stiffness", "damping"))
+
+
+def schema(campaign: Campaign):
+    """The pyarrow schema: the case, each varied key, the scalars of the summary, what went wrong, the trace's hash."""
+    import pyarrow as pa
+
+    fields = [pa.field("case", pa.int64())]
+    fields += [pa.field(key, pa.float64() if is_numeric(variation) else pa.string()) for key, variation in campaign.vary.items()]
+    taken = {field.name for field in fields}
+    columns = [(name, pa.string()) for name in _TEXT] + [(name, pa.int64()) for name in _COUNTS]
+    columns += [(name, pa.float64()) for name in (*_FIGURES, "delay_total", *ESTIMATES)]
+    columns += [("error", pa.string()), ("trace_sha256", pa.string())]
+    fields += [pa.field(name, kind) for name, kind in columns if name not in taken]
+    return pa.schema(fields)
+
+
+def is_numeric(variation: Variation) -> bool:
+    """Whether a key's values are numbers."""
+    return variation.values is None or all(isinstance(v, int | float) and not isinstance(v, bool) for v in variation.values)
+
+
+def cell(variation: Variation, value: Any) -> float | str:
+    """A varied value as it stands in the table: a number, a text, anything else as JSON."""
+    if is_numeric(variation):
+        return float(value)
+    return value if all(isinstance(v, str) for v in variation.values or ()) else json.dumps(value)
+
+
+def row(
+    campaign: Campaign, case: int, values: dict[str, Any], summary: dict[str, Any] | None, error: str | None, trace: str | None
+) -> dict:
+    """One case as column name to value; what the case has no figure for is null."""
+    cells: dict[str, Any] = {"case": case, "seed": values["seed"], "error": error, "trace_sha256": trace, "status": "invalid"}
+    if summary is not None:
+        cells |= {name: summary[name] for name in SCALARS}
+        cells["error"] = error if error is not None else summary["stop_reason"]
+        cells["delay_total"] = summary["delay_ledger"][-1]["delay"]
+        for name in ESTIMATES:
+            _, axis, quantity = name.split(".")
+            cells[name] = summary["identification"][axis][quantity]
+    for key, variation in campaign.vary.items():
+        cells[key] = cell(variation, values[key])
+    return cells
+
+
+def table(campaign: Campaign, rows: list[dict[str, Any]]):
+    """Rows as a pyarrow table in case order."""
+    import pyarrow as pa
+
+    layout = schema(campaign)
+    ordered = sorted(rows, key=lambda cells: cells["case"])
+    return pa.table(
+        {name: pa.array([cells.get(name) for cells in ordered], layout.field(name).type) for name in layout.names}, schema=layout
+    )

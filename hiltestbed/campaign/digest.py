@@ -1,0 +1,78 @@
+"""The hash of a trace, without the trace: a campaign keeps a block of rows of each run, not all of them."""
+
+from __future__ import annotations
+
+import hashlib
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hiltestbed.frames import Array
+from hiltestbed.signals import GROUPS, RunTrace
+
+if TYPE_CHECKING:
+    from hiltestbed.loop import Loop
+
+BLOCK = 128  # rows between two updates of the hashes: 64 runs take 5 MB
+
+
+class _Rows:
+    """An array of BLOCK rows that takes row k of a longer one; `full` is called when the last of a block is in."""
+
+    def __init__(self, shape: tuple[int, ...], dtype: type, full=None) -> None:
+        self.block = np.zeros((BLOCK, *shape), dtype=dtype)
+        self._full = full
+
+    def __setitem__(self, k: int, row: Array) -> None:
+        self.block[k % BLOCK] = row
+        if self._full is not None:
+            self._full(k)
+
+
+class TraceDigest:
+    """Stands in for a Trace: takes the same rows, and gives `sha256(i)` of run i in place of them.
+
+    The hash covers every column but `t`, row by row in the order of the trace file, as little-endian float64; a run that ended
+    early is hashed up to the row in which it did.
+    """
+
+    def __init__(self, loop: Loop) -> None:
+        n = len(loop.scenarios)
+        self._loop = loop
+        self._hashes = [hashlib.sha256() for _ in range(n)]
+        self._done = 0
+        self.length = np.zeros(n, dtype=int)  # set by the simulation when it ends
+        self.data = {group.name: _Rows((n, len(group.parts)), float) for group in GROUPS.values()}
+        self.contact = _Rows((n,), bool, self._row_written)
+
+    def _row_written(self, k: int) -> None:
+        if (k + 1) % BLOCK == 0:
+            self._take(k + 1)
+
+    def _take(self, end: int) -> None:
+        """Hash the rows from the last block's end to `end`."""
+        count = end - self._done
+        for i, digest in enumerate(self._hashes):
+            rows = min(count, self._loop.trouble[i][0] + 1 - self._done) if i in self._loop.trouble else count
+            if rows > 0:
+                parts = [self.data[name].block[:rows, i] for name in GROUPS]
+                digest.update(_matrix(parts, self.contact.block[:rows, i]))
+        self._done = end
+
+    def run(self, i: int) -> None:
+        """There are no rows to give."""
+
+    def sha256(self, i: int) -> str:
+        """The hash of run i, in hexadecimal; ask when the loop has ended."""
+        if self._done < self._loop.k:
+            self._take(self._loop.k)
+        return self._hashes[i].hexdigest()
+
+
+def _matrix(parts: list[Array], contact: Array) -> bytes:
+    return np.concatenate([*parts, contact[:, None].astype(float)], axis=1).astype("<f8", copy=False).tobytes()
+
+
+def trace_sha256(trace: RunTrace) -> str:
+    """The same hash of a trace that is there."""
+    return hashlib.sha256(_matrix([trace.data[name] for name in GROUPS], trace.contact)).hexdigest()
