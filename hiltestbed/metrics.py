@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from hiltestbed.frames import Array, twist_between
 from hiltestbed.scenario import Scenario
@@ -103,7 +104,7 @@ class Tally:
             self._tracking,
         )
 
-    def parted(self, alive: Array) -> bool:
+    def parted(self, alive: NDArray[np.bool_]) -> bool:
         """Whether the rebound speed of every run in ``alive`` ``(n,)`` is known."""
         return not np.isnan(self._speeds[alive, 1]).any()
 

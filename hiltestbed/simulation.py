@@ -154,7 +154,6 @@ def _run(batch: Batch, reference: Batch, i: int) -> Run:
     ledger = delay_ledger(scenario, figures)
     trouble = batch.trouble.get(i)
     wall = batch.wall
-    both = cor is not None and cor_reference is not None and cor > 0.0 and cor_reference > 0.0
     summary = {
         "name": scenario.name,
         "scenario_sha256": scenario_sha256(scenario),
@@ -164,7 +163,7 @@ def _run(batch: Batch, reference: Batch, i: int) -> Run:
         "stop_reason": f"tick {trouble[0]}, t = {trouble[0] / scenario.rate:.6f} s: {trouble[1]}" if trouble else None,
         "cor": cor,
         "cor_reference": cor_reference,
-        "cor_log_error": math.log(cor / cor_reference) if both else None,
+        "cor_log_error": log_error(cor, cor_reference),
         "cor_log_error_predicted": predicted_log_error(scenario, ledger),
         "approach_speed": figures.approach_speed,
         "rebound_speed": figures.rebound_speed,
@@ -186,3 +185,10 @@ def _run(batch: Batch, reference: Batch, i: int) -> Run:
     }
     trace = batch.trace.run(i) if batch.trace is not None else None
     return Run(scenario, summary, trace, batch.failures.get(i))
+
+
+def log_error(cor: float | None, reference: float | None) -> float | None:
+    """``ln(e/e_ref)``: additive over bounces, None where there was no rebound."""
+    if cor is None or reference is None or cor <= 0.0 or reference <= 0.0:
+        return None
+    return math.log(cor / reference)
