@@ -8,7 +8,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-
 from hiltestbed.ledger import delay_ledger, predicted_log_error
 from hiltestbed.loop import Loop
 from hiltestbed.metrics import ContactFigures
