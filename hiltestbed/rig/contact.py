@@ -16,10 +16,12 @@ from mujoco.batch import Batch
 from numba import njit
 
 from hiltestbed.frames import Array
+from hiltestbed.rig import model
 
 if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario
 
+CREEP_DAMPING = 2.0e5  # [N s/m] of friction below the Coulomb limit: a load of 20 N creeps at 1e-4 m/s
 NO_DAMPING = -1e-12  # [1/s] MuJoCo reads a solref as direct only when both numbers are negative
 
 
@@ -51,7 +53,7 @@ def law_solref(x, force, inverse_mass, pair, out):
     """Write the solref that makes ``force`` ``(n,)`` [N] act at the penetration ``x`` ``(n,)`` [m] into ``out[:, pair]``."""
     for i in range(x.shape[0]):
         f = force[i]
-        out[i, pair, 0] = -f * inverse_mass / x[i] if x[i] > 0.0 and f > 0.0 else -1e-12
+        out[i, pair, 0] = -f * inverse_mass[pair] / x[i] if x[i] > 0.0 and f > 0.0 else -1e-12
         out[i, pair, 1] = NO_DAMPING
 
 
@@ -70,6 +72,9 @@ class PairContact:
         self._scale = scale
         self._solref = batch.expand("pair_solref")
         contacts = [s.mechanism.contact for s in scenarios]
+        creep = batch.expand("pair_solreffriction")
+        creep[..., 0] = NO_DAMPING
+        creep[..., 1] = -scale * CREEP_DAMPING / model.IMPRATIO * self.inverse_mass
         self.set_linear(np.array([c.stiffness for c in contacts]), np.array([c.damping for c in contacts]))
         self._pair_friction = batch.expand("pair_friction")
         self.set_friction(np.array([c.friction for c in contacts]))

@@ -22,7 +22,9 @@ Array = NDArray[np.float64]
 # Contact that is a spring and a damper in N/m and N s/m (hiltestbed.rig.contact) needs a small, constant impedance.
 IMPEDANCE = 1e-4
 CONTACT_SOLIMP = (IMPEDANCE, IMPEDANCE, 1e-3, 0.5, 1.0)
-FRICTION_IMPRATIO = 1000.0  # stiffness of friction against that of the normal: below the cone the creep is C impratio
+# MuJoCo projects the forces on the friction cone; the more impratio, the less of a slip's friction leaks into the normal force:
+# mu CREEP_DAMPING v/IMPRATIO [N].
+IMPRATIO = 1e6
 PRESCRIBED_MASS = 1e15  # [kg], [kg m^2]
 ACTIVE = "active_"
 PASSIVE = "passive_"
@@ -68,8 +70,8 @@ def _options(spec: mujoco.MjSpec, timestep: float, gravity: bool) -> None:
     option.timestep = timestep
     option.gravity = [0.0, 0.0, -9.81] if gravity else [0.0, 0.0, 0.0]
     option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
-    option.impratio = FRICTION_IMPRATIO
-    option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST  # the drives' damping acts on the new velocity
+    option.impratio = IMPRATIO
+    option.integrator = mujoco.mjtIntegrator.mjINT_EULER
     option.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND  # one island: looking for more costs a tenth of a step
     option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET  # a diverging run stops, it does not start again in silence
 

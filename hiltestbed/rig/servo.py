@@ -1,13 +1,13 @@
-"""The motion platform under its six position drives.
+"""The motion platform under its six drives.
 
 Over a tick each slider's reference runs along the cubic that starts from the last reference with its velocity, reaches the commanded
 pose at t_(k+1), and leaves it with the velocity that the numerical model will have there: that of the tick plus half a tick of its
-acceleration, since a semi-implicit velocity belongs to the middle of its tick. A drive's one input carries position, velocity and
-acceleration:
+acceleration, since a semi-implicit velocity belongs to the middle of its tick. A drive pushes
 
-    u = s + (kv/kp) s' + f/kp,   f the force that the motion and gravity need (:mod:`hiltestbed.rig.dynamics`)
+    f = kp (s_ref - s) + kv (s_ref' - s') + f_ff,   f_ff what the motion and gravity need (:mod:`hiltestbed.rig.dynamics`)
 
-taken as differences at the physics step, so that without contact MuJoCo's own integrator lands on the reference.
+with velocity and acceleration taken as differences at the physics step, so that without contact MuJoCo's own integrator lands on the
+reference.
 """
 
 from __future__ import annotations
@@ -22,6 +22,11 @@ from hiltestbed.frames import Array, rotate, rotate_back
 from hiltestbed.rig.dynamics import drive_forces, invert, load_constants
 from hiltestbed.rig.kinematics import Platform, jacobian, joints
 
+# A drive's share of what moves up and down: platform and mechanism 350 kg, three links, carriages and armatures of 97 kg, over 3.
+MOVED_PER_DRIVE = 214.0  # [kg]
+BANDWIDTH = 40.0  # [Hz] of the position loop: a quarter of the first mode that large parallel rigs have in their limbs
+DAMPING_RATIO = 1.0
+
 
 @njit(cache=True)
 def _hermite(t, s0, v0, s1, v1, h):
@@ -31,13 +36,13 @@ def _hermite(t, s0, v0, s1, v1, h):
 
 
 @njit(cache=True)
-def _aim(limbs, load, kp, kv, feed, h, pose_cmd, twist_cmd, accel_cmd, target, speed, velocity, controls):
-    """Write the inputs of a tick's substeps, ``controls`` (n, m, 6), and move the references on.
+def _aim(limbs, load, feed, h, pose_cmd, twist_cmd, accel_cmd, target, speed, velocity, plan):
+    """Write ``plan`` (n, m, 3, 6), position, velocity and force at the start of each substep of a tick, and move the references on.
 
     target: (n, 6) slider references [m]; speed: their velocity, that of the cubic; velocity: the difference at the last substep.
     Without ``feed`` (n,) the drives are told the position alone, on a straight line.
     """
-    n, m = controls.shape[0], controls.shape[1]
+    n, m = plan.shape[0], plan.shape[1]
     dt = h / m
     jac, inverse = np.empty((6, 6)), np.empty((6, 6))
     goal, leave, now, before = np.empty(6), np.empty(6), np.empty(6), np.empty(6)
@@ -59,10 +64,12 @@ def _aim(limbs, load, kp, kv, feed, h, pose_cmd, twist_cmd, accel_cmd, target, s
                     accel[j] = (rate[j] - velocity[i, j]) / dt
                 else:
                     now[j] = target[i, j] + t * (goal[j] - target[i, j])
-                    rate[j] = accel[j] = 0.0
+                    rate[j] = accel[j] = velocity[i, j] = 0.0
             drive_forces(limbs, load, pose_cmd[i], inverse, accel, force)
             for j in range(6):
-                controls[i, s, j] = before[j] + (kv * rate[j] + force[j]) / kp
+                plan[i, s, 0, j] = before[j]
+                plan[i, s, 1, j] = velocity[i, j]
+                plan[i, s, 2, j] = force[j]
                 velocity[i, j] = rate[j]
                 before[j] = now[j]
         target[i] = goal
@@ -70,7 +77,19 @@ def _aim(limbs, load, kp, kv, feed, h, pose_cmd, twist_cmd, accel_cmd, target, s
 
 
 @njit(cache=True)
-def _settle(limbs, load, kp, kv, feed, pose, twist, target, speed, velocity, qpos, qvel, adr, platform, centre):
+def _push(plan, sub, kp, kv, adr, qpos, qvel, force):
+    """``force`` (n, 6) [N] of the drives at the start of substep ``sub``."""
+    for i in range(force.shape[0]):
+        for j in range(6):
+            force[i, j] = (
+                plan[i, sub, 2, j]
+                + kp * (plan[i, sub, 0, j] - qpos[i, adr[0, j]])
+                + kv * (plan[i, sub, 1, j] - qvel[i, adr[1, j]])
+            )
+
+
+@njit(cache=True)
+def _settle(limbs, pose, twist, target, speed, velocity, qpos, qvel, adr, platform, centre):
     """Joints, rates and references of a rig that moves uniformly with ``twist`` (n, 6) through ``pose`` (n, 7)."""
     q, v = np.empty(3), np.empty(3)
     arm, turn = np.empty(3), np.empty(3)
@@ -133,35 +152,39 @@ class Servo:
 
     Attributes:
         target: (n, 6) slider references at the end of the tick [m].
-        controls: (n, m, 6) inputs of the drives in the substeps of a tick [m].
+        kp, kv: gains of a drive [N/m], [N s/m].
     """
 
     def __init__(self, model: mujoco.MjModel, n: int, tick: float, substeps: int, feed: Array) -> None:
         self.platform = Platform.load()
         self.tick, self._feed = tick, feed
         self._load = load_constants(model)
-        self._kp = float(model.actuator_gainprm[0, 0])
-        self._kv = float(-model.actuator_biasprm[0, 2])
+        self.kp = MOVED_PER_DRIVE * (2.0 * math.pi * BANDWIDTH) ** 2
+        self.kv = 2.0 * DAMPING_RATIO * MOVED_PER_DRIVE * 2.0 * math.pi * BANDWIDTH
         sliders = [model.joint(f"slider_{j}") for j in range(6)]
         free = model.joint("platform")
         self._adr = np.array([[s.qposadr[0] for s in sliders], [s.dofadr[0] for s in sliders]])
         self._free = np.array([free.qposadr[0], free.dofadr[0]])
         self.target, self.speed, self.velocity = np.zeros((n, 6)), np.zeros((n, 6)), np.zeros((n, 6))
-        self.controls = np.zeros((n, substeps, 6))
+        self._plan = np.zeros((n, substeps, 3, 6))
 
     def settle(self, pose: Array, twist: Array, qpos: Array, qvel: Array) -> None:
         """Put the joints where a rig is that moves uniformly with ``twist`` (n, 6) through ``pose`` (n, 7), and the references."""
         _settle(
-            self.platform.limbs, self._load, self._kp, self._kv, self._feed, pose, twist,
-            self.target, self.speed, self.velocity, qpos, qvel, self._adr, self._free, self.platform.centre,
+            self.platform.limbs, pose, twist, self.target, self.speed, self.velocity,
+            qpos, qvel, self._adr, self._free, self.platform.centre,
         )  # fmt: skip
 
     def aim(self, pose_cmd: Array, twist_cmd: Array, accel_cmd: Array) -> None:
-        """The inputs of one tick, at whose end ``pose_cmd`` (n, 7) is to be reached."""
+        """Plan one tick, at whose end ``pose_cmd`` (n, 7) is to be reached."""
         _aim(
-            self.platform.limbs, self._load, self._kp, self._kv, self._feed, self.tick, pose_cmd, twist_cmd, accel_cmd,
-            self.target, self.speed, self.velocity, self.controls,
+            self.platform.limbs, self._load, self._feed, self.tick, pose_cmd, twist_cmd, accel_cmd,
+            self.target, self.speed, self.velocity, self._plan,
         )  # fmt: skip
+
+    def push(self, sub: int, qpos: Array, qvel: Array, force: Array) -> None:
+        """``force`` (n, 6) [N] of the drives for substep ``sub`` of the tick, from the joints as they stand."""
+        _push(self._plan, sub, self.kp, self.kv, self._adr, qpos, qvel, force)
 
     def observe(self, qpos: Array, qvel: Array, limit: float, pose: Array, twist: Array, sliders: Array, diverged: Array) -> bool:
         """Read pose, twist and sliders; True where a run has just left ``limit`` [m/s, rad/s], which ``diverged`` then names."""

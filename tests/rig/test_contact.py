@@ -1,0 +1,89 @@
+"""The contact is a spring and a damper in N/m and N s/m, or any law that is put in its place."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hiltestbed.frames import Array
+from hiltestbed.rig import Plant
+from tests.rig.rigs import K, Press, fitted, pose, scenario
+
+
+@pytest.mark.parametrize("place", [(0.0, 0.0), (0.1, 0.05), (0.3, 0.0), (0.0, -0.3)])
+@pytest.mark.parametrize(("tracking", "k_within", "c_within"), [("ideal", 1e-9, 1e-9), ("servo", 1e-3, 1e-2)])
+def test_the_plants_own_force_and_pose_give_stiffness_and_damping(
+    tracking: str, k_within: float, c_within: float, place: tuple[float, float]
+) -> None:
+    s = scenario(tracking, damping=300.0)
+    depth, rate, wrench = Press(Plant([s]), s.rate, *place).run(800).columns()
+    k, c = fitted(depth, rate, wrench[:, 2])
+    assert k == pytest.approx(K, rel=k_within)
+    assert c == pytest.approx(300.0, rel=c_within)
+
+
+@pytest.mark.parametrize("place", [(0.0, 0.0), (0.3, 0.0)])
+@pytest.mark.parametrize("stiffness", [1e4, 1e6])
+def test_static_stiffness_under_a_constant_load(place: tuple[float, float], stiffness: float) -> None:
+    """The platform is held pressed in; what the sensor reads over the depth reached is k, damping playing no part."""
+    s = scenario(stiffness=stiffness)
+    plant, still = Plant([s]), np.zeros((1, 6))
+    goal = pose(*place, 100.0 / stiffness)
+    plant.reset(goal, still)
+    for _ in range(1000):
+        plant.advance(goal, still, still)
+    assert np.abs(plant.twist_act).max() < 1e-9
+    assert plant.wrench_sub[0, -1, 2] / plant.pose_act[0, 2] == pytest.approx(stiffness, rel=1e-3)
+
+
+@pytest.mark.parametrize("tracking", ["ideal", "servo"])
+def test_the_contact_never_pulls(tracking: str) -> None:
+    """F = k x + c v would pull while the tip leaves: with c v > k x the force is 0, not negative."""
+    s = scenario(tracking, stiffness=1e4, damping=2000.0)
+    _, _, wrench = Press(Plant([s]), s.rate).run(800).columns()
+    assert wrench[:, 2].max() > 10.0
+    assert wrench[:, 2].min() > -1e-6
+
+
+class PowerLaw:
+    """F = 3e6 x^1.5 (1 + 2 v)."""
+
+    def force(self, x: Array, v: Array) -> Array:
+        return 3.0e6 * np.maximum(x, 0.0) ** 1.5 * (1.0 + 2.0 * v)
+
+
+@pytest.mark.parametrize(("tracking", "within"), [("ideal", 1e-9), ("servo", 1e-3)])
+@pytest.mark.parametrize("place", [0.0, 0.2])
+def test_a_law_in_place_of_the_linear_contact_acts_as_written(tracking: str, within: float, place: float) -> None:
+    """In the servo the contact yields with the platform: 1e-4 of the force at each of impedance and lever arm."""
+    s = scenario(tracking)
+    plant = Plant([s])
+    plant.contact_law = PowerLaw()
+    depth, rate, wrench = Press(plant, s.rate, place).run(800).columns()
+    expected = PowerLaw().force(depth, rate)
+    assert expected.max() > 100.0
+    np.testing.assert_allclose(wrench[:, 2], expected, rtol=within, atol=within)
+
+
+@pytest.mark.parametrize("tracking", ["ideal", "servo"])
+def test_each_run_of_a_batch_has_its_own_contact(tracking: str) -> None:
+    stiffness = [2e4, 1e5, 5e5]
+    scenarios = [scenario(tracking, stiffness=k, damping=0.0) for k in stiffness]
+    plant, still = Plant(scenarios), np.zeros((3, 6))
+    plant.reset(pose(z=1e-3, n=3), still)
+    for _ in range(600):
+        plant.advance(pose(z=1e-3, n=3), still, still)
+    np.testing.assert_allclose(plant.wrench_sub[:, -1, 2] / plant.pose_act[:, 2], stiffness, rtol=1e-3)
+
+
+@pytest.mark.parametrize("tracking", ["ideal", "servo"])
+def test_sliding_friction_is_at_the_coulomb_limit_and_opposes_the_motion(tracking: str) -> None:
+    s = scenario(tracking, friction=0.2, damping=0.0)
+    plant = Plant([s])
+    twist = np.array([[0.05, 0.0, 0.0, 0.0, 0.0, 0.0]])
+    plant.reset(pose(-0.02, 0.0, 1e-3), twist)
+    for k in range(400):
+        plant.advance(pose(-0.02 + 0.05 * (k + 1) / s.rate, 0.0, 1e-3), twist, np.zeros((1, 6)))
+    wrench = plant.wrench_sub[0, -1]
+    assert wrench[0] == pytest.approx(0.2 * wrench[2], rel=1e-2)  # the active side drags the passive one along
+    assert abs(wrench[1]) < 1e-2 * wrench[0]

@@ -1,0 +1,108 @@
+"""Kinematics of the platform against MuJoCo's own, and its derived Jacobian at home."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from hiltestbed.frames import Array
+from hiltestbed.rig.kinematics import Platform, inverse, jacobian, joints
+from hiltestbed.rig.model import load, models_folder
+
+PLATFORM = Platform.load()
+HOME = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+
+
+def workspace(n: int) -> Array:
+    """``(n, 7)`` poses over +-0.25 m and +-10 deg, the corners among them."""
+    rng = np.random.default_rng(3)
+    reach = rng.uniform(-1.0, 1.0, (n, 6))
+    reach[: n // 4] = np.sign(reach[: n // 4])
+    turn = Rotation.from_euler("xyz", 10.0 * reach[:, 3:], degrees=True)
+    return np.hstack([0.25 * reach[:, :3], turn.as_quat()])
+
+
+def test_inverse_kinematics_is_mujocos_own() -> None:
+    """Placed by the inverse kinematics, every link of MuJoCo's tree ends on its anchor of the platform."""
+    m = load("pss33/pss33").compile()
+    data = mujoco.MjData(m)
+    poses = workspace(200)
+    sliders = np.empty((200, 6))
+    inverse(PLATFORM.limbs, poses, sliders)
+    q, v = np.empty(3), np.empty(3)
+    for i, pose in enumerate(poses):
+        turn = Rotation.from_quat(pose[3:])
+        data.joint("platform").qpos[:3] = pose[:3] + turn.apply(PLATFORM.centre)
+        data.joint("platform").qpos[3:] = pose[[6, 3, 4, 5]]
+        for j in range(6):
+            joints(PLATFORM.limbs[j], pose, np.zeros(6), q, v)
+            assert q[0] == sliders[i, j]
+            data.joint(f"slider_{j}").qpos[:] = q[0]
+            data.joint(f"universal_{j}a").qpos[:] = q[1]
+            data.joint(f"universal_{j}b").qpos[:] = q[2]
+        mujoco.mj_kinematics(m, data)
+        for j in range(6):
+            gap = data.site(f"link_end_{j}").xpos - data.site(f"anchor_{j}").xpos
+            assert np.linalg.norm(gap) < 1e-6
+
+
+def test_the_workspace_is_within_the_sliders_stroke() -> None:
+    m = load("pss33/pss33").compile()
+    stroke = m.joint("slider_0").range[1]
+    sliders = np.empty((2000, 6))
+    inverse(PLATFORM.limbs, workspace(2000), sliders)
+    assert np.abs(sliders).max() < stroke
+
+
+def test_the_jacobian_is_the_derivative_of_the_inverse_kinematics() -> None:
+    rng = np.random.default_rng(5)
+    jac, sliders = np.empty((6, 6)), np.empty(6)
+    for pose in workspace(20):
+        jacobian(PLATFORM.limbs, pose, sliders, jac)
+        twist = rng.normal(size=6)
+        e = 1e-6
+        ends = np.empty((2, 6))
+        for k, step in enumerate((-e, e)):
+            turn = Rotation.from_rotvec(step * twist[3:]) * Rotation.from_quat(pose[3:])
+            inverse(PLATFORM.limbs, np.hstack([pose[:3] + step * twist[:3], turn.as_quat()])[None], ends[k : k + 1])
+        np.testing.assert_allclose(jac @ twist, (ends[1] - ends[0]) / (2.0 * e), rtol=1e-6, atol=1e-7)
+
+
+def test_joint_rates_are_the_derivative_of_the_joints() -> None:
+    rng = np.random.default_rng(6)
+    q, rate, before, after, ignored = (np.empty(3) for _ in range(5))
+    e = 1e-6
+    for pose in workspace(20):
+        twist = rng.normal(size=6)
+        for j in range(6):
+            limb = PLATFORM.limbs[j]
+            joints(limb, pose, twist, q, rate)
+            for out, step in ((before, -e), (after, e)):
+                turn = Rotation.from_rotvec(step * twist[3:]) * Rotation.from_quat(pose[3:])
+                joints(limb, np.hstack([pose[:3] + step * twist[:3], turn.as_quat()]), twist, out, ignored)
+            np.testing.assert_allclose(rate, (after - before) / (2.0 * e), rtol=1e-5, atol=1e-6)
+
+
+def test_jacobian_at_home_decouples_into_two_groups() -> None:
+    """About the centre of the anchors' plane J^T J = diag(1.5, 1.5, 3, 1.5 r^2, 1.5 r^2, 3 R^2): s' = u.v + (b x u).w with three
+    vertical links at 120 deg on radius r and three tangential ones on radius R; sum of cos^2 over three spokes is 3/2."""
+    jac, sliders = np.empty((6, 6)), np.empty(6)
+    jacobian(PLATFORM.limbs, HOME, sliders, jac)
+    np.testing.assert_allclose(sliders, 0.0, atol=1e-9)
+    x, y, z = PLATFORM.centre
+    from_centre = np.eye(6)  # twist of the centre to twist of A: v_A = v_C - (w x centre)
+    from_centre[:3, 3:] = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]]).T
+    about_centre = jac @ from_centre
+    r, big_r = 0.60, 0.80
+    expected = np.diag([1.5, 1.5, 3.0, 1.5 * r**2, 1.5 * r**2, 3.0 * big_r**2])
+    np.testing.assert_allclose(about_centre.T @ about_centre, expected, atol=1e-9)
+    anchors = PLATFORM.limbs[:, 6:9] - PLATFORM.centre
+    np.testing.assert_allclose(np.linalg.norm(anchors, axis=1), [r] * 3 + [big_r] * 3, rtol=1e-9)
+
+
+@pytest.mark.parametrize("mechanism", ["pss33", "frame", "bumper"])
+def test_every_mechanism_states_its_dimensions(mechanism: str) -> None:
+    text = (models_folder() / mechanism / "README.md").read_text()
+    assert "reason" in text.lower()

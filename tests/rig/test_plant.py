@@ -1,0 +1,122 @@
+"""The plant: runs that do not know of each other, forces that are current, a platform that follows."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hiltestbed.errors import InputError
+from hiltestbed.rig import Plant
+from tests.rig.rigs import Press, pose, scenario
+
+OUTPUTS = ("pose_act", "twist_act", "wrench_sub", "slider_cmd", "slider_act", "contact")
+
+
+def driven(plant: Plant, i: int, ticks: int = 60) -> list[np.ndarray]:
+    """What run ``i`` of a plant gives when each run is pressed in at its own speed."""
+    n = len(plant.pose_act)
+    speed = 0.02 + 0.001 * np.arange(n)
+    twist, start = np.zeros((n, 6)), pose(0.1, 0.0, -1e-4, n)
+    twist[:, 2] = speed
+    plant.reset(start, twist)
+    out = []
+    for k in range(ticks):
+        goal = start.copy()
+        goal[:, 2] += speed * (k + 1) / 2000.0
+        plant.advance(goal, twist, np.zeros((n, 6)))
+        out.append(np.concatenate([np.ravel(getattr(plant, name)[i]) for name in OUTPUTS]))
+    return out
+
+
+@pytest.mark.parametrize("tracking", ["ideal", "servo"])
+@pytest.mark.parametrize("friction", [0.0, 0.1])
+def test_a_run_alone_is_the_run_in_a_batch_bit_for_bit(tracking: str, friction: float) -> None:
+    s = scenario(tracking, friction=friction)
+    among = np.array(driven(Plant([s] * 64, nthread=2), 0))
+    alone = np.array(driven(Plant([s]), 0))
+    assert np.array_equal(alone, among)
+    assert among[-1][:3].any()
+
+
+@pytest.mark.parametrize("tracking", ["ideal", "servo"])
+def test_the_force_at_a_tick_belongs_to_the_pose_at_that_tick(tracking: str) -> None:
+    """A force one physics step late would read k v dt = 0.75 N less on the way in at 0.03 m/s."""
+    s = scenario(tracking, damping=0.0)
+    depth, _, wrench = Press(Plant([s]), s.rate).run(300).columns()
+    touching = depth > 1e-5
+    assert np.abs(wrench[touching, 2] - 1e5 * depth[touching]).max() < 0.05
+
+
+@pytest.mark.parametrize("tracking", ["ideal", "servo"])
+@pytest.mark.parametrize("substeps", [1, 2, 5])
+def test_the_forces_at_the_sub_instants_run_on_evenly(tracking: str, substeps: int) -> None:
+    """Pressed in at constant speed the force grows by k v dt from one sub-instant to the next, across ticks as within them."""
+    s = scenario(tracking, physics_rate=2000.0 * substeps, damping=0.0)
+    plant, v = Plant([s]), 0.02
+    twist = np.array([[0.0, 0.0, v, 0.0, 0.0, 0.0]])
+    plant.reset(pose(z=-1e-3), twist)
+    forces = []
+    for k in range(400):
+        plant.advance(pose(z=-1e-3 + v * (k + 1) / s.rate), twist, np.zeros((1, 6)))
+        forces.append(plant.wrench_sub[0, :, 2].copy())
+    steps = np.diff(np.concatenate(forces[-50:]))
+    np.testing.assert_allclose(steps, 1e5 * v / (2000.0 * substeps), rtol=1e-2)
+
+
+def test_in_free_motion_the_platform_is_where_it_was_told_to_be() -> None:
+    """Sine of 10 mm at 1 Hz on all axes: the drives' feed-forward carries the motion, position feedback next to nothing."""
+    s = scenario()
+    plant, h, w = Plant([s]), 1.0 / s.rate, 2.0 * np.pi
+    amplitude = np.array([0.01, 0.008, 0.006])
+    worst = 0.0
+    plant.reset(pose(z=-0.05), np.array([[*(amplitude * w), 0.0, 0.0, 0.0]]))
+    for k in range(1, 1000):
+        t = k * h
+        goal = pose(z=-0.05)
+        goal[0, :3] += amplitude * np.sin(w * t)
+        twist, accel = np.zeros((1, 6)), np.zeros((1, 6))
+        twist[0, :3] = amplitude * w * np.cos(w * (t - 0.5 * h))
+        accel[0, :3] = -amplitude * w * w * np.sin(w * (t - 0.5 * h))
+        plant.advance(goal, twist, accel)
+        worst = max(worst, float(np.abs(plant.pose_act - goal).max()))
+    assert worst < 2e-6
+
+
+def test_the_state_between_two_ticks_is_all_of_it() -> None:
+    """Written back into a fresh plant, it goes on bit for bit."""
+    s = scenario(friction=0.1)
+    first, second = Plant([s]), Plant([s])
+    driven(first, 0, 40)
+    kept = {name: array.copy() for name, array in first.buffers().items()}
+    second.reset(pose(z=-0.02), np.zeros((1, 6)))
+    for name, array in second.buffers().items():
+        array[...] = kept[name]
+    goal, twist = pose(0.1, 0.0, 9e-4), np.array([[0.0, 0.0, 0.02, 0.0, 0.0, 0.0]])
+    for _ in range(20):
+        for plant in (first, second):
+            plant.advance(goal, twist, np.zeros((1, 6)))
+        assert np.array_equal(first.pose_act, second.pose_act)
+        assert np.array_equal(first.wrench_sub, second.wrench_sub)
+
+
+def test_a_run_that_diverges_is_named_and_leaves_the_others_alone() -> None:
+    """A contact of 1e16 N/m is far past what steps of 0.25 ms can follow: 2/dt = sqrt(k/m) at 4e10 N/m for 600 kg."""
+    wild, calm = scenario(stiffness=1e16, damping=0.0), scenario()
+    plant, alone = Plant([calm, wild, calm]), Plant([calm])
+    twist = np.tile([0.0, 0.0, 0.02, 0.0, 0.0, 0.0], (3, 1))
+    plant.reset(pose(z=-1e-4, n=3), twist)
+    alone.reset(pose(z=-1e-4), twist[:1])
+    for k in range(200):
+        goal = pose(z=-1e-4 + 0.02 * (k + 1) / 2000.0, n=3)
+        plant.advance(goal, twist, np.zeros((3, 6)))
+        alone.advance(goal[:1], twist[:1], np.zeros((1, 6)))
+    assert plant.diverged.tolist() == [False, True, False]
+    assert "moves at" in plant.divergence(1)
+    assert np.isfinite(plant.pose_act).all()
+    assert np.array_equal(plant.pose_act[0], alone.pose_act[0])
+    assert np.array_equal(plant.wrench_sub[2], alone.wrench_sub[0])
+
+
+def test_runs_of_two_structures_are_refused() -> None:
+    with pytest.raises(InputError, match="one structure"):
+        Plant([scenario(), scenario("ideal")])
