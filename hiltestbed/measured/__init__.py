@@ -1,0 +1,27 @@
+"""Measured data in: files of seven formats to records on the loop's ticks, checked before anything is made of them.
+
+:func:`load_dataset` is all that a diagnosis needs::
+
+    dataset = load_dataset("dataset.yaml")      # InputError when a file is unreadable or the data contradict the physics
+    for run in dataset.runs:
+        run.scenario                            # the facility's scenario with this run's `set`
+        run.record.t                            # (ticks,) [s], tick/rate
+        run.record.data["pose_act"]             # (ticks, 7), NaN where not measured
+        run.record.valid["pose_act"]            # (ticks, 7), the mask that residuals count under
+        run.record.filled("pose_act")           # (ticks, 7) without NaN, to drive a model with
+        run.record.absent                       # columns that were not measured
+        run.survey.noise["wrench_meas.fz"].rms  # from before the first touch
+        run.survey.contacts                     # start, end, peak force, penetration, speed
+    dataset.links()                             # the links whose two ends were measured
+    dataset.remarks                             # losses and notes, each with run, channel and numbers
+
+Nothing is corrected: a wrong sign or unit is an error that names the line of the channel map to write. :func:`examine` returns the
+errors as remarks instead of raising them. Readers are imported when a file of their format is opened.
+"""
+
+from hiltestbed.measured.load import MeasuredDataset, MeasuredRun, examine, load_dataset
+from hiltestbed.measured.record import Record
+from hiltestbed.measured.remark import Remark
+from hiltestbed.measured.survey import Contact, Noise, Survey
+
+__all__ = ["Contact", "MeasuredDataset", "MeasuredRun", "Noise", "Record", "Remark", "Survey", "examine", "load_dataset"]

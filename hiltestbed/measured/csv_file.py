@@ -60,7 +60,8 @@ def read(path: Path, wanted: Set[str]) -> Columns:
                 refuse_large(path, rows, len(columns))
                 blocks.append([batch.column(j).to_numpy(zero_copy_only=False) for j in range(len(columns))])
     except pa.ArrowInvalid as error:
-        raise unreadable(path, f"is not a table of numbers ({error})", "each row needs as many cells as the header, each a number") from error
+        do = "each row needs as many cells as the header, each a number"
+        raise unreadable(path, f"is not a table of numbers ({error})", do) from error
     data = {name: np.concatenate([block[j] for block in blocks]) if blocks else np.zeros(0) for j, name in enumerate(columns)}
     return Columns(dialect.names, data)
 

@@ -4,27 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from hiltestbed.dataset import Channel, Dataset
+from hiltestbed.dataset import Dataset
 from hiltestbed.dataset import load_dataset as load_specification
-from hiltestbed.errors import Fault, HiltestbedError, InputError
-from hiltestbed.frames import Array
-from hiltestbed.measured.checks import Survey, check_channels, survey
-from hiltestbed.measured.clock import Clock, check_clock, start_of_run, to_ticks
-from hiltestbed.measured.columns import Columns, near
-from hiltestbed.measured.formats import read_columns
-from hiltestbed.measured.record import MEASURED_GROUPS, Record, place
+from hiltestbed.errors import Fault, InputError
+from hiltestbed.measured.checks import check_dataset, check_run
+from hiltestbed.measured.reading import read_record
+from hiltestbed.measured.record import Record
 from hiltestbed.measured.remark import Remark
-from hiltestbed.measured.units import factor
+from hiltestbed.measured.survey import Survey
 from hiltestbed.scenario import Scenario
-from hiltestbed.signals import GROUPS
 
-MISSING_LIMIT = 0.5  # part of its samples that a channel may miss before it is left out
 LINKS = {
     "platform": ("pose_cmd", "pose_act"),
     "contact": ("pose_act", "wrench_meas"),
@@ -92,52 +84,15 @@ def examine(path: str | Path, set: Mapping[str, Any] | None = None) -> MeasuredD
             continue
         remarks += found
         if record is not None:
-            result, more = survey(record, scenario)
-            runs.append(MeasuredRun(record, scenario, result))
+            record, found_in, more = check_run(record, scenario)
+            runs.append(MeasuredRun(record, scenario, found_in))
             remarks += more
     if faults:
         raise InputError(faults)
-    remarks += check_channels([run.record for run in runs], LINKS)
+    remarks += check_dataset([run.record for run in runs], LINKS)
     return MeasuredDataset(loaded.path, loaded.spec, loaded.nominal, tuple(runs), tuple(remarks))
 
 
 def _as_fault(remark: Remark, path: Path, spec: Dataset) -> Fault:
     file = path if remark.run is None else path.parent / spec.runs[remark.run].file
     return Fault(str(file), None, None, remark.channel, remark.text + (f"; {remark.fix}" if remark.fix else ""))
-
-
-def read_record(run: int, file: Path, channels: Mapping[str, Channel], scenario: Scenario) -> tuple[Record | None, list[Remark]]:
-    """One file on the loop's ticks; None when its clock cannot be used (the remarks say why). Raises InputError, MissingExtra."""
-    wanted = {name: _source(name, channels) for name in ("t", *(c for g in MEASURED_GROUPS for c in GROUPS[g].columns))}
-    try:
-        columns = read_columns(file, frozenset(wanted.values()))
-    except MemoryError as error:
-        raise InputError(Fault(str(file), None, None, "", "does not fit into memory; cut the file to the run")) from error
-    _refuse_missing(file, columns, channels, wanted)
-    values = {name: _scaled(columns.data[source], name, channels) for name, source in wanted.items() if source in columns.data}
-    stamps = _stamps(file, columns, values, wanted, channels)
-    clocks, remarks = _clocks(run, stamps, scenario)
-    if clocks is None:
-        return None, remarks
-    del values["t"]
-    ticks = round(max(clock.t[-1] for clock in clocks.values()) * scenario.rate) + 1
-    data, valid, lost = {}, {}, []
-    for name, column in values.items():
-        clock = clocks[id(stamps[name])]
-        missing = _missing(run, name, column[clock.rows], clock)
-        remarks += missing
-        if any("left out" in remark.text for remark in missing):
-            lost.append(name)
-            continue
-        group, part = place(name)
-        shape = (ticks, len(GROUPS[group].parts))
-        samples = to_ticks(clock.t, column[clock.rows], ticks, scenario.tick, clock.interval)
-        data.setdefault(group, np.full(shape, np.nan))[:, part] = samples[0]
-        valid.setdefault(group, np.zeros(shape, dtype=bool))[:, part] = samples[1]
-    if not data:
-        text = "holds none of the channels " + ", ".join(f"{group}.*" for group in MEASURED_GROUPS) + f" ({near('pose_act', columns.names)})"
-        remarks.append(Remark("error", run, "", text, "name the columns under channels:"))
-        return None, remarks
-    absent = tuple(c for g in MEASURED_GROUPS for c in GROUPS[g].columns if c not in values or c in lost)
-    rate = 1 / min(clock.interval for clock in clocks.values())
-    return Record(run, file, np.arange(ticks) / scenario.rate, data, valid, {}, absent, rate), remarks

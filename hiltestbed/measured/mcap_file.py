@@ -40,7 +40,7 @@ def read(path: Path, wanted: Set[str]) -> Columns:
     except (McapError, ValueError, EOFError, OSError) as error:
         raise unreadable(path, f"is not a whole MCAP file ({error})", "copy or record it again") from error
     data = {name: np.array([value for _, value in kept]) for name, kept in samples.items() if kept}
-    clock = {name: np.array([stamp for stamp, _ in kept], dtype=np.int64) * 1e-9 for name, kept in samples.items() if kept}
+    clock = {name: np.array([stamp for stamp, _ in kept], dtype=np.float64) * 1e-9 for name, kept in samples.items() if kept}
     return Columns(tuple(samples), data, clock)
 
 

@@ -1,0 +1,233 @@
+"""Units, signs and orders that contradict the physics of the scenario. Found, never corrected.
+
+A quantity is held against what the scenario expects of it: the pose against gap and approach velocity, the force against k x + c v
+and against v sqrt(k mu), the attitude against the start attitude. Effects that a diagnosis looks for change these by a factor of a
+few; a unit is off by a thousand.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from hiltestbed.frames import Array, quat_from_attitude_deg
+from hiltestbed.measured.record import Record
+from hiltestbed.measured.remark import Remark
+from hiltestbed.measured.survey import FREE_MINIMUM, MOVED, Survey, baseline
+from hiltestbed.scenario import Scenario
+
+UNIT_FACTOR = 100.0  # off by more than this: another unit
+FORCE_FACTOR = 200.0  # the same for the force, which a hard stop or a dead zone changes by more
+CLEAR = 50.0  # sigma, above which a start position or a travel is told from zero
+REVERSED = -0.3  # of what is expected: the sign is the other way round
+CORRELATION = -0.5
+QUAT_NORM = 0.01
+QUAT_NORM_NOTE = 1e-3
+TURNED_DEG = 30.0  # the platform turns by 10 deg at most
+LEVER_LIMIT = 20.0  # [m] from torque over force: no rig is that large
+
+
+def contradictions(record: Record, found: Survey, scenario: Scenario) -> list[Remark]:
+    """Errors for what cannot be right, notes for what is merely odd."""
+    return [
+        *_poses(record, found, scenario),
+        *_attitudes(record, scenario),
+        *_measured_force(record, found, scenario),
+        *_force_pair(record, found),
+        *_torques(record, found),
+    ]
+
+
+def scale_fix(channel: str, scale: float) -> str:
+    """The entry of the channel map that would put a channel right, beside any scale it has."""
+    return f"if so, multiply its scale by {scale:g}: channels: {{{channel}: {{scale: {scale:g}}}}}"
+
+
+def _error(record: Record, channel: str, text: str, fix: str, **evidence: float) -> Remark:
+    return Remark("error", record.run, channel, text, fix, evidence)
+
+
+def _poses(record: Record, found: Survey, scenario: Scenario) -> Iterator[Remark]:
+    """Start and speed of each translation before the first touch, against gap, offset and approach velocity."""
+    if scenario.mechanism.kind == "latched":
+        return
+    start = (*scenario.approach.offset, -scenario.approach.gap)
+    for group in ("pose_cmd", "pose_act"):
+        for axis, name in enumerate(f"{group}.p{a}" for a in "xyz"):
+            if name in record.columns():
+                yield from _translation(record, found, name, start[axis], scenario.approach.velocity[axis])
+
+
+def _translation(record: Record, found: Survey, name: str, start: float, speed: float) -> Iterator[Remark]:
+    values, sigma = record.column(name), found.noise[name].white
+    free = max(found.free, FREE_MINIMUM)
+    known = np.flatnonzero(np.isfinite(values[:free]))
+    if len(known) < 3:
+        return
+    begin, end = float(np.median(values[known[:3]])), float(np.median(values[known[-3:]]))
+    travel, expected = end - begin, speed * (record.t[known[-1]] - record.t[known[0]])
+    pairs = [(m, e) for m, e in ((begin, start), (travel, expected)) if e != 0 and max(abs(m), abs(e)) > CLEAR * sigma and abs(e) > 1e-6]
+    ratios = [m / e for m, e in pairs]
+    if not ratios:
+        return
+    seen = f"starts at {begin:.4g} and moves by {travel:.4g} before the first touch; the scenario has {start:.4g} m and {expected:.4g} m"
+    evidence = {"start": begin, "travel": travel, "expected_start": start, "expected_travel": expected}
+    powers = [math.log10(abs(r)) if r else -math.inf for r in ratios]
+    if all(p > math.log10(UNIT_FACTOR) for p in powers) or all(-math.inf < p < -math.log10(UNIT_FACTOR) for p in powers):
+        power = round(sum(powers) / len(powers))
+        text = f"{seen}: off by about {10.0**power:g}, as if in another unit{' (mm?)' if power == 3 else ''}"
+        yield _error(record, name, text, scale_fix(name, 10.0**-power), **evidence)
+    elif all(r < REVERSED for r in ratios):
+        yield _error(record, name, f"{seen}: the sign is the other way round", scale_fix(name, -1.0), **evidence)
+
+
+def _attitudes(record: Record, scenario: Scenario) -> Iterator[Remark]:
+    """Length and order of the quaternions."""
+    expected = quat_from_attitude_deg(scenario.approach.attitude_deg)
+    for group in ("pose_cmd", "pose_act"):
+        if group not in record.data:
+            continue
+        q = record.data[group][:, 3:]
+        q = q[np.isfinite(q).all(axis=1)]
+        if not len(q):
+            continue
+        off = float(np.abs(np.linalg.norm(q, axis=1) - 1).max())
+        name = f"{group}.q*"
+        if off > QUAT_NORM:
+            text = f"is no unit quaternion: its length is off by up to {off:.3g}; allowed is {QUAT_NORM:g}"
+            yield _error(record, name, text, "check scale and columns of qx, qy, qz, qw", length_error=off)
+            continue
+        if off > QUAT_NORM_NOTE:
+            text = f"has a length that is off by up to {off:.3g}; it is used as it is"
+            yield Remark("note", record.run, name, text, "", {"length_error": off})
+        yield from _order(record, name, q[:50], expected)
+
+
+def _order(record: Record, name: str, q: Array, expected: Array) -> Iterator[Remark]:
+    """A start attitude that is far from the scenario's, and which reading of the four columns would bring it there."""
+    given = _angle_deg(q, expected)
+    group = name.partition(".")[0]
+    w_first = _angle_deg(q[:, [1, 2, 3, 0]], expected)
+    conjugate = _angle_deg(q * [-1, -1, -1, 1], expected)
+    if given > TURNED_DEG and w_first < 0.5 * TURNED_DEG:
+        text = f"starts {given:.0f} deg from the scenario's attitude, {w_first:.1f} deg when read w first: the order is w, x, y, z"
+        fix = f"exchange the columns under channels: {group}.qw takes that of qx, qx that of qy, qy that of qz, qz that of qw"
+        yield _error(record, name, text, fix, angle_deg=given, w_first_deg=w_first)
+    elif given > TURNED_DEG:
+        text = f"starts {given:.0f} deg from the scenario's attitude; the platform turns by 10 deg at most"
+        yield _error(record, name, text, "check frames and columns, or set approach.attitude_deg", angle_deg=given)
+    elif given > 1.0 and conjugate < 0.2 * given:
+        text = f"starts {given:.1f} deg from the scenario's attitude, {conjugate:.1f} deg when turned the other way: it is P in A"
+        yield _error(record, name, text, "give the scale -1 to its qx, qy and qz", angle_deg=given, conjugate_deg=conjugate)
+
+
+def _angle_deg(q: Array, expected: Array) -> float:
+    """Median angle [deg] between quaternions ``(rows, 4)`` and one."""
+    dot = np.abs(q @ expected) / np.linalg.norm(q, axis=1)
+    return float(np.degrees(2 * np.median(np.arccos(np.clip(dot, 0.0, 1.0)))))
+
+
+def _measured_force(record: Record, found: Survey, scenario: Scenario) -> Iterator[Remark]:
+    """Sign and size of the force along z, and whether it stands on another axis."""
+    name = "wrench_meas.fz" if "wrench_meas.fz" in record.columns() else "wrench_comp.fz"
+    if name not in record.columns() or not found.contacts:
+        return
+    force = record.column(name) - baseline(record, found, name)
+    peak, low = float(np.nanmax(force)), float(np.nanmin(force))
+    clear = max(peak, -low) > MOVED * found.noise[name].rms
+    if clear and _pulls(record, force, peak, low, scenario):
+        text = f"pulls while pushing: {low:.4g} N at its strongest against {peak:.4g} N, and falls as the penetration grows"
+        yield _error(record, name, text, scale_fix(name, -1.0), lowest=low, highest=peak)
+    expected = _expected_force(found, scenario)
+    if not expected:
+        return
+    ratio = max(peak, -low) / expected
+    if clear and not 1 / FORCE_FACTOR < ratio < FORCE_FACTOR:
+        power = round(math.log10(ratio))
+        text = f"peaks at {max(peak, -low):.4g} N, the scenario gives some {expected:.4g} N: off by about {10.0**power:g}, another unit?"
+        yield _error(record, name, text, scale_fix(name, 10.0**-power), peak=max(peak, -low), expected=expected)
+    elif not clear:
+        yield from _other_axis(record, found, name, expected)
+
+
+def _pulls(record: Record, force: Array, peak: float, low: float, scenario: Scenario) -> bool:
+    """Whether the force has the wrong sign: by its strongest excursion (not for a latched mechanism, which may pull) and its course."""
+    poses = [name for name in ("pose_act.pz", "pose_cmd.pz") if name in record.columns()]
+    latched = scenario.mechanism.kind == "latched"
+    if not latched and -low < 3 * peak:
+        return False
+    if not poses:
+        return not latched
+    depth = record.column(poses[0])
+    depth = depth if latched else np.maximum(depth, 0.0)
+    late = min(round(scenario.sensor.delay * scenario.rate), len(force) - 2)
+    return correlation(depth[: len(depth) - late], force[late:]) < CORRELATION
+
+
+def correlation(a: Array, b: Array) -> float:
+    """Pearson's correlation where both are known; 0 when one of them does not vary."""
+    known = np.isfinite(a) & np.isfinite(b)
+    if known.sum() < 3:
+        return 0.0
+    a, b = a[known] - a[known].mean(), b[known] - b[known].mean()
+    size = float(np.sqrt((a @ a) * (b @ b)))
+    return float(a @ b) / size if size > 0 else 0.0
+
+
+def _expected_force(found: Survey, scenario: Scenario) -> float | None:
+    """The peak that the scenario leads to [N]: v sqrt(k mu) for two free bodies, k x for a latched mechanism; None without motion."""
+    k = scenario.mechanism.contact.stiffness
+    if scenario.mechanism.kind == "latched":
+        deepest = max((abs(c.penetration or 0.0) for c in found.contacts), default=0.0)
+        return k * deepest or None
+    chaser, target = scenario.spacecraft.chaser.mass, scenario.spacecraft.target.mass
+    return abs(scenario.approach.velocity[2]) * math.sqrt(k * chaser * target / (chaser + target)) or None
+
+
+def _other_axis(record: Record, found: Survey, name: str, expected: float) -> Iterator[Remark]:
+    group = name.partition(".")[0]
+    for other in (f"{group}.fx", f"{group}.fy"):
+        if other not in record.columns():
+            continue
+        peak = float(np.nanmax(np.abs(record.column(other) - baseline(record, found, other))))
+        if 0.3 * expected < peak < 3 * expected:
+            text = f"stays in its noise while {other} peaks at {peak:.4g} N, about what is expected along z: the axes are swapped"
+            yield _error(record, name, text, f"exchange the columns of {name} and {other}", other_peak=peak, expected=expected)
+
+
+def _force_pair(record: Record, found: Survey) -> Iterator[Remark]:
+    """Each axis of the compensated wrench against the measured one: it is the same force, some milliseconds apart."""
+    if "wrench_meas" not in record.data or "wrench_comp" not in record.data:
+        return
+    for axis in ("fx", "fy", "fz", "tx", "ty", "tz"):
+        meas, comp = f"wrench_meas.{axis}", f"wrench_comp.{axis}"
+        if not {meas, comp} <= set(record.columns()):
+            continue
+        a, b = (record.column(n) - baseline(record, found, n) for n in (meas, comp))
+        high_a, high_b = float(np.nanmax(np.abs(a))), float(np.nanmax(np.abs(b)))
+        if high_a < 2 * MOVED * found.noise[meas].rms or high_b < 2 * MOVED * found.noise[comp].rms:
+            continue
+        together = correlation(a, b)
+        if together < CORRELATION:
+            text = f"goes against {meas} (correlation {together:.2f}): the sign of one is the other way round"
+            yield _error(record, comp, text, scale_fix(comp, -1.0), correlation=together)
+        if not 1 / UNIT_FACTOR < high_b / high_a < UNIT_FACTOR:
+            power = round(math.log10(high_b / high_a))
+            text = f"peaks at {high_b:.4g} where {meas} peaks at {high_a:.4g}: off by about {10.0**power:g}, another unit?"
+            yield _error(record, comp, text, scale_fix(comp, 10.0**-power), peak=high_b, measured_peak=high_a)
+
+
+def _torques(record: Record, found: Survey) -> Iterator[Remark]:
+    """Torques that would need a lever arm longer than any rig."""
+    for group in ("wrench_meas", "wrench_comp"):
+        names = [n for n in record.columns() if n.startswith(group + ".")]
+        peaks = {n[-2:]: float(np.nanmax(np.abs(record.column(n) - baseline(record, found, n)))) for n in names}
+        forces = [v for n, v in peaks.items() if n[0] == "f"]
+        for axis, peak in peaks.items():
+            name = f"{group}.{axis}"
+            if axis[0] == "t" and forces and max(forces) > 0 and peak > MOVED * found.noise[name].rms and peak > LEVER_LIMIT * max(forces):
+                arm = peak / max(forces)
+                text = f"peaks at {peak:.4g} N m against {max(forces):.4g} N of force: a lever arm of {arm:.3g} m, another unit?"
+                yield _error(record, name, text, scale_fix(name, 1e-3), torque=peak, force=max(forces))

@@ -1,0 +1,104 @@
+"""Channels that stand at a limit, and channels that come in steps."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hiltestbed.frames import Array
+from hiltestbed.measured.record import Record, place
+from hiltestbed.measured.remark import Remark
+from hiltestbed.measured.survey import Survey, baseline
+
+FLAT = 4  # equal samples in a row at an extreme value, from which clipping is considered
+CORNER = 5.0  # quanta; the rounded top of a smooth signal gives 2, see `_is_corner`
+AWAY = 0.2  # of the range, that a limit lies away from the free level: a force of zero between contacts is no limit
+STEPS = 4  # samples to a distinct value, from which a channel is taken to come in steps
+
+
+def clipped_samples(record: Record, found: Survey) -> tuple[dict[str, NDArray[np.bool_]], list[Remark]]:
+    """Group to ``(ticks, parts)``: which samples stand at a limit; and a remark on each such channel."""
+    clipped = {group: np.zeros_like(valid) for group, valid in record.valid.items()}
+    remarks = []
+    for name in record.columns():
+        group, part = place(name)
+        values = record.column(name)
+        mask = _at_limit(values, baseline(record, found, name))
+        if group == "pose_act":
+            mask &= _held_back(record, part, values)
+        elif not group.startswith("wrench"):
+            continue
+        if mask.any():
+            clipped[group][:, part] = mask
+            remarks.append(_clipped(record.run, name, values[mask]))
+    return clipped, remarks
+
+
+def _clipped(run: int, name: str, values: Array) -> Remark:
+    levels = ", ".join(f"{level:.6g}" for level in np.unique(values))
+    text = f"stands at its limit ({levels}) in {len(values)} samples, with a corner on the way in: clipped; what lies beyond is lost"
+    evidence = {"samples": len(values), "limit": float(values[0])}
+    return Remark("loss", run, name, text, "raise the range of the channel, or run slower", evidence)
+
+
+def _at_limit(values: Array, level: float) -> NDArray[np.bool_]:
+    """Samples of flat stretches at the highest or lowest value that are entered with a corner."""
+    mask = np.zeros(len(values), dtype=bool)
+    known = values[np.isfinite(values)]
+    span = float(np.ptp(known)) if len(known) else 0.0
+    if span == 0.0:
+        return mask
+    quantum = step_of(known) or 0.0
+    for extreme in (known.max(), known.min()):
+        if abs(extreme - level) <= AWAY * span:
+            continue
+        edges = np.flatnonzero(np.diff(np.r_[False, values == extreme, False]))
+        for start, end in zip(edges[::2], edges[1::2], strict=True):
+            if end - start >= FLAT and _is_corner(values, int(start), int(end), quantum):
+                mask[start:end] = True
+    return mask
+
+
+def _held_back(record: Record, part: int, values: Array) -> NDArray[np.bool_]:
+    """Samples of a pose whose command goes further than they do: a pose at rest where it was sent is at no limit."""
+    if "pose_cmd" not in record.data or part > 2:
+        return np.zeros(len(values), dtype=bool)
+    with np.errstate(invalid="ignore"):
+        return np.abs(record.data["pose_cmd"][:, part] - values) > 0.05 * np.nanmax(values - np.nanmin(values))
+
+
+def _is_corner(values: Array, start: int, end: int, quantum: float) -> bool:
+    """Whether the signal runs into the flat stretch too steeply for a rounded top.
+
+    A parabola a t^2/2 that is read in steps of q stays T = sqrt(2 q/a) on its last step and enters it at the slope a T, so that
+    slope x T = 2 q, however wide the top. A clipped signal has no such bound.
+    """
+    width = min(5, start, len(values) - end)
+    if width < 2:
+        return False
+    inwards = abs(values[start] - values[start - width]) / width
+    outwards = abs(values[end - 1] - values[end - 1 + width]) / width
+    return max(inwards, outwards) * (end - start) / 2 > CORNER * quantum
+
+
+def step_of(values: Array) -> float | None:
+    """The step that all of ``values`` are multiples of, or None when they come in no steps."""
+    distinct = np.unique(values)
+    if len(distinct) < 3 or len(values) < STEPS * len(distinct):
+        return None
+    gaps = np.diff(distinct)
+    step = float(gaps.min())
+    multiples = gaps / step
+    return step if np.abs(multiples - np.round(multiples)).max() < 0.05 else None
+
+
+def quantisation(record: Record) -> list[Remark]:
+    """A note on each channel that comes in steps."""
+    remarks = []
+    for name in record.columns():
+        values = record.column(name)
+        step = step_of(values[np.isfinite(values)])
+        if step is not None:
+            text = f"comes in steps of {step:.4g}: a noise of {step / np.sqrt(12):.3g} (1 sigma) at best"
+            remarks.append(Remark("note", record.run, name, text, "", {"step": step}))
+    return remarks

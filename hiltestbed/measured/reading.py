@@ -1,0 +1,146 @@
+"""One data file to one record: channel map, clock, resampling to the loop's ticks."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from hiltestbed.dataset import Channel
+from hiltestbed.errors import Fault, InputError
+from hiltestbed.frames import Array
+from hiltestbed.measured.clock import Clock, check_clock, start_of_run, to_ticks
+from hiltestbed.measured.columns import Columns, near
+from hiltestbed.measured.formats import read_columns
+from hiltestbed.measured.record import MEASURED_GROUPS, Record, place
+from hiltestbed.measured.remark import Remark
+from hiltestbed.measured.units import factor
+from hiltestbed.scenario import Scenario
+from hiltestbed.signals import GROUPS
+
+MISSING_LIMIT = 0.5  # part of its samples that a channel may miss before it is left out
+SAME = Channel()
+CHANNELS = tuple(column for group in MEASURED_GROUPS for column in GROUPS[group].columns)
+
+
+def read_record(run: int, file: Path, channels: Mapping[str, Channel], scenario: Scenario) -> tuple[Record | None, list[Remark]]:
+    """One file on the loop's ticks; None when it cannot be used (the remarks say why).
+
+    Raises InputError when the file cannot be read or lacks a mapped column; MissingExtra when its reader is not installed.
+    """
+    source = {name: channels.get(name, SAME).column or name for name in ("t", *CHANNELS)}
+    columns = _read(file, frozenset(source.values()))
+    _refuse_missing(file, columns, channels, source)
+    values = {name: _si(columns.data[source[name]], name, channels) for name in CHANNELS if source[name] in columns.data}
+    if not values:
+        what = "holds none of the channels " + ", ".join(f"{group}.*" for group in MEASURED_GROUPS)
+        raise InputError(Fault(str(file), None, None, "channels", f"{what} ({near('pose_act', columns.names)}); name its columns there"))
+    stamps = _stamps(file, columns, values, source, channels)
+    clocks, remarks = _clocks(run, stamps, scenario)
+    good = {name: (values[name], clock) for name, clock in clocks.items() if clock is not None}
+    if len(good) < len(values):
+        return None, remarks
+    lost, more = _losses(run, good)
+    remarks += more
+    record = _on_ticks(run, file, {name: pair for name, pair in good.items() if name not in lost}, scenario)
+    return record, remarks
+
+
+def _read(file: Path, wanted: frozenset[str]) -> Columns:
+    try:
+        return read_columns(file, wanted)
+    except MemoryError as error:
+        raise InputError(Fault(str(file), None, None, "", "does not fit into memory; cut the file to the run")) from error
+
+
+def _refuse_missing(file: Path, columns: Columns, channels: Mapping[str, Channel], source: Mapping[str, str]) -> None:
+    """Raises InputError for every column that the channel map names and the file does not hold."""
+    missing = [name for name in channels if name in source and channels[name].column and source[name] not in columns.data]
+    faults = [
+        Fault(str(file), None, None, f"channels.{n}", f"names no column of the file (got {source[n]!r}); {near(source[n], columns.names)}")
+        for n in missing
+    ]
+    if faults:
+        raise InputError(faults)
+
+
+def _si(values: Array, name: str, channels: Mapping[str, Channel]) -> Array:
+    """Values of a channel in SI units, as its entry in the channel map says; untouched without one."""
+    channel = channels.get(name, SAME)
+    scale = channel.scale * factor(name, channel.unit)
+    scaled = values if scale == 1.0 else scale * values
+    return scaled if channel.offset == 0.0 else scaled + channel.offset
+
+
+def _stamps(
+    file: Path, columns: Columns, values: Mapping[str, Array], source: Mapping[str, str], channels: Mapping[str, Channel]
+) -> dict[str, Array]:
+    """The time stamps [s] of each channel: the time column of the file, or the channel's own clock where there is no such column."""
+    shared = columns.data.get(source["t"])
+    if shared is None and not all(source[name] in columns.clock for name in values):
+        what = f"has no time column {source['t']!r}; {near(source['t'], columns.names)}"
+        raise InputError(Fault(str(file), None, None, "t", f"{what}; name it under channels: {{t: {{column: ...}}}}"))
+    known: dict[bytes, Array] = {}
+    stamps, faults = {}, []
+    for name, column in values.items():
+        raw = columns.clock[source[name]] if shared is None else shared
+        if len(raw) != len(column):
+            what = f"has {len(column)} samples, its time stamps are {len(raw)}; allowed is one stamp a sample"
+            faults.append(Fault(str(file), None, None, name, what))
+        stamps[name] = known.setdefault(raw.tobytes(), _si(raw, "t", channels))
+    if faults:
+        raise InputError(faults)
+    return stamps
+
+
+def _clocks(run: int, stamps: Mapping[str, Array], scenario: Scenario) -> tuple[dict[str, Clock | None], list[Remark]]:
+    """The clock of each channel, counted from the start of the run, and the remarks on them, each once."""
+    tick, duration = scenario.tick, scenario.duration
+    distinct = {id(t): t for t in stamps.values()}
+    firsts = [float(t[np.isfinite(t)][0]) for t in distinct.values() if np.isfinite(t).any()]
+    shift, remarks = start_of_run(run, min(firsts), tick, duration) if firsts else (0.0, [])
+    checked: dict[int, Clock | None] = {}
+    for key, t in distinct.items():
+        checked[key], found = check_clock(run, t - shift if shift else t, tick, duration)
+        remarks += [remark for remark in found if remark not in remarks]
+    return {name: checked[id(t)] for name, t in stamps.items()}, remarks
+
+
+def _losses(run: int, channels: Mapping[str, tuple[Array, Clock]]) -> tuple[set[str], list[Remark]]:
+    """Channels that miss too many samples to be used; channels that miss the same samples share a remark."""
+    lost, patterns = set(), {}
+    for name, (column, clock) in channels.items():
+        missing = ~np.isfinite(column[clock.rows])
+        if missing.sum() > MISSING_LIMIT * len(missing):
+            lost.add(name)
+        if missing.any():
+            patterns.setdefault(missing.tobytes(), (missing, clock, []))[2].append(name)
+    return lost, [_missing(run, *pattern) for pattern in patterns.values()]
+
+
+def _missing(run: int, missing: np.ndarray, clock: Clock, names: list[str]) -> Remark:
+    edges = np.flatnonzero(np.diff(np.r_[False, missing, False]))
+    starts, lengths = edges[::2], np.diff(edges)[::2]
+    longest, count, of = int(lengths.argmax()), int(missing.sum()), len(missing)
+    text = f"missing (NaN) in {count} of {of} samples, at most {lengths[longest]} in a row from {clock.t[starts[longest]]:.6g} s"
+    text += "; left out of this run" if count > MISSING_LIMIT * of else ""
+    return Remark("loss", run, ", ".join(names), text, "", {"missing": count, "of": of, "longest": int(lengths[longest])})
+
+
+def _on_ticks(run: int, file: Path, channels: Mapping[str, tuple[Array, Clock]], scenario: Scenario) -> Record | None:
+    """The record; None when there is no channel left."""
+    if not channels:
+        return None
+    clocks = [clock for _, clock in channels.values()]
+    ticks = round(max(float(clock.t[-1]) for clock in clocks) * scenario.rate) + 1
+    data, valid = {}, {}
+    for name, (column, clock) in channels.items():
+        group, part = place(name)
+        if group not in data:
+            shape = (ticks, len(GROUPS[group].parts))
+            data[group], valid[group] = np.full(shape, np.nan), np.zeros(shape, dtype=bool)
+        data[group][:, part], valid[group][:, part] = to_ticks(clock.t, column[clock.rows], ticks, scenario.tick, clock.interval)
+    absent = tuple(name for name in CHANNELS if name not in channels)
+    rate = 1 / min(clock.interval for clock in clocks)
+    return Record(run, file, np.arange(ticks) / scenario.rate, data, valid, {}, absent, rate)

@@ -1,0 +1,197 @@
+"""What a run holds: noise floor before the first touch, contacts, and what was excited."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from hiltestbed.frames import Array
+from hiltestbed.measured.record import Record
+from hiltestbed.measured.remark import Remark
+from hiltestbed.scenario import Scenario
+
+FREE_MINIMUM = 20  # samples before the first touch from which a noise floor is read
+ONSET = 8.0  # sigma over ONSET_TICKS in a row: the force has left its floor
+ONSET_TICKS = 4
+MOVED = 10.0  # sigma: an axis that ranges further than this was excited
+THIRD_DIFFERENCE = math.sqrt(20.0)  # of white noise: 1 + 9 + 9 + 1 times its variance
+MAD_TO_SIGMA = 1.4826
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Noise of one column.
+
+    Attributes:
+        rms: 1 sigma about a straight line in the free segment; hum and platform ripple count.
+        white: 1 sigma of the part that differs from sample to sample (third differences): hum and motion do not count.
+        samples: it was read from; 0 when the free segment is too short and the whole record was taken, with ``rms`` = ``white``.
+    """
+
+    rms: float
+    white: float
+    samples: int
+
+
+@dataclass(frozen=True)
+class Contact:
+    """One contact: ticks ``start`` to ``end`` (not included), and its peaks along z; a figure without its channel is None."""
+
+    start: int
+    end: int
+    peak_force: float | None
+    penetration: float | None
+    speed: float | None
+
+
+@dataclass(frozen=True)
+class Survey:
+    """What one run holds.
+
+    Attributes:
+        free: ticks before the first touch.
+        noise: column to its noise.
+        contacts: in order; for a latched mechanism the whole run.
+        excited: columns that range over more than MOVED sigma.
+        phase: angular frequency of the nominal contact times the sensor's nominal delay [rad].
+    """
+
+    free: int
+    noise: dict[str, Noise]
+    contacts: tuple[Contact, ...]
+    excited: tuple[str, ...]
+    phase: float
+
+
+def look(record: Record, scenario: Scenario) -> Survey:
+    """Noise, contacts and excitation of a record."""
+    latched = scenario.mechanism.kind == "latched"
+    depth = penetration(record)
+    free = 0 if latched else _free_ticks(record, depth)
+    noise = {name: _noise(record.column(name), free) for name in record.columns()}
+    spans = [(0, record.ticks)] if latched else _spans(record, depth, noise)
+    contacts = tuple(_contact(record, span, depth, scenario) for span in spans)
+    excited = tuple(name for name in record.columns() if _range(record.column(name)) > MOVED * max(noise[name].white, 1e-300))
+    k, body = scenario.mechanism.contact.stiffness, scenario.spacecraft
+    reduced = body.chaser.mass * body.target.mass / (body.chaser.mass + body.target.mass)
+    return Survey(free, noise, contacts, excited, math.sqrt(k / reduced) * scenario.sensor.delay)
+
+
+def penetration(record: Record) -> Array | None:
+    """``(ticks,)`` measured pz [m] (commanded where the reached pose is absent), gaps NaN; None without either."""
+    for name in ("pose_act.pz", "pose_cmd.pz"):
+        if name in record.columns():
+            return record.column(name)
+    return None
+
+
+def remarks_on(record: Record, found: Survey, scenario: Scenario) -> list[Remark]:
+    """Runs without contact, and contacts that pose and force do not agree on."""
+    run, depth, force = record.run, penetration(record), "wrench_meas.fz" in record.columns()
+    if scenario.mechanism.kind == "latched" or (depth is None and not force):
+        return []
+    if not found.contacts:
+        deepest = "" if depth is None else f" (pz reaches {np.nanmax(depth):.4g} m)"
+        text = f"has no contact{deepest}; it says nothing of contact, sensor and compensation"
+        return [Remark("loss", run, "", text, "", {} if depth is None else {"pz_max": float(np.nanmax(depth))})]
+    if not force or depth is None:
+        return []
+    peak, floor = max(abs(c.peak_force or 0.0) for c in found.contacts), found.noise["wrench_meas.fz"].rms
+    if peak < MOVED * floor:
+        deepest = max(c.penetration or 0.0 for c in found.contacts)
+        text = f"stays within {peak:.3g} N (noise {floor:.3g} N) while the mechanisms are {1e3 * deepest:.3g} mm into each other"
+        return [Remark("note", run, "wrench_meas.fz", text, "check that the sensor was on and its column is the right one", {"peak": peak})]
+    return []
+
+
+def baseline(record: Record, found: Survey, name: str) -> float:
+    """Median of a column before the first touch, 0 when there is too little of it."""
+    free = record.column(name)[: found.free]
+    free = free[np.isfinite(free)]
+    return float(np.median(free)) if len(free) >= FREE_MINIMUM else 0.0
+
+
+def _free_ticks(record: Record, depth: Array | None) -> int:
+    """Ticks before the mechanisms meet, by the pose and by the force, whichever is earlier."""
+    ends = [record.ticks]
+    if depth is not None:
+        ends += np.flatnonzero(depth > 0)[:1].tolist()
+    if "wrench_meas.fz" in record.columns():
+        force = record.column("wrench_meas.fz")
+        start = force[np.isfinite(force)][: 2 * FREE_MINIMUM]
+        sigma = max(white_noise(start), float(np.std(start)) if len(start) else 0.0)
+        away = np.abs(force - np.median(start)) > ONSET * sigma if len(start) else np.zeros(record.ticks, dtype=bool)
+        ends += _first_run(away, ONSET_TICKS)
+    return max(0, int(min(ends)) - 2)
+
+
+def _first_run(flags: np.ndarray, length: int) -> list[int]:
+    """Where the first run of ``length`` True in a row begins, in a list; empty without one."""
+    if len(flags) < length:
+        return []
+    whole = np.lib.stride_tricks.sliding_window_view(flags, length).all(axis=1)
+    return np.flatnonzero(whole)[:1].tolist()
+
+
+def white_noise(values: Array) -> float:
+    """1 sigma of the part of ``values`` that differs from sample to sample; 0 when there are too few."""
+    third = np.diff(values, 3)
+    third = third[np.isfinite(third)]
+    if len(third) < 8:
+        return 0.0
+    sigma = MAD_TO_SIGMA * float(np.median(np.abs(third))) / THIRD_DIFFERENCE
+    return sigma if sigma > 0 else float(np.std(third)) / THIRD_DIFFERENCE
+
+
+def _noise(values: Array, free: int) -> Noise:
+    segment = values[:free]
+    known = np.flatnonzero(np.isfinite(segment))
+    if len(known) < FREE_MINIMUM:
+        white = white_noise(values)
+        return Noise(white, white, 0)
+    line = np.polynomial.Polynomial.fit(known, segment[known], 1)
+    residual = segment[known] - line(known)
+    return Noise(float(np.sqrt(np.sum(residual**2) / (len(known) - 2))), white_noise(segment), len(known))
+
+
+def _spans(record: Record, depth: Array | None, noise: dict[str, Noise]) -> list[tuple[int, int]]:
+    """Start and end of each contact: pz > 0 where the pose was measured, the force off its floor where it was not."""
+    if depth is not None:
+        name = "pose_act.pz" if "pose_act.pz" in record.columns() else "pose_cmd.pz"
+        return _above(np.nan_to_num(depth, nan=-1.0), 0.0, 5 * noise[name].white)
+    if "wrench_meas.fz" in record.columns():
+        force = np.abs(np.nan_to_num(record.column("wrench_meas.fz")))
+        sigma = max(noise["wrench_meas.fz"].rms, 1e-12)
+        return [span for span in _above(force, 2 * sigma, ONSET * sigma) if span[1] - span[0] >= ONSET_TICKS]
+    return []
+
+
+def _above(values: Array, low: float, high: float) -> list[tuple[int, int]]:
+    """Stretches above ``low`` that somewhere exceed ``high``."""
+    edges = np.flatnonzero(np.diff(np.r_[False, values > low, False]))
+    return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True) if values[a:b].max() > high]
+
+
+def _contact(record: Record, span: tuple[int, int], depth: Array | None, scenario: Scenario) -> Contact:
+    start, end = span
+    late = round(scenario.sensor.delay * scenario.rate)
+    force = speed = deepest = None
+    if "wrench_meas.fz" in record.columns():
+        part = record.column("wrench_meas.fz")[start : end + late + 1]
+        part = part[np.isfinite(part)]
+        force = float(part[np.abs(part).argmax()]) if len(part) else None
+    if depth is not None:
+        inside = depth[start:end]
+        deepest = float(np.nanmax(inside)) if np.isfinite(inside).any() else None
+        before = np.arange(max(0, start - FREE_MINIMUM), start)
+        before = before[np.isfinite(depth[before])]
+        if len(before) > 4:
+            speed = float(np.polyfit(record.t[before] - record.t[start], depth[before], 1)[0])
+    return Contact(start, end, force, deepest, speed)
+
+
+def _range(values: Array) -> float:
+    known = values[np.isfinite(values)]
+    return float(np.ptp(known)) if len(known) else 0.0
