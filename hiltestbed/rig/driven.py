@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
@@ -132,7 +132,7 @@ class ServoTracking:
                 self.causes[i] = _cause(self.model, self._qpos[i], self._qvel[i])
         self._going = np.flatnonzero(~self.diverged)
 
-    def buffers(self) -> dict[str, Array]:
+    def buffers(self) -> dict[str, NDArray[Any]]:
         """The state between two ticks."""
         return {
             "qpos": self._qpos,

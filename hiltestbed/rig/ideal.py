@@ -8,11 +8,12 @@ that tick.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from mujoco.batch import Batch
 from numba import njit
+from numpy.typing import NDArray
 
 from hiltestbed.frames import Array, pose_step, rotate_back, twist_between
 from hiltestbed.rig import contact, model
@@ -107,7 +108,7 @@ class IdealTracking:
         inverse(self.platform.limbs, self.pose_act, self.slider_act)
         self.slider_cmd[:] = self.slider_act
 
-    def buffers(self) -> dict[str, Array]:
+    def buffers(self) -> dict[str, NDArray[Any]]:
         """The state between two ticks."""
         return {
             "pose_act": self.pose_act,

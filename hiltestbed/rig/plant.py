@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Hashable, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
@@ -62,6 +63,11 @@ class Plant:
         self.diverged: NDArray[np.bool_] = self._tracking.diverged
 
     @property
+    def model(self) -> mujoco.MjModel:
+        """The model that is stepped: the bare physics under this plant."""
+        return self._tracking.model
+
+    @property
     def contact_law(self) -> ContactLaw | None:
         """A law in place of the linear contact, for all runs; None: F = k x + c v of the scenario."""
         return self._tracking.contact.law
@@ -78,7 +84,7 @@ class Plant:
         """Why run ``i`` diverged: which quantity, and its value."""
         return self._tracking.causes[i]
 
-    def buffers(self) -> dict[str, Array]:
+    def buffers(self) -> dict[str, NDArray[Any]]:
         """The state between two ticks, by name; written back, the rig goes on from there."""
         return self._tracking.buffers() | {"diverged": self.diverged}
 

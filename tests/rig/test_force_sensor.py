@@ -16,7 +16,7 @@ def sensor_reading(added: float, x: float) -> np.ndarray:
     """The six readings of the rig's sensor with ``added`` [kg] hung on the passive side at ``x`` [m] from the axis."""
     spec = model.rig_spec("bumper", friction=False, timestep=1e-3)
     weight = spec.body("passive_mechanism").add_body(name="weight", pos=[x, 0.0, 0.1])
-    weight.mass, weight.inertia, weight.explicitinertial = max(added, 1e-9), np.full(3, 1e-9), True
+    weight.explicitinertial, weight.mass, weight.ipos, weight.inertia = True, max(added, 1e-9), [0.0, 0.0, 0.0], np.full(3, 1e-9)
     m = spec.compile()
     data = mujoco.MjData(m)
     data.joint("platform").qpos[2] -= 0.5
@@ -39,6 +39,7 @@ def test_pushing_in_reads_positive_and_the_tare_leaves_nothing_without_contact(t
     np.testing.assert_allclose(plant.wrench_sub, 0.0, atol=1e-9)
     assert not plant.contact[0]
     x, depth = 0.2, 1e-3
+    plant.reset(pose(x, 0.0, depth), still)
     for _ in range(400):
         plant.advance(pose(x, 0.0, depth), still, still)
     assert plant.contact[0]

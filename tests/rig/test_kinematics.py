@@ -92,8 +92,8 @@ def test_jacobian_at_home_decouples_into_two_groups() -> None:
     jacobian(PLATFORM.limbs, HOME, sliders, jac)
     np.testing.assert_allclose(sliders, 0.0, atol=1e-9)
     x, y, z = PLATFORM.centre
-    from_centre = np.eye(6)  # twist of the centre to twist of A: v_A = v_C - (w x centre)
-    from_centre[:3, 3:] = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]]).T
+    from_centre = np.eye(6)  # twist of the centre to twist of A: v_A = v_C + centre x w
+    from_centre[:3, 3:] = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     about_centre = jac @ from_centre
     r, big_r = 0.60, 0.80
     expected = np.diag([1.5, 1.5, 3.0, 1.5 * r**2, 1.5 * r**2, 3.0 * big_r**2])

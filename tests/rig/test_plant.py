@@ -7,6 +7,7 @@ import pytest
 
 from hiltestbed.errors import InputError
 from hiltestbed.rig import Plant
+from hiltestbed.rig.servo import Servo
 from tests.rig.rigs import Press, pose, scenario
 
 OUTPUTS = ("pose_act", "twist_act", "wrench_sub", "slider_cmd", "slider_act", "contact")
@@ -59,7 +60,7 @@ def test_the_forces_at_the_sub_instants_run_on_evenly(tracking: str, substeps: i
     for k in range(400):
         plant.advance(pose(z=-1e-3 + v * (k + 1) / s.rate), twist, np.zeros((1, 6)))
         forces.append(plant.wrench_sub[0, :, 2].copy())
-    steps = np.diff(np.concatenate(forces[-50:]))
+    steps = np.asarray(np.diff(np.concatenate(forces[-50:])), dtype=float)
     np.testing.assert_allclose(steps, 1e5 * v / (2000.0 * substeps), rtol=1e-2)
 
 
@@ -120,3 +121,24 @@ def test_a_run_that_diverges_is_named_and_leaves_the_others_alone() -> None:
 def test_runs_of_two_structures_are_refused() -> None:
     with pytest.raises(InputError, match="one structure"):
         Plant([scenario(), scenario("ideal")])
+
+
+def test_what_the_servo_takes_from_a_rebound_is_its_drives_damping() -> None:
+    """The platform yields by F/(Kp + Kv s), Kp = 3 kp and Kv = 3 kv along z: a series spring that takes out c = k^2 Kv/Kp^2 [N s/m].
+
+    With ln e = -pi c/(2 sqrt(k mu)) that is -4.8e-4 for 1e5 N/m and 400 kg. Everything else in the servo costs less than a third of it.
+    """
+    s = scenario(damping=0.0)
+    plant, h, mu = Plant([s]), s.tick, 400.0
+    position, twist, accel = pose(z=-2e-3), np.array([[0.0, 0.0, 0.03, 0.0, 0.0, 0.0]]), np.zeros((1, 6))
+    plant.reset(position, twist)
+    for _ in range(700):
+        accel[0, 2] = -plant.wrench_sub[0, -1, 2] / mu
+        twist[0, 2] += h * accel[0, 2]
+        position[0, 2] += h * twist[0, 2]
+        plant.advance(position, twist, accel)
+    gains = Servo(plant.model, 1, h, 2, np.ones(1, dtype=bool))
+    taken = 1e5**2 * gains.kv / (3.0 * gains.kp**2)
+    expected = -np.pi * taken / (2.0 * np.sqrt(1e5 * mu))
+    assert np.log(-twist[0, 2] / 0.03) == pytest.approx(expected, abs=abs(expected) / 3.0)
+    assert abs(expected) < 1e-3
