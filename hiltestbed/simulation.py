@@ -82,12 +82,14 @@ def simulate(
     loop = Loop(scenarios, nthread)
     rows = trace(loop) if callable(trace) else Trace(ticks, len(scenarios), scenarios[0].rate) if trace else None
     snapshots = Snapshots(loop)
-    start = time.perf_counter()
+    start = 0.0
     while loop.k < ticks and loop.alive.any():
         snapshots.keep()
         loop.step(rows)
         if loop.trouble:
             snapshots.failures()
+        if loop.k == 1:  # the first tick may have compiled the blocks: it is not timed
+            start = time.perf_counter()
         if loop.k % PROGRESS_TICKS == 0:
             if progress:
                 progress(loop.k, ticks)
@@ -179,7 +181,7 @@ def _run(batch: Batch, reference: Batch, i: int) -> Run:
         "timing": {
             "ticks": batch.ticks,
             "wall": wall,
-            "real_time_factor": batch.ticks / scenario.rate * len(batch.scenarios) / wall if wall > 0.0 else None,
+            "real_time_factor": (batch.ticks - 1) / scenario.rate * len(batch.scenarios) / wall if wall > 0.0 else None,
         },
     }
     trace = batch.trace.run(i) if batch.trace is not None else None

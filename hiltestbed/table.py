@@ -73,8 +73,8 @@ def _error_note(summary: dict[str, Any]) -> str:
 def _ledger(entries: list[dict[str, Any]]) -> Table:
     table = _table("delays in the loop")
     table.add_column("source")
-    table.add_column("delay [ms]", justify="right")
-    table.add_column("as damping [N s/m]", justify="right")
+    table.add_column(escape("delay [ms]"), justify="right")
+    table.add_column(escape("as damping [N s/m]"), justify="right")
     for entry in entries:
         table.add_row(entry["source"], f"{1e3 * entry['delay']:+.4f}", f"{entry['equivalent_damping']:+.2f}")
     return table
