@@ -45,7 +45,7 @@ def delay_ledger(scenario: Scenario, figures: ContactFigures) -> list[Delay]:
     if scenario.rig.platform.tracking == "servo":
         delays.append(("platform.servo", figures.tracking_delay or 0.0))
     delays.append(("total", sum(delay for _, delay in delays)))
-    return [Delay(source, delay, -k * delay) for source, delay in delays]
+    return [Delay(source, delay, 0.0 - k * delay) for source, delay in delays]
 
 
 def effective_mass(scenario: Scenario) -> float:
