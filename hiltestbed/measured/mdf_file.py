@@ -17,7 +17,7 @@ def read(path: Path, wanted: Set[str]) -> Columns:
     except ImportError as error:
         raise MissingExtra(f"{path}: MDF4", "mdf") from error
     try:
-        with MDF(path) as file:
+        with path.open("rb") as stream, MDF(stream) as file:
             masters = {index for index in file.masters_db.items()}
             places = {name: [p for p in found if p not in masters] for name, found in file.channels_db.items()}
             names = tuple(name for name, found in places.items() if found)

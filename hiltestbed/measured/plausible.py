@@ -19,7 +19,7 @@ from hiltestbed.measured.survey import FREE_MINIMUM, MOVED, Survey, baseline
 from hiltestbed.scenario import Scenario
 
 UNIT_FACTOR = 100.0  # off by more than this: another unit
-FORCE_FACTOR = 200.0  # the same for the force, which a hard stop or a dead zone changes by more
+FORCE_FACTOR = 200.0  # the same for the force, which a hard stop changes by more
 CLEAR = 50.0  # sigma, above which a start position or a travel is told from zero
 REVERSED = -0.3  # of what is expected: the sign is the other way round
 CORRELATION = -0.5
@@ -213,7 +213,7 @@ def _force_pair(record: Record, found: Survey) -> Iterator[Remark]:
         if together < CORRELATION:
             text = f"goes against {meas} (correlation {together:.2f}): the sign of one is the other way round"
             yield _error(record, comp, text, scale_fix(comp, -1.0), correlation=together)
-        if not 1 / UNIT_FACTOR < high_b / high_a < UNIT_FACTOR:
+        if not 1 / FORCE_FACTOR < high_b / high_a < FORCE_FACTOR:
             power = round(math.log10(high_b / high_a))
             text = f"peaks at {high_b:.4g} where {meas} peaks at {high_a:.4g}: off by about {10.0**power:g}, another unit?"
             yield _error(record, comp, text, scale_fix(comp, 10.0**-power), peak=high_b, measured_peak=high_a)

@@ -11,7 +11,7 @@ from hiltestbed.measured.remark import Remark
 from hiltestbed.measured.survey import Survey, baseline
 
 FLAT = 4  # equal samples in a row at an extreme value, from which clipping is considered
-CORNER = 5.0  # quanta; the rounded top of a smooth signal gives 2, see `_is_corner`
+CORNER = 6.0  # quanta; the rounded top of a smooth signal gives 3, see `_is_corner`
 AWAY = 0.2  # of the range, that a limit lies away from the free level: a force of zero between contacts is no limit
 STEPS = 4  # samples to a distinct value, from which a channel is taken to come in steps
 
@@ -70,15 +70,13 @@ def _held_back(record: Record, part: int, values: Array) -> NDArray[np.bool_]:
 def _is_corner(values: Array, start: int, end: int, quantum: float) -> bool:
     """Whether the signal runs into the flat stretch too steeply for a rounded top.
 
-    A parabola a t^2/2 that is read in steps of q stays T = sqrt(2 q/a) on its last step and enters it at the slope a T, so that
-    slope x T = 2 q, however wide the top. A clipped signal has no such bound.
+    A parabola a t^2/2 that is read in steps of q stays for T = sqrt(2 q/a) on either side of its top on the last step, and falls by
+    a (2 T)^2/2 - q = 3 q over as long again, however wide the top. A clipped signal has no such bound.
     """
-    width = min(5, start, len(values) - end)
-    if width < 2:
-        return False
-    inwards = abs(values[start] - values[start - width]) / width
-    outwards = abs(values[end - 1] - values[end - 1 + width]) / width
-    return max(inwards, outwards) * (end - start) / 2 > CORNER * quantum
+    half = max(2, (end - start) // 2)
+    falls = [abs(values[start] - values[start - half])] if start >= half else []
+    falls += [abs(values[end - 1] - values[end - 1 + half])] if end - 1 + half < len(values) else []
+    return bool(falls) and min(falls) > CORNER * quantum
 
 
 def step_of(values: Array) -> float | None:

@@ -98,8 +98,8 @@ def remarks_on(record: Record, found: Survey, scenario: Scenario) -> list[Remark
         return [Remark("loss", run, "", text, "", {} if depth is None else {"pz_max": float(np.nanmax(depth))})]
     if not force or depth is None:
         return []
-    peak, floor = max(abs(c.peak_force or 0.0) for c in found.contacts), found.noise["wrench_meas.fz"].rms
-    if peak < MOVED * floor:
+    peak, floor = max(abs(c.peak_force or 0.0) for c in found.contacts), found.noise["wrench_meas.fz"].white
+    if peak <= MOVED * floor:
         deepest = max(c.penetration or 0.0 for c in found.contacts)
         text = f"stays within {peak:.3g} N (noise {floor:.3g} N) while the mechanisms are {1e3 * deepest:.3g} mm into each other"
         return [Remark("note", run, "wrench_meas.fz", text, "check that the sensor was on and its column is the right one", {"peak": peak})]

@@ -1,0 +1,201 @@
+"""Every format gives back the samples that went in, bit by bit, and says clearly what it cannot read."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv as pa_csv
+import pyarrow.parquet as pq
+import pytest
+
+from hiltestbed.errors import InputError, MissingExtra
+from hiltestbed.measured import columns as columns_module
+from hiltestbed.measured import load_dataset
+from hiltestbed.measured.formats import read_columns
+
+from . import bounce
+
+Table = dict[str, np.ndarray]
+
+
+def _csv(path: Path, table: Table) -> None:
+    pa_csv.write_csv(pa.table(table), path)
+
+
+def _parquet(path: Path, table: Table) -> None:
+    pq.write_table(pa.table(table), path)
+
+
+def _hdf5(path: Path, table: Table) -> None:
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(path, "w") as file:
+        file["t"] = table["t"]
+        for group in ("pose_cmd", "pose_act"):
+            file[group] = np.stack([table[name] for name in table if name.startswith(group)], axis=1)
+        for name in table:
+            if name.startswith("wrench"):
+                file[name.replace(".", "/")] = table[name]
+
+
+def _mat_5(path: Path, table: Table) -> None:
+    import scipy.io
+
+    nested: dict = {"t": table["t"][:, None]}
+    for name, values in table.items():
+        if name != "t":
+            group, part = name.split(".")
+            nested.setdefault(group, {})[part] = values[:, None]
+    scipy.io.savemat(path, nested)
+
+
+def _mat_73(path: Path, table: Table) -> None:
+    """As MATLAB's -v7.3 writes it: 512 bytes of its own, column-major matrices, so (1, rows) and (parts, rows) in HDF5."""
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(path, "w", userblock_size=512) as file:
+        file["t"] = table["t"][None, :]
+        file["pose_act"] = np.stack([table[name] for name in table if name.startswith("pose_act")])
+        for name in table:
+            if name.startswith(("wrench", "pose_cmd")):
+                file[name.replace(".", "/")] = table[name][None, :]
+    with path.open("r+b") as file:
+        file.write(b"MATLAB 7.3 MAT-file")
+
+
+def _mdf(path: Path, table: Table) -> None:
+    asammdf = pytest.importorskip("asammdf")
+    with asammdf.MDF(version="4.10") as mdf:
+        for group in ("pose", "wrench"):
+            signals = [asammdf.Signal(values, table["t"], name=name) for name, values in table.items() if name.startswith(group)]
+            mdf.append(signals)
+        mdf.save(path)
+
+
+def _tdms(path: Path, table: Table) -> None:
+    nptdms = pytest.importorskip("nptdms")
+    properties = {"wf_increment": 1.0 / bounce.RATE, "wf_start_offset": 0.0, "wf_samples": len(table["t"])}
+    with nptdms.TdmsWriter(path) as writer:
+        writer.write_segment(
+            [nptdms.ChannelObject(*name.split("."), values, properties) for name, values in table.items() if name != "t"]
+        )
+
+
+def _mcap(path: Path, table: Table) -> None:
+    pytest.importorskip("mcap")
+    from mcap.writer import Writer
+
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        groups = ("pose_cmd", "pose_act", "wrench_meas", "wrench_comp")
+        topics = {g: writer.register_channel(topic=f"/{g}", message_encoding="json", schema_id=0) for g in groups}
+        for k, t in enumerate(table["t"]):
+            stamp = 1_700_000_000_000_000_000 + round(t * 1e9)
+            for group, channel in topics.items():
+                message = {name.split(".")[1]: float(values[k]) for name, values in table.items() if name.startswith(group)}
+                writer.add_message(channel, log_time=stamp, data=json.dumps(message).encode(), publish_time=stamp)
+        writer.finish()
+
+
+WRITERS = {
+    "run.csv": _csv, "run.parquet": _parquet, "run.h5": _hdf5, "five.mat": _mat_5, "seven.mat": _mat_73,
+    "run.mf4": _mdf, "run.tdms": _tdms, "run.mcap": _mcap,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_samples_come_back_as_they_went_in(tmp_path: Path, name: str) -> None:
+    table = bounce.columns()
+    WRITERS[name](tmp_path / name, table)
+    dataset = load_dataset(bounce.write_dataset(tmp_path, files=(name,)))
+    record = dataset.runs[0].record
+    assert not dataset.remarks
+    np.testing.assert_array_equal(record.t, table["t"])
+    assert set(record.columns()) == set(table) - {"t"}
+    for column in record.columns():
+        np.testing.assert_array_equal(record.column(column), table[column], err_msg=column)
+        assert record.measured(column).all()
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_a_file_that_was_cut_short_is_refused(tmp_path: Path, name: str) -> None:
+    """Half a file, or any bytes under the suffix: an error that names the file, never a traceback of the library."""
+    WRITERS[name](tmp_path / name, bounce.columns())
+    whole = (tmp_path / name).read_bytes()
+    (tmp_path / name).write_bytes(b"\x00\xff" * 400 if name.endswith("csv") else whole[: len(whole) // 2])
+    with pytest.raises(InputError, match=name.replace(".", r"\.")):
+        load_dataset(bounce.write_dataset(tmp_path, files=(name,)))
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_an_empty_file_is_refused(tmp_path: Path, name: str) -> None:
+    (tmp_path / name).touch()
+    with pytest.raises(InputError, match="is empty"):
+        load_dataset(bounce.write_dataset(tmp_path, files=(name,)))
+
+
+@pytest.mark.parametrize(
+    ("suffix", "module", "extra"),
+    [("h5", "h5py", "hdf5"), ("mf4", "asammdf", "mdf"), ("tdms", "nptdms", "tdms"), ("mcap", "mcap.reader", "mcap")],
+)
+def test_a_missing_reader_is_an_install_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, suffix: str, module: str, extra: str
+) -> None:
+    path = tmp_path / f"run.{suffix}"
+    path.write_bytes(b"anything")
+    monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises(MissingExtra, match=rf"pip install .hiltestbed\[{extra}\]"):
+        read_columns(path, frozenset({"t"}))
+
+
+def test_unknown_suffix_names_the_known_ones(tmp_path: Path) -> None:
+    (tmp_path / "run.xlsx").write_bytes(b"PK")
+    with pytest.raises(InputError, match=r"\.csv.*\.mcap"):
+        load_dataset(bounce.write_dataset(tmp_path, files=("run.xlsx",)))
+
+
+def test_semicolons_and_decimal_commas(tmp_path: Path) -> None:
+    """The table of a spreadsheet in Central Europe."""
+    table = bounce.columns()
+    rows = [";".join(repr(float(v)).replace(".", ",") for v in row) for row in zip(*table.values(), strict=True)]
+    (tmp_path / "run.csv").write_text("# recorded by hand\n" + ";".join(table) + "\n" + "\n".join(rows))
+    record = load_dataset(bounce.write_dataset(tmp_path, files=("run.csv",))).runs[0].record
+    np.testing.assert_array_equal(record.column("wrench_meas.fz"), table["wrench_meas.fz"])
+
+
+def test_a_large_csv_is_refused_before_it_is_read(tmp_path: Path) -> None:
+    """2 GB of which the file system holds a few blocks: the estimate of its rows from the first of them is enough."""
+    path = tmp_path / "run.csv"
+    _csv(path, bounce.columns(rate=10_000.0))
+    assert path.stat().st_size > 2e6
+    with path.open("r+b") as file:
+        file.truncate(2_000_000_000)
+    with pytest.raises(InputError, match="too large.*allowed are"):
+        load_dataset(bounce.write_dataset(tmp_path, files=("run.csv",)))
+
+
+def test_a_csv_is_streamed_for_its_mapped_columns(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Twenty columns that nobody asked for count neither in memory nor against the limit."""
+    table = bounce.columns() | {f"temperature {i}": np.arange(600.0) for i in range(20)}
+    _csv(tmp_path / "run.csv", table)
+    monkeypatch.setattr(columns_module, "SAMPLE_LIMIT", 3 * 600 + 300)
+    found = read_columns(tmp_path / "run.csv", frozenset({"t", "pose_act.pz", "wrench_meas.fz"}))
+    assert set(found.data) == {"t", "pose_act.pz", "wrench_meas.fz"}
+    assert "temperature 7" in found.names
+
+
+def test_text_in_a_column_is_refused_with_its_place(tmp_path: Path) -> None:
+    table: dict = bounce.columns()
+    table["wrench_meas.fz"] = [*map(str, table["wrench_meas.fz"][:-1]), "overload"]
+    _csv(tmp_path / "run.csv", table)
+    with pytest.raises(InputError, match="overload"):
+        load_dataset(bounce.write_dataset(tmp_path, files=("run.csv",)))
+
+
+def test_a_file_without_header_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "run.csv").write_text("0.0,1.0,2.0\n0.1,1.0,2.0\n")
+    with pytest.raises(InputError, match="no header"):
+        load_dataset(bounce.write_dataset(tmp_path, files=("run.csv",)))
