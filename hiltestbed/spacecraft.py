@@ -29,6 +29,7 @@ from hiltestbed.scenario import Body, Scenario
 
 RUNS_PER_MODEL = 16  # Pinocchio's Data holds several (nv, nv) matrices: 16 runs are nv = 192
 CHASER, TARGET = 0, 1
+WORK = 9  # rows of scratch that the kernels of one run need
 
 
 class Spacecraft:
@@ -175,41 +176,54 @@ def _port_state(q, v, port, pose, arm, velocity, rate):
 
 
 @njit(cache=True)
+def relative_motion(q, v, port, work, pose, twist):
+    """One run: ``pose`` (7,) of A in P and ``twist`` (6,) from ``q`` (2, 7), ``v`` (2, 6), ``port`` (2, 7); ``work`` (WORK, 7)."""
+    pose_A, pose_P = work[0], work[1]
+    arm, u_A, w_A, u_P, w_P, d, s = work[2], work[3], work[4], work[5], work[6], work[7], work[8]
+    _port_state(q[CHASER], v[CHASER], port[CHASER], pose_A, arm, u_A, w_A)
+    _port_state(q[TARGET], v[TARGET], port[TARGET], pose_P, arm, u_P, w_P)
+    pose_between(pose_P, pose_A, pose)
+    for j in range(3):
+        d[j] = pose_A[j] - pose_P[j]
+    cross(w_P, d, s)
+    for j in range(3):
+        u_A[j] -= u_P[j] + s[j]
+        w_A[j] -= w_P[j]
+    rotate_back(pose_P[3:7], u_A, twist[0:3])
+    rotate_back(pose_P[3:7], w_A, twist[3:6])
+
+
+@njit(cache=True)
+def load_bodies(q, port, wrench, work, tau):
+    """One run: generalised forces ``tau`` (2, 6), force in inertial axes and torque about the centre of mass in body axes, of
+    ``wrench`` (6,), active on passive, in P at P's origin; ``work`` (WORK, 7)."""
+    attitude, force, torque, arm, point, moment = work[0], work[1], work[2], work[3], work[4], work[5]
+    quat_mul(q[TARGET, 3:7], port[TARGET, 3:7], attitude)
+    rotate(attitude, wrench[0:3], force)
+    rotate(attitude, wrench[3:6], torque)
+    rotate(q[TARGET, 3:7], port[TARGET, 0:3], arm)
+    for j in range(3):
+        point[j] = q[TARGET, j] + arm[j]
+    for b in range(2):
+        sign = 1.0 if b == TARGET else -1.0
+        for j in range(3):
+            arm[j] = point[j] - q[b, j]
+        cross(arm, force, moment)
+        for j in range(3):
+            tau[b, j] = sign * force[j]
+            moment[j] = sign * (moment[j] + torque[j])
+        rotate_back(q[b, 3:7], moment, tau[b, 3:6])
+
+
+@njit(cache=True)
 def _relative(q, v, port, pose, twist):
-    pose_A, pose_P = np.empty(7), np.empty(7)
-    arm, u_A, w_A, u_P, w_P, d, s = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    work = np.empty((WORK, 7))
     for i in range(q.shape[0]):
-        _port_state(q[i, CHASER], v[i, CHASER], port[i, CHASER], pose_A, arm, u_A, w_A)
-        _port_state(q[i, TARGET], v[i, TARGET], port[i, TARGET], pose_P, arm, u_P, w_P)
-        pose_between(pose_P, pose_A, pose[i])
-        for j in range(3):
-            d[j] = pose_A[j] - pose_P[j]
-        cross(w_P, d, s)
-        for j in range(3):
-            u_A[j] -= u_P[j] + s[j]
-            w_A[j] -= w_P[j]
-        rotate_back(pose_P[3:7], u_A, twist[i, 0:3])
-        rotate_back(pose_P[3:7], w_A, twist[i, 3:6])
+        relative_motion(q[i], v[i], port[i], work, pose[i], twist[i])
 
 
 @njit(cache=True)
 def _load(q, port, wrench, tau):
-    """Generalised forces of both bodies: force in inertial axes, torque about the centre of mass in body axes."""
-    attitude = np.empty(4)
-    force, torque, arm, point, moment = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    work = np.empty((WORK, 7))
     for i in range(q.shape[0]):
-        quat_mul(q[i, TARGET, 3:7], port[i, TARGET, 3:7], attitude)
-        rotate(attitude, wrench[i, 0:3], force)
-        rotate(attitude, wrench[i, 3:6], torque)
-        rotate(q[i, TARGET, 3:7], port[i, TARGET, 0:3], arm)
-        for j in range(3):
-            point[j] = q[i, TARGET, j] + arm[j]
-        for b in range(2):
-            sign = 1.0 if b == TARGET else -1.0
-            for j in range(3):
-                arm[j] = point[j] - q[i, b, j]
-            cross(arm, force, moment)
-            for j in range(3):
-                tau[i, b, j] = sign * force[j]
-                moment[j] = sign * (moment[j] + torque[j])
-            rotate_back(q[i, b, 3:7], moment, tau[i, b, 3:6])
+        load_bodies(q[i], port[i], wrench[i], work, tau[i])
