@@ -10,14 +10,14 @@ from hiltestbed.recording import FAILURE, read_run
 from hiltestbed.snapshot import restore
 
 
-def replay(folder: str | Path) -> tuple[Loop, tuple[int, str]]:
+def replay(folder: str | Path) -> tuple[Loop, tuple[int, str, str]]:
     """Run a failed run's loop again from its saved state to its failure.
 
     Args:
         folder: the folder of a run that diverged or was stopped.
 
     Returns:
-        The loop as it stands after the tick that failed, and (tick, what went wrong), the same as in the first place.
+        The loop as it stands after the tick that failed, and (tick, status, what went wrong), the same as in the first place.
 
     Raises:
         InputError: the run did not fail, or its failure does not come again (other versions than those in its summary).

@@ -19,6 +19,7 @@ from hiltestbed.frames import Array
 from hiltestbed.identification import make_identification
 from hiltestbed.metrics import Tally
 from hiltestbed.rig.plant import Plant
+from hiltestbed.safety import Safety
 from hiltestbed.scenario import Scenario
 from hiltestbed.sensor import Sensor
 from hiltestbed.signals import Trace
@@ -31,8 +32,8 @@ class Loop:
 
     Attributes:
         k: the tick to come.
-        alive: ``(n,)`` runs that go on; a run that diverged is left where it was.
-        trouble: run to (tick, what went wrong).
+        alive: ``(n,)`` runs that go on; of one that diverged or was stopped no more rows count.
+        trouble: run to (tick, status, what went wrong).
         measurement: what the compensation and the identification know at t_k.
     """
 
@@ -45,9 +46,10 @@ class Loop:
         self.drive = make_drive(scenarios)
         self.motion = MotionCommand(scenarios)
         self.tally = Tally(scenarios)
+        self.safety = Safety(scenarios)
         self.k = 0
         self.alive = np.ones(n, dtype=bool)
-        self.trouble: dict[int, tuple[int, str]] = {}
+        self.trouble: dict[int, tuple[int, str, str]] = {}
         self._pose_before = self.drive.pose.copy()
         self.plant.reset(self.drive.pose, self.drive.twist)
         self.motion.start(self.drive.twist)
@@ -75,8 +77,9 @@ class Loop:
         self.tally.update(k, (wrench, plant.pose_act, plant.twist_act, plant.contact), self._pose_before, (drive.wrench, drive.twist))
         if trace is not None:
             self.write(trace)
-        if _lost(drive.pose, POSE_LIMIT, self.alive) or plant.diverged.any():
-            self._end_lost_runs()
+        passed = self.safety.passed(plant.slider_act, plant.pose_act, self._pose_before, plant.wrench_sub, self.tally.energy)
+        if passed or _lost(drive.pose, POSE_LIMIT, self.alive) or plant.diverged.any():
+            self._end_runs()
         plant.advance(drive.pose, self.motion.twist, self.motion.acceleration)
         self.k = k + 1
 
@@ -96,20 +99,31 @@ class Loop:
         data["damping_est"][k] = self.measurement.damping
         trace.contact[k] = self.plant.contact
 
-    def _end_lost_runs(self) -> None:
+    def _end_runs(self) -> None:
+        """End the runs that diverged or passed a safety limit at this tick."""
         for i in np.flatnonzero(self.alive):
+            reason = self.safety.reason(i)
             if self.plant.diverged[i]:
-                self.trouble[int(i)] = (self.k, self.plant.divergence(i))
+                self.trouble[int(i)] = (self.k, "diverged", self.plant.divergence(i))
             elif not np.all(np.abs(self.drive.pose[i]) <= POSE_LIMIT):
                 where = ", ".join(f"{v:.3g}" for v in self.drive.pose[i, :3])
-                self.trouble[int(i)] = (self.k, f"the numerical model's relative position left {POSE_LIMIT:g} m (px, py, pz = {where} m)")
+                self.trouble[int(i)] = (self.k, "diverged", f"relative position px, py, pz = {where} m (limit {POSE_LIMIT:g} m)")
+            elif reason is not None:
+                self.trouble[int(i)] = (self.k, "stopped", reason)
             else:
                 continue
             self.alive[i] = False
 
     def buffers(self) -> dict[str, dict[str, Array]]:
         """The arrays of every block: the state of the loop between two ticks."""
-        blocks = {"plant": self.plant, "sensor": self.sensor, "drive": self.drive, "motion": self.motion, "tally": self.tally}
+        blocks = {
+            "plant": self.plant,
+            "sensor": self.sensor,
+            "drive": self.drive,
+            "motion": self.motion,
+            "tally": self.tally,
+            "safety": self.safety,
+        }
         if self.identification:
             blocks["identification"] = self.identification
         return {name: block.buffers() for name, block in blocks.items()}

@@ -145,6 +145,19 @@ class Sensor(Strictly):
     torque_range: Positive | None = Field(default=None, description="each torque axis clips here [N m]; null: none")
 
 
+class Safety(Strictly):
+    """Limits past which the run stops; null: not watched."""
+
+    stroke: Positive | None = Field(0.72, description="of a slider from home [m]; the travel of the 3-3 PSS platform's")
+    speed: Positive | None = Field(2.0, description="of a slider [m/s]")
+    acceleration: Positive | None = Field(None, description="of a slider [m/s^2]")
+    limb_angle_deg: Positive | None = Field(50.0, description="between a link and its slider [deg]; past it the drives lose their grip")
+    tracking_error: Positive | None = Field(None, description="distance between the pose commanded and reached [m]")
+    force: Positive | None = Field(5.0e4, description="on the sensor [N]")
+    torque: Positive | None = Field(5.0e4, description="on the sensor, at P's origin [N m]")
+    energy: Positive | None = Field(None, description="that the rig may create in a run [J]")
+
+
 class NoForceCompensation(Strictly):
     """The numerical model is driven with the measured wrench as it is."""
 
@@ -217,6 +230,7 @@ class Scenario(Strictly):
     sensor: Sensor = Sensor()
     compensation: Compensation = Compensation()
     identification: Identification = Rls()
+    safety: Safety = Safety()
     effects: Annotated[tuple[dict[str, Any], ...], Field(strict=False)] = Field(
         default=(), description="departures from the nominal rig: {kind: ID, parameter: value}"
     )

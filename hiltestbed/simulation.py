@@ -44,7 +44,7 @@ class Batch:
 
     scenarios: Sequence[Scenario]
     figures: list[ContactFigures]
-    trouble: dict[int, tuple[int, str]]
+    trouble: dict[int, tuple[int, str, str]]
     identification: list[dict[str, Any]]
     ticks: int
     wall: float
@@ -100,7 +100,7 @@ def simulate(
         progress(loop.k, ticks)
     if rows is not None:
         rows.length[:] = loop.k
-        for i, (k, _) in loop.trouble.items():
+        for i, (k, *_) in loop.trouble.items():
             rows.length[i] = k + 1
     return Batch(
         scenarios=scenarios,
@@ -123,6 +123,7 @@ def reference_scenario(scenario: Scenario) -> Scenario:
     data["sensor"] = {}
     data["compensation"] = {"force": {"kind": "none"}, "motion": {"kind": "none"}}
     data["identification"] = {"kind": "none"}
+    data["safety"] = dict.fromkeys(data["safety"])  # nothing is watched
     data["rig"]["platform"]["tracking"] = "ideal"
     data["effects"] = [e for e in data["effects"] if e["kind"].startswith("contact.")]
     return scenario_from(data)
@@ -160,8 +161,8 @@ def _run(batch: Batch, reference: Batch, i: int) -> Run:
         "scenario_sha256": scenario_sha256(scenario),
         "seed": scenario.seed,
         "versions": versions(),
-        "status": "diverged" if trouble else "completed",
-        "stop_reason": f"tick {trouble[0]}, t = {trouble[0] / scenario.rate:.6f} s: {trouble[1]}" if trouble else None,
+        "status": trouble[1] if trouble else "completed",
+        "stop_reason": f"tick {trouble[0]}, t = {trouble[0] / scenario.rate:.6f} s: {trouble[2]}" if trouble else None,
         "cor": cor,
         "cor_reference": cor_reference,
         "cor_log_error": log_error(cor, cor_reference),

@@ -76,17 +76,20 @@ def test_a_folder_with_other_things_in_it_is_refused_untouched(short_run, tmp_pa
     assert [p.name for p in tmp_path.iterdir()] == ["notes.txt"]
 
 
+UNWATCHED = {f"safety.{limit}": None for limit in ("stroke", "speed", "limb_angle_deg", "force", "torque")}
+
+
 def test_a_divergence_says_when_and_why_and_can_be_replayed(tmp_path: Path) -> None:
     """A spring of 1e12 N/m felt 5 ms late throws the bodies apart at some 1e6 m/s: the model leaves the room in the next tick."""
     scenario = load_scenario(
         SCENARIOS / "04-bumper-delay-compensated.yaml",
-        set={"rig.platform.tracking": "ideal", "mechanism.contact.stiffness": 1e12, "compensation.force": {"kind": "none"}},
+        set={"rig.platform.tracking": "ideal", "mechanism.contact.stiffness": 1e12, "compensation.force": {"kind": "none"}} | UNWATCHED,
     )
     failed = run(scenario)
     assert failed.summary["status"] == "diverged"
     assert "tick" in failed.summary["stop_reason"]
     folder = write_run(failed, tmp_path / "failed", rerun=False)
-    loop, (tick, reason) = replay(folder)
+    loop, (tick, _, reason) = replay(folder)
     assert f"tick {tick}," in failed.summary["stop_reason"]
     assert reason in failed.summary["stop_reason"]
     assert failed.trace is not None
@@ -99,7 +102,7 @@ def test_a_run_that_diverges_leaves_the_others_of_its_batch_alone() -> None:
     base = load_scenario(SCENARIOS / "04-bumper-delay-compensated.yaml", set={"rig.platform.tracking": "ideal", "duration": 0.6})
     wild = load_scenario(
         SCENARIOS / "04-bumper-delay-compensated.yaml",
-        set={"rig.platform.tracking": "ideal", "duration": 0.6, "mechanism.contact.stiffness": 1e12, "seed": 9},
+        set={"rig.platform.tracking": "ideal", "duration": 0.6, "mechanism.contact.stiffness": 1e12, "seed": 9} | UNWATCHED,
     )
     alone = simulate([base], trace=True).trace
     batch = simulate([wild, base], trace=True)

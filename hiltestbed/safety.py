@@ -1,0 +1,107 @@
+"""The rig's safety limits: past one, the run stops within the tick.
+
+What is watched is what the rig's own electronics watch: the sliders and limbs of the platform, how well it follows, the sensor's
+load before any delay (its overload relay is analogue), and the energy that the rig has created so far,
+the integral of ``F . v_act - F_used . v_cmd``. A delay makes energy from the first millimetre of penetration on, long before the
+force is large: the energy limit stops a loop that diverges while the hardware is still unharmed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numba import njit
+
+from hiltestbed.frames import Array
+from hiltestbed.rig.kinematics import Platform, slider
+from hiltestbed.scenario import Scenario
+
+LIMITS = ("stroke", "speed", "acceleration", "limb_angle_deg", "tracking_error", "force", "torque", "energy")
+_UNITS = ("m", "m/s", "m/s^2", "deg", "m", "N", "N m", "J")
+_SAID = (
+    "a slider stands {value:.4g} m from home",
+    "a slider moves at {value:.4g} m/s",
+    "a slider accelerates at {value:.4g} m/s^2",
+    "a limb leans {value:.4g} deg from its slider",
+    "the platform is {value:.4g} m from where it was commanded",
+    "the sensor carries {value:.4g} N",
+    "the sensor carries {value:.4g} N m",
+    "the rig has created {value:.4g} J",
+)
+
+
+class Safety:
+    """The watch over ``n`` runs.
+
+    Attributes:
+        quantities: ``(n, 8)`` the largest value at this tick of each quantity in :data:`LIMITS`.
+    """
+
+    def __init__(self, scenarios: Sequence[Scenario]) -> None:
+        n = len(scenarios)
+        self._tick = 1.0 / scenarios[0].rate
+        limits = [[getattr(s.safety, name) for name in LIMITS] for s in scenarios]
+        self._limits = np.array([[math.inf if limit is None else limit for limit in row] for row in limits])
+        self._limbs = Platform.load().limbs
+        self.quantities = np.zeros((n, len(LIMITS)))
+        self._sliders = np.zeros((n, 2, 6))  # positions and speeds at the tick before
+        self._ticks = np.zeros(n, dtype=np.int64)
+
+    def passed(self, sliders: Array, pose: Array, pose_before: Array, wrench_sub: Array, energy: Array) -> bool:
+        """Whether a run has passed a limit at this tick.
+
+        Args:
+            sliders: ``(n, 6)`` reached. pose: ``(n, 7)`` reached. pose_before: ``(n, 7)`` that had been commanded for this tick.
+            wrench_sub: ``(n, m, 6)`` physical wrench over the tick. energy: ``(n,)`` created so far [J].
+        """
+        return _watch(
+            self._tick, self._limbs, sliders, pose, pose_before, wrench_sub, energy,
+            self._ticks, self._sliders, self.quantities, self._limits,
+        )  # fmt: skip
+
+    def reason(self, i: int) -> str | None:
+        """Which limit run ``i`` has passed, by how much; None when it has passed none."""
+        for j, name in enumerate(LIMITS):
+            value, limit = self.quantities[i, j], self._limits[i, j]
+            if value > limit:
+                return f"{_SAID[j].format(value=value)}; safety.{name} is {limit:g} {_UNITS[j]}"
+        return None
+
+    def buffers(self) -> dict[str, Array]:
+        return {"quantities": self.quantities, "sliders": self._sliders, "ticks": self._ticks}
+
+
+@njit(cache=True)
+def _watch(h, limbs, sliders, pose, pose_before, wrench_sub, energy, ticks, before, q, limits):
+    passed = False
+    arm = np.empty(3)
+    for i in range(sliders.shape[0]):
+        q[i] = 0.0
+        for j in range(6):
+            speed = (sliders[i, j] - before[i, 0, j]) / h if ticks[i] > 0 else 0.0
+            acceleration = (speed - before[i, 1, j]) / h if ticks[i] > 1 else 0.0
+            before[i, 0, j], before[i, 1, j] = sliders[i, j], speed
+            q[i, 0] = max(q[i, 0], abs(sliders[i, j]))
+            q[i, 1] = max(q[i, 1], abs(speed))
+            q[i, 2] = max(q[i, 2], abs(acceleration))
+            s = slider(limbs[j], pose[i], arm)
+            along = 0.0
+            for c in range(3):
+                along += limbs[j, 3 + c] * (pose[i, c] + arm[c] - limbs[j, c])
+            lean = math.acos(min(max((along - s) / limbs[j, 9], -1.0), 1.0))
+            q[i, 3] = max(q[i, 3], math.degrees(lean))
+        error = 0.0
+        for c in range(3):
+            error += (pose_before[i, c] - pose[i, c]) ** 2
+        q[i, 4] = math.sqrt(error)
+        for s in range(wrench_sub.shape[1]):
+            w = wrench_sub[i, s]
+            q[i, 5] = max(q[i, 5], math.sqrt(w[0] ** 2 + w[1] ** 2 + w[2] ** 2))
+            q[i, 6] = max(q[i, 6], math.sqrt(w[3] ** 2 + w[4] ** 2 + w[5] ** 2))
+        q[i, 7] = energy[i]
+        ticks[i] += 1
+        for c in range(q.shape[1]):
+            passed = passed or q[i, c] > limits[i, c]
+    return passed
