@@ -6,6 +6,7 @@ A reader is a function ``read(path, wanted) -> Columns``; it loads the columns i
 from __future__ import annotations
 
 import difflib
+import struct
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,6 +17,8 @@ from hiltestbed.errors import Fault, InputError
 from hiltestbed.frames import Array
 from hiltestbed.signals import GROUPS
 
+# What the parsers of foreign formats raise when the bytes are not what the header promises, beside errors of their own.
+BROKEN = (OSError, EOFError, ValueError, LookupError, TypeError, AttributeError, RuntimeError, OverflowError, struct.error)
 SAMPLE_LIMIT = 32_000_000  # numbers that one file may bring into memory: 256 MB
 
 

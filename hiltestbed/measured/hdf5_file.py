@@ -8,7 +8,7 @@ from typing import Any
 
 from hiltestbed.errors import MissingExtra
 from hiltestbed.frames import Array
-from hiltestbed.measured.columns import Columns, as_numbers, refuse_large, split_matrix, unreadable
+from hiltestbed.measured.columns import BROKEN, Columns, as_numbers, refuse_large, split_matrix, unreadable
 
 
 def read(path: Path, wanted: Set[str]) -> Columns:
@@ -33,7 +33,7 @@ def read_datasets(path: Path, wanted: Set[str], take: Callable[[Any, tuple[int, 
             here = [name for name in found if name in wanted]
             refuse_large(path, max((max(found[n][0].shape) for n in here), default=0), len(here))
             data = {name: as_numbers(path, name, take(*found[name])) for name in here}
-    except OSError as error:
+    except BROKEN as error:
         raise unreadable(path, f"is not a whole HDF5 file ({error})", "copy or record it again") from error
     return Columns(tuple(found), data)
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from hiltestbed.frames import Array
-from hiltestbed.measured.columns import Columns, as_numbers, refuse_large, split_matrix, unreadable
+from hiltestbed.measured.columns import BROKEN, Columns, as_numbers, refuse_large, split_matrix, unreadable
 from hiltestbed.measured.hdf5_file import read_datasets
 
 HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
@@ -43,7 +43,7 @@ def _read_version_5(path: Path, wanted: Set[str]) -> Columns:
         needed = [v for v, shape in variables.items() if shape == (1, 1) or any(n == v or n.startswith(f"{v}.") for n in wanted)]
         refuse_large(path, sum(int(np.prod(variables[v])) for v in needed), 1)
         content = scipy.io.loadmat(path, variable_names=needed, simplify_cells=True)
-    except (MatReadError, ValueError, TypeError, OSError, NotImplementedError, EOFError, IndexError, KeyError) as error:
+    except (MatReadError, *BROKEN) as error:
         raise unreadable(path, f"is not a whole MATLAB file ({error})", "save it again, with -v7 or -v7.3") from error
     found: dict[str, tuple[np.ndarray, tuple[int, ...]]] = {}
     for name in needed:

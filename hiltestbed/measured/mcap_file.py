@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from hiltestbed.errors import MissingExtra
-from hiltestbed.measured.columns import SAMPLE_LIMIT, Columns, refuse_large, unreadable
+from hiltestbed.measured.columns import BROKEN, SAMPLE_LIMIT, Columns, refuse_large, unreadable
 
 
 def read(path: Path, wanted: Set[str]) -> Columns:
@@ -18,6 +18,7 @@ def read(path: Path, wanted: Set[str]) -> Columns:
     try:
         from mcap.exceptions import McapError
         from mcap.reader import make_reader
+        from zstandard import ZstdError
     except ImportError as error:
         raise MissingExtra(f"{path}: MCAP", "mcap") from error
     samples: dict[str, list[tuple[int, float]]] = {}
@@ -37,7 +38,7 @@ def read(path: Path, wanted: Set[str]) -> Columns:
                         count += 1
                 if count > SAMPLE_LIMIT // 8:  # a Python tuple is some eight times the number in it
                     refuse_large(path, count, 8)
-    except (McapError, ValueError, EOFError, OSError) as error:
+    except (McapError, ZstdError, *BROKEN) as error:
         raise unreadable(path, f"is not a whole MCAP file ({error})", "copy or record it again") from error
     data = {name: np.array([value for _, value in kept]) for name, kept in samples.items() if kept}
     clock = {name: np.array([stamp for stamp, _ in kept], dtype=np.float64) * 1e-9 for name, kept in samples.items() if kept}

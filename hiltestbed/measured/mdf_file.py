@@ -6,7 +6,7 @@ from collections.abc import Set
 from pathlib import Path
 
 from hiltestbed.errors import MissingExtra
-from hiltestbed.measured.columns import Columns, as_numbers, refuse_large, unreadable
+from hiltestbed.measured.columns import BROKEN, Columns, as_numbers, refuse_large, unreadable
 
 
 def read(path: Path, wanted: Set[str]) -> Columns:
@@ -27,7 +27,7 @@ def read(path: Path, wanted: Set[str]) -> Columns:
                     raise unreadable(path, f"has channel {name!r} in {len(places[name])} groups", "export it once, under one name")
             refuse_large(path, max((file.groups[places[n][0][0]].channel_group.cycles_nr for n in here), default=0), 2 * len(here))
             signals = {name: file.get(name, *places[name][0]) for name in here}
-    except (MdfException, OSError, ValueError, KeyError, IndexError) as error:
+    except (MdfException, *BROKEN) as error:
         raise unreadable(path, f"is not a whole MDF file ({error})", "copy or export it again") from error
     data = {name: as_numbers(path, name, signal.samples) for name, signal in signals.items()}
     clock = {name: as_numbers(path, name, signal.timestamps) for name, signal in signals.items()}

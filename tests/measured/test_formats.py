@@ -173,7 +173,7 @@ def test_a_large_csv_is_refused_before_it_is_read(tmp_path: Path) -> None:
     assert path.stat().st_size > 2e6
     with path.open("r+b") as file:
         file.truncate(2_000_000_000)
-    with pytest.raises(InputError, match="too large.*allowed are"):
+    with pytest.raises(InputError, match=r"too large.*allowed are"):
         load_dataset(bounce.write_dataset(tmp_path, files=("run.csv",)))
 
 
