@@ -1,4 +1,4 @@
-"""The command line: `hiltestbed run | check | schema | view`.
+"""The command line: `hiltestbed run | check | schema | view | bench | sweep`.
 
 Exit status: 0 done; 2 bad input; 3 the simulation diverged or a safety limit stopped it; 1 anything else that failed. Results go to
 standard output, progress and messages to standard error. A command imports what it needs when it runs, so that --help is quick.
@@ -10,11 +10,14 @@ import json
 import os
 import sys
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from hiltestbed.errors import HiltestbedError, InputError
+
+if TYPE_CHECKING:
+    from hiltestbed.scenario import Scenario
 
 app = typer.Typer(
     help="A hardware-in-the-loop contact simulator for spacecraft docking, in software.",
@@ -50,15 +53,14 @@ def run(
     sets: Sets = None,
     no_rerun: Annotated[bool, typer.Option("--no-rerun", help="Leave recording.rrd out.")] = False,
     as_json: Json = False,
+    case: Annotated[int | None, typer.Option("--case", metavar="N", help="Run case N of a campaign in full.")] = None,
 ) -> None:
-    """Run one scenario and write its run folder."""
+    """Run one scenario, or one case of a campaign, and write its run folder."""
     from hiltestbed.progress import progress_bar
-    from hiltestbed.scenario import scenario_from
-    from hiltestbed.shipped import find_scenario
-    from hiltestbed.yaml_source import read_source
 
-    spec = scenario_from(_scenario_source(read_source(find_scenario(scenario))), set=overrides(sets))
-    folder = out if out is not None else free_folder(Path("runs") / safe_name(spec.name))
+    spec = _scenario(scenario, sets, case)
+    label = spec.name if case is None else f"{scenario.stem}-case-{case}"
+    folder = out if out is not None else free_folder(Path("runs") / safe_name(label))
 
     from hiltestbed.recording import refuse_foreign, write_run
     from hiltestbed.simulation import run as simulate
@@ -95,6 +97,14 @@ def check(
             print("\n".join(str(fault) for fault in faults) if faults else f"{file}: {kind}: no faults")
     if any(faults for _, _, faults in found):
         raise typer.Exit(2)
+
+
+@app.command()
+def view(run: Annotated[Path, typer.Argument(metavar="RUN", help="A run folder, or a recording.")]) -> None:
+    """Open a run in the rerun viewer."""
+    from hiltestbed.viewer import view as show
+
+    show(run)
 
 
 @app.command()
@@ -139,6 +149,39 @@ def bench(
         print_lines(f"bench {name}", result.lines, folder)
 
 
+@app.command()
+def sweep(
+    campaign: Annotated[Path, typer.Argument(metavar="CAMPAIGN", help="Campaign file.")],
+    out: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Folder of the results; left out: results/NAME.")] = None,
+    sets: Sets = None,
+    workers: Annotated[int | None, typer.Option("--workers", metavar="N", help="Processes on this machine; left out: one a core.")] = None,
+    scheduler: Annotated[str | None, typer.Option("--scheduler", metavar="ADDRESS", help="Dask scheduler, tcp://host:8786.")] = None,
+    chunk: Annotated[int, typer.Option("--chunk", metavar="N", help="Cases in lockstep, and on disk, at a time.")] = 64,
+    as_json: Json = False,
+) -> None:
+    """Run a campaign; run again with the same --out, it goes on where it stopped."""
+    from hiltestbed.campaign.schema import load_campaign
+    from hiltestbed.campaign.sweep import sweep as run_sweep
+    from hiltestbed.progress import case_bar
+
+    if workers is not None and scheduler is not None:
+        raise InputError("--workers is for this machine and --scheduler for a cluster; allowed is one of the two")
+    spec = load_campaign(campaign, overrides(sets))
+    folder = out if out is not None else Path("results") / safe_name(spec.spec.name or campaign.stem)
+    workers = workers if workers is not None else len(os.sched_getaffinity(0))
+    try:
+        with case_bar() as progress:
+            result = run_sweep(spec, folder, workers=workers, scheduler=scheduler, chunk=chunk, progress=progress)
+    except KeyboardInterrupt:
+        raise HiltestbedError(f"interrupted; what is finished lies in {folder}, the same command goes on from there") from None
+    if as_json:
+        print(json.dumps(result.about | {"folder": str(folder)}, allow_nan=False))
+    else:
+        from hiltestbed.table import print_sweep
+
+        print_sweep(result.about, folder)
+
+
 def overrides(sets: list[str] | None) -> dict[str, Any]:
     """`["a.b=1"]` as `{"a.b": "1"}`. Raises InputError for what has no `=`."""
     result = {}
@@ -150,15 +193,26 @@ def overrides(sets: list[str] | None) -> dict[str, Any]:
     return result
 
 
-def _scenario_source(source: Any) -> Any:
-    """The source, unless it is another kind of file, which is said before it is taken for a scenario full of faults."""
+def _scenario(file: Path, sets: list[str] | None, case: int | None) -> Scenario:
+    """The scenario in a file, or of one case of the campaign in it; another kind of file is named, not taken for a faulty scenario."""
     from hiltestbed.check import file_kind
+    from hiltestbed.scenario import scenario_from
+    from hiltestbed.shipped import find_scenario
+    from hiltestbed.yaml_source import read_source
 
+    source = read_source(find_scenario(file))
     kind = file_kind(source)
+    if kind == "campaign" and case is not None:
+        from hiltestbed.campaign.schema import campaign_from
+        from hiltestbed.campaign.sweep import case_scenario
+
+        return case_scenario(campaign_from(source), case, overrides(sets))
+    if case is not None:
+        raise InputError(source.fault((), f"is a {kind} (got its keys); --case is for campaigns"))
     if kind != "scenario":
-        other = {"campaign": "hiltestbed sweep FILE", "dataset": "hiltestbed diagnose FILE"}[kind]
-        raise InputError(source.fault((), f"is a {kind} (got its keys); a scenario is expected here, a {kind} is for `{other}`"))
-    return source
+        other = {"campaign": "sweep FILE` or `hiltestbed run FILE --case N", "dataset": "diagnose FILE"}[kind]
+        raise InputError(source.fault((), f"is a {kind} (got its keys); a scenario is expected here; for a {kind}: `hiltestbed {other}`"))
+    return scenario_from(source, overrides(sets))
 
 
 def free_folder(path: Path) -> Path:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 
 QUIET = 1.0  # [s] a run that ends within it shows nothing
@@ -23,6 +23,36 @@ def count_bar(name: str) -> Iterator[Callable[[int, int], None]]:
     """A callback (parts done, parts in all)."""
     with _bar_or_lines(name, lambda part: f"{100.0 * part:.0f} % done") as update:
         yield update
+
+
+@contextmanager
+def case_bar() -> Iterator[Callable[[int, int, Mapping[str, int]], None]]:
+    """A callback (cases done, cases in all, how many ended in which status) that tells rate and time left, from this session alone."""
+    start = shown = time.monotonic()
+    first: int | None = None
+    terminal = sys.stderr.isatty()
+
+    def update(done: int, total: int, statuses: Mapping[str, int]) -> None:
+        nonlocal shown, first
+        now = time.monotonic()
+        ran = sum(statuses.values())
+        first = done - ran if first is None else first
+        if not terminal and now - shown < LOG_INTERVAL and done < total:
+            return
+        shown = now
+        rate = ran / max(now - start, 1e-9)
+        before = f" ({first} from before)" if first else ""
+        odd = "".join(f", {count} {status}" for status, count in statuses.items() if status != "completed")
+        left = f"{(total - done) / rate:.0f} s left" if rate > 0 else ""
+        line = f"{done} of {total} cases{before}, {rate:.1f} a second, {left}{odd}"
+        sys.stderr.write(f"\r\x1b[K{line}" if terminal else f"{line}\n")
+        sys.stderr.flush()
+
+    try:
+        yield update
+    finally:
+        if terminal and first is not None:
+            sys.stderr.write("\n")
 
 
 @contextmanager

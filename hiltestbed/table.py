@@ -37,6 +37,16 @@ def print_lines(title: str, lines: list[tuple[str, str]], folder: Path) -> None:
     console.print(f"report: {folder / 'report.html'}", soft_wrap=True, markup=False)
 
 
+def print_sweep(about: dict[str, Any], folder: Path) -> None:
+    """Prints how a campaign ended to standard output, and where its results lie."""
+    wall = about["wall"]
+    lines = [(status, str(count)) for status, count in sorted(about["counts"].items(), key=lambda item: -item[1])]
+    lines.append(("last session", f"{wall['last_session_cases']} cases in {wall['last_session']:.1f} s"))
+    lines.append(("engine", f"{about['engine']}, chunks of {about['chunk']}"))
+    lines.append(("results", str(folder / "cases.parquet")))
+    print_lines(f"{about['name']}: {about['cases']} cases, {about['status']}", lines, folder)
+
+
 def _figures(summary: dict[str, Any]) -> Table:
     table = _table(f"{summary['name']}: {summary['status']}", header=False)
     table.add_column("figure")

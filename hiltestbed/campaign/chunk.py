@@ -37,18 +37,13 @@ def run_chunk(campaign: LoadedCampaign, cases: Sequence[int]) -> ChunkResult:
     scenarios: list[tuple[int, Scenario]] = []
     for case in cases:
         try:
-            scenarios.append((case, case_scenario(campaign, values[case])))
+            scenarios.append((case, scenario_from(campaign.source, values[case])))
         except InputError as error:
             result.rows.append(row(campaign.spec, case, values[case], None, str(error), None))
     for group in lockstep_groups(scenarios, _group_size(campaign, scenarios)):
         _run_group(campaign, group, values, result)
     result.wall = time.perf_counter() - start
     return result
-
-
-def case_scenario(campaign: LoadedCampaign, values: dict[str, Any]) -> Scenario:
-    """The scenario of one case. Raises InputError where the values do not go together."""
-    return scenario_from(campaign.source, values)
 
 
 def _group_size(campaign: LoadedCampaign, scenarios: list[tuple[int, Scenario]]) -> int:

@@ -1,0 +1,171 @@
+"""One map, three engines: this process, worker processes, a Dask cluster. Each yields chunks as they are finished, in any order.
+
+None holds more than a few chunks at a time: work is handed out as results come back.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import threading
+import time
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from itertools import islice
+
+from hiltestbed.campaign.chunk import ChunkResult, run_chunk
+from hiltestbed.campaign.schema import LoadedCampaign
+from hiltestbed.errors import HiltestbedError, InputError, MissingExtra
+
+Chunk = Sequence[int]
+Results = Generator[ChunkResult, None, None]
+Engine = Callable[[LoadedCampaign, Iterable[Chunk]], Results]
+
+ATTEMPTS = 4  # times a chunk is tried whose worker dies; then the chunk is taken for the cause
+ANSWER = 5.0  # [s] a scheduler has to answer
+
+
+def serial(campaign: LoadedCampaign, chunks: Iterable[Chunk]) -> Results:
+    """Every chunk in this process."""
+    for chunk in chunks:
+        yield run_chunk(campaign, chunk)
+
+
+def processes(workers: int) -> Engine:
+    """The engine of `workers` processes on this machine."""
+
+    def engine(campaign: LoadedCampaign, chunks: Iterable[Chunk]) -> Results:
+        attempts: dict[Chunk, int] = {}
+        waiting = iter(chunks)
+        again: list[Chunk] = []
+        while True:
+            lost = yield from _until_broken(campaign, waiting, again, workers)
+            if not lost:
+                return
+            for chunk in lost:
+                attempts[chunk] = attempts.get(chunk, 0) + 1
+                if attempts[chunk] >= ATTEMPTS:
+                    raise HiltestbedError(
+                        f"cases {min(chunk)} to {max(chunk)}: the worker process died {ATTEMPTS} times (killed, or out of memory); "
+                        "the same command goes on where it stopped, with fewer --workers or a smaller --chunk"
+                    )
+            again = list(lost)
+
+    return engine
+
+
+def _until_broken(campaign: LoadedCampaign, waiting: Iterator[Chunk], again: list[Chunk], workers: int):
+    """Yields results until all is done or a worker dies; returns the chunks that were under way then."""
+    from multiprocessing import get_context
+
+    pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_begin_worker, initargs=(os.getpid(),))
+    running: dict[Future[ChunkResult], Chunk] = {}
+    next_up = list(again)
+    try:
+        while True:
+            next_up += islice(waiting, max(0, 2 * workers - len(running) - len(next_up)))
+            while next_up:
+                running[pool.submit(run_chunk, campaign, next_up[0])] = next_up[0]
+                next_up.pop(0)
+            if not running:
+                return ()
+            for future in wait(running, return_when=FIRST_COMPLETED).done:
+                result = future.result()
+                del running[future]
+                yield result
+    except BrokenProcessPool:
+        return (*running.values(), *next_up)
+    finally:
+        _end(pool)
+
+
+def _end(pool: ProcessPoolExecutor) -> None:
+    """Ends the pool now: a chunk under way is worth less than a prompt return."""
+    children = list((pool._processes or {}).values())
+    pool.shutdown(wait=False, cancel_futures=True)
+    for child in children:
+        child.terminate()
+    for child in children:
+        child.join()
+
+
+def _begin_worker(parent: int) -> None:
+    """A worker leaves Ctrl-C to its parent, and ends when the parent is gone, however it went."""
+    import signal
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(0.5)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+def dask(address: str) -> Engine:
+    """The engine of a Dask cluster whose scheduler is at `address` (`tcp://host:8786`, `tls://...` with Dask's own TLS settings).
+
+    Raises InputError when the scheduler does not answer.
+    """
+    client = _connect(address)
+
+    def engine(campaign: LoadedCampaign, chunks: Iterable[Chunk]) -> Results:
+        try:
+            yield from _on_cluster(client, campaign, iter(chunks))
+        finally:
+            client.close(timeout=2)
+
+    return engine
+
+
+def _connect(address: str):
+    try:
+        from distributed import Client
+    except ImportError:
+        raise MissingExtra("--scheduler", "cluster") from None
+    try:
+        return Client(address, timeout=ANSWER, set_as_default=False)
+    except (OSError, TimeoutError, ValueError, TypeError) as error:
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise InputError(
+            f"--scheduler {address}: does not answer within {ANSWER:.0f} s ({reason}); start one with `dask scheduler` and give its address"
+        ) from None
+
+
+def _on_cluster(client, campaign: LoadedCampaign, waiting: Iterator[Chunk]) -> Iterator[ChunkResult]:
+    from concurrent.futures import CancelledError
+
+    from distributed import KilledWorker, as_completed
+
+    from hiltestbed.versions import versions
+
+    told = False
+    running = as_completed()
+    while True:
+        threads = sum(client.nthreads().values())
+        if not threads and not told:
+            sys.stderr.write("the scheduler has no workers yet; waiting for them (start some with `dask worker ADDRESS --nthreads 1`)\n")
+            told = True
+        for chunk in islice(waiting, max(0, 2 * max(threads, 1) - running.count())):
+            running.add(client.submit(run_chunk_of, campaign, tuple(chunk), versions(), pure=False))
+        if running.is_empty():
+            return
+        try:
+            yield next(running).result()
+        except KilledWorker as error:
+            raise HiltestbedError(f"a chunk has killed every worker that took it ({error}); the same command tries again") from None
+        except CancelledError:
+            raise HiltestbedError("the scheduler was lost; the same command goes on where it stopped") from None
+
+
+def run_chunk_of(campaign: LoadedCampaign, chunk: Chunk, expected: dict[str, str]) -> ChunkResult:
+    """`run_chunk` on a worker elsewhere, which must have the packages that the campaign was begun with."""
+    from hiltestbed.versions import versions
+
+    if versions() != expected:
+        differ = {name: version for name, version in versions().items() if expected.get(name) != version}
+        other = [f"{name} {version} (expected {expected.get(name)})" for name, version in differ.items()]
+        raise HiltestbedError(f"a worker has other versions, whose numbers may differ: {', '.join(other)}")
+    return run_chunk(campaign, chunk)

@@ -1,0 +1,195 @@
+"""The result folder of a campaign while it grows: a chunk counts when its file is on disk, whole, under its final name.
+
+campaign.json      whose folder this is, how far it is, wall times
+chunks/N.parquet   finished cases, N the first of them; gone when cases.parquet is whole
+cases/NNNNNNNN/    what is kept of each case beside its row
+cases.parquet      every case in order, the same bytes whatever the chunks were
+"""
+
+from __future__ import annotations
+
+import fcntl
+import hashlib
+import json
+import os
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from hiltestbed.campaign.chunk import ChunkResult
+from hiltestbed.campaign.columns import schema, table
+from hiltestbed.campaign.schema import LoadedCampaign
+from hiltestbed.errors import InputError
+from hiltestbed.scenario import resolved
+from hiltestbed.versions import versions
+
+ABOUT, CHUNKS, CASES, KEPT, LOCK = "campaign.json", "chunks", "cases.parquet", "cases", ".lock"
+ROW_GROUP = 16384  # rows of cases.parquet written, and held, at a time
+_WALL = b"wall"
+
+
+def campaign_sha256(campaign: LoadedCampaign) -> str:
+    """What decides the results: the resolved scenario, how it varies, and what is kept."""
+    spec = campaign.spec.model_dump(mode="json")
+    identity = {"scenario": resolved(campaign.nominal)} | {key: spec[key] for key in ("vary", "design", "keep")}
+    return hashlib.sha256(json.dumps(identity, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
+
+
+class Store:
+    """The folder of one campaign, held by this process alone."""
+
+    def __init__(self, folder: Path, campaign: LoadedCampaign) -> None:
+        self.folder, self.campaign = folder, campaign
+        self.chunks = folder / CHUNKS
+
+    @classmethod
+    @contextmanager
+    def opened(cls, folder: Path, campaign: LoadedCampaign) -> Iterator[Store]:
+        """The store in `folder`, new or continued. Raises InputError when the folder is another's, in use, or cannot be written."""
+        refuse_another(folder, campaign)
+        store = cls(folder, campaign)
+        try:
+            store.chunks.mkdir(parents=True, exist_ok=True)
+            lock = (folder / LOCK).open("w")
+        except OSError as error:
+            raise InputError(f"{folder}: cannot be written ({error.strerror}); choose another --out") from None
+        with lock:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError:
+                raise InputError(f"{folder}: another sweep is at work in it; wait for its end or choose another --out") from None
+            for leftover in folder.rglob("*.partial"):
+                shutil.rmtree(leftover) if leftover.is_dir() else leftover.unlink()
+            if not (folder / ABOUT).exists():
+                store.write_about({"status": "running"})
+            yield store
+
+    def write_about(self, more: dict[str, Any]) -> None:
+        """campaign.json: whose folder this is, and `more`."""
+        about = {
+            "name": self.campaign.spec.name or self.campaign.path.stem,
+            "campaign": str(self.campaign.path.resolve()),
+            "campaign_sha256": campaign_sha256(self.campaign),
+            "versions": versions(),
+            "cases": self.campaign.spec.cases,
+        }
+        write_whole(self.folder / ABOUT, json.dumps(about | more, indent=2).encode() + b"\n")
+
+    def is_complete(self) -> bool:
+        """Whether every case is in cases.parquet and nothing is left to do."""
+        return read_about(self.folder).get("status") == "complete" and (self.folder / CASES).is_file()
+
+    def done(self) -> np.ndarray:
+        """For each case, whether it is on disk. A chunk that cannot be read (a disk that lied) is removed and does not count."""
+        flags = np.zeros(self.campaign.spec.cases, dtype=bool)
+        for file in self.chunks.glob("*.parquet"):
+            try:
+                flags[_cases_in(file)] = True
+            except (pa.ArrowInvalid, OSError):
+                file.unlink()
+        return flags
+
+    def add(self, result: ChunkResult) -> None:
+        """Puts a finished chunk on disk: what is kept of its cases first, its rows last."""
+        for name, content in result.files.items():
+            path = self.folder / KEPT / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_whole(path, content)
+        rows = table(self.campaign.spec, result.rows).replace_schema_metadata({_WALL: repr(result.wall).encode()})
+        buffer = pa.BufferOutputStream()
+        pq.write_table(rows, buffer, compression="zstd")
+        write_whole(self.chunks / f"{min(result.cases):08d}.parquet", buffer.getvalue().to_pybytes())
+
+    def walls(self) -> list[dict[str, Any]]:
+        """First case, number of cases and wall time [s] of every chunk on disk."""
+        found = []
+        for file in sorted(self.chunks.glob("*.parquet")):
+            metadata = pq.read_schema(file).metadata or {}
+            found.append({"first": int(file.stem), "cases": pq.read_metadata(file).num_rows, "wall": float(metadata.get(_WALL, b"0"))})
+        return found
+
+    def merge(self) -> None:
+        """Writes cases.parquet from the chunks, a row group at a time."""
+        files = [(file, _cases_in(file)) for file in sorted(self.chunks.glob("*.parquet"))]
+        partial = self.folder / f"{CASES}.partial"
+        with pq.ParquetWriter(partial, schema(self.campaign.spec), compression="zstd") as writer:
+            for start in range(0, self.campaign.spec.cases, ROW_GROUP):
+                writer.write_table(_window(files, start, start + ROW_GROUP), row_group_size=ROW_GROUP)
+        _sync(partial)
+        partial.replace(self.folder / CASES)
+        _sync(self.folder)
+
+    def remove_chunks(self) -> None:
+        """Takes the chunks away, once cases.parquet holds what they held."""
+        shutil.rmtree(self.chunks, ignore_errors=True)
+        (self.folder / LOCK).unlink(missing_ok=True)
+
+
+def _cases_in(file: Path) -> np.ndarray:
+    return pq.read_table(file, columns=["case"])["case"].to_numpy()
+
+
+def _window(files: list[tuple[Path, np.ndarray]], start: int, end: int) -> pa.Table:
+    """The rows of cases [start, end), in case order, from whichever chunks hold them."""
+    parts = []
+    for file, cases in files:
+        inside = (cases >= start) & (cases < end)
+        if inside.any():
+            parts.append(pq.read_table(file).filter(pa.array(inside)).replace_schema_metadata(None))
+    return pa.concat_tables(parts).sort_by("case").combine_chunks()
+
+
+def refuse_another(folder: Path, campaign: LoadedCampaign) -> None:
+    """Raises InputError when `folder` holds anything but this campaign, made by these versions; it is left untouched."""
+    if not folder.exists() and not folder.is_symlink():
+        return
+    if not folder.is_dir():
+        raise InputError(f"{folder}: is not a folder; allowed is a new folder or this campaign's own; choose another --out")
+    if not (folder / ABOUT).is_file():
+        if any(folder.iterdir()):
+            raise InputError(f"{folder}: is a folder with other things in it; allowed is a new folder or this campaign's own")
+        return
+    about = read_about(folder)
+    if about.get("campaign_sha256") != campaign_sha256(campaign):
+        raise InputError(
+            f"{folder}: belongs to another campaign (got {about.get('name')!r} from {about.get('campaign')}, with another scenario, vary, "
+            "design or keep); allowed is a new folder or this campaign's own; choose another --out"
+        )
+    if about.get("versions") != versions():
+        before = about.get("versions") or {}
+        changed = ", ".join(name for name, version in versions().items() if before.get(name) != version) or "its packages"
+        raise InputError(f"{folder}: was begun with other versions of {changed}, whose numbers may differ; choose another --out")
+
+
+def read_about(folder: Path) -> dict[str, Any]:
+    """campaign.json of a result folder. Raises InputError when it is not one."""
+    try:
+        about = json.loads((folder / ABOUT).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        raise InputError(f"{folder}: is not a campaign's folder (no readable {ABOUT})") from None
+    return about if isinstance(about, dict) else {}
+
+
+def write_whole(path: Path, content: bytes) -> None:
+    """Writes beside the final name, waits for the disk, renames: the file is there whole or not at all."""
+    partial = path.with_name(path.name + ".partial")
+    with partial.open("wb") as handle:
+        handle.write(content)
+        handle.flush()
+        os.fsync(handle.fileno())
+    partial.replace(path)
+    _sync(path.parent)
+
+
+def _sync(path: Path) -> None:
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)

@@ -1,0 +1,140 @@
+"""A campaign from its file to its result folder; run again, it goes on where it stopped."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hiltestbed.campaign import engines
+from hiltestbed.campaign.designs import case_values
+from hiltestbed.campaign.schema import LoadedCampaign, load_campaign
+from hiltestbed.campaign.store import CASES, Store, read_about, refuse_another
+from hiltestbed.campaign.structure import structural_keys
+from hiltestbed.errors import InputError
+from hiltestbed.scenario import Scenario, scenario_from
+
+CHUNK = 64
+CHUNK_LIMIT = 1024
+Progress = Callable[[int, int, Mapping[str, int]], None]  # cases done, cases in all, how many ended in which status
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """A campaign's results: the folder, and what campaign.json says."""
+
+    folder: Path
+    about: dict[str, Any]
+
+    def cases(self):
+        """cases.parquet as a pyarrow table, one row a case in case order."""
+        import pyarrow.parquet as pq
+
+        return pq.read_table(self.folder / CASES)
+
+
+def sweep(
+    campaign: LoadedCampaign | str | Path,
+    out: str | Path,
+    *,
+    workers: int = 1,
+    scheduler: str | None = None,
+    chunk: int = CHUNK,
+    progress: Progress | None = None,
+) -> Sweep:
+    """Runs every case that `out` does not hold yet, then writes cases.parquet, report.html and campaign.json.
+
+    Raises InputError for a bad campaign, a folder that belongs to something else, or a scheduler that does not answer.
+    """
+    if not isinstance(campaign, LoadedCampaign):
+        campaign = load_campaign(campaign)
+    if not 1 <= chunk <= CHUNK_LIMIT:
+        raise InputError(f"--chunk {chunk}: is out of range; allowed are 1 to {CHUNK_LIMIT} cases")
+    if workers < 1:
+        raise InputError(f"--workers {workers}: is out of range; allowed is 1 or more")
+    refuse_another(Path(out), campaign)
+    if scheduler:
+        engine, name = engines.dask(scheduler), scheduler
+    else:
+        engine, name = (engines.processes(workers), f"{workers} processes") if workers > 1 else (engines.serial, "this process")
+    with Store.opened(Path(out), campaign) as store:
+        if not store.is_complete():
+            counts = _run(store, engine, chunk, progress)
+            _finish(store, name, chunk, *counts)
+    return Sweep(Path(out), read_about(Path(out)))
+
+
+def _run(store: Store, engine: engines.Engine, chunk: int, progress: Progress | None) -> tuple[int, float]:
+    """Runs what is not done yet; returns how many cases that were, and the wall time [s]."""
+    done = store.done()
+    missing = int(done.size - done.sum())
+    start = time.perf_counter()
+    statuses: Counter[str] = Counter()
+    finished = 0
+    with closing(engine(store.campaign, planned_chunks(store.campaign, np.flatnonzero(~done), chunk))) as results:
+        for result in results:
+            store.add(result)
+            finished += len(result.cases)
+            statuses.update(cells["status"] for cells in result.rows)
+            if progress:
+                progress(done.size - missing + finished, done.size, statuses)
+    return missing, time.perf_counter() - start
+
+
+def planned_chunks(campaign: LoadedCampaign, cases: np.ndarray, size: int) -> Iterator[tuple[int, ...]]:
+    """The cases cut in chunks, cases of one structure together and in order."""
+    keys = structural_keys(campaign)
+    if not keys:
+        for start in range(0, len(cases), size):
+            yield tuple(int(n) for n in cases[start : start + size])
+        return
+    open_chunks: dict[str, list[int]] = {}
+    for start in range(0, len(cases), 1024):
+        block = [int(n) for n in cases[start : start + 1024]]
+        for case, values in zip(block, case_values(campaign.spec, block), strict=True):
+            kind = repr([values[key] for key in keys])
+            group = open_chunks.setdefault(kind, [])
+            group.append(case)
+            if len(group) == size:
+                yield tuple(open_chunks.pop(kind))
+    yield from (tuple(group) for group in open_chunks.values())
+
+
+def _finish(store: Store, engine: str, chunk: int, ran: int, wall: float) -> None:
+    """cases.parquet, then the report, then campaign.json; the chunks go last."""
+    import pyarrow.parquet as pq
+
+    from hiltestbed.campaign.report import write_report
+
+    walls = store.walls()
+    store.merge()
+    write_report(store.folder, store.campaign)
+    statuses = pq.read_table(store.folder / CASES, columns=["status"])["status"].value_counts().to_pylist()
+    store.write_about(
+        {
+            "status": "complete",
+            "counts": {entry["values"]: entry["counts"] for entry in statuses},
+            "engine": engine,
+            "chunk": chunk,
+            "wall": {"last_session": wall, "last_session_cases": ran, "work": sum(entry["wall"] for entry in walls), "chunks": walls},
+        }
+    )
+    store.remove_chunks()
+
+
+def case_scenario(campaign: LoadedCampaign, case: int, overrides: Mapping[str, Any] | None = None) -> Scenario:
+    """The scenario of case number `case`, with keys overridden over it. Raises InputError when it cannot be."""
+    if not 0 <= case < campaign.spec.cases:
+        raise InputError(f"--case {case}: is no case of {campaign.path}; allowed are 0 to {campaign.spec.cases - 1}")
+    return scenario_from(campaign.source.with_set(case_values(campaign.spec, [case])[0]), overrides)
+
+
+def read_sweep(folder: str | Path) -> Sweep:
+    """What a campaign's result folder holds. Raises InputError when it is not one."""
+    return Sweep(Path(folder), read_about(Path(folder)))
