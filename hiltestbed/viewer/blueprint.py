@@ -1,0 +1,151 @@
+"""The layout of a recording: the scene at the left, the signals of the contact at the right."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+
+from hiltestbed.frames import Array
+from hiltestbed.simulation import Run
+from hiltestbed.viewer import plots, rig, spacecraft
+
+BACKGROUND = (22, 26, 33)
+BEFORE, AFTER = 0.15, 0.35  # [s] shown around the first contact, at least
+SLOW = 0.1  # of real time, around a contact
+
+
+@dataclass(frozen=True)
+class Facts:
+    """What of a run the layout depends on: ``force_scale`` [m/N] of the arrows."""
+
+    run: Run
+    force_scale: float
+
+    @property
+    def window(self) -> tuple[float, float]:
+        """[s] around the first contact; the whole run where the ports do not touch."""
+        assert self.run.trace is not None
+        t, contact = self.run.trace.t, self.run.trace.contact
+        if not contact.any():
+            return float(t[0]), float(t[-1])
+        first, last = (float(t[i]) for i in np.flatnonzero(contact)[[0, -1]])
+        span = last - first
+        return max(first - max(BEFORE, 0.5 * span), 0.0), min(last + max(AFTER, span), float(t[-1]))
+
+
+def layout(facts: Facts) -> rrb.Blueprint:
+    """The layout as it opens: playing the contact in slow motion."""
+    start, end = facts.window
+    touched = facts.run.trace is not None and bool(facts.run.trace.contact.any())
+    return rrb.Blueprint(
+        rrb.Horizontal(_scenes(facts), _signals(facts), column_shares=[1.25, 1.0]),
+        rrb.TimePanel(
+            timeline="time",
+            playback_speed=SLOW if touched else 1.0,
+            loop_mode=rrb.components.LoopMode.Selection,
+            time_selection=rrb.components.AbsoluteTimeRange(min=round(1e9 * start), max=round(1e9 * end)),
+            state="collapsed",
+        ),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+    )
+
+
+def _scenes(facts: Facts) -> rrb.Vertical:
+    legend = f"force arrow: 1 m is {1.0 / facts.force_scale:g} N"
+    return rrb.Vertical(
+        _scene(f"The rig ({legend})", rig.ROOT, eye=(1.7, -3.3, 0.25), target=(0.0, 0.0, -0.38)),
+        rrb.Horizontal(
+            _scene("At the contact", rig.ROOT, eye=(0.75, -1.25, -0.28), target=(0.0, 0.0, 0.05)),
+            _scene("The two spacecraft of the numerical model", spacecraft.ROOT, eye=(4.4, -6.6, 1.4), target=(0.0, 0.0, 0.0)),
+        ),
+        row_shares=[1.7, 1.0],
+    )
+
+
+def _scene(name: str, origin: str, eye: tuple[float, float, float], target: tuple[float, float, float]) -> rrb.Spatial3DView:
+    return rrb.Spatial3DView(
+        name=name,
+        origin=origin,
+        background=BACKGROUND,
+        line_grid=False,
+        eye_controls=rrb.EyeControls3D(kind=rrb.Eye3DKind.Orbital, position=eye, look_target=target, eye_up=(0.0, 0.0, 1.0)),
+        spatial_information=rrb.SpatialInformation(target_frame=f"tf#/{origin}", show_axes=False, show_bounding_box=False),
+    )
+
+
+def _signals(facts: Facts) -> rrb.Tabs:
+    return rrb.Tabs(
+        rrb.Vertical(
+            _plot(facts, "position_mm/z", "Insertion, z [mm]"),
+            _plot(facts, "force/z", "Contact force, z [N]"),
+            _phases(facts),
+            _plot(facts, "stiffness/z", "Stiffness, z [N/m]", _range(facts, "stiffness")),
+            _plot(facts, "damping/z", "Damping, z [N s/m]", _range(facts, "damping")),
+            _plot(facts, "energy_generated", "Energy made by the rig [J]"),
+            row_shares=[1.0, 1.25, 0.6, 0.9, 0.9, 0.9],
+            name="Contact",
+        ),
+        _six(facts, "Pose", ("position_mm", "Position", "mm"), ("attitude_deg", "Attitude", "deg")),
+        _six(facts, "Wrench", ("force", "Force", "N"), ("torque", "Torque", "N m")),
+        _estimates(facts),
+        rrb.Vertical(
+            _plot(facts, "platform/slider_mm", "Sliders of the platform [mm]"),
+            _plot(facts, "platform/tracking_error_mm", "Tracking error: reached less desired [mm]"),
+            name="Platform",
+        ),
+        rrb.TextDocumentView(name="Figures", origin="figures"),
+        active_tab=0,
+    )
+
+
+def _six(facts: Facts, name: str, *quantities: tuple[str, str, str]) -> rrb.Horizontal:
+    columns = [
+        rrb.Vertical(*(_plot(facts, f"{path}/{axis}", f"{title} {axis} [{unit}]") for axis in "xyz")) for path, title, unit in quantities
+    ]
+    return rrb.Horizontal(*columns, name=name)
+
+
+def _estimates(facts: Facts) -> rrb.Horizontal:
+    columns = []
+    for path, title in (("stiffness", "Stiffness"), ("damping", "Damping")):
+        axes = facts.run.summary["identification"]
+        columns.append(rrb.Vertical(*(_plot(facts, f"{path}/{axis}", f"{title} {axis}") for axis in axes)))
+    return rrb.Horizontal(*columns, name="Identified")
+
+
+def _time_axis(facts: Facts) -> rrb.TimeAxis:
+    start, end = (rr.encodings.TimeRangeBoundary.absolute(seconds=t) for t in facts.window)
+    return rrb.TimeAxis(view_range=rr.encodings.TimeRange(start=start, end=end))
+
+
+def _plot(facts: Facts, path: str, name: str, y_range: tuple[float, float] | None = None) -> rrb.TimeSeriesView:
+    return rrb.TimeSeriesView(
+        name=name,
+        origin=f"{plots.ROOT}/{path}",
+        axis_x=_time_axis(facts),
+        axis_y=rrb.ScalarAxis(range=y_range) if y_range else None,
+        plot_legend=rrb.PlotLegend(corner=rrb.Corner2D.RightTop),
+    )
+
+
+def _phases(facts: Facts) -> rrb.StateTimelineView:
+    return rrb.StateTimelineView(name="Contact phase", origin=plots.PHASE, time_view=_time_axis(facts))
+
+
+def _range(facts: Facts, name: str) -> tuple[float, float] | None:
+    """From the later estimates and the truth: the first few estimates of a contact can be anything."""
+    assert facts.run.trace is not None
+    values: Array = facts.run.trace[f"{name}_est"][:, 2]
+    values = values[np.isfinite(values)]
+    truth = facts.run.summary["identification"]["z"][f"{name}_true"]
+    shown = [*np.percentile(values, [5.0, 95.0])] if len(values) else []
+    shown += [truth] if truth is not None else []
+    if not shown:
+        return None
+    low, high = min(shown), max(shown)
+    margin = max(0.25 * (high - low), 0.02 * abs(high), 1e-9)
+    return low - margin, high + margin

@@ -1,0 +1,123 @@
+"""The signals of a run as plots: every tick, an entity for each axis of a quantity, its curves side by side.
+
+Lengths are in mm and angles in degrees here, for the eye; the trace is in SI.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import rerun as rr
+
+from hiltestbed.frames import Array, rotation_vectors
+from hiltestbed.signals import AXES, RunTrace
+from hiltestbed.simulation import Run
+from hiltestbed.viewer import colors
+
+ROOT = "signals"
+XYZ = "xyz"
+BROAD = (4.0, 1.5, 1.5)  # line widths: what the others are held against lies broad underneath
+PHASE = f"{ROOT}/contact_phase"
+PHASES = {
+    "approach": ("Approach", (84, 96, 116)),
+    "compression": ("Contact: closing", (255, 140, 38)),
+    "restitution": ("Contact: opening", (240, 200, 80)),
+    "free": ("Apart again", (70, 130, 120)),
+}
+
+
+class Plotter:
+    """Sends curves on the time base of a run."""
+
+    def __init__(self, rec: rr.RecordingStream, t: Array) -> None:
+        self.rec, self.t = rec, t
+        self.time = rr.TimeColumn("time", duration=t)
+
+    def curves(
+        self, path: str, names: Sequence[str], palette: Sequence[tuple[int, int, int]], values: Array, widths: Sequence[float] = ()
+    ) -> None:
+        """Curves ``values`` (ticks, curves) under one entity; a broad one under a narrow one stays in sight."""
+        style = rr.SeriesLines(names=list(names), colors=list(palette), widths=list(widths) or [1.5] * len(names))
+        self.rec.log(f"{ROOT}/{path}", style, static=True)
+        columns = rr.Scalars.columns(scalars=np.ascontiguousarray(values))
+        self.rec.send_columns(f"{ROOT}/{path}", indexes=[self.time], columns=columns)
+
+
+def send_signals(rec: rr.RecordingStream, run: Run, trace: RunTrace) -> None:
+    """All plots of a run."""
+    plotter = Plotter(rec, trace.t)
+    _poses(plotter, trace)
+    _wrenches(plotter, trace)
+    _estimates(plotter, run, trace)
+    _platform(plotter, trace)
+    energy = energy_generated(trace, 1.0 / run.scenario.rate)
+    plotter.curves("energy_generated", ["made by the rig [J]"], [colors.ENERGY], energy[:, None], [2.0])
+    send_phases(rec, trace)
+
+
+def _poses(plotter: Plotter, trace: RunTrace) -> None:
+    names, palette = ("desired", "reached"), (colors.DESIRED, colors.REACHED)
+    pair = np.stack([trace["pose_cmd"], trace["pose_act"]], axis=1)
+    turn = np.degrees(rotation_vectors(pair[..., 3:]))
+    for j, axis in enumerate(XYZ):
+        plotter.curves(f"position_mm/{axis}", [f"{n} [mm]" for n in names], palette, 1e3 * pair[..., j], BROAD[:2])
+        plotter.curves(f"attitude_deg/{axis}", [f"{n} [deg]" for n in names], palette, turn[..., j], BROAD[:2])
+
+
+def _wrenches(plotter: Plotter, trace: RunTrace) -> None:
+    names, palette = ("physical", "measured", "used"), (colors.PHYSICAL, colors.MEASURED, colors.USED)
+    triple = np.stack([trace[f"wrench_{kind}"] for kind in ("true", "meas", "comp")], axis=-1)
+    for j, axis in enumerate(XYZ):
+        plotter.curves(f"force/{axis}", [f"{n} [N]" for n in names], palette, triple[:, j], BROAD)
+        plotter.curves(f"torque/{axis}", [f"{n} [N m]" for n in names], palette, triple[:, 3 + j], BROAD)
+
+
+def _estimates(plotter: Plotter, run: Run, trace: RunTrace) -> None:
+    """Identified stiffness and damping from the first estimate on, with their true values where there is one."""
+    for name, units in (("stiffness", ("N/m", "N m/rad")), ("damping", ("N s/m", "N m s/rad"))):
+        for j, axis in enumerate(AXES):
+            unit, values = units[j // 3], trace[f"{name}_est"][:, j]
+            known = np.flatnonzero(np.isfinite(values))
+            if len(known):
+                later = Plotter(plotter.rec, trace.t[known[0] :])
+                later.curves(f"{name}/{axis}/identified", [f"identified [{unit}]"], [colors.ESTIMATE], values[known[0] :, None])
+            truth = run.summary["identification"][axis][f"{name}_true"]
+            if truth is not None:
+                ends = Plotter(plotter.rec, trace.t[[0, -1]])
+                ends.curves(f"{name}/{axis}/true", [f"true [{unit}]"], [colors.TRUE], np.full((2, 1), truth))
+
+
+def _platform(plotter: Plotter, trace: RunTrace) -> None:
+    sliders = [f"slider {j} [mm]" for j in range(6)]
+    plotter.curves("platform/slider_mm", sliders, colors.SERIES, 1e3 * trace["slider_act"])
+    behind = np.zeros((len(trace.t), 3))  # pose_cmd[k] is to be reached in row k + 1
+    behind[1:] = 1e3 * (trace["pose_act"][1:, :3] - trace["pose_cmd"][:-1, :3])
+    plotter.curves("platform/tracking_error_mm", [f"{a} [mm]" for a in XYZ], colors.SERIES[:3], behind)
+
+
+def energy_generated(trace: RunTrace, tick: float) -> Array:
+    """``(ticks,)`` [J] made by the rig so far: the integral of F v_act - F_used v_cmd, as in :mod:`hiltestbed.metrics`."""
+    work = np.zeros(len(trace.t))
+    force, used, v, u = trace["wrench_true"], trace["wrench_comp"], trace["twist_act"], trace["twist_cmd"]
+    work[1:] = np.einsum("ij,ij->i", force[1:] + force[:-1], v[1:]) - np.einsum("ij,ij->i", used[1:], u[1:] + u[:-1])
+    return 0.5 * tick * np.cumsum(work)
+
+
+def contact_phases(trace: RunTrace) -> list[str]:
+    """The phase of every tick: approach before the first touch, closing and opening in contact by the rate along z, then free."""
+    touched = np.logical_or.accumulate(trace.contact)
+    opening = trace["twist_act"][:, 2] < 0.0
+    code = np.where(trace.contact, np.where(opening, 2, 1), np.where(touched, 3, 0))
+    names = list(PHASES)
+    return [names[c] for c in code]
+
+
+def send_phases(rec: rr.RecordingStream, trace: RunTrace) -> None:
+    """The contact phase as a state: a row where it changes."""
+    phases = np.array(contact_phases(trace))
+    rows = np.flatnonzero(np.concatenate([[True], phases[1:] != phases[:-1]]))
+    labels, palette = zip(*PHASES.values(), strict=True)
+    rec.log(PHASE, rr.StateConfiguration(values=list(PHASES), labels=list(labels), colors=list(palette)), static=True)
+    time = rr.TimeColumn("time", duration=trace.t[rows])
+    rec.send_columns(PHASE, indexes=[time], columns=rr.StateChange.columns(state=list(phases[rows])))

@@ -1,0 +1,69 @@
+"""A run as a rerun recording: read this first. Scene, motion, signals and layout in one file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import rerun as rr
+from numpy.typing import NDArray
+
+from hiltestbed.signals import RunTrace
+from hiltestbed.simulation import Run
+from hiltestbed.viewer import spacecraft
+from hiltestbed.viewer.blueprint import Facts, layout
+from hiltestbed.viewer.frames import frame_rows
+from hiltestbed.viewer.plots import send_signals
+from hiltestbed.viewer.rig import RigScene, force_scale, send_force
+from hiltestbed.viewer.text import figures
+
+APPLICATION = "hiltestbed"
+
+
+def write_recording(path: Path, run: Run) -> None:
+    """Write ``run`` as a recording with its layout.
+
+    Bodies and forces are drawn at some frames (:mod:`hiltestbed.viewer.frames`), signals are there for every tick.
+
+    Raises:
+        ValueError: the run has no trace.
+        OSError: the file could not be written whole.
+    """
+    if run.trace is None:
+        raise ValueError("a run without its trace cannot be recorded")
+    trace, scenario = run.trace, run.scenario
+    rows = frame_rows(trace, scenario.rate)
+    facts = Facts(run, force_scale(_peak(trace)))
+    with rr.RecordingStream(APPLICATION, recording_id=_identity(run), send_properties=False) as rec:
+        rec.save(path, default_blueprint=layout(facts))
+        rec.send_recording_name(scenario.name)
+        rec.log("figures", rr.TextDocument(figures(run), media_type=rr.MediaType.MARKDOWN), static=True)
+        _rig(rec, run, trace, rows, facts.force_scale)
+        _spacecraft(rec, run, trace, rows, facts.force_scale)
+        send_signals(rec, run, trace)
+
+
+def _rig(rec: rr.RecordingStream, run: Run, trace: RunTrace, rows: NDArray[np.intp], scale: float) -> None:
+    scene = RigScene(run.scenario.mechanism.kind)
+    time, pose = rr.TimeColumn("time", duration=trace.t[rows]), trace["pose_act"][rows]
+    scene.draw(rec)
+    scene.move(rec, time, pose)
+    send_force(rec, time, trace["wrench_true"][rows], pose, scale)
+
+
+def _spacecraft(rec: rr.RecordingStream, run: Run, trace: RunTrace, rows: NDArray[np.intp], scale: float) -> None:
+    time = rr.TimeColumn("time", duration=trace.t[rows])
+    spacecraft.draw(rec, run.scenario)
+    poses = spacecraft.body_poses(run.scenario, rows, trace["pose_cmd"], trace["wrench_comp"])
+    spacecraft.move(rec, time, run.scenario, poses, trace["wrench_comp"][rows], scale)
+
+
+def _peak(trace: RunTrace) -> float:
+    """[N] the largest force that acted."""
+    force = np.linalg.norm(trace["wrench_true"][:, :3], axis=1)
+    return float(force[np.isfinite(force)].max(initial=0.0))
+
+
+def _identity(run: Run) -> str:
+    """The same run is the same recording."""
+    return f"{run.summary['name']}-{run.summary['scenario_sha256'][:12]}"

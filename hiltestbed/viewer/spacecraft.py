@@ -1,0 +1,116 @@
+"""The two spacecraft of the numerical model in 3-D: what the rig stands for.
+
+Their poses are not in the trace; they are computed once more, a step a frame, under the mean of the wrench that drove the numerical
+model over the frame. The impulse is kept, so the velocities after a contact are those of the run; the chaser is then placed by the
+relative pose of the run, so that the two ports stand as they did.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import rerun as rr
+from numpy.typing import NDArray
+
+from hiltestbed.frames import Array, quat_conj_mul, quat_mul, rotate, rotation_matrix
+from hiltestbed.scenario import Body, Scenario
+from hiltestbed.spacecraft import CHASER, TARGET, Spacecraft, inertia_matrix, port_pose
+from hiltestbed.viewer import colors
+from hiltestbed.viewer.rig import log_solid, send_poses
+from hiltestbed.viewer.solids import Solid, box, cylinder
+
+ROOT = "spacecraft"
+NAMES = {CHASER: "chaser", TARGET: "target"}
+BODY = {CHASER: (0.80, 0.64, 0.28, 1.0), TARGET: (0.72, 0.75, 0.80, 1.0)}
+PORT = {CHASER: (0.86, 0.20, 0.16, 1.0), TARGET: (0.10, 0.48, 0.62, 1.0)}
+GLASS = 0.45  # opacity of a body: the force on it is drawn inside
+PANEL = (0.12, 0.20, 0.46, 1.0)
+
+
+def body_poses(scenario: Scenario, rows: NDArray[np.intp], pose_cmd: Array, wrench: Array) -> Array:
+    """``(2, frames, 7)`` poses of chaser and target in the inertial frame, at the rows ``(frames,)`` of the run.
+
+    ``pose_cmd`` (ticks, 7) and ``wrench`` (ticks, 6), which drove the numerical model. Row k holds the state after the wrench of row k.
+    """
+    model = Spacecraft([scenario])
+    total = np.concatenate([np.zeros((1, 6)), np.cumsum(wrench, axis=0)])
+    out, done = np.empty((2, len(rows), 7)), 0
+    for f, row in enumerate(rows):
+        ticks = int(row) + 1 - done
+        model.tick = ticks / scenario.rate
+        model.advance(((total[row + 1] - total[done]) / ticks)[None])
+        done += ticks
+        target = model.q[0, TARGET]
+        _place_chaser(target, model.port[0], pose_cmd[row], out[CHASER, f])
+        out[TARGET, f] = target
+    return out
+
+
+def _place_chaser(target: Array, port: Array, pose: Array, out: Array) -> None:
+    """``out`` (7,): the chaser's pose from the target's, both ports in their bodies, and the pose of A in P."""
+    q_P, q_A, inverse, r, s = np.empty(4), np.empty(4), np.empty(4), np.empty(3), np.empty(3)
+    quat_mul(target[3:], port[TARGET, 3:], q_P)
+    quat_mul(q_P, pose[3:], q_A)
+    quat_conj_mul(port[CHASER, 3:], np.array([0.0, 0.0, 0.0, 1.0]), inverse)
+    quat_mul(q_A, inverse, out[3:])
+    rotate(target[3:], port[TARGET, :3], r)
+    rotate(q_P, pose[:3], s)
+    out[:3] = target[:3] + r + s
+    rotate(out[3:], port[CHASER, :3], r)
+    out[:3] -= r
+
+
+def cuboid(body: Body) -> tuple[Array, Array]:
+    """Half sizes ``(3,)`` [m] and axes ``(3, 3)`` of the even cuboid with the body's mass and inertia."""
+    moments, axes = np.linalg.eigh(inertia_matrix(body.inertia))
+    order = [int(np.argmax(np.abs(axes[i]))) for i in range(3)]
+    if sorted(order) == [0, 1, 2]:  # principal axes named after the body axes next to them
+        moments, axes = moments[order], axes[:, order]
+    axes = axes * np.where(np.diag(axes) < 0.0, -1.0, 1.0)
+    if np.linalg.det(axes) < 0.0:
+        axes[:, 2] *= -1.0
+    return np.sqrt(np.maximum(1.5 / body.mass * (moments.sum() - 2.0 * moments), 1e-4)), axes
+
+
+def draw(rec: rr.RecordingStream, scenario: Scenario) -> None:
+    """Both bodies as cuboids of their mass and inertia, with a port on a boom and a pair of panels."""
+    rec.log(ROOT, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+    for i, body in ((CHASER, scenario.spacecraft.chaser), (TARGET, scenario.spacecraft.target)):
+        half, axes = cuboid(body)
+        log_solid(rec, f"{ROOT}/{NAMES[i]}/body", box(half, np.array(BODY[i])).moved(np.zeros(3), axes), GLASS)
+        solids = []
+        panel = np.array([0.9 * half[1] + 0.3, 0.45 * half[1], 0.012])
+        for side in (-1.0, 1.0):
+            at = np.array([side * (half[0] + 0.25 + panel[0]), 0.0, 0.0])
+            solids.append(box(panel, np.array(PANEL)).moved(axes @ at, axes))
+            arm = np.array([0.125, 0.02, 0.02])
+            solids.append(box(arm, np.array(BODY[TARGET])).moved(axes @ np.array([side * (half[0] + 0.125), 0.0, 0.0]), axes))
+        solids.append(_boom(port_pose(body)[:3], float(half.min()), np.array(PORT[i])))
+        shape = Solid.joined(solids)
+        log_solid(rec, f"{ROOT}/{NAMES[i]}/panels", shape)
+
+
+def _boom(port: Array, width: float, rgba: Array) -> Solid:
+    """From the centre of mass to the port."""
+    length = float(np.linalg.norm(port))
+    z = port / length if length > 1e-6 else np.array([0.0, 0.0, 1.0])
+    x = np.cross([0.0, 1.0, 0.0], z) if abs(z[1]) < 0.9 else np.cross([1.0, 0.0, 0.0], z)
+    x /= np.linalg.norm(x)
+    rotation = np.stack([x, np.cross(z, x), z], axis=-1)
+    return cylinder(0.3 * width, max(0.5 * length, 0.01), rgba).moved(0.5 * port, rotation)
+
+
+def move(rec: rr.RecordingStream, time: rr.TimeColumn, scenario: Scenario, poses: Array, wrench: Array, scale: float) -> None:
+    """Poses ``(2, frames, 7)`` at the frames, and the force that drove the numerical model, equal and opposite on both bodies."""
+    for i, name in NAMES.items():
+        send_poses(rec, f"{ROOT}/{name}", time, poses[i])
+    attitude = rotation_matrix(poses[TARGET, :, 3:])
+    port = port_pose(scenario.spacecraft.target)
+    origin = poses[TARGET, :, :3] + attitude @ port[:3]
+    force = np.einsum("fij,fj->fi", attitude @ rotation_matrix(port[3:]), wrench[:, :3])
+    acts = np.linalg.norm(force, axis=1) > 0.0
+    vectors = scale * np.stack([force, -force], axis=1)[acts]
+    origins = np.repeat(origin[acts, None], 2, axis=1)
+    path = f"{ROOT}/force"
+    rec.log(path, rr.Arrows3D.from_fields(colors=[colors.USED], radii=[0.05]), static=True)
+    columns = rr.Arrows3D.columns(vectors=vectors.reshape(-1, 3), origins=origins.reshape(-1, 3))
+    rec.send_columns(path, indexes=[time], columns=columns.partition(2 * acts.astype(int)))

@@ -1,0 +1,45 @@
+"""The figures of a run as a page of text beside the scene."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from hiltestbed.simulation import Run
+
+
+def figures(run: Run) -> str:
+    """Markdown: what the run shows, its figures, what was identified."""
+    summary, scenario = run.summary, run.scenario
+    lines = [f"# {summary['name']}", "", scenario.description or "", "", "| figure | value |", "|---|---:|"]
+    rows: list[tuple[str, Any, str]] = [
+        ("coefficient of restitution", summary["cor"], ""),
+        ("reference: no delay, ideal tracking", summary["cor_reference"], ""),
+        ("ln of their ratio", summary["cor_log_error"], ""),
+        ("peak force", summary["peak_force"], "N"),
+        ("contact time", summary["contact_duration"], "s"),
+        ("energy made by the rig", summary["energy_generated"], "J"),
+    ]
+    lines += [f"| {name} | {_number(value, unit)} |" for name, value, unit in rows]
+    if summary["status"] != "completed":
+        lines += ["", f"**{summary['status']}**: {summary['stop_reason']}"]
+    return "\n".join([*lines, "", *_identified(summary["identification"])])
+
+
+def _identified(identification: dict[str, Any]) -> list[str]:
+    found = {axis: a for axis, a in identification.items() if a["stiffness"] is not None}
+    if not found:
+        return []
+    lines = ["| axis | stiffness | true | damping | true |", "|---|---:|---:|---:|---:|"]
+    for axis, a in found.items():
+        unit = "N m/rad" if axis.startswith("r") else "N/m"
+        damping = unit.replace("/", " s/")
+        values = [
+            _number(a[k], u)
+            for k, u in zip(("stiffness", "stiffness_true", "damping", "damping_true"), (unit, unit, damping, damping), strict=True)
+        ]
+        lines.append(f"| {axis} | {' | '.join(values)} |")
+    return lines
+
+
+def _number(value: float | None, unit: str) -> str:
+    return "–" if value is None else f"{value:.4g} {unit}".strip()
