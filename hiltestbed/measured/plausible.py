@@ -207,7 +207,7 @@ def _force_pair(record: Record, found: Survey) -> Iterator[Remark]:
             continue
         a, b = (record.column(n) - baseline(record, found, n) for n in (meas, comp))
         high_a, high_b = float(np.nanmax(np.abs(a))), float(np.nanmax(np.abs(b)))
-        if high_a < 2 * MOVED * found.noise[meas].rms or high_b < 2 * MOVED * found.noise[comp].rms:
+        if high_a <= 2 * MOVED * found.noise[meas].rms or high_b <= 2 * MOVED * found.noise[comp].rms:
             continue
         together = correlation(a, b)
         if together < CORRELATION:

@@ -13,7 +13,7 @@ from hiltestbed.measured.survey import Survey, baseline
 FLAT = 4  # equal samples in a row at an extreme value, from which clipping is considered
 CORNER = 6.0  # quanta; the rounded top of a smooth signal gives 3, see `_is_corner`
 AWAY = 0.2  # of the range, that a limit lies away from the free level: a force of zero between contacts is no limit
-STEPS = 4  # samples to a distinct value, from which a channel is taken to come in steps
+STEPS = 4  # samples to a distinct value, from which steps are worth a note: a CSV of six digits has steps too
 
 
 def clipped_samples(record: Record, found: Survey) -> tuple[dict[str, NDArray[np.bool_]], list[Remark]]:
@@ -76,13 +76,14 @@ def _is_corner(values: Array, start: int, end: int, quantum: float) -> bool:
     half = max(2, (end - start) // 2)
     falls = [abs(values[start] - values[start - half])] if start >= half else []
     falls += [abs(values[end - 1] - values[end - 1 + half])] if end - 1 + half < len(values) else []
+    falls = [fall for fall in falls if np.isfinite(fall)]
     return bool(falls) and min(falls) > CORNER * quantum
 
 
 def step_of(values: Array) -> float | None:
     """The step that all of ``values`` are multiples of, or None when they come in no steps."""
     distinct = np.unique(values)
-    if len(distinct) < 3 or len(values) < STEPS * len(distinct):
+    if len(distinct) < 3:
         return None
     gaps = np.diff(distinct)
     step = float(gaps.min())
@@ -95,7 +96,8 @@ def quantisation(record: Record) -> list[Remark]:
     remarks = []
     for name in record.columns():
         values = record.column(name)
-        step = step_of(values[np.isfinite(values)])
+        values = values[np.isfinite(values)]
+        step = step_of(values) if len(values) >= STEPS * len(np.unique(values)) else None
         if step is not None:
             text = f"comes in steps of {step:.4g}: a noise of {step / np.sqrt(12):.3g} (1 sigma) at best"
             remarks.append(Remark("note", record.run, name, text, "", {"step": step}))

@@ -21,6 +21,9 @@ from . import bounce
 
 Table = dict[str, np.ndarray]
 
+# asammdf's destructor stumbles over a file that its constructor has refused
+pytestmark = pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+
 
 def _csv(path: Path, table: Table) -> None:
     pa_csv.write_csv(pa.table(table), path)

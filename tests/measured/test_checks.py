@@ -1,0 +1,305 @@
+"""Bad data, each with a clear error or a stated loss; good data, however the rig departs from its model, with neither."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from hiltestbed.errors import InputError
+from hiltestbed.measured import MeasuredDataset, examine, load_dataset
+from hiltestbed.measured.quality import step_of
+
+from . import bounce
+
+Table = dict[str, np.ndarray]
+DATA = Path(os.environ.get("HILTESTBED_DATA", Path(__file__).parents[2].parent / "shared" / "data"))
+
+
+def _examine(folder: Path, table: Table, channels: str = "") -> MeasuredDataset:
+    return examine(bounce.write_dataset(folder, table, channels=channels))
+
+
+def _scaled(group: str, factor: float, parts: str = "") -> Callable[[Table], None]:
+    def change(table: Table) -> None:
+        for name in table:
+            if name.startswith(group) and (not parts or name[-2:] in parts.split()):
+                table[name] = factor * table[name]
+
+    return change
+
+
+def _w_first(table: Table) -> None:
+    for group in ("pose_cmd", "pose_act"):
+        x, y, z, w = (table[f"{group}.q{a}"] for a in "xyzw")
+        table |= {f"{group}.qx": w, f"{group}.qy": x, f"{group}.qz": y, f"{group}.qw": z}
+
+
+def _swap_axes(table: Table) -> None:
+    for group in ("wrench_meas", "wrench_comp"):
+        table[f"{group}.fx"], table[f"{group}.fz"] = table[f"{group}.fz"], table[f"{group}.fx"]
+
+
+MISTAKES = {
+    "force of the other sign": (_scaled("wrench", -1.0), "wrench_meas.fz", "pulls while pushing", "{wrench_meas.fz: {scale: -1}}"),
+    "compensated force of the other sign": (_scaled("wrench_comp", -1.0), "wrench_comp.fz", "goes against", "scale: -1"),
+    "force in kN": (_scaled("wrench", 1e-3), "wrench_meas.fz", "another unit", "{wrench_meas.fz: {scale: 1000}}"),
+    "force in mN": (_scaled("wrench", 1e3), "wrench_meas.fz", "another unit", "{wrench_meas.fz: {scale: 0.001}}"),
+    "compensated force in kN": (_scaled("wrench_comp", 1e-3), "wrench_comp.fz", "another unit", "{wrench_comp.fz: {scale: 1000}}"),
+    "pose in mm": (_scaled("pose", 1e3, "px py pz"), "pose_act.pz", "another unit", "{pose_act.pz: {scale: 0.001}}"),
+    "reached pose in mm": (_scaled("pose_act", 1e3, "px py pz"), "pose_act.px", "another unit", "{pose_act.px: {scale: 0.001}}"),
+    "pose scaled twice": (_scaled("pose", 1e-3, "px py pz"), "pose_cmd.pz", "another unit", "{pose_cmd.pz: {scale: 1000}}"),
+    "pz that falls on the way in": (_scaled("pose", -1.0, "pz"), "pose_act.pz", "other way round", "{pose_act.pz: {scale: -1}}"),
+    "px of the other sign": (_scaled("pose", -1.0, "px"), "pose_cmd.px", "other way round", "{pose_cmd.px: {scale: -1}}"),
+    "quaternion w first": (_w_first, "pose_act.q*", "order is w, x, y, z", "exchange the columns"),
+    "quaternion in per cent": (_scaled("pose_act", 100.0, "qx qy qz qw"), "pose_act.q*", "no unit quaternion", "check scale"),
+    "force on the wrong axis": (_swap_axes, "wrench_meas.fz", "axes are swapped", "exchange the columns"),
+    "torque without lever": (_scaled("wrench_meas", 1e6, "tx"), "wrench_meas.tx", "lever arm", "scale: 0.001"),
+    "time in ms": (_scaled("t", 1e3), "t", "lasts 599 s", "{t: {scale: 0.001}}"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_what_contradicts_the_physics_is_an_error_with_its_fix(tmp_path: Path, mistake: str) -> None:
+    change, channel, text, fix = MISTAKES[mistake]
+    table = bounce.columns()
+    if "torque" in mistake:
+        table["wrench_meas.tx"] = table["wrench_meas.tx"] + 1e-2 * table["wrench_meas.fz"]
+    change(table)
+    path = bounce.write_dataset(tmp_path, table)
+    errors = {r.channel: r for r in examine(path).remarks if r.severity == "error"}
+    assert channel in errors
+    assert text in errors[channel].text
+    assert fix in errors[channel].fix
+    with pytest.raises(InputError, match=r"run_0\.parquet") as raised:
+        load_dataset(path)
+    assert len(raised.value.faults) == len(errors)
+
+
+@pytest.mark.parametrize("mistake", ["force of the other sign", "force in kN", "reached pose in mm", "time in ms"])
+def test_the_fix_that_is_named_puts_it_right(tmp_path: Path, mistake: str) -> None:
+    """The entries of the channel map that the errors spell out, written down: no error is left and the data are what they were."""
+    import re
+
+    table = bounce.columns()
+    MISTAKES[mistake][0](table)
+    entries: dict[str, str] = {}
+    for _ in range(3):
+        channels = "channels:\n" + "\n".join(f"  {name}: {{scale: {scale}}}" for name, scale in entries.items()) if entries else ""
+        errors = [r for r in _examine(tmp_path, table, channels).remarks if r.severity == "error"]
+        for remark in errors:
+            for name, scale in re.findall(r"\{([\w.]+): \{scale: ([-\w.+]+)\}\}", remark.fix):
+                entries[name] = scale
+    assert not errors
+    record = _examine(tmp_path, table, channels).runs[0].record
+    good = bounce.columns()
+    np.testing.assert_allclose(record.column("wrench_meas.fz"), good["wrench_meas.fz"], rtol=1e-12)
+    np.testing.assert_allclose(record.column("pose_act.pz"), good["pose_act.pz"], rtol=1e-12)
+
+
+def _nan_stretch(table: Table) -> None:
+    table["wrench_meas.fz"][100:140] = np.nan
+
+
+def _nan_most(table: Table) -> None:
+    table["pose_act.pz"][:400] = np.nan
+
+
+def _clip(table: Table) -> None:
+    table["wrench_meas.fz"] = np.minimum(table["wrench_meas.fz"], 0.7 * bounce.PEAK)
+
+
+def _no_comp(table: Table) -> None:
+    for name in [name for name in table if name.startswith("wrench_comp")]:
+        del table[name]
+
+
+def _no_contact(table: Table) -> None:
+    far = table["t"] < 0
+    for group in ("pose_cmd", "pose_act"):
+        table[f"{group}.pz"] = -bounce.GAP + 1e-3 * bounce.SPEED * table["t"]
+    for group in ("wrench_meas", "wrench_comp"):
+        table[f"{group}.fz"] = np.where(far, 0.0, 0.1 * np.random.default_rng(3).standard_normal(len(far)))
+
+
+LOSSES = {
+    "missing samples": (_nan_stretch, "wrench_meas.fz", "missing (NaN) in 40 of 600 samples, at most 40 in a row from 0.1 s"),
+    "mostly missing": (_nan_most, "pose_act.pz", "left out of this run"),
+    "clipped": (_clip, "wrench_meas.fz", "clipped"),
+    "no compensated wrench": (_no_comp, "wrench_comp", "compensation and dynamics"),
+    "no contact": (_no_contact, "", "has no contact"),
+}
+
+
+@pytest.mark.parametrize("case", LOSSES)
+def test_a_loss_is_stated_and_does_not_stop(tmp_path: Path, case: str) -> None:
+    change, channel, text = LOSSES[case]
+    table = bounce.columns()
+    change(table)
+    dataset = load_dataset(bounce.write_dataset(tmp_path, table))
+    assert [r for r in dataset.remarks if r.severity == "loss" and r.channel == channel and text in r.text]
+
+
+def test_masks_mark_what_was_lost(tmp_path: Path) -> None:
+    table = bounce.columns()
+    _nan_stretch(table)
+    _clip(table)
+    record = load_dataset(bounce.write_dataset(tmp_path, table)).runs[0].record
+    assert np.flatnonzero(~record.measured("wrench_meas.fz")).tolist() == list(range(100, 140))
+    level = 0.7 * bounce.PEAK
+    part = record.clipped["wrench_meas"][:, 2]
+    assert part.sum() == (record.column("wrench_meas.fz") == level).sum() > 20
+    assert np.isfinite(record.filled("wrench_meas")).all()
+
+
+def test_a_link_without_an_end_is_not_offered(tmp_path: Path) -> None:
+    table = bounce.columns()
+    _no_comp(table)
+    assert _examine(tmp_path, table).links() == ("platform", "contact")
+
+
+def test_one_axis_is_a_record(tmp_path: Path) -> None:
+    """Displacement and force alone: the other axes are stated as absent, and are zero where a model must be driven."""
+    table = bounce.columns()
+    few = {"s": table["t"], "displacement_mm": 1e3 * table["pose_act.pz"], "load_kN": -1e-3 * table["wrench_meas.fz"]}
+    channels = (
+        "channels:\n  t: {column: s}\n  pose_act.pz: {column: displacement_mm, unit: mm}\n"
+        "  wrench_meas.fz: {column: load_kN, unit: kN, scale: -1.0}\n"
+    )
+    dataset = _examine(tmp_path, few, channels)
+    record = dataset.runs[0].record
+    assert record.columns() == ("pose_act.pz", "wrench_meas.fz")
+    assert dataset.links() == ("contact",)
+    assert {r.channel for r in dataset.remarks if r.severity == "loss"} == {"pose_cmd", "wrench_comp", "pose_act", "wrench_meas"}
+    np.testing.assert_allclose(record.column("wrench_meas.fz"), table["wrench_meas.fz"], rtol=1e-12)
+    np.testing.assert_array_equal(record.filled("pose_act")[:, 3:], np.tile([0, 0, 0, 1.0], (record.ticks, 1)))
+
+
+def test_a_column_that_is_mapped_and_not_there_is_an_error_with_the_nearest(tmp_path: Path) -> None:
+    table = bounce.columns()
+    table["Fz_N"] = table.pop("wrench_meas.fz")
+    with pytest.raises(InputError, match=r"no column of the file \(got 'Fz'\); nearest: Fz_N"):
+        _examine(tmp_path, table, "channels:\n  wrench_meas.fz: {column: Fz}\n")
+
+
+def test_a_file_without_time_or_without_channels_is_an_error(tmp_path: Path) -> None:
+    table = bounce.columns()
+    with pytest.raises(InputError, match=r"no time column 't'; .*time"):
+        _examine(tmp_path, {"time": table["t"], "pose_act.pz": table["pose_act.pz"]})
+    with pytest.raises(InputError, match=r"holds none of the channels pose_cmd\.\*"):
+        _examine(tmp_path, {"t": table["t"], "temperature": table["t"]})
+
+
+def test_all_files_are_heard_before_the_error(tmp_path: Path) -> None:
+    good, bad = bounce.columns(), bounce.columns()
+    path = bounce.write_dataset(tmp_path, bad, good, bad)
+    for name in ("run_0", "run_2"):
+        (tmp_path / f"{name}.parquet").write_bytes(b"PAR1 but nothing more")
+    with pytest.raises(InputError) as raised:
+        load_dataset(path)
+    assert [Path(fault.file).name for fault in raised.value.faults] == ["run_0.parquet", "run_2.parquet"]
+
+
+def test_noise_and_contact_are_read_as_they_were_made(tmp_path: Path) -> None:
+    """White noise of 0.1 N and 1 um; one contact from gap/v over pi/w, peak v sqrt(k mu)."""
+    run = _examine(tmp_path, bounce.columns(rate=bounce.RATE)).runs[0]
+    free = round(bounce.TOUCH * bounce.RATE)
+    assert free - 10 <= run.survey.free <= free
+    assert run.survey.noise["wrench_meas.fz"].rms == pytest.approx(0.1, rel=0.25)  # 98 samples: 1 sigma is 7 %
+    assert run.survey.noise["wrench_meas.fz"].white == pytest.approx(0.1, rel=0.5)
+    assert run.survey.noise["pose_act.pz"].rms == pytest.approx(1e-6, rel=0.25)
+    (contact,) = run.survey.contacts
+    assert contact.start / bounce.RATE == pytest.approx(bounce.TOUCH, abs=2e-3)
+    assert (contact.end - contact.start) / bounce.RATE == pytest.approx(np.pi / bounce.OMEGA, abs=3e-3)
+    assert contact.peak_force == pytest.approx(bounce.PEAK, rel=0.01)
+    assert contact.speed == pytest.approx(bounce.SPEED, rel=0.01)
+    assert "pose_act.px" in run.survey.excited
+    assert "pose_act.py" not in run.survey.excited
+
+
+def test_hum_counts_in_rms_and_not_in_white(tmp_path: Path) -> None:
+    table = bounce.columns()
+    table["wrench_meas.fz"] = table["wrench_meas.fz"] + 5.0 * np.sin(2 * np.pi * 10.0 * table["t"])
+    noise = _examine(tmp_path, table).runs[0].survey.noise["wrench_meas.fz"]
+    assert noise.rms > 2.0
+    assert noise.white < 0.3
+
+
+EFFECTS: dict[str, Callable[[np.ndarray, np.ndarray], np.ndarray]] = {
+    "bias": lambda t, f: f - 40.0,
+    "drift": lambda t, f: f + 20.0 * t,
+    "hum": lambda t, f: f + 20.0 * np.sin(2 * np.pi * 50.0 * t),
+    "gain": lambda t, f: 0.3 * f,
+    "dead zone": lambda t, f: np.where(np.abs(f) < 60.0, 0.0, f),
+    "delay": lambda t, f: np.r_[np.zeros(30), f[:-30]],
+    "charge leak": lambda t, f: f - np.convolve(f, 0.05 * np.exp(-np.arange(600) / 20.0))[: len(f)],
+    "adhesion": lambda t, f: np.where((t > bounce.PARTING - 0.01) & (t < bounce.PARTING), f - 150.0, f),
+    "coarse steps": lambda t, f: 5.0 * np.round(f / 5.0),
+    "fine steps": lambda t, f: 0.05 * np.round(f / 0.05),
+}
+
+
+@pytest.mark.parametrize("effect", EFFECTS)
+def test_what_a_diagnosis_looks_for_is_no_fault_of_the_data(tmp_path: Path, effect: str) -> None:
+    """Departures of the rig, far beyond a moderate size, raise no error and lose no channel."""
+    table = bounce.columns()
+    for name in ("wrench_meas.fz", "wrench_comp.fz"):
+        table[name] = EFFECTS[effect](table["t"], table[name])
+    assert [r for r in _examine(tmp_path, table).remarks if r.severity != "note"] == []
+
+
+@pytest.mark.parametrize("top", [3.0, 7.3, 50.0])
+def test_the_rounded_top_of_a_stepped_signal_is_not_clipped(tmp_path: Path, top: float) -> None:
+    """However wide its last step is; the same signal cut at 80 % is."""
+    table = bounce.columns(force_noise=0.0)
+    smooth = top * table["wrench_meas.fz"] / bounce.PEAK
+    for cut, clipped in ((1.0, False), (0.8, True)):
+        table["wrench_meas.fz"] = np.round(np.minimum(smooth, cut * top), 1)
+        remarks = _examine(tmp_path, table).remarks
+        assert any("clipped" in r.text for r in remarks) == clipped
+
+
+def test_the_step_of_a_channel_is_found() -> None:
+    values = 0.25 * np.round(np.random.default_rng(4).standard_normal(2000) / 0.25)
+    assert step_of(values) == pytest.approx(0.25)
+    assert step_of(np.random.default_rng(4).standard_normal(2000)) is None
+
+
+@pytest.mark.skipif(not DATA.is_dir(), reason=f"measured data are not at {DATA} (set HILTESTBED_DATA)")
+@pytest.mark.parametrize("number", range(1, 9))
+def test_no_alarm_on_the_practice_sets(number: int) -> None:
+    dataset = load_dataset(DATA / "rig_practice" / f"set_{number}" / "dataset.yaml")
+    assert dataset.remarks == ()
+    assert dataset.links() == ("platform", "contact", "compensation", "dynamics")
+    for run in dataset.runs:
+        assert len(run.survey.contacts) == 1
+        assert run.survey.noise["wrench_meas.fz"].rms == pytest.approx(run.scenario.sensor.noise, rel=0.25)
+
+
+@pytest.mark.skipif(not DATA.is_dir(), reason=f"measured data are not at {DATA} (set HILTESTBED_DATA)")
+@pytest.mark.parametrize(
+    ("change", "channel"),
+    [(_scaled("wrench", -1.0), "wrench_meas.fz"), (_scaled("pose_act", 1e3, "px py pz"), "pose_act.pz"), (_w_first, "pose_act.q*")],
+    ids=["sign", "unit", "order"],
+)
+def test_a_practice_set_with_a_mistake_put_in(tmp_path: Path, change: Callable[[Table], None], channel: str) -> None:
+    source = DATA / "rig_practice" / "set_3"
+    for file in source.iterdir():
+        if file.suffix == ".parquet":
+            table = {name: column.to_numpy().copy() for name, column in zip(*_table(file), strict=True)}
+            change(table)
+            pq.write_table(pa.table(table), tmp_path / file.name)
+        else:
+            (tmp_path / file.name).write_text(file.read_text())
+    errors = [r for r in examine(tmp_path / "dataset.yaml").remarks if r.severity == "error" and r.channel == channel]
+    assert len(errors) == 6
+
+
+def _table(file: Path) -> tuple[list[str], list[pa.ChunkedArray]]:
+    table = pq.read_table(file)
+    return table.column_names, table.columns

@@ -1,0 +1,122 @@
+"""Time stamps and resampling: no tick is filled that the file says nothing of."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hiltestbed.measured.clock import check_clock, start_of_run, to_ticks
+
+TICK = 1e-3
+
+
+def _severities(t: np.ndarray, duration: float = 1.0) -> list[str]:
+    return [remark.severity for remark in check_clock(0, t, TICK, duration)[1]]
+
+
+def test_samples_on_the_ticks_are_taken_bit_by_bit() -> None:
+    values = np.random.default_rng(1).standard_normal(100)
+    out, valid = to_ticks(TICK * np.arange(100, dtype=np.float64), values, 100, TICK, TICK)
+    np.testing.assert_array_equal(out, values)
+    assert valid.all()
+
+
+@pytest.mark.parametrize("rate", [730.0, 1000.0, 4321.0])
+def test_a_straight_line_survives_any_rate_and_phase(rate: float) -> None:
+    """Linear interpolation is exact on a line: what counts as measured lies on it to round-off."""
+    t = 0.0004 + np.arange(round(rate)) / rate
+    out, valid = to_ticks(t, 3.0 - 2.0 * t, 1000, TICK, 1 / rate)
+    at = TICK * np.arange(1000, dtype=np.float64)
+    np.testing.assert_allclose(out[valid], (3.0 - 2.0 * at)[valid], atol=1e-12)
+    assert valid.mean() > min(1.0, rate * TICK) - 0.01
+    assert np.isnan(out[~valid]).all()
+
+
+def test_interpolation_error_is_of_second_order() -> None:
+    """Between samples h apart a sine of frequency w is off by at most (w h)^2/8."""
+    errors = []
+    for rate in (1000.0, 2000.0):
+        t = 0.3 / rate + np.arange(round(rate)) / rate
+        out, valid = to_ticks(t, np.sin(20 * t), 1000, TICK, 1 / rate)
+        errors.append(np.abs(out - np.sin(20 * TICK * np.arange(1000, dtype=np.float64)))[valid].max())
+    assert errors[0] < (20 * TICK) ** 2 / 8
+    assert errors[0] / errors[1] > 3.0
+
+
+def test_a_gap_and_what_lies_beyond_the_record_stay_empty() -> None:
+    t = TICK * np.arange(100, 900, dtype=np.float64)
+    keep = (t < 0.4) | (t >= 0.5)
+    _, valid = to_ticks(t[keep], t[keep], 1000, TICK, TICK)
+    assert not valid[:100].any()
+    assert not valid[400:500].any()
+    assert not valid[900:].any()
+    assert valid.sum() == 700
+
+
+def test_a_slow_record_counts_only_where_it_has_samples() -> None:
+    _, valid = to_ticks(0.01 * np.arange(100, dtype=np.float64), np.arange(100.0), 1000, TICK, 0.01)
+    assert valid.sum() == 100
+    assert valid[::10].all()
+
+
+def test_time_that_runs_backwards_is_an_error_with_its_row() -> None:
+    t = TICK * np.arange(500, dtype=np.float64)
+    t[200:] -= 0.05
+    clock, remarks = check_clock(0, t, TICK, 1.0)
+    assert clock is None
+    assert remarks[-1].severity == "error"
+    assert "row 199" in remarks[-1].text
+    assert "row 200" in remarks[-1].text
+
+
+def test_a_few_repeated_stamps_are_a_stated_loss_and_many_an_error() -> None:
+    t = TICK * np.arange(500, dtype=np.float64)
+    t[100] = t[99]
+    clock, remarks = check_clock(0, t, TICK, 1.0)
+    assert clock is not None
+    assert len(clock.t) == 499
+    assert (np.diff(clock.t) > 0).all()
+    assert [r.severity for r in remarks if "same stamp" in r.text] == ["loss"]
+    assert "error" in _severities(np.round(TICK * np.arange(500, dtype=np.float64), 2))
+
+
+@pytest.mark.parametrize("scale", [1e3, 1e6])
+def test_time_in_another_unit_is_an_error_that_names_the_scale(scale: float) -> None:
+    clock, remarks = check_clock(0, TICK * np.arange(1000, dtype=np.float64) * scale, TICK, 1.0)
+    assert clock is None
+    assert f"{{scale: {1 / scale:g}}}" in remarks[-1].fix
+
+
+def test_time_scaled_twice_is_found_too() -> None:
+    clock, remarks = check_clock(0, TICK * np.arange(1000, dtype=np.float64) * 1e-3, TICK, 1.0)
+    assert clock is None
+    assert "{scale: 1000}" in remarks[-1].fix
+
+
+def test_a_wall_clock_counts_from_its_first_row_and_says_so() -> None:
+    shift, remarks = start_of_run(0, 1.7e9, TICK, 1.0)
+    assert shift == 1.7e9
+    assert remarks[0].severity == "note"
+    assert start_of_run(0, 0.0, TICK, 1.0) == (0.0, [])
+
+
+def test_a_late_record_is_not_moved() -> None:
+    shift, remarks = start_of_run(0, 0.2, TICK, 1.0)
+    assert shift == 0.0
+    assert remarks[0].severity == "loss"
+
+
+def test_uneven_sampling_and_gaps_are_stated() -> None:
+    t = TICK * np.arange(1000, dtype=np.float64)
+    t += 1e-4 * np.random.default_rng(2).standard_normal(1000)
+    assert any("unevenly" in r.text for r in check_clock(0, t, TICK, 1.0)[1])
+    t = np.delete(TICK * np.arange(1000, dtype=np.float64), slice(300, 350))
+    gap = next(r for r in check_clock(0, t, TICK, 1.0)[1] if "gap" in r.text)
+    assert gap.evidence["missing"] == pytest.approx(50)
+
+
+@pytest.mark.parametrize("rows", [0, 1])
+def test_a_record_needs_two_rows(rows: int) -> None:
+    clock, remarks = check_clock(0, np.zeros(rows), TICK, 1.0)
+    assert clock is None
+    assert remarks[0].severity == "error"
