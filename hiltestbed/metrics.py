@@ -133,9 +133,9 @@ class Tally:
 
 def settle_ticks(scenario: Scenario) -> int:
     """Ticks after the ports have parted until the last of the force has reached the numerical model."""
-    sensor = scenario.sensor
+    sensor, force = scenario.sensor, scenario.compensation.force
     lowpass = 0.0 if sensor.lowpass is None else SETTLE_TIME_CONSTANTS / (2.0 * math.pi * sensor.lowpass)
-    lag = SETTLE_TIME_CONSTANTS * getattr(scenario.compensation.force, "lag", 0.0)
+    lag = SETTLE_TIME_CONSTANTS * getattr(force, "lag", getattr(force, "blending", 0.0))
     return SETTLE_TICKS + math.ceil((sensor.delay + lowpass + lag) * scenario.rate)
 
 

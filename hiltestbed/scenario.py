@@ -172,6 +172,23 @@ class PhaseLead(Strictly):
     lag: Positive = Field(default=0.0005, description="T2 [s]")
 
 
+class KnownContact(Strictly):
+    """A contact that was identified before."""
+
+    stiffness: Positive = Field(description="[N/m]")
+    damping: NotNegative = Field(default=0.0, description="[N s/m]")
+    touch: float = Field(default=0.0, description="where along the insertion it is touched first [m]")
+
+
+class Resynchronised(Strictly):
+    """The numerical model at t - delay, driven by the measured wrench as what it is, and predicted from there."""
+
+    kind: Literal["resynchronised"] = "resynchronised"
+    contact: KnownContact | None = Field(default=None, description="null: nothing is known of it, it is identified as it is met")
+    delay: Literal["known", "estimate"] = Field(default="known", description="estimate: correct sensor.delay by the instant of first touch")
+    blending: Positive = Field(default=0.002, description="time constant with which a corrected prediction reaches the platform [s]")
+
+
 class NoMotionCompensation(Strictly):
     """The platform is commanded with the pose alone."""
 
@@ -184,7 +201,7 @@ class Feedforward(Strictly):
     kind: Literal["feedforward"] = "feedforward"
 
 
-ForceCompensation = Annotated[NoForceCompensation | PhaseLead, Field(discriminator="kind")]
+ForceCompensation = Annotated[NoForceCompensation | PhaseLead | Resynchronised, Field(discriminator="kind")]
 MotionCompensation = Annotated[NoMotionCompensation | Feedforward, Field(discriminator="kind")]
 
 

@@ -14,6 +14,7 @@ from typing import Protocol
 from hiltestbed.compensation.measurement import Measurement
 from hiltestbed.compensation.none import Uncompensated
 from hiltestbed.compensation.phase_lead import PhaseLead
+from hiltestbed.compensation.resynchronised import Resynchronised
 from hiltestbed.frames import Array
 from hiltestbed.scenario import Scenario
 from hiltestbed.spacecraft import Spacecraft
@@ -79,5 +80,7 @@ def make_drive(scenarios: Sequence[Scenario]) -> Drive:
             return ForceDrive(spacecraft, Uncompensated())
         case "phase_lead":
             return ForceDrive(spacecraft, PhaseLead(scenarios))
+        case "resynchronised":
+            return Resynchronised(spacecraft, scenarios)
         case kind:
             raise ValueError(f"compensation.force.kind {kind!r} has no drive")
