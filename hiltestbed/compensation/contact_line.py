@@ -1,0 +1,162 @@
+"""The contact as the resynchronised prediction knows it: one line of action, one spring and damper along it.
+
+At A's origin, in P: force and torque act along the direction ``D`` (6,), their size follows from the relative pose ``x`` (6,)
+(position, rotation vector) and twist ``v`` (6,) of A along the gradient ``G`` (6,)::
+
+    wrench = D F,   F = k (G.x - x0) + c G.v   while G.x > x0, never negative
+
+Of a flat passive surface G is known: its normal, z of P. D comes from the measured wrench, so that friction and the lever of a hit
+beside the axis are in it. Of other surfaces G is taken as D: the normal of a surface without friction is the direction of the force.
+
+k, c and x0 are the Bayesian least squares of the measured F on G.x and G.v *at the time the force was felt*, with an intercept. What
+is known beforehand enters as a prior: an earlier contact's k, c and touch point, or, when nothing is known, that the touch point lies
+within the tick before the first force. One contact is enough: the estimate is there some four samples after the touch.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+# Columns of a run's row in ``law``.
+STIFFNESS, DAMPING, TOUCH, KNOWN, ARMED, STIFFNESS_SD, DAMPING_SD, LAW = range(8)
+# Columns of ``fit``: sums over the contact of products of x, v, 1 (all as the sensor's filters pass them) and y.
+XX, XV, XO, VV, VO, OO, XY, VY, OY, REFERENCE, PRIOR_K, PRIOR_C, SD_K, SD_C, SD_X, TRAVEL, PEAK, FIT = range(18)
+# Columns of ``count``.
+ABOVE, SAMPLES, CONTACTS, COUNT = range(4)
+
+GATE_SIGMA = 5.0  # a contact is where the force exceeds this many standard deviations of its noise
+GATE_PEAK = 0.02  # and this part of the peak so far
+GATE_PEAK_FILTERED = 0.3  # with a low-pass, whose memory of the clipped force at separation would bias c
+FILTER_MEMORY = 3.0  # time constants of the low-pass that are left out after the touch
+MINIMUM_SAMPLES = 4
+ACCEPTED = 0.25  # relative standard deviation of k from which the law is used
+MODEL_ERROR = 3e-4  # of the peak force: what a real contact departs from k x + c v at least
+LEARNT_K, LEARNT_C = 0.02, 0.10  # relative uncertainty with which an estimate is carried over to a contact elsewhere on the surface
+DIRECTION_MEMORY = 0.02  # [s] over which the direction of the force is averaged
+
+
+@njit(cache=True, inline="always")
+def size(law, s, rate):
+    """Size of the force [N] at the position ``s`` [m] and ``rate`` [m/s] along the gradient."""
+    x = s - law[TOUCH]
+    if law[ARMED] == 0.0 or x <= 0.0:
+        return 0.0
+    return max(0.0, law[STIFFNESS] * x + law[DAMPING] * rate)
+
+
+@njit(cache=True)
+def touch(fit, law, count, x, v, h):
+    """A contact has begun: where, and what the last one taught."""
+    count[CONTACTS] += 1
+    if law[ARMED] == 1.0:
+        return
+    fit[:REFERENCE] = 0.0
+    fit[REFERENCE] = x - 0.5 * h * v  # the force began within the tick that ended here
+    fit[TRAVEL] = abs(v) * h
+    fit[SD_X] = 0.0
+    count[SAMPLES] = 0
+    if law[KNOWN] == 1.0:
+        fit[PRIOR_K], fit[PRIOR_C] = law[STIFFNESS], law[DAMPING]
+        fit[SD_K] = max(law[STIFFNESS_SD], LEARNT_K * law[STIFFNESS])
+        fit[SD_C] = max(law[DAMPING_SD], LEARNT_C * abs(law[DAMPING]))
+        law[TOUCH], law[ARMED] = fit[REFERENCE], 1.0
+
+
+@njit(cache=True)
+def learn(fit, law, count, sample, sigma):
+    """Take in one contact sample (x, v, 1 as felt, and y), and solve for the law."""
+    x, v, o, y = sample[0] - sample[2] * fit[REFERENCE], sample[1], sample[2], sample[3]
+    fit[XX] += x * x
+    fit[XV] += x * v
+    fit[XO] += x * o
+    fit[VV] += v * v
+    fit[VO] += v * o
+    fit[OO] += o * o
+    fit[XY] += x * y
+    fit[VY] += v * y
+    fit[OY] += o * y
+    count[SAMPLES] += 1
+    if count[SAMPLES] < MINIMUM_SAMPLES and law[KNOWN] == 0.0:
+        return
+    variance = sigma * sigma + (MODEL_ERROR * fit[PEAK]) ** 2
+    k = law[STIFFNESS] if law[KNOWN] == 1.0 else _spring_alone(fit)
+    if k > 0.0:
+        _solve(fit, law, k, max(variance, 1e-30))
+
+
+@njit(cache=True)
+def _spring_alone(fit):
+    """k of ``y = k x + c v`` without an intercept: for the weight of the touch point only."""
+    det = fit[XX] * fit[VV] - fit[XV] * fit[XV]
+    if det <= 1e-12 * fit[XX] * fit[VV]:
+        return 0.0
+    return (fit[VV] * fit[XY] - fit[XV] * fit[VY]) / det
+
+
+@njit(cache=True)
+def _solve(fit, law, k, variance):
+    """The posterior of (k, c, b) by Cramer's rule, columns scaled."""
+    weight_k = variance / fit[SD_K] ** 2 if fit[SD_K] > 0.0 else 0.0
+    weight_c = variance / fit[SD_C] ** 2 if fit[SD_C] > 0.0 else 0.0
+    sd_x = fit[SD_X] if fit[SD_X] > 0.0 else math.sqrt(fit[TRAVEL] ** 2 / 12.0 + GATE_SIGMA**2 * variance / (k * k))
+    weight_b = variance / (k * sd_x) ** 2
+    a11, a12, a13 = fit[XX] + weight_k, fit[XV], fit[XO]
+    a22, a23, a33 = fit[VV] + weight_c, fit[VO], fit[OO] + weight_b
+    y1, y2, y3 = fit[XY] + weight_k * fit[PRIOR_K], fit[VY] + weight_c * fit[PRIOR_C], fit[OY]
+    if a11 <= 0.0 or a22 <= 0.0 or a33 <= 0.0:
+        return
+    d1, d2, d3 = 1.0 / math.sqrt(a11), 1.0 / math.sqrt(a22), 1.0 / math.sqrt(a33)
+    r12, r13, r23 = a12 * d1 * d2, a13 * d1 * d3, a23 * d2 * d3
+    z1, z2, z3 = y1 * d1, y2 * d2, y3 * d3
+    c11, c12, c13 = 1.0 - r23 * r23, r13 * r23 - r12, r12 * r23 - r13
+    c22, c23, c33 = 1.0 - r13 * r13, r12 * r13 - r23, 1.0 - r12 * r12
+    det = c11 + r12 * c12 + r13 * c13
+    if det <= 1e-13:
+        return
+    stiffness = (c11 * z1 + c12 * z2 + c13 * z3) / det * d1
+    damping = (c12 * z1 + c22 * z2 + c23 * z3) / det * d2
+    intercept = (c13 * z1 + c23 * z2 + c33 * z3) / det * d3
+    sd_k = math.sqrt(max(0.0, variance * c11 / det)) * d1
+    if stiffness <= 0.0 or (law[KNOWN] == 0.0 and sd_k > ACCEPTED * stiffness):
+        return
+    law[STIFFNESS], law[DAMPING] = stiffness, damping
+    law[TOUCH] = fit[REFERENCE] - intercept / stiffness
+    law[STIFFNESS_SD], law[DAMPING_SD] = sd_k, math.sqrt(max(0.0, variance * c22 / det)) * d2
+    law[KNOWN], law[ARMED] = 1.0, 1.0
+
+
+@njit(cache=True)
+def direct(line, wrench, y, fixed, fade, noise):
+    """Average the direction of the wrench (6,) at A's origin; ``line`` (3, 6): D, sum of wrench y, (sum of y y).
+
+    ``noise`` (2,): variances of force and torque, against which a direction must stand out to be believed.
+    """
+    line[2, 0] = fade * line[2, 0] + y * y
+    for j in range(6):
+        line[1, j] = fade * line[1, j] + wrench[j] * y
+        rest = 25.0 * noise[j // 3]
+        known = 1.0 if j == 2 else 0.0
+        total = line[2, 0] + rest
+        line[0, j] = (line[1, j] + rest * known) / total if total > 0.0 else known
+    if fixed == 0:
+        force = math.sqrt(line[0, 0] ** 2 + line[0, 1] ** 2 + line[0, 2] ** 2)
+        for j in range(6):
+            line[0, j] /= force
+
+
+def prior(stiffness: float, damping: float, touch_point: float) -> tuple[np.ndarray, np.ndarray]:
+    """Rows of ``fit`` and ``law`` for a contact that was identified before: k to 0.5 %, c to 2 %, the touch point to 50 um."""
+    fit, law = unknown()
+    fit[REFERENCE], fit[PRIOR_K], fit[PRIOR_C] = touch_point, stiffness, damping
+    fit[SD_K], fit[SD_C], fit[SD_X] = 0.005 * stiffness, 0.02 * damping + 5e-5 * stiffness, 5e-5
+    law[STIFFNESS], law[DAMPING], law[TOUCH], law[KNOWN], law[ARMED] = stiffness, damping, touch_point, 1.0, 1.0
+    law[STIFFNESS_SD], law[DAMPING_SD] = fit[SD_K], fit[SD_C]
+    return fit, law
+
+
+def unknown() -> tuple[np.ndarray, np.ndarray]:
+    """Rows of ``fit`` and ``law`` for a contact of which nothing is known."""
+    return np.zeros(FIT), np.zeros(LAW)
