@@ -9,18 +9,22 @@ from typing import TYPE_CHECKING, Any
 import mujoco
 import numpy as np
 from mujoco.batch import Batch
+from numba import njit
 from numpy.typing import NDArray
 
-from hiltestbed.frames import Array
+from hiltestbed.effects.platform import PlatformPath
+from hiltestbed.frames import Array, rotate
 from hiltestbed.rig import contact, model
 from hiltestbed.rig.batch_wrench import read_history, read_wrench
+from hiltestbed.rig.mount import Mount
 from hiltestbed.rig.servo import Servo
-from hiltestbed.rig.surfaces import tip_against_plane
+from hiltestbed.rig.touch import Touch, load_body
 
 if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario
 
 SPEED_LIMIT = 1e3  # [m/s], [rad/s] a joint faster than this has diverged
+YIELDING = 150.0  # [kg] half of what a point of the platform weighs against a push: friction may take its speed in one step
 ACC = int(mujoco.mjtStage.mjSTAGE_ACC)
 
 
@@ -31,14 +35,21 @@ class ServoTracking:
     between come from the sensor's history.
     """
 
-    def __init__(self, scenarios: Sequence[Scenario], nthread: int) -> None:
+    def __init__(self, scenarios: Sequence[Scenario], nthread: int, structure: model.Structure) -> None:
         first, n = scenarios[0], len(scenarios)
         if mujoco.get_mju_user_warning() is None:  # else MuJoCo writes MUJOCO_LOG.TXT into the working folder
             mujoco.set_mju_user_warning(_said)
         self.substeps = m = first.substeps
-        self.model = model.rig_model(first.mechanism.kind, first.mechanism.contact.friction > 0, first.tick / m, kept=m)
+        dt = first.tick / m
+        self.model = model.rig_model(structure, dt, kept=m)
         self.batch = Batch(self.model, n, nthread, persistent=True)
-        self.contact = contact.PairContact(self.batch, scenarios, scale=1.0)
+        if structure.paired:
+            contact.set_linear(self.batch, scenarios, scale=1.0)
+        self.touch = None if structure.paired else Touch(scenarios, least_creep=dt / YIELDING)
+        self.mount = Mount(self.batch, scenarios)
+        self.path = PlatformPath(scenarios)
+        self._ticks = np.zeros(1, dtype=np.int64)
+        self._goal = np.zeros((n, 7))
         feed = np.array([s.compensation.motion.kind != "none" for s in scenarios])
         self.servo = Servo(self.model, n, first.tick, m, feed)
         bind = self.batch.bind
@@ -46,7 +57,11 @@ class ServoTracking:
         self._warmstart, self._history = bind("qacc_warmstart"), bind("history")
         self._reading, self._ncon = bind("sensordata"), bind("ncon")
         self._tare = np.zeros((n, 6))
-        self._depth, self._rate = np.zeros(n), np.zeros(n)
+        self._applied = bind("xfrc_applied").reshape(n, -1, 6)
+        self._active = self.model.body(model.ACTIVE + "mechanism").id
+        self._passive = self.model.body(model.PASSIVE + "mechanism").id
+        self._offset = np.array(self.model.body(self._active).ipos - self.model.site(model.ACTIVE + "A").pos)
+        self._centre = np.zeros((n, 3))
         self.pose_act, self.twist_act = np.zeros((n, 7)), np.zeros((n, 6))
         self.wrench_sub = np.zeros((n, m, 6))
         self.contact_now = np.zeros(n, dtype=bool)
@@ -70,7 +85,10 @@ class ServoTracking:
         self.diverged[:] = False
         self._going = None
         self.servo.settle(pose, twist, self._qpos, self._qvel)
-        self._apply_law()
+        self._ticks[0] = 0
+        if self.touch is not None:
+            self.touch.reset()
+            self._meet()
         self.batch.forward()
         self.wrench_sub[:] = 0.0
         read_wrench(self._reading, self._tare, self.wrench_sub, self.substeps - 1)
@@ -78,11 +96,15 @@ class ServoTracking:
 
     def advance(self, pose_cmd: Array, twist_cmd: Array, accel_cmd: Array) -> None:
         """One tick towards ``pose_cmd`` (n, 7), with ``twist_cmd`` and ``accel_cmd`` (n, 6)."""
-        self.servo.aim(pose_cmd, twist_cmd, accel_cmd)
-        if self.contact.law is None:
+        self._goal[:] = pose_cmd
+        if self.path.active:
+            self._goal[:, :3] = self.path.advance(int(self._ticks[0]), pose_cmd)[:, -1]
+        self._ticks[0] += 1
+        self.servo.aim(self._goal, twist_cmd, accel_cmd)
+        if self.touch is None:
             self._run()
         else:
-            self._run_law()
+            self._run_touching()
         self._observe()
 
     def bare_steps(self, count: int) -> None:
@@ -100,29 +122,35 @@ class ServoTracking:
         read_history(self._history, self._tare, self.wrench_sub)
         read_wrench(self._reading, self._tare, self.wrench_sub, last)
 
-    def _run_law(self) -> None:
-        """The law's force is written at every state before it acts, so the last reading takes a forward pass of its own."""
+    def _run_touching(self) -> None:
+        """A step's reading is that of its start; the last instant takes a forward pass of its own."""
         for s in range(self.substeps):
             self.servo.push(s, self._qpos, self._qvel, self._ctrl)
             self.batch.step(self._going)
             if s > 0:
                 read_wrench(self._reading, self._tare, self.wrench_sub, s - 1)
-            self._apply_law()
+            self._meet()
         self.batch.forward(self._going)
         read_wrench(self._reading, self._tare, self.wrench_sub, self.substeps - 1)
 
-    def _apply_law(self) -> None:
-        if self.contact.law is not None:
-            self.servo.observe(self._qpos, self._qvel, SPEED_LIMIT, self.pose_act, self.twist_act, self.slider_act, self.diverged)
-            tip_against_plane(self.pose_act, self.twist_act, self._depth, self._rate)
-            self.contact.update(self._depth, self._rate)
+    def _meet(self) -> None:
+        """Put the wrench of the state on both sides."""
+        assert self.touch is not None
+        self.servo.observe(self._qpos, self._qvel, SPEED_LIMIT, self.pose_act, self.twist_act, self.slider_act, self.diverged)
+        self.mount.observe(self._qpos, self._qvel)
+        self.touch.update(self.pose_act, self.twist_act, self.mount.place, self.mount.motion)
+        _centres(self.pose_act, self._offset, self._centre)
+        load_body(-1.0, self.touch.wrench, self._active, self._centre, self._applied)
+        load_body(1.0, self.touch.wrench, self._passive, self.mount.centre, self._applied)
 
     def _observe(self) -> None:
-        lost = self.servo.observe(self._qpos, self._qvel, SPEED_LIMIT, self.pose_act, self.twist_act, self.slider_act, self.diverged)
-        np.greater(self._ncon, 0, out=self.contact_now)
-        if lost:
+        self.servo.observe(self._qpos, self._qvel, SPEED_LIMIT, self.pose_act, self.twist_act, self.slider_act, self.diverged)
+        if self.touch is None:
+            np.greater(self._ncon, 0, out=self.contact_now)
+        else:
+            self.contact_now[:] = self.touch.touching
+        if self.diverged.any():
             self._leave_out()
-        if self._going is not None:
             self.wrench_sub[self.diverged] = 0.0
 
     def _leave_out(self) -> None:
@@ -134,7 +162,10 @@ class ServoTracking:
 
     def buffers(self) -> dict[str, NDArray[Any]]:
         """The state between two ticks."""
-        return {
+        parts = self.path.buffers() | self.mount.buffers() | (self.touch.buffers() if self.touch else {})
+        return parts | {
+            "ticks": self._ticks,
+            "applied": self._applied,
             "qpos": self._qpos,
             "qvel": self._qvel,
             "ctrl": self._ctrl,
@@ -150,6 +181,15 @@ class ServoTracking:
             "contact": self.contact_now,
             "slider_act": self.slider_act,
         }
+
+
+@njit(cache=True)
+def _centres(pose, offset, out):
+    """``out`` (n, 3) [m]: the place in W of a point ``offset`` (3,) from A's origin, in A."""
+    for i in range(pose.shape[0]):
+        rotate(pose[i, 3:7], offset, out[i])
+        for j in range(3):
+            out[i, j] += pose[i, j]
 
 
 def _said(message: str) -> None:

@@ -16,15 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hiltestbed.errors import InputError
+from hiltestbed.rig import mount
 
 Array = NDArray[np.float64]
 
 # Contact that is a spring and a damper in N/m and N s/m (hiltestbed.rig.contact) needs a small, constant impedance.
 IMPEDANCE = 1e-4
 CONTACT_SOLIMP = (IMPEDANCE, IMPEDANCE, 1e-3, 0.5, 1.0)
-# MuJoCo projects the forces on the friction cone; the more impratio, the less of a slip's friction leaks into the normal force:
-# mu CREEP_DAMPING v/IMPRATIO [N].
-IMPRATIO = 1e6
 PRESCRIBED_MASS = 1e15  # [kg], [kg m^2]
 ACTIVE = "active_"
 PASSIVE = "passive_"
@@ -45,24 +43,22 @@ def load(name: str) -> mujoco.MjSpec:
     return mujoco.MjSpec.from_file(str(models_folder() / f"{name}.xml"))
 
 
+ACTIVE_FILES = {"bumper": "bumper/active", "latched": "bumper/active", "probe_cone": "probe_cone/active"}
+PASSIVE_FILES = {"bumper": "bumper/passive", "latched": "bumper/passive", "probe_cone": "probe_cone/passive"}
+
+
 @dataclass(frozen=True)
-class ContactPair:
-    """One pair of geoms that may touch, by their names in the composed model."""
+class Structure:
+    """What a rig is made of: all that its MuJoCo model depends on, apart from numbers.
 
-    active: str
-    passive: str
+    Attributes:
+        kind: of the mechanism. mounted: the passive side is on a compliant mount.
+        paired: MuJoCo's own contact acts; else the wrench is applied from outside (:mod:`hiltestbed.rig.touch`).
+    """
 
-
-MECHANISMS: dict[str, tuple[ContactPair, ...]] = {
-    "bumper": (ContactPair(ACTIVE + "tip", PASSIVE + "surface"),),
-}
-
-
-def mechanism_pairs(kind: str) -> tuple[ContactPair, ...]:
-    """The contact pairs of a mechanism; :class:`InputError` for a kind there is no model of."""
-    if kind not in MECHANISMS:
-        raise InputError(f"mechanism.kind: no model of {kind!r}; there are {', '.join(sorted(MECHANISMS))}")
-    return MECHANISMS[kind]
+    kind: str
+    mounted: bool
+    paired: bool
 
 
 def _options(spec: mujoco.MjSpec, timestep: float, gravity: bool) -> None:
@@ -70,30 +66,26 @@ def _options(spec: mujoco.MjSpec, timestep: float, gravity: bool) -> None:
     option.timestep = timestep
     option.gravity = [0.0, 0.0, -9.81] if gravity else [0.0, 0.0, 0.0]
     option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
-    option.impratio = IMPRATIO
     option.integrator = mujoco.mjtIntegrator.mjINT_EULER
     option.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND  # one island: looking for more costs a tenth of a step
     option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET  # a diverging run stops, it does not start again in silence
 
 
-def _add_pairs(spec: mujoco.MjSpec, kind: str, friction: bool) -> None:
-    for pair in mechanism_pairs(kind):
-        spec.add_pair(
-            name=pair.active + "-" + pair.passive,
-            geomname1=pair.active,
-            geomname2=pair.passive,
-            condim=3 if friction else 1,
-            solimp=CONTACT_SOLIMP,
-        )
+def _add_pair(spec: mujoco.MjSpec) -> None:
+    """The one contact of the bumper, along the normal alone."""
+    tip, surface = ACTIVE + "tip", PASSIVE + "surface"
+    spec.add_pair(name="contact", geomname1=tip, geomname2=surface, condim=1, solimp=CONTACT_SOLIMP)
 
 
-def _add_passive(spec: mujoco.MjSpec, kind: str) -> None:
-    """The passive mechanism at P, welded, behind the six-axis force sensor at P's origin."""
+def _add_passive(spec: mujoco.MjSpec, structure: Structure) -> None:
+    """The passive mechanism at P, on its mount if it has one, behind the six-axis force sensor at P's origin."""
     carrier = spec.worldbody.add_body(name="passive_carrier")
     carrier.add_site(name="P_nominal")
-    spec.attach(load(f"{kind}/passive"), prefix=PASSIVE, frame=carrier.add_frame())
+    spec.attach(load(PASSIVE_FILES[structure.kind]), prefix=PASSIVE, frame=carrier.add_frame())
+    if structure.mounted:
+        mount.add_joints(spec.body(PASSIVE + "mechanism"))
     for sensor, name in ((mujoco.mjtSensor.mjSENS_FORCE, "force"), (mujoco.mjtSensor.mjSENS_TORQUE, "torque")):
-        spec.add_sensor(name=name, type=sensor, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=PASSIVE + "P")
+        spec.add_sensor(name=name, type=sensor, objtype=mujoco.mjtObj.mjOBJ_SITE, objname="P_nominal")
 
 
 def _site_offset(mechanism: mujoco.MjSpec, site: str) -> Array:
@@ -101,17 +93,17 @@ def _site_offset(mechanism: mujoco.MjSpec, site: str) -> Array:
     return np.array(mechanism.site(site).pos)
 
 
-def ideal_model(kind: str, friction: bool) -> mujoco.MjModel:
+def ideal_model(structure: Structure, timestep: float) -> mujoco.MjModel:
     """The mechanisms alone: the active one free, its body frame A itself, to be placed before each evaluation; no gravity.
 
     What is placed does not yield: the body is made immovable (PRESCRIBED_MASS) while the contact is scaled by an inverse weight of
     1/kg, so that no acceleration enters the force and stiffness and damping are exact at any lever arm.
     """
     spec = mujoco.MjSpec()
-    spec.modelname = f"ideal-{kind}"
-    _options(spec, timestep=1e-3, gravity=False)
-    _add_passive(spec, kind)
-    active = load(f"{kind}/active")
+    spec.modelname = f"ideal-{structure.kind}"
+    _options(spec, timestep, gravity=False)
+    _add_passive(spec, structure)
+    active = load(ACTIVE_FILES[structure.kind])
     offset = _site_offset(active, "A")
     body = spec.worldbody.add_body(name="A_body")
     body.add_freejoint(name="A_joint")
@@ -119,32 +111,34 @@ def ideal_model(kind: str, friction: bool) -> mujoco.MjModel:
     mechanism = spec.body(ACTIVE + "mechanism")
     mechanism.mass = PRESCRIBED_MASS
     mechanism.inertia = np.full(3, PRESCRIBED_MASS)
-    _add_pairs(spec, kind, friction)
+    if structure.paired:
+        _add_pair(spec)
     model = spec.compile()
     model.body_invweight0[model.body(ACTIVE + "mechanism").id] = 1.0
     return model
 
 
-def rig_spec(kind: str, friction: bool, timestep: float) -> mujoco.MjSpec:
+def rig_spec(structure: Structure, timestep: float) -> mujoco.MjSpec:
     """The whole rig: 3-3 PSS platform with the active mechanism, frame, force sensor, passive mechanism.
 
     The spherical joints are held as stiffly as MuJoCo allows: a time constant of two steps.
     """
     spec = load("pss33/pss33")
-    spec.modelname = f"pss33-{kind}"
+    spec.modelname = f"pss33-{structure.kind}"
     _options(spec, timestep, gravity=True)
     spec.attach(load("frame/frame"), prefix="frame_", frame=spec.worldbody.add_frame())
-    spec.attach(load(f"{kind}/active"), prefix=ACTIVE, site=spec.site("mount"))
-    _add_passive(spec, kind)
-    _add_pairs(spec, kind, friction)
+    spec.attach(load(ACTIVE_FILES[structure.kind]), prefix=ACTIVE, site=spec.site("mount"))
+    _add_passive(spec, structure)
+    if structure.paired:
+        _add_pair(spec)
     for joint in spec.equalities:
         joint.solref[:] = [2.0 * timestep, 1.0]
     return spec
 
 
-def rig_model(kind: str, friction: bool, timestep: float, kept: int) -> mujoco.MjModel:
+def rig_model(structure: Structure, timestep: float, kept: int) -> mujoco.MjModel:
     """The rig as it is simulated: nothing that is only drawn, and the last ``kept`` readings of the sensor in its history."""
-    spec = rig_spec(kind, friction, timestep)
+    spec = rig_spec(structure, timestep)
     spec.compiler.discardvisual = True
     for sensor in spec.sensors:
         sensor.nsample = kept
@@ -153,4 +147,4 @@ def rig_model(kind: str, friction: bool, timestep: float, kept: int) -> mujoco.M
 
 def rig_scene(kind: str) -> mujoco.MjModel:
     """The rig as it is drawn."""
-    return rig_spec(kind, friction=False, timestep=1e-3).compile()
+    return rig_spec(Structure(kind, mounted=False, paired=False), timestep=1e-3).compile()

@@ -8,29 +8,32 @@ from typing import TYPE_CHECKING, Any
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
+from hiltestbed.effects.access import effects_of
+from hiltestbed.effects.contact import FRICTION, TILT_X, TILT_Y, ContactForce
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array
 from hiltestbed.rig.contact import ContactLaw
 from hiltestbed.rig.driven import ServoTracking
 from hiltestbed.rig.ideal import IdealTracking
+from hiltestbed.rig.model import Structure
 
 if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario
 
 
-def structure(scenario: Scenario) -> Hashable:
-    """What must be equal in the scenarios of one :class:`Plant`; all other numbers may differ run by run."""
+def structure(scenario: Scenario, law: bool = False) -> Structure:
+    """What the rig of a scenario is made of; ``law``: a contact law of its own acts in place of the linear contact."""
     mechanism = scenario.mechanism
-    return (
-        scenario.rate,
-        scenario.physics_rate,
-        mechanism.kind,
-        mechanism.contact.friction > 0,
-        mechanism.mount is None,
-        scenario.rig.platform.kind,
-        scenario.rig.platform.tracking,
-    )
+    mounted = mechanism.mount is not None
+    plain = mechanism.kind == "bumper" and mechanism.contact.friction == 0.0 and not effects_of(scenario, "contact")
+    return Structure(mechanism.kind, mounted, paired=plain and not mounted and not law)
+
+
+def alike(scenario: Scenario) -> Hashable:
+    """What must be equal in the scenarios of one :class:`Plant`; all other numbers may differ run by run."""
+    return (scenario.rate, scenario.physics_rate, structure(scenario), scenario.rig.platform.kind, scenario.rig.platform.tracking)
 
 
 class Plant:
@@ -46,14 +49,18 @@ class Plant:
         diverged: (n,) bool, whether a run has left the finite numbers; it is frozen from then on.
     """
 
-    def __init__(self, scenarios: Sequence[Scenario], nthread: int = 1) -> None:
-        if len({structure(s) for s in scenarios}) != 1:
+    def __init__(self, scenarios: Sequence[Scenario], nthread: int = 1, contact_law: ContactLaw | None = None) -> None:
+        """``contact_law``: in place of the scenarios' own contact along the normal, their effects included."""
+        if len({alike(s) for s in scenarios}) != 1:
             raise InputError(
-                "one Plant takes runs of one structure: the same rate, physics_rate, mechanism.kind, contact.friction > 0 or not, "
-                "mechanism.mount given or not, and rig.platform"
+                "one Plant takes runs of one structure: the same rate, physics_rate, rig.platform and mechanism.kind; mechanism.mount, "
+                "contact.friction > 0 and effects of the contact in all or in none"
             )
         tracking = IdealTracking if scenarios[0].rig.platform.tracking == "ideal" else ServoTracking
-        self._tracking = tracking(scenarios, nthread)
+        self._tracking = tracking(scenarios, nthread, structure(scenarios[0], contact_law is not None))
+        self._law: ContactForce | None = None
+        if self._tracking.touch is not None:
+            self._set_law(scenarios, contact_law)
         self.pose_act: Array = self._tracking.pose_act
         self.twist_act: Array = self._tracking.twist_act
         self.wrench_sub: Array = self._tracking.wrench_sub
@@ -67,18 +74,17 @@ class Plant:
         """The model that is stepped: the bare physics under this plant."""
         return self._tracking.model
 
-    @property
-    def contact_law(self) -> ContactLaw | None:
-        """A law in place of the linear contact, for all runs; None: F = k x + c v of the scenario."""
-        return self._tracking.contact.law
-
-    @contact_law.setter
-    def contact_law(self, law: ContactLaw | None) -> None:
-        self._tracking.contact.law = law
-
-    def set_friction(self, friction: Array) -> None:
-        """Coulomb coefficient ``(n,)`` of each run; the scenarios' own friction must not be zero."""
-        self._tracking.contact.set_friction(friction)
+    def _set_law(self, scenarios: Sequence[Scenario], contact_law: ContactLaw | None) -> None:
+        """The given law, or that of the scenarios' effects; their friction and the tilt of the passive port with it."""
+        touch = self._tracking.touch
+        assert touch is not None
+        touch.law = contact_law
+        law = ContactForce(scenarios)
+        if contact_law is None and law.active:
+            touch.law = self._law = law
+            touch.friction[:] = law.parameters[:, FRICTION]
+            tilts = Rotation.from_euler("xyz", np.column_stack([law.parameters[:, [TILT_X, TILT_Y]], np.zeros(len(scenarios))]))
+            self._tracking.mount.tilt[:, 3:] = tilts.as_quat()
 
     def divergence(self, i: int) -> str:
         """Why run ``i`` diverged: which quantity, and its value."""
@@ -86,7 +92,8 @@ class Plant:
 
     def buffers(self) -> dict[str, NDArray[Any]]:
         """The state between two ticks, by name; written back, the rig goes on from there."""
-        return self._tracking.buffers() | {"diverged": self.diverged}
+        law = {f"law_{name}": array for name, array in self._law.buffers().items()} if self._law else {}
+        return self._tracking.buffers() | law | {"diverged": self.diverged}
 
     def reset(self, pose: Array, twist: Array) -> None:
         """Start at the pose ``(n, 7)`` of A in P with the twist ``(n, 6)``: before t = 0 the approach is uniform."""
