@@ -9,6 +9,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from hiltestbed.frames import Array
+from hiltestbed.signals import RunTrace
 from hiltestbed.simulation import Run
 from hiltestbed.viewer import plots, rig, spacecraft
 
@@ -22,13 +23,13 @@ class Facts:
     """What of a run the layout depends on: ``force_scale`` [m/N] of the arrows."""
 
     run: Run
+    trace: RunTrace
     force_scale: float
 
     @property
     def window(self) -> tuple[float, float]:
         """[s] around the first contact; the whole run where the ports do not touch."""
-        assert self.run.trace is not None
-        t, contact = self.run.trace.t, self.run.trace.contact
+        t, contact = self.trace.t, self.trace.contact
         if not contact.any():
             return float(t[0]), float(t[-1])
         first, last = (float(t[i]) for i in np.flatnonzero(contact)[[0, -1]])
@@ -39,7 +40,7 @@ class Facts:
 def layout(facts: Facts) -> rrb.Blueprint:
     """The layout as it opens: playing the contact in slow motion."""
     start, end = facts.window
-    touched = facts.run.trace is not None and bool(facts.run.trace.contact.any())
+    touched = bool(facts.trace.contact.any())
     return rrb.Blueprint(
         rrb.Horizontal(_scenes(facts), _signals(facts), column_shares=[1.25, 1.0]),
         rrb.TimePanel(
@@ -138,8 +139,7 @@ def _phases(facts: Facts) -> rrb.StateTimelineView:
 
 def _range(facts: Facts, name: str) -> tuple[float, float] | None:
     """From the later estimates and the truth: the first few estimates of a contact can be anything."""
-    assert facts.run.trace is not None
-    values: Array = facts.run.trace[f"{name}_est"][:, 2]
+    values: Array = facts.trace[f"{name}_est"][:, 2]
     values = values[np.isfinite(values)]
     truth = facts.run.summary["identification"]["z"][f"{name}_true"]
     shown = [*np.percentile(values, [5.0, 95.0])] if len(values) else []

@@ -9,10 +9,13 @@ from collections.abc import Sequence
 
 import numpy as np
 import rerun as rr
+from numba import njit
 
-from hiltestbed.frames import Array, rotation_vectors
+from hiltestbed.frames import Array, rotation_vectors, twist_between
+from hiltestbed.scenario import Scenario
 from hiltestbed.signals import AXES, RunTrace
 from hiltestbed.simulation import Run
+from hiltestbed.spacecraft import approach_state
 from hiltestbed.viewer import colors
 
 ROOT = "signals"
@@ -51,7 +54,7 @@ def send_signals(rec: rr.RecordingStream, run: Run, trace: RunTrace) -> None:
     _wrenches(plotter, trace)
     _estimates(plotter, run, trace)
     _platform(plotter, trace)
-    energy = energy_generated(trace, 1.0 / run.scenario.rate)
+    energy = energy_generated(trace, run.scenario)
     plotter.curves("energy_generated", ["made by the rig [J]"], [colors.ENERGY], energy[:, None], [2.0])
     send_phases(rec, trace)
 
@@ -96,12 +99,22 @@ def _platform(plotter: Plotter, trace: RunTrace) -> None:
     plotter.curves("platform/tracking_error_mm", [f"{a} [mm]" for a in XYZ], colors.SERIES[:3], behind)
 
 
-def energy_generated(trace: RunTrace, tick: float) -> Array:
-    """``(ticks,)`` [J] made by the rig so far: the integral of F v_act - F_used v_cmd, as in :mod:`hiltestbed.metrics`."""
-    work = np.zeros(len(trace.t))
-    force, used, v, u = trace["wrench_true"], trace["wrench_comp"], trace["twist_act"], trace["twist_cmd"]
-    work[1:] = np.einsum("ij,ij->i", force[1:] + force[:-1], v[1:]) - np.einsum("ij,ij->i", used[1:], u[1:] + u[:-1])
-    return 0.5 * tick * np.cumsum(work)
+def energy_generated(trace: RunTrace, scenario: Scenario) -> Array:
+    """``(ticks,)`` [J] made by the rig so far: the integral of F v_act - F_used v_cmd, as :class:`hiltestbed.metrics.Tally` adds it up."""
+    tick = 1.0 / scenario.rate
+    slope = np.zeros_like(trace["twist_act"])
+    _slopes(trace["pose_act"], tick, slope)
+    force, used, rate = trace["wrench_true"], trace["wrench_comp"], trace["twist_cmd"]
+    before = np.concatenate([approach_state(scenario)[None, 7:], rate[:-1]])
+    taken = np.zeros(len(trace.t))
+    taken[1:] = np.einsum("ij,ij->i", force[1:] + force[:-1], slope[1:])
+    return 0.5 * tick * np.cumsum(taken - np.einsum("ij,ij->i", used, rate + before))
+
+
+@njit(cache=True)
+def _slopes(pose, tick, out):
+    for k in range(1, pose.shape[0]):
+        twist_between(pose[k - 1], pose[k], tick, out[k])
 
 
 def contact_phases(trace: RunTrace) -> list[str]:

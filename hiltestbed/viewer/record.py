@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ from hiltestbed.viewer.rig import RigScene, force_scale, send_force
 from hiltestbed.viewer.text import figures
 
 APPLICATION = "hiltestbed"
+FOOTER, FOOTER_SIZE = b"RRF2FOOT", 12
 
 
 def write_recording(path: Path, run: Run) -> None:
@@ -31,16 +33,31 @@ def write_recording(path: Path, run: Run) -> None:
     """
     if run.trace is None:
         raise ValueError("a run without its trace cannot be recorded")
-    trace, scenario = run.trace, run.scenario
-    rows = frame_rows(trace, scenario.rate)
-    facts = Facts(run, force_scale(_peak(trace)))
+    try:
+        _write(path, run, run.trace)
+    except RuntimeError as error:  # how rerun reports that its writer has failed
+        raise OSError(errno.EIO, f"the recording could not be written ({error}); is the disk full?", str(path)) from error
+    if not _whole(path):
+        raise OSError(errno.EIO, "the recording could not be written whole; is the disk full?", str(path))
+
+
+def _write(path: Path, run: Run, trace: RunTrace) -> None:
+    rows = frame_rows(trace, run.scenario.rate)
+    facts = Facts(run, trace, force_scale(_peak(trace)))
     with rr.RecordingStream(APPLICATION, recording_id=_identity(run), send_properties=False) as rec:
         rec.save(path, default_blueprint=layout(facts))
-        rec.send_recording_name(scenario.name)
+        rec.send_recording_name(run.scenario.name)
         rec.log("figures", rr.TextDocument(figures(run), media_type=rr.MediaType.MARKDOWN), static=True)
         _rig(rec, run, trace, rows, facts.force_scale)
         _spacecraft(rec, run, trace, rows, facts.force_scale)
         send_signals(rec, run, trace)
+
+
+def _whole(path: Path) -> bool:
+    """Whether the file ends as a finished recording does: rerun writes its footer last, and is silent when it cannot."""
+    with path.open("rb") as file:
+        file.seek(max(path.stat().st_size - FOOTER_SIZE, 0))
+        return FOOTER in file.read()
 
 
 def _rig(rec: rr.RecordingStream, run: Run, trace: RunTrace, rows: NDArray[np.intp], scale: float) -> None:
