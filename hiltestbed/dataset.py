@@ -6,6 +6,7 @@ The data themselves are read elsewhere.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,7 +32,9 @@ class Channel(Strictly):
 class MeasuredRun(Strictly):
     """One file of measured data."""
 
-    file: Annotated[str, Field(min_length=1)] = Field(description="CSV, Parquet, HDF5, MAT, MDF4, TDMS or MCAP, from the dataset's folder")
+    file: Annotated[str, Field(min_length=1)] = Field(
+        description="CSV, Parquet, HDF5, MAT, MDF4, TDMS or MCAP, from the dataset's folder; ${NAME} stands for a variable of the environment"
+    )
     set: dict[str, Any] = Field(default={}, description="what was different in this run: dotted scenario key to value")
     channels: dict[str, Channel] = Field(default={}, description="channels that stand elsewhere in this file than in the others")
 
@@ -81,14 +84,18 @@ def dataset_from(source: Source) -> LoadedDataset:
             faults += [source.relocated(fault, ("runs", index, "set")) for fault in error.faults]
     if faults:
         raise InputError(faults)
-    files = tuple(source.folder / run.file for run in spec.runs)
+    files = tuple(_data_file(run, source) for run in spec.runs)
     return LoadedDataset(spec, Path(source.file), nominal, tuple(scenarios), files)
+
+
+def _data_file(run: MeasuredRun, source: Source) -> Path:
+    return source.folder / os.path.expandvars(run.file)
 
 
 def _missing_files(spec: Dataset, source: Source) -> Iterator[Fault]:
     for index, run in enumerate(spec.runs):
-        if not (source.folder / run.file).is_file():
-            where = source.folder / run.file
+        where = _data_file(run, source)
+        if not where.is_file():
             yield source.fault(("runs", index, "file"), f"names no file (got {run.file!r}); looked for {where}")
 
 

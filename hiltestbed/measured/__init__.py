@@ -20,8 +20,9 @@ errors as remarks instead of raising them. Readers are imported when a file of t
 """
 
 from hiltestbed.measured.load import MeasuredDataset, MeasuredRun, examine, load_dataset
+from hiltestbed.measured.noise import Noise
 from hiltestbed.measured.record import Record
 from hiltestbed.measured.remark import Remark
-from hiltestbed.measured.survey import Contact, Noise, Survey
+from hiltestbed.measured.survey import Contact, Survey
 
 __all__ = ["Contact", "MeasuredDataset", "MeasuredRun", "Noise", "Record", "Remark", "Survey", "examine", "load_dataset"]

@@ -12,6 +12,7 @@ from hiltestbed.frames import Array
 from hiltestbed.measured.remark import Remark
 
 ON_TICK = 1e-6  # of a tick: a stamp this close to a tick is that tick, and its value is taken as it is
+AT_END = 0.02  # of a tick: the same for a tick that lies just before the first or just after the last sample
 REPEATED_LIMIT = 0.1  # part of the rows that may repeat a time stamp before the clock is too coarse to use
 GAP = 1.75  # sample intervals: a longer one is a gap
 LENGTH_LIMIT = 20.0  # times the scenario's duration that a record may last
@@ -158,10 +159,11 @@ def to_ticks(t: Array, values: Array, ticks: int, tick: float, interval: float) 
     before = np.maximum(after - 1, 0)
     nearest = np.where(np.abs(t[after] - at) < np.abs(at - t[before]), after, before)
     distance = np.abs(t[nearest] - at)
-    on = distance <= ON_TICK * tick
+    outside = (at < t[0]) | (at > t[-1])
+    on = distance <= np.where(outside, AT_END, ON_TICK) * tick
     out[on] = values[nearest[on]]
     width = t[after] - t[before]
-    between = ~on & (distance <= 0.5 * tick) & (at >= t[0]) & (at <= t[-1]) & (width <= max(GAP * interval, GAP * tick))
+    between = ~on & (distance <= 0.5 * tick) & ~outside & (width <= max(GAP * interval, GAP * tick))
     part = np.divide(at - t[before], width, out=np.zeros(ticks), where=width > 0)
     out[between] = ((1 - part) * values[before] + part * values[after])[between]
     return out, on | between

@@ -40,6 +40,7 @@ class MeasuredDataset:
 
     Attributes:
         path: of the dataset file; spec: its content; nominal: its scenario, without any run's differences.
+        files: the data file of each run.
         runs: in the order of the file.
         remarks: losses and notes of all runs (and errors, when it comes from :func:`examine`).
     """
@@ -47,6 +48,7 @@ class MeasuredDataset:
     path: Path
     spec: Dataset
     nominal: Scenario
+    files: tuple[Path, ...]
     runs: tuple[MeasuredRun, ...]
     remarks: tuple[Remark, ...]
 
@@ -64,7 +66,7 @@ def load_dataset(path: str | Path, set: Mapping[str, Any] | None = None) -> Meas
     dataset = examine(path, set)
     errors = [remark for remark in dataset.remarks if remark.severity == "error"]
     if errors:
-        raise InputError([_as_fault(remark, dataset.path, dataset.spec) for remark in errors])
+        raise InputError([_as_fault(remark, dataset) for remark in errors])
     return dataset
 
 
@@ -90,9 +92,9 @@ def examine(path: str | Path, set: Mapping[str, Any] | None = None) -> MeasuredD
     if faults:
         raise InputError(faults)
     remarks += check_dataset([run.record for run in runs], LINKS)
-    return MeasuredDataset(loaded.path, loaded.spec, loaded.nominal, tuple(runs), tuple(remarks))
+    return MeasuredDataset(loaded.path, loaded.spec, loaded.nominal, loaded.files, tuple(runs), tuple(remarks))
 
 
-def _as_fault(remark: Remark, path: Path, spec: Dataset) -> Fault:
-    file = path if remark.run is None else path.parent / spec.runs[remark.run].file
+def _as_fault(remark: Remark, dataset: MeasuredDataset) -> Fault:
+    file = dataset.path if remark.run is None else dataset.files[remark.run]
     return Fault(str(file), None, None, remark.channel, remark.text + (f"; {remark.fix}" if remark.fix else ""))

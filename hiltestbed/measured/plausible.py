@@ -13,9 +13,10 @@ from collections.abc import Iterator
 import numpy as np
 
 from hiltestbed.frames import Array, quat_from_attitude_deg
+from hiltestbed.measured.noise import FREE_MINIMUM
 from hiltestbed.measured.record import Record
 from hiltestbed.measured.remark import Remark
-from hiltestbed.measured.survey import FREE_MINIMUM, MOVED, Survey, baseline
+from hiltestbed.measured.survey import MOVED, Survey, baseline
 from hiltestbed.scenario import Scenario
 
 UNIT_FACTOR = 100.0  # off by more than this: another unit

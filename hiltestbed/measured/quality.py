@@ -13,7 +13,7 @@ from hiltestbed.measured.survey import Survey, baseline
 FLAT = 4  # equal samples in a row at an extreme value, from which clipping is considered
 CORNER = 6.0  # quanta; the rounded top of a smooth signal gives 3, see `_is_corner`
 AWAY = 0.2  # of the range, that a limit lies away from the free level: a force of zero between contacts is no limit
-STEPS = 4  # samples to a distinct value, from which steps are worth a note: a CSV of six digits has steps too
+STEPS = 4  # samples to a step of the range, from which steps are worth a note: a CSV of six digits has steps too
 
 
 def clipped_samples(record: Record, found: Survey) -> tuple[dict[str, NDArray[np.bool_]], list[Remark]]:
@@ -23,7 +23,7 @@ def clipped_samples(record: Record, found: Survey) -> tuple[dict[str, NDArray[np
     for name in record.columns():
         group, part = place(name)
         values = record.column(name)
-        mask = _at_limit(values, baseline(record, found, name))
+        mask = _at_limit(values, baseline(record, found, name), record.steps.get(name, 0.0))
         if group == "pose_act":
             mask &= _held_back(record, part, values)
         elif not group.startswith("wrench"):
@@ -41,14 +41,13 @@ def _clipped(run: int, name: str, values: Array) -> Remark:
     return Remark("loss", run, name, text, "raise the range of the channel, or run slower", evidence)
 
 
-def _at_limit(values: Array, level: float) -> NDArray[np.bool_]:
+def _at_limit(values: Array, level: float, quantum: float) -> NDArray[np.bool_]:
     """Samples of flat stretches at the highest or lowest value that are entered with a corner."""
     mask = np.zeros(len(values), dtype=bool)
     known = values[np.isfinite(values)]
     span = float(np.ptp(known)) if len(known) else 0.0
     if span == 0.0:
         return mask
-    quantum = step_of(known) or 0.0
     for extreme in (known.max(), known.min()):
         if abs(extreme - level) <= AWAY * span:
             continue
@@ -80,25 +79,11 @@ def _is_corner(values: Array, start: int, end: int, quantum: float) -> bool:
     return bool(falls) and min(falls) > CORNER * quantum
 
 
-def step_of(values: Array) -> float | None:
-    """The step that all of ``values`` are multiples of, or None when they come in no steps."""
-    distinct = np.unique(values)
-    if len(distinct) < 3:
-        return None
-    gaps = np.diff(distinct)
-    step = float(gaps.min())
-    multiples = gaps / step
-    return step if np.abs(multiples - np.round(multiples)).max() < 0.05 else None
-
-
 def quantisation(record: Record) -> list[Remark]:
     """A note on each channel that comes in steps."""
     remarks = []
-    for name in record.columns():
-        values = record.column(name)
-        values = values[np.isfinite(values)]
-        step = step_of(values) if len(values) >= STEPS * len(np.unique(values)) else None
-        if step is not None:
+    for name, step in record.steps.items():
+        if np.isfinite(record.column(name)).sum() * step >= STEPS * np.ptp(record.column(name)[record.measured(name)]):
             text = f"comes in steps of {step:.4g}: a noise of {step / np.sqrt(12):.3g} (1 sigma) at best"
             remarks.append(Remark("note", record.run, name, text, "", {"step": step}))
     return remarks

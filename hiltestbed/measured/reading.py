@@ -13,6 +13,7 @@ from hiltestbed.frames import Array
 from hiltestbed.measured.clock import Clock, check_clock, start_of_run, to_ticks
 from hiltestbed.measured.columns import Columns, near
 from hiltestbed.measured.formats import read_columns
+from hiltestbed.measured.noise import step_of
 from hiltestbed.measured.record import MEASURED_GROUPS, Record, place
 from hiltestbed.measured.remark import Remark
 from hiltestbed.measured.units import factor
@@ -143,4 +144,6 @@ def _on_ticks(run: int, file: Path, channels: Mapping[str, tuple[Array, Clock]],
         data[group][:, part], valid[group][:, part] = to_ticks(clock.t, column[clock.rows], ticks, scenario.tick, clock.interval)
     absent = tuple(name for name in CHANNELS if name not in channels)
     rate = 1 / min(clock.interval for clock in clocks)
-    return Record(run, file, np.arange(ticks) / scenario.rate, data, valid, {}, absent, rate)
+    found = {name: step_of(column[np.isfinite(column)]) for name, (column, _) in channels.items()}
+    steps = {name: step for name, step in found.items() if step is not None}
+    return Record(run, file, np.arange(ticks) / scenario.rate, data, valid, {}, absent, rate, steps)

@@ -28,6 +28,7 @@ class Record:
         clipped: group name to ``(ticks, parts)``: the sample stands at a limit of the channel; what lies beyond is lost.
         absent: columns of MEASURED_GROUPS that the file does not hold, or that were lost.
         sample_rate: [Hz] of the file.
+        steps: column to the step its samples come in, for those that come in steps.
     """
 
     run: int
@@ -38,6 +39,7 @@ class Record:
     clipped: dict[str, NDArray[np.bool_]] = field(default_factory=dict)
     absent: tuple[str, ...] = ()
     sample_rate: float = 0.0
+    steps: dict[str, float] = field(default_factory=dict)
 
     @property
     def ticks(self) -> int:

@@ -8,31 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from hiltestbed.frames import Array
+from hiltestbed.measured.noise import FREE_MINIMUM, Noise, noise_of, white_noise
 from hiltestbed.measured.record import Record
 from hiltestbed.measured.remark import Remark
 from hiltestbed.scenario import Scenario
 
-FREE_MINIMUM = 20  # samples before the first touch from which a noise floor is read
 ONSET = 8.0  # sigma over ONSET_TICKS in a row: the force has left its floor
 ONSET_TICKS = 4
 MOVED = 10.0  # sigma: an axis that ranges further than this was excited
-THIRD_DIFFERENCE = math.sqrt(20.0)  # of white noise: 1 + 9 + 9 + 1 times its variance
-MAD_TO_SIGMA = 1.4826
-
-
-@dataclass(frozen=True)
-class Noise:
-    """Noise of one column.
-
-    Attributes:
-        rms: 1 sigma about a straight line in the free segment; hum and platform ripple count.
-        white: 1 sigma of the part that differs from sample to sample (third differences): hum and motion do not count.
-        samples: it was read from; 0 when the free segment is too short and the whole record was taken, with ``rms`` = ``white``.
-    """
-
-    rms: float
-    white: float
-    samples: int
 
 
 @dataclass(frozen=True)
@@ -70,7 +53,7 @@ def look(record: Record, scenario: Scenario) -> Survey:
     latched = scenario.mechanism.kind == "latched"
     depth = penetration(record)
     free = 0 if latched else _free_ticks(record, depth)
-    noise = {name: _noise(record.column(name), free) for name in record.columns()}
+    noise = {n: noise_of(record.column(n), free, record.steps.get(n, 0.0), n.startswith("pose")) for n in record.columns()}
     spans = [(0, record.ticks)] if latched else _spans(record, depth, noise)
     contacts = tuple(_contact(record, span, depth, scenario) for span in spans)
     excited = tuple(name for name in record.columns() if _range(record.column(name)) > MOVED * max(noise[name].white, 1e-300))
@@ -133,27 +116,6 @@ def _first_run(flags: np.ndarray, length: int) -> list[int]:
         return []
     whole = np.lib.stride_tricks.sliding_window_view(flags, length).all(axis=1)
     return np.flatnonzero(whole)[:1].tolist()
-
-
-def white_noise(values: Array) -> float:
-    """1 sigma of the part of ``values`` that differs from sample to sample; 0 when there are too few."""
-    third = np.diff(values, 3)
-    third = third[np.isfinite(third)]
-    if len(third) < 8:
-        return 0.0
-    sigma = MAD_TO_SIGMA * float(np.median(np.abs(third))) / THIRD_DIFFERENCE
-    return sigma if sigma > 0 else float(np.std(third)) / THIRD_DIFFERENCE
-
-
-def _noise(values: Array, free: int) -> Noise:
-    segment = values[:free]
-    known = np.flatnonzero(np.isfinite(segment))
-    if len(known) < FREE_MINIMUM:
-        white = white_noise(values)
-        return Noise(white, white, 0)
-    line = np.polynomial.Polynomial.fit(known, segment[known], 1)
-    residual = segment[known] - line(known)
-    return Noise(float(np.sqrt(np.sum(residual**2) / (len(known) - 2))), white_noise(segment), len(known))
 
 
 def _spans(record: Record, depth: Array | None, noise: dict[str, Noise]) -> list[tuple[int, int]]:

@@ -13,7 +13,7 @@ import pytest
 
 from hiltestbed.errors import InputError
 from hiltestbed.measured import MeasuredDataset, examine, load_dataset
-from hiltestbed.measured.quality import step_of
+from hiltestbed.measured.noise import step_of
 
 from . import bounce
 

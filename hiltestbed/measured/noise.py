@@ -1,0 +1,69 @@
+"""Noise floor of a measured column: what is left when the motion is taken out."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from hiltestbed.frames import Array
+
+FREE_MINIMUM = 20  # samples before the first touch from which a noise floor is read
+THIRD_DIFFERENCE = math.sqrt(20.0)  # of white noise: 1 + 9 + 9 + 1 times its variance
+MAD_TO_SIGMA = 1.4826
+UNIFORM = 2.0  # rms over white, above which a pose does not move uniformly and a straight line says nothing of its noise
+SAME = 1e-9  # of the range: values this close are one value
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Noise of one column.
+
+    Attributes:
+        rms: 1 sigma about a straight line in the free segment; hum and drift of a force count. For a pose that does not move
+            uniformly there, the same as ``white``.
+        white: 1 sigma of the part that differs from sample to sample (third differences): hum and motion do not count.
+        samples: it was read from; 0 when the free segment is too short and the whole record was taken, with ``rms`` = ``white``.
+
+    Neither is less than step/sqrt(12) of a channel that comes in steps.
+    """
+
+    rms: float
+    white: float
+    samples: int
+
+
+def noise_of(values: Array, free: int, step: float, pose: bool) -> Noise:
+    """Noise of ``values`` ``(ticks,)`` whose first ``free`` samples lie before the first touch and which come in ``step`` (0: none)."""
+    segment, least = values[:free], step / math.sqrt(12.0)
+    known = np.flatnonzero(np.isfinite(segment))
+    if len(known) < FREE_MINIMUM:
+        white = max(white_noise(values), least)
+        return Noise(white, white, 0)
+    line = np.polynomial.Polynomial.fit(known, segment[known], 1)
+    residual = segment[known] - line(known)
+    rms, white = float(np.sqrt(np.sum(residual**2) / (len(known) - 2))), max(white_noise(segment), least)
+    return Noise(white if pose and rms > UNIFORM * white else max(rms, least), white, len(known))
+
+
+def white_noise(values: Array) -> float:
+    """1 sigma of the part of ``values`` that differs from sample to sample; 0 when there are too few."""
+    third = np.diff(values, 3)
+    third = third[np.isfinite(third)]
+    if len(third) < 8:
+        return 0.0
+    sigma = MAD_TO_SIGMA * float(np.median(np.abs(third))) / THIRD_DIFFERENCE
+    return sigma if sigma > 0 else float(np.std(third)) / THIRD_DIFFERENCE
+
+
+def step_of(values: Array) -> float | None:
+    """The step that all of ``values`` are multiples of, or None when they come in no steps."""
+    distinct = np.unique(values)
+    if len(distinct) < 3:
+        return None
+    gaps = np.diff(distinct)
+    gaps = gaps[gaps > SAME * (distinct[-1] - distinct[0])]
+    step = float(gaps.min())
+    multiples = gaps / step
+    return step if np.abs(multiples - np.round(multiples)).max() < 0.05 else None
