@@ -79,6 +79,8 @@ def test_run_json_is_one_object_and_nothing_else(folder: Path, call) -> None:
 def test_a_run_that_diverges_ends_with_status_3(folder: Path, call) -> None:
     """A bumper that is too stiff for the rate (w h = 30, semi-implicit Euler needs < 2) throws the model out of the numbers."""
     faster = ("--set", "mechanism.contact.stiffness=3.6e11", "--set", "approach.velocity.2=0.2")
+    for limit in ("stroke", "speed", "limb_angle_deg", "force", "torque"):
+        faster += ("--set", f"safety.{limit}=null")
     status, out, err = call("run", "s.yaml", "--no-rerun", "--json", "--out", "r", *faster)
     summary = json.loads(out)
     assert (status, summary["status"]) == (3, "diverged")
@@ -183,17 +185,14 @@ def command(*arguments: str, **options) -> subprocess.Popen:
     return subprocess.Popen([sys.executable, "-m", "hiltestbed.cli", *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, **options)
 
 
-def test_help_is_quick_and_version_is_told() -> None:
-    """0.6 s is what a user waits for without noticing; the best of three, since the machine may be busy."""
-    times = []
-    for _ in range(3):
-        start = time.perf_counter()
-        process = command("--help")
-        out, _ = process.communicate()
-        times.append(time.perf_counter() - start)
-        assert process.returncode == 0
-        assert b"check" in out
-    assert min(times) < 0.6
+def test_help_imports_nothing_heavy_and_version_is_told() -> None:
+    """What --help costs is what it imports; the simulation's packages take a second."""
+    heavy = ("mujoco", "pinocchio", "numba", "scipy", "rerun", "pyarrow", "numpy", "pydantic", "matplotlib", "distributed")
+    code = "import sys; sys.argv[1:] = ['--help']\nimport hiltestbed.cli\ntry: hiltestbed.cli.main()\nexcept SystemExit: pass\n"
+    code += f"print([m for m in {heavy} if m in sys.modules], file=sys.stderr)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert "check" in done.stdout
+    assert done.stderr.strip() == "[]"
     out, _ = command("--version").communicate()
     assert out.startswith(b"hiltestbed ")
 
