@@ -137,30 +137,33 @@ def pair_momentum(mass: Array, inertia: Array, q: Array, v: Array) -> Array:
 
 
 @njit(cache=True)
-def _place(approach, port, q, v):
-    r = np.empty(3)
-    w = np.empty(3)
-    u = np.empty(3)
-    inverse = np.empty(4)
-    for i in range(q.shape[0]):
-        for b in range(2):  # attitude of the body in P: port attitude in P, less port attitude in the body
-            for j in range(3):
-                inverse[j] = -port[i, b, 3 + j]
-            inverse[3] = port[i, b, 6]
-            if b == CHASER:
-                quat_mul(approach[i, 3:7], inverse, q[i, b, 3:7])
-            else:
-                q[i, b, 3:7] = inverse
-            rotate(q[i, b, 3:7], port[i, b, 0:3], r)
-            for j in range(3):
-                q[i, b, j] = -r[j] + (approach[i, j] if b == CHASER else 0.0)
-            v[i, b] = 0.0
-        rotate(q[i, CHASER, 3:7], port[i, CHASER, 0:3], r)  # centre of mass moves slower than the port by w x r
-        w[:] = approach[i, 10:13]
-        cross(w, r, u)
+def place_bodies(approach, port, q, v):
+    """One run: ``q`` (2, 7) and ``v`` (2, 6) at t = 0 from ``approach`` (13,) and ``port`` (2, 7): target at rest, P at the origin."""
+    r, w, u, inverse = np.empty(3), np.empty(3), np.empty(3), np.empty(4)
+    for b in range(2):  # attitude of the body in P: port attitude in P, less port attitude in the body
         for j in range(3):
-            v[i, CHASER, j] = approach[i, 7 + j] - u[j]
-        rotate_back(q[i, CHASER, 3:7], w, v[i, CHASER, 3:6])
+            inverse[j] = -port[b, 3 + j]
+        inverse[3] = port[b, 6]
+        if b == CHASER:
+            quat_mul(approach[3:7], inverse, q[b, 3:7])
+        else:
+            q[b, 3:7] = inverse
+        rotate(q[b, 3:7], port[b, 0:3], r)
+        for j in range(3):
+            q[b, j] = -r[j] + (approach[j] if b == CHASER else 0.0)
+        v[b] = 0.0
+    rotate(q[CHASER, 3:7], port[CHASER, 0:3], r)  # centre of mass moves slower than the port by w x r
+    w[:] = approach[10:13]
+    cross(w, r, u)
+    for j in range(3):
+        v[CHASER, j] = approach[7 + j] - u[j]
+    rotate_back(q[CHASER, 3:7], w, v[CHASER, 3:6])
+
+
+@njit(cache=True)
+def _place(approach, port, q, v):
+    for i in range(q.shape[0]):
+        place_bodies(approach[i], port[i], q[i], v[i])
 
 
 @njit(cache=True)
