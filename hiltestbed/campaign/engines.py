@@ -142,7 +142,7 @@ def _on_cluster(client, campaign: LoadedCampaign, waiting: Iterator[Chunk]) -> I
     from hiltestbed.versions import versions
 
     told = False
-    running = as_completed()
+    running = as_completed(loop=client.loop)
     while True:
         threads = sum(client.nthreads().values())
         if not threads and not told:

@@ -83,7 +83,7 @@ class Store:
 
     def is_complete(self) -> bool:
         """Whether every case is in cases.parquet and nothing is left to do."""
-        return read_about(self.folder).get("status") == "complete" and (self.folder / CASES).is_file()
+        return (self.folder / CASES).is_file() and read_about(self.folder).get("status") == "complete"
 
     def done(self) -> np.ndarray:
         """For each case, whether it is on disk. A chunk that cannot be read (a disk that lied) is removed and does not count."""

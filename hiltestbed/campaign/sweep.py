@@ -58,16 +58,18 @@ def sweep(
         raise InputError(f"--chunk {chunk}: is out of range; allowed are 1 to {CHUNK_LIMIT} cases")
     if workers < 1:
         raise InputError(f"--workers {workers}: is out of range; allowed is 1 or more")
-    refuse_another(Path(out), campaign)
+    folder = Path(out)
+    refuse_another(folder, campaign)
+    if Store(folder, campaign).is_complete():
+        return read_sweep(folder)
     if scheduler:
         engine, name = engines.dask(scheduler), scheduler
     else:
         engine, name = (engines.processes(workers), f"{workers} processes") if workers > 1 else (engines.serial, "this process")
-    with Store.opened(Path(out), campaign) as store:
-        if not store.is_complete():
-            counts = _run(store, engine, chunk, progress)
-            _finish(store, name, chunk, *counts)
-    return Sweep(Path(out), read_about(Path(out)))
+    with Store.opened(folder, campaign) as store:
+        counts = _run(store, engine, chunk, progress)
+        _finish(store, name, chunk, *counts)
+    return read_sweep(folder)
 
 
 def _run(store: Store, engine: engines.Engine, chunk: int, progress: Progress | None) -> tuple[int, float]:

@@ -1,0 +1,82 @@
+"""Closed forms of the stability boundary, against each other and against the loop."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from hiltestbed.campaign.boundary import applies, bounce_cor, bounce_delay, closed_contact_delay, margin, neutral
+from hiltestbed.scenario import Scenario, scenario_from
+from hiltestbed.simulation import run_batch
+
+
+@pytest.mark.parametrize("zeta", [0.05, 0.1, 0.2, 0.4])
+def test_without_delay_the_series_is_the_closed_form(zeta: float) -> None:
+    s = math.sqrt(1 - zeta**2)
+    parts_at_no_force = math.exp(-(zeta / s) * (math.pi - math.atan2(2 * zeta * s, 1 - 2 * zeta**2)))
+    assert bounce_cor(zeta, 0.0) == pytest.approx(parts_at_no_force, rel=1e-12)
+    assert bounce_cor(zeta, 0.0, pulls=True) == pytest.approx(math.exp(-math.pi * zeta / s), rel=1e-12)
+
+
+@pytest.mark.parametrize(("w_tau", "e"), [(0.063, 1.104), (0.126, 1.217), (0.251, 1.474), (0.503, 2.102), (1.005, 3.743)])
+def test_without_damping_it_is_the_table_of_independent_simulations(w_tau: float, e: float) -> None:
+    """The table was made with steps of 10 us and w tau is given to three digits, which is 1e-3 of e."""
+    assert bounce_cor(0.0, w_tau) == pytest.approx(e, rel=1e-3)
+
+
+@pytest.mark.parametrize("zeta", [0.02, 0.1, 0.2])
+def test_a_bounce_that_may_pull_is_neutral_where_a_closed_contact_is(zeta: float) -> None:
+    """The two differ by the shape of half a period against a whole one: below 2 % in the delay while w tau < 0.5."""
+    w_tau = closed_contact_delay(1.0, 2 * zeta, 1.0)
+    slope = 0.5 * math.pi  # of ln e over w tau
+    assert abs(math.log(bounce_cor(zeta, w_tau, pulls=True))) < 0.02 * slope * w_tau
+
+
+@pytest.mark.parametrize("zeta", [0.02, 0.05, 0.1])
+def test_a_bounce_that_cannot_pull_is_neutral_earlier_by_the_missing_pull(zeta: float) -> None:
+    """Leaving at v0, the force would pull from x = c v0/k to 0, an impulse of c^2 v0/(2 k): 2 zeta^2 in e, so 4 zeta^2/pi in w tau."""
+    earlier = closed_contact_delay(1.0, 2 * zeta, 1.0) - neutral(zeta)
+    assert earlier == pytest.approx(4 * zeta**2 / math.pi, rel=0.1)
+
+
+def scenario(delay: float, damping: float) -> Scenario:
+    body = {"mass": 100.0, "inertia": [10.0, 10.0, 10.0]}
+    return scenario_from(
+        {
+            "name": "boundary",
+            "duration": 0.6,
+            "rate": 8000,
+            "physics_rate": 8000,
+            "spacecraft": {"chaser": body, "target": body},
+            "approach": {"gap": 0.001, "velocity": [0, 0, 0.05]},
+            "mechanism": {"contact": {"stiffness": 5.0e3, "damping": damping}},
+            "rig": {"platform": {"tracking": "ideal"}},
+            "sensor": {"delay": delay},
+            "identification": {"kind": "none"},
+        }
+    )
+
+
+def test_the_loop_returns_the_speed_it_came_with_on_the_boundary() -> None:
+    """mu = 50 kg and k = 5 kN/m: w = 10 rad/s. A delay off by 2 % would show as 0.02 (pi/2) w tau in ln e; a fifth of it is asked."""
+    zetas = np.array([0.05, 0.1, 0.2])
+    dampings = 2 * zetas * math.sqrt(5.0e3 * 50.0)
+    delays = [bounce_delay(5.0e3, damping, 50.0) for damping in dampings]
+    runs = run_batch([scenario(delay, damping) for delay, damping in zip(delays, dampings, strict=True)])
+    for run, delay in zip(runs, delays, strict=True):
+        assert abs(math.log(run.summary["cor"])) < 0.004 * 0.5 * math.pi * 10.0 * delay
+
+
+def test_margins_are_delays_beyond_the_boundaries_and_only_where_they_apply() -> None:
+    damping = 2 * 0.1 * math.sqrt(5.0e3 * 50.0)
+    on_it = scenario(bounce_delay(5.0e3, damping, 50.0), damping)
+    closed, bounce = margin(on_it)
+    assert bounce == pytest.approx(0.0, abs=1e-12)
+    assert closed < 0.0
+    later = scenario_from(on_it.model_dump(mode="json"), {"effects": [{"kind": "sensor.delay", "delay": 0.002}]})
+    assert margin(later)[1] == pytest.approx(0.002, abs=1e-12)
+    assert applies(later)
+    assert not applies(scenario_from(on_it.model_dump(mode="json"), {"sensor.lowpass": 100.0}))
+    assert not applies(scenario_from(on_it.model_dump(mode="json"), {"compensation.force": {"kind": "phase_lead"}}))
