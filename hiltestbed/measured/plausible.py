@@ -22,7 +22,8 @@ from hiltestbed.scenario import Scenario
 UNIT_FACTOR = 100.0  # off by more than this: another unit
 FORCE_FACTOR = 200.0  # the same for the force, which a hard stop changes by more
 CLEAR = 50.0  # sigma, above which a start position or a travel is told from zero
-REVERSED = -0.3  # of what is expected: the sign is the other way round
+REVERSED = -0.3  # of what is expected, start and travel alike: the sign is the other way round
+REVERSED_ALONE = -0.7  # the same where only one of them can be told from zero
 CORRELATION = -0.5
 QUAT_NORM = 0.01
 QUAT_NORM_NOTE = 1e-3
@@ -80,7 +81,7 @@ def _translation(record: Record, found: Survey, name: str, start: float, speed: 
         power = round(sum(powers) / len(powers))
         text = f"{seen}: off by about {10.0**power:g}, as if in another unit{' (mm?)' if power == 3 else ''}"
         yield _error(record, name, text, scale_fix(name, 10.0**-power), **evidence)
-    elif all(r < REVERSED for r in ratios):
+    elif all(r < (REVERSED if len(ratios) > 1 else REVERSED_ALONE) for r in ratios):
         yield _error(record, name, f"{seen}: the sign is the other way round", scale_fix(name, -1.0), **evidence)
 
 
@@ -207,7 +208,8 @@ def _force_pair(record: Record, found: Survey) -> Iterator[Remark]:
         if not {meas, comp} <= set(record.columns()):
             continue
         a, b = (record.column(n) - baseline(record, found, n) for n in (meas, comp))
-        high_a, high_b = float(np.nanmax(np.abs(a))), float(np.nanmax(np.abs(b)))
+        both = np.isfinite(a) & np.isfinite(b)
+        high_a, high_b = (float(np.abs(values[both]).max(initial=0.0)) for values in (a, b))
         if high_a <= 2 * MOVED * found.noise[meas].rms or high_b <= 2 * MOVED * found.noise[comp].rms:
             continue
         together = correlation(a, b)

@@ -1,0 +1,89 @@
+"""Channel map: column, scale, unit and offset; for all files or for one; and what it refuses."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from hiltestbed.errors import InputError
+from hiltestbed.measured import load_dataset
+from hiltestbed.measured.units import UNITS, factor
+
+from . import bounce
+
+
+def test_value_is_scale_times_unit_times_file_plus_offset(tmp_path: Path) -> None:
+    table = bounce.columns()
+    table["Fz"] = -1e-3 * (table.pop("wrench_meas.fz") - 2.0)  # kN, pulling positive, tare of 2 N
+    channels = "channels: {wrench_meas.fz: {column: Fz, unit: kN, scale: -1.0, offset: 2.0}}\n"
+    record = load_dataset(bounce.write_dataset(tmp_path, table, channels=channels)).runs[0].record
+    np.testing.assert_allclose(record.column("wrench_meas.fz"), bounce.columns()["wrench_meas.fz"], rtol=1e-12, atol=1e-12)
+
+
+def test_clock_with_unit_and_offset(tmp_path: Path) -> None:
+    table = bounce.columns()
+    table["Time [ms]"] = 1e3 * table.pop("t") + 250.0
+    channels = 'channels: {t: {column: "Time [ms]", unit: ms, offset: -0.25}}\n'
+    dataset = load_dataset(bounce.write_dataset(tmp_path, table, channels=channels))
+    assert dataset.remarks == ()
+    np.testing.assert_allclose(dataset.runs[0].record.column("pose_act.pz"), bounce.columns()["pose_act.pz"], atol=1e-9)
+
+
+def test_what_is_not_mapped_is_found_under_its_own_name(tmp_path: Path) -> None:
+    table = bounce.columns()
+    table["F"] = table.pop("wrench_meas.fz")
+    record = load_dataset(bounce.write_dataset(tmp_path, table, channels="channels: {wrench_meas.fz: {column: F}}\n")).runs[0].record
+    assert set(record.columns()) == set(bounce.columns()) - {"t"}
+
+
+def test_one_file_may_be_mapped_differently(tmp_path: Path) -> None:
+    """The sensor was turned round in the second run alone."""
+    turned = bounce.columns()
+    for name in ("wrench_meas.fz", "wrench_comp.fz"):
+        turned[name] = -turned[name]
+    path = bounce.write_dataset(tmp_path, bounce.columns(), turned)
+    with pytest.raises(InputError, match=r"run_1\.parquet: wrench_meas\.fz: pulls while pushing"):
+        load_dataset(path)
+    own = "{wrench_meas.fz: {scale: -1.0}, wrench_comp.fz: {scale: -1.0}}"
+    path.write_text(path.read_text().replace("run_1.parquet}", f"run_1.parquet, channels: {own}}}"))
+    first, second = (run.record for run in load_dataset(path).runs)
+    np.testing.assert_array_equal(first.column("wrench_meas.fz"), second.column("wrench_meas.fz"))
+
+
+def test_data_may_lie_where_the_environment_says(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "elsewhere").mkdir()
+    pq.write_table(pa.table(bounce.columns()), tmp_path / "elsewhere" / "run.parquet")
+    path = bounce.write_dataset(tmp_path, files=('"${RIG_RECORDS}/run.parquet"',))
+    monkeypatch.setenv("RIG_RECORDS", str(tmp_path / "elsewhere"))
+    assert load_dataset(path).files == (tmp_path / "elsewhere" / "run.parquet",)
+    monkeypatch.delenv("RIG_RECORDS")
+    with pytest.raises(InputError, match="RIG_RECORDS"):
+        load_dataset(path)
+
+
+@pytest.mark.parametrize(
+    ("entry", "fault"),
+    [
+        ("wrench_meas.fz: {unit: mm}", r"no unit of this channel \(got 'mm'\); allowed: N, kN"),
+        ("wrench_meas.fy: {scale: 0.0}", "is out of range"),
+        ("wrench_mes.fz: {column: F}", "unknown channel"),
+    ],
+)
+def test_a_faulty_entry_is_refused_with_its_line(tmp_path: Path, entry: str, fault: str) -> None:
+    path = bounce.write_dataset(tmp_path, bounce.columns(), channels=f"channels:\n  {entry}\n")
+    with pytest.raises(InputError, match=fault) as raised:
+        load_dataset(path)
+    assert raised.value.faults[0].line == 5
+
+
+def test_units_are_what_they_are_defined_to_be() -> None:
+    """A unit of each kind against the others: 1 lbf = 0.45359237 kgf, 12 in = 1 ft, 60 rpm = 360 deg/s."""
+    assert UNITS["N"]["lbf"] == pytest.approx(0.45359237 * UNITS["N"]["kgf"], rel=1e-14)
+    assert UNITS["N m"]["lbf ft"] == pytest.approx(12 * UNITS["N m"]["lbf in"], rel=1e-14)
+    assert 60 * UNITS["rad/s"]["rpm"] == pytest.approx(360 * UNITS["rad/s"]["deg/s"], rel=1e-14)
+    assert factor("pose_act.px", "mm") == 1e-3
+    assert factor("t", None) == 1.0
