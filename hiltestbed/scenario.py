@@ -21,7 +21,7 @@ from hiltestbed.yaml_source import Source, describe, read_source
 WORKSPACE_TRANSLATION = 0.25  # [m] the platform's reach from home, any axis; home is at the nominal first touch
 WORKSPACE_ROTATION_DEG = 10.0
 TICK_LIMIT = 20_000_000  # a trace of this many rows fills 16 GB
-MECHANISMS_BUILT = ("bumper",)  # the kinds that the rig has a model of
+MECHANISMS_BUILT = ("bumper", "probe_cone", "latched")  # the kinds that the rig has a model of
 
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
@@ -102,15 +102,26 @@ class Mount(Strictly):
     )
 
 
+class Latch(Strictly):
+    """When the latches of a probe in its cone close: all three hold at once. From then on the mechanism pulls as well as pushes."""
+
+    depth: Annotated[float, Field(ge=0, le=0.1)] = Field(default=0.004, description="the tip is within this of the nominal touch, pz >= -depth [m]")
+    angle_deg: Annotated[float, Field(gt=0, le=30)] = Field(default=5.0, description="angle between the axes of both sides [deg]")
+    speed: Positive = Field(default=0.02, description="relative speed of A's origin [m/s]")
+
+
 class Mechanism(Strictly):
     """The docking mechanism: what touches what."""
 
     kind: Literal["bumper", "probe_cone", "latched"] = "bumper"
     contact: Contact
     mount: Mount | None = Field(default=None, description="null: rigid")
+    latch: Latch | None = Field(default=None, description="of probe_cone: captures; null: none")
 
     @model_validator(mode="after")
     def _is_built(self) -> Mechanism:
+        if self.latch is not None and self.kind != "probe_cone":
+            refuse([(("latch",), f"belongs to a probe_cone (got kind {self.kind!r}); allowed: null")])
         if self.kind not in MECHANISMS_BUILT:
             built = ", ".join(MECHANISMS_BUILT)
             refuse([(("kind",), f"is a mechanism that the rig has no model of yet (got {self.kind!r}); allowed: {built}")])

@@ -17,7 +17,9 @@ from hiltestbed.frames import Array
 from hiltestbed.rig.contact import ContactLaw
 from hiltestbed.rig.driven import ServoTracking
 from hiltestbed.rig.ideal import IdealTracking
+from hiltestbed.rig.latch import LatchCondition
 from hiltestbed.rig.model import Structure
+from hiltestbed.rig.touch import Touch
 
 if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario
@@ -44,7 +46,7 @@ class Plant:
             the tick that ended; servo: the velocity at t_k.
         wrench_sub: (n, m, 6) contact wrench, what the active side exerts on the passive one, in P at P's origin, tared [N, N m],
             at t_(k-1) + (s + 1) dt, s = 0 .. m - 1; the last is at t_k.
-        contact: (n,) bool, whether the mechanisms touch.
+        contact: (n,) bool, whether the mechanisms touch. captured: (n,) bool, whether they are latched to each other.
         slider_cmd, slider_act: (n, 6) the platform's sliders [m], 0 at home.
         diverged: (n,) bool, whether a run has left the finite numbers; it is frozen from then on.
     """
@@ -59,12 +61,17 @@ class Plant:
         tracking = IdealTracking if scenarios[0].rig.platform.tracking == "ideal" else ServoTracking
         self._tracking = tracking(scenarios, nthread, structure(scenarios[0], contact_law is not None))
         self._law: ContactForce | None = None
+        self._latch: LatchCondition | None = None
         if self._tracking.touch is not None:
             self._set_law(scenarios, contact_law)
+            if any(s.mechanism.latch for s in scenarios):
+                self._latch = LatchCondition(scenarios)
         self.pose_act: Array = self._tracking.pose_act
         self.twist_act: Array = self._tracking.twist_act
         self.wrench_sub: Array = self._tracking.wrench_sub
         self.contact: NDArray[np.bool_] = self._tracking.contact_now
+        touch = self._tracking.touch
+        self.captured: NDArray[np.bool_] = touch.latched if touch is not None else np.zeros(len(scenarios), dtype=bool)
         self.slider_cmd: Array = self._tracking.slider_cmd
         self.slider_act: Array = self._tracking.slider_act
         self.diverged: NDArray[np.bool_] = self._tracking.diverged
@@ -86,6 +93,12 @@ class Plant:
             tilts = Rotation.from_euler("xyz", np.column_stack([law.parameters[:, [TILT_X, TILT_Y]], np.zeros(len(scenarios))]))
             self._tracking.mount.tilt[:, 3:] = tilts.as_quat()
 
+    def contacts(self) -> Touch:
+        """Where tip and rod touch; of a plain bumper there is no more to know than the force."""
+        if self._tracking.touch is None:
+            raise InputError("a bumper without friction, mount or effects of the contact touches in MuJoCo's own contact")
+        return self._tracking.touch
+
     def divergence(self, i: int) -> str:
         """Why run ``i`` diverged: which quantity, and its value."""
         return self._tracking.causes[i]
@@ -106,3 +119,5 @@ class Plant:
     def advance(self, pose_cmd: Array, twist_cmd: Array, accel_cmd: Array) -> None:
         """From t_k to t_(k+1): ``pose_cmd`` (n, 7) is to be reached then, with ``twist_cmd`` and ``accel_cmd`` (n, 6)."""
         self._tracking.advance(pose_cmd, twist_cmd, accel_cmd)
+        if self._latch is not None and self._tracking.touch is not None:
+            self._latch.close(self._tracking.touch)

@@ -121,27 +121,27 @@ def rod_distance(sizes, tip, axis, free, nearest):
     """Distance [m] of the rod's axis from the rim's surface; ``free`` (3,) becomes the normal, ``nearest`` (3,) the axis' point.
 
     The rim is a ring of radius rho_e in the plane z_e, rounded with the shell's half thickness; the rod runs from ``tip`` (3,)
-    against ``axis`` (3,) for its length.
+    against ``axis`` (3,) for its length, from where the ball of the tip has let go of it.
     """
-    big, e, length = sizes[SOCKET_RADIUS], sizes[SHELL], sizes[ROD_LENGTH]
+    big, e, start, length = sizes[SOCKET_RADIUS], sizes[SHELL], sizes[TIP_RADIUS], sizes[ROD_LENGTH]
     sin, cos = math.sin(sizes[HALF_ANGLE]), math.cos(sizes[HALF_ANGLE])
     ring = (big + e) * cos + sizes[GENERATOR] * sin
     level = (big + e) * sin - big - sizes[GENERATOR] * cos
     best, at = math.inf, 0.0
     step = 2.0 * math.pi / RING_STEPS
     for k in range(RING_STEPS):
-        d2 = _ring_to_rod(k * step, ring, level, tip, axis, length, free)
+        d2 = _ring_to_rod(k * step, ring, level, tip, axis, start, length, free)
         if d2 < best:
             best, at = d2, k * step
     for _ in range(5):  # the squared distance is smooth in the angle: parabolas through three points
-        low = _ring_to_rod(at - step, ring, level, tip, axis, length, free)
-        high = _ring_to_rod(at + step, ring, level, tip, axis, length, free)
-        mid = _ring_to_rod(at, ring, level, tip, axis, length, free)
+        low = _ring_to_rod(at - step, ring, level, tip, axis, start, length, free)
+        high = _ring_to_rod(at + step, ring, level, tip, axis, start, length, free)
+        mid = _ring_to_rod(at, ring, level, tip, axis, start, length, free)
         bend = low - 2.0 * mid + high
         if bend > 1e-18:
             at += step * min(max(0.5 * (low - high) / bend, -1.0), 1.0)
         step *= 0.1
-    distance = math.sqrt(_ring_to_rod(at, ring, level, tip, axis, length, free))
+    distance = math.sqrt(_ring_to_rod(at, ring, level, tip, axis, start, length, free))
     nearest[0], nearest[1], nearest[2] = ring * math.cos(at) + free[0], ring * math.sin(at) + free[1], level + free[2]
     for j in range(3):
         free[j] /= max(distance, 1e-12)
@@ -149,12 +149,12 @@ def rod_distance(sizes, tip, axis, free, nearest):
 
 
 @njit(cache=True)
-def _ring_to_rod(angle, ring, level, tip, axis, length, gap):
+def _ring_to_rod(angle, ring, level, tip, axis, start, length, gap):
     """Squared distance from the ring's point at ``angle`` to the rod's axis; ``gap`` (3,) becomes the vector."""
     gap[0] = tip[0] - ring * math.cos(angle)
     gap[1] = tip[1] - ring * math.sin(angle)
     gap[2] = tip[2] - level
-    back = min(max(gap[0] * axis[0] + gap[1] * axis[1] + gap[2] * axis[2], 0.0), length)
+    back = min(max(gap[0] * axis[0] + gap[1] * axis[1] + gap[2] * axis[2], start), length)
     for j in range(3):
         gap[j] -= back * axis[j]
     return gap[0] * gap[0] + gap[1] * gap[1] + gap[2] * gap[2]

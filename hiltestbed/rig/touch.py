@@ -34,6 +34,7 @@ class Touch:
 
     Attributes:
         wrench: (n, 6) what the active side exerts on the passive one, in W at W's origin.
+        depth, point, normal: (n, 2), (n, 2, 3), (n, 2, 3) of the contacts of tip and rod, in S (:mod:`hiltestbed.rig.surfaces`).
         touching: (n,) bool. law: in place of k x + c v for the tip, or None.
         latched: (n,) bool; hold: (n, 7) the pose of A in S that the latch holds.
     """
@@ -55,9 +56,9 @@ class Touch:
         self.wrench = np.zeros((n, 6))
         self.touching = np.zeros(n, dtype=bool)
         self._pose, self._twist = np.zeros((n, 7)), np.zeros((n, 6))
-        self._depth, self._rate, self._force = np.zeros((n, 2)), np.zeros((n, 2)), np.zeros((n, 2))
+        self.depth, self._rate, self._force = np.zeros((n, 2)), np.zeros((n, 2)), np.zeros((n, 2))
         self._x, self._v = np.zeros(n), np.zeros(n)
-        self._point, self._normal, self._slip = np.zeros((n, 2, 3)), np.zeros((n, 2, 3)), np.zeros((n, 2, 3))
+        self.point, self.normal, self._slip = np.zeros((n, 2, 3)), np.zeros((n, 2, 3)), np.zeros((n, 2, 3))
 
     def reset(self) -> None:
         """Unlatched, or latched with A at P where the mechanism always is."""
@@ -69,15 +70,15 @@ class Touch:
         _relate(pose, twist, place, motion, self._pose, self._twist)
         _geometry(
             self.surfaces.kind, self.surfaces.sizes, self._pose, self._twist, self.latched, self.hold,
-            self._depth, self._rate, self._point, self._normal, self._slip,
+            self.depth, self._rate, self.point, self.normal, self._slip,
         )  # fmt: skip
         linear = self.law is None
         if self.law is not None:
-            self._x[:], self._v[:] = self._depth[:, TIP], self._rate[:, TIP]
+            self._x[:], self._v[:] = self.depth[:, TIP], self._rate[:, TIP]
             self._force[:, TIP] = self.law.force(self._x, self._v)
         _wrenches(
             linear, self.stiffness, self.damping, self.friction, self._least_creep, self._pose, self._twist, self.latched, self.hold,
-            self._depth, self._rate, self._point, self._normal, self._slip, self._force, place, self.wrench, self.touching,
+            self.depth, self._rate, self.point, self.normal, self._slip, self._force, place, self.wrench, self.touching,
         )  # fmt: skip
 
     def close(self, which: NDArray[np.bool_]) -> None:
