@@ -5,8 +5,11 @@ At A's origin, in P: force and torque act along the direction ``D`` (6,), their 
 
     wrench = D F,   F = k (G.x - x0) + c G.v   while G.x > x0, never negative
 
-Of a flat passive surface G is known: its normal, z of P. D comes from the measured wrench, so that friction and the lever of a hit
-beside the axis are in it. Of other surfaces G is taken as D: the normal of a surface without friction is the direction of the force.
+Of a flat passive surface G is known: its normal, z of P. D comes from the measured wrench, so that the lever of a hit beside the axis
+is in it. Of other surfaces G is taken as D: the normal of a surface without friction is the direction of the force.
+
+A flat surface may rub: once sliding has been seen, the tangential force is ``mu F`` along the slip of the touching point, and what
+creeps below that is taken as viscous. mu is the regression of the tangential force along the slip on the normal force.
 
 k, c and x0 are the Bayesian least squares of the measured F on G.x and G.v *at the time the force was felt*, with an intercept. What
 is known beforehand enters as a prior: an earlier contact's k, c and touch point, or, when nothing is known, that the touch point lies
@@ -21,9 +24,9 @@ import numpy as np
 from numba import njit
 
 # Columns of a run's row in ``law``.
-STIFFNESS, DAMPING, TOUCH, KNOWN, ARMED, STIFFNESS_SD, DAMPING_SD, LAW = range(8)
+STIFFNESS, DAMPING, TOUCH, KNOWN, ARMED, STIFFNESS_SD, DAMPING_SD, FRICTION, LAW = range(9)
 # Columns of ``fit``: sums over the contact of products of x, v, 1 (all as the sensor's filters pass them) and y.
-XX, XV, XO, VV, VO, OO, XY, VY, OY, REFERENCE, PRIOR_K, PRIOR_C, SD_K, SD_C, SD_X, TRAVEL, PEAK, FIT = range(18)
+XX, XV, XO, VV, VO, OO, XY, VY, OY, REFERENCE, PRIOR_K, PRIOR_C, SD_K, SD_C, SD_X, TRAVEL, PEAK, SLIDING, PRESSED, FIT = range(20)
 # Columns of ``count``.
 ABOVE, SAMPLES, CONTACTS, COUNT = range(4)
 
@@ -35,6 +38,9 @@ MINIMUM_SAMPLES = 4
 ACCEPTED = 0.25  # relative standard deviation of k from which the law is used
 MODEL_ERROR = 3e-4  # of the peak force: what a real contact departs from k x + c v at least
 LEARNT_K, LEARNT_C = 0.02, 0.10  # relative uncertainty with which an estimate is carried over to a contact elsewhere on the surface
+SLIDES = 1e-3  # [m/s] slip above which a surface is taken to slide, not to creep
+CREEP = 2e5  # [N s/m] friction below sliding, where the tick allows
+CREEP_LIMIT = 0.5  # of the damping that one tick can carry
 DIRECTION_MEMORY = 0.02  # [s] over which the direction of the force is averaged
 
 
@@ -145,6 +151,33 @@ def direct(line, wrench, y, fixed, fade, noise):
         force = math.sqrt(line[0, 0] ** 2 + line[0, 1] ** 2 + line[0, 2] ** 2)
         for j in range(6):
             line[0, j] /= force
+
+
+@njit(cache=True)
+def rub(fit, law, line, wrench, rate, y, sigma):
+    """Learn the friction coefficient of a flat surface from a wrench (6,) at A's origin and the twist (6,) at which it was felt."""
+    sx, sy = slip(line, rate)
+    speed = math.sqrt(sx * sx + sy * sy)
+    if speed > SLIDES:
+        fit[SLIDING] += y * (wrench[0] * sx + wrench[1] * sy) / speed
+        fit[PRESSED] += y * y
+        mu = fit[SLIDING] / fit[PRESSED]
+        law[FRICTION] = mu if mu * math.sqrt(fit[PRESSED]) > GATE_SIGMA * sigma else 0.0
+
+
+@njit(cache=True, inline="always")
+def slip(line, rate):
+    """Tangential velocity (x, y) [m/s] of the touching point, which the torques about A's origin tell: r = (-D4, D3, 0)."""
+    return rate[0] - rate[5] * line[0, 3], rate[1] - rate[5] * line[0, 4]
+
+
+@njit(cache=True, inline="always")
+def friction(law, normal, sx, sy, creep):
+    """Tangential force (x, y) [N] for the normal force and the slip: viscous, and no more than mu F."""
+    speed = math.sqrt(sx * sx + sy * sy)
+    limit = law[FRICTION] * normal
+    size = creep if creep * speed <= limit else limit / speed
+    return size * sx, size * sy
 
 
 def prior(stiffness: float, damping: float, touch_point: float) -> tuple[np.ndarray, np.ndarray]:

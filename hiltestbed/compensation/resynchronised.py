@@ -79,6 +79,7 @@ class State(NamedTuple):
     filtered: Array  # (n, 2, 2) law's force at the rig in the sensor's filters: now, and at the touch
     delay: Array  # (n,) [s] believed
     used: Array  # (n, 6) wrench of behind's last step
+    creep: Array  # (n, 1) [N s/m] friction below sliding
 
 
 class Resynchronised:
@@ -171,6 +172,7 @@ def _state(scenarios: Sequence[Scenario], spacecraft: Spacecraft, late: int) -> 
         filtered=np.zeros((n, 2, 2)),
         delay=np.array([s.sensor.delay for s in scenarios]),
         used=np.zeros((n, 6)),
+        creep=np.zeros((n, 1)),
     )
 
 
@@ -248,6 +250,8 @@ def _identify(i, h, fixed, ideal, substeps, bodies, setup, state, work, rows):
     fade = math.exp(-h / cl.DIRECTION_MEMORY)
     sigma = setup.sigma[i]
     cl.direct(line, at_A, y, fixed, fade, (sigma[0] * sigma[0], sigma[1] * sigma[1]))
+    if fixed:
+        cl.rub(fit, law, line, at_A, rate, y, setup.sigma[i, 0])
     s, u = _along(fixed, line, position), _along(fixed, line, rate)
     count[cl.ABOVE] += 1
     if count[cl.ABOVE] == 1:
@@ -274,8 +278,9 @@ def _touched(i, h, ideal, substeps, s, u, bodies, setup, state, work):
         back = setup.late[i] - late
         if tick[BEHIND] - back < 0:
             back = tick[BEHIND]
-        state.used[i] = 0.0
-        carry(state.q[i, 0], state.v[i, 0], bodies.port[i], bodies.mass[i], bodies.inverse[i], state.used[i], -h * back, 0.0, 0.0, work)
+        none = state.used[i]
+        none[:] = 0.0
+        carry(state.q[i, 0], state.v[i, 0], bodies.port[i], bodies.mass[i], bodies.inverse[i], -h * back, none, none, work)
         tick[BEHIND] -= back
         s = expected + 0.5 * h * u
     cl.touch(fit, law, count, s, u, h)
@@ -344,15 +349,31 @@ def _step_behind(i, j, h, fixed, bodies, setup, state, work, rows):
         at[c] = pose[c]
     if not fixed:
         rotation_vector(pose[3:7], at[3:6])
-    extra = cl.size(law, _along(fixed, line, at), _along(fixed, line, twist)) - rig
+    size = cl.size(law, _along(fixed, line, at), _along(fixed, line, twist))
     for c in range(6):
-        used[c] += line[0, c] * extra
+        used[c] += line[0, c] * (size - rig) if c != 0 and c != 1 or law[cl.FRICTION] == 0.0 else 0.0
+    if law[cl.FRICTION] > 0.0:
+        _rub_behind(line, law, v, twist, rig, size, state.creep[i, 0], used)
     wrench_at_P(used, pose, used)
     for c in range(6):
         state.used[i, c] = used[c]
     step(
         state.q[i, 0], state.v[i, 0], bodies.port[i], bodies.mass[i], bodies.inertia[i], bodies.inverse[i], state.used[i], h, work,
     )  # fmt: skip
+
+
+@njit(cache=True, inline="always")
+def _rub_behind(line, law, rate, twist, rig, size, creep, used):
+    """Add what friction does at *behind* more than it did at the rig."""
+    sx, sy = cl.slip(line, twist)
+    fx, fy = cl.friction(law, size, sx, sy, creep)
+    sx, sy = cl.slip(line, rate)
+    gx, gy = cl.friction(law, max(rig, 0.0), sx, sy, creep)
+    fx -= gx
+    fy -= gy
+    used[0] += fx
+    used[1] += fy
+    used[5] -= line[0, 4] * fy + line[0, 3] * fx
 
 
 @njit(cache=True, inline="always")
@@ -369,7 +390,8 @@ def _predict(i, h, fixed, bodies, setup, state, work, rows, matrix, pose, twist,
     """*Ahead*: from *behind* to t_(k+1), and the wrench at t_k."""
     line, law = state.line[i], state.law[i]
     ticks = state.tick[i, DONE] + 1 - state.tick[i, BEHIND]
-    q, v, held, at = np.empty((2, 7)), np.empty((2, 6)), rows[2], rows[3]
+    q, v, at = np.empty((2, 7)), np.empty((2, 6)), rows[3]
+    sums = np.zeros((3, 6))  # force now, impulse, shift
     q[:] = state.q[i, 0]
     v[:] = state.v[i, 0]
     relative_motion(q, v, bodies.port[i], work, pose, twist)
@@ -377,37 +399,97 @@ def _predict(i, h, fixed, bodies, setup, state, work, rows, matrix, pose, twist,
         for c in range(6):
             predicted[c] = state.used[i, c]
         return
-    for c in range(6):
-        held[c] = 0.0
-    constant, force, gain = 0.0, 0.0, 0.0
-    if law[cl.KNOWN] == 1.0:
-        for c in range(6):
-            held[c] = line[0, c]
-        mobility(q, bodies.port[i], pose[0:3], bodies.mass[i], bodies.inverse[i], work, matrix)
-        for a in range(6):
-            for b in range(6):
-                slope = (1.0 if a == 2 else 0.0) if fixed else line[0, a]
-                gain += slope * matrix[a, b] * line[0, b]
-    elif state.count[i, cl.ABOVE] > 0:  # until a handful of contact samples are in, hold the last force
-        wrench_at_A(state.used[i], pose, held)
-        constant = 1.0
     for c in range(3):
         at[c] = pose[c]
     if not fixed:
         rotation_vector(pose[3:7], at[3:6])
-    s, u = _along(fixed, line, at), _along(fixed, line, twist)
-    impulse, shift = 0.0, 0.0
+    if law[cl.KNOWN] == 1.0:
+        mobility(q, bodies.port[i], pose[0:3], bodies.mass[i], bodies.inverse[i], work, matrix)
+        if law[cl.FRICTION] > 0.0:
+            _slide(ticks, h, line, law, at[2], twist, matrix, state.creep[i], sums)
+        else:
+            _press(ticks, h, fixed, line, law, _along(fixed, line, at), _along(fixed, line, twist), matrix, sums)
+    elif state.count[i, cl.ABOVE] > 0:  # until a handful of contact samples are in, hold the last force
+        wrench_at_A(state.used[i], pose, sums[0])
+        for c in range(6):
+            sums[1, c] = h * ticks * sums[0, c]
+            sums[2, c] = h * h * ticks * (ticks + 1) / 2 * sums[0, c]
+    for c in range(3):
+        wrench_at_P(sums[c], pose, sums[c])
+    carry(q, v, bodies.port[i], bodies.mass[i], bodies.inverse[i], h * ticks, sums[1], sums[2], work)
+    for c in range(6):
+        predicted[c] = sums[0, c]
+    relative_motion(q, v, bodies.port[i], work, pose, twist)
+
+
+@njit(cache=True)
+def _press(ticks, h, fixed, line, law, s, u, matrix, sums):
+    """Step the size of the force alone; its direction stays."""
+    gain, force, impulse, shift = 0.0, 0.0, 0.0, 0.0
+    for a in range(6):
+        for b in range(6):
+            slope = (1.0 if a == 2 else 0.0) if fixed else line[0, a]
+            gain += slope * matrix[a, b] * line[0, b]
+    stiffness, damping, touch = law[cl.STIFFNESS], law[cl.DAMPING], law[cl.TOUCH]
+    if law[cl.ARMED] == 0.0:
+        touch = np.inf
     for _ in range(ticks):
-        force = constant + cl.size(law, s, u)
+        x = s - touch
+        force = max(0.0, stiffness * x + damping * u) if x > 0.0 else 0.0
         u -= h * gain * force
         s += h * u
         impulse += h * force
         shift += h * impulse
-    wrench_at_P(held, pose, held)
-    carry(q, v, bodies.port[i], bodies.mass[i], bodies.inverse[i], held, h * ticks, impulse, shift, work)
     for c in range(6):
-        predicted[c] = force * held[c]
-    relative_motion(q, v, bodies.port[i], work, pose, twist)
+        sums[0, c] = force * line[0, c]
+        sums[1, c] = impulse * line[0, c]
+        sums[2, c] = shift * line[0, c]
+
+
+@njit(cache=True)
+def _slide(ticks, h, line, law, s, twist, matrix, creep, sums):
+    """Step the normal force and the friction at the touching point; r = (-D4, D3, 0) is its place beside A's origin."""
+    rx, ry = -line[0, 4], line[0, 3]
+    gain = np.empty((3, 3))  # velocity of the touching point for an impulse there
+    push = np.zeros(6)
+    for b in range(3):
+        push[:] = 0.0
+        push[b] = 1.0
+        push[3], push[4], push[5] = (ry, -rx, 0.0) if b == 2 else (0.0, 0.0, -ry if b == 0 else rx)
+        for a in range(3):
+            across = 0.0
+            for c in range(6):
+                row = matrix[a, c]
+                if a == 2:
+                    row += ry * matrix[3, c] - rx * matrix[4, c]
+                else:
+                    row += (-ry if a == 0 else rx) * matrix[5, c]
+                across += row * push[c]
+            gain[a, b] = across
+    creep[0] = min(cl.CREEP, cl.CREEP_LIMIT / (h * max(gain[0, 0], gain[1, 1])))
+    u = twist[2] + ry * twist[3] - rx * twist[4]
+    sx, sy = cl.slip(line, twist)
+    fx, fy, normal = 0.0, 0.0, 0.0
+    ix, iy, iz, jx, jy, jz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for _ in range(ticks):
+        normal = cl.size(law, s, u)
+        fx, fy = cl.friction(law, normal, sx, sy, creep[0])
+        sx -= h * (gain[0, 0] * fx + gain[0, 1] * fy + gain[0, 2] * normal)
+        sy -= h * (gain[1, 0] * fx + gain[1, 1] * fy + gain[1, 2] * normal)
+        u -= h * (gain[2, 0] * fx + gain[2, 1] * fy + gain[2, 2] * normal)
+        s += h * u
+        ix, iy, iz = ix + h * fx, iy + h * fy, iz + h * normal
+        jx, jy, jz = jx + h * ix, jy + h * iy, jz + h * iz
+    _at_point(fx, fy, normal, rx, ry, sums[0])
+    _at_point(ix, iy, iz, rx, ry, sums[1])
+    _at_point(jx, jy, jz, rx, ry, sums[2])
+
+
+@njit(cache=True, inline="always")
+def _at_point(fx, fy, fz, rx, ry, out):
+    """A force at (rx, ry, 0) beside A's origin as a wrench there."""
+    out[0], out[1], out[2] = fx, fy, fz
+    out[3], out[4], out[5] = ry * fz, -rx * fz, rx * fy - ry * fx
 
 
 @njit(cache=True)

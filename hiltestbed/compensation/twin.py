@@ -36,27 +36,28 @@ def step(q, v, port, mass, inertia, inverse, wrench, h, work):
 
 
 @njit(cache=True)
-def carry(q, v, port, mass, inverse, wrench, time, impulse, shift, work):
-    """Both bodies ``time`` [s] later under forces along one wrench ``wrench`` (6,) that does not turn meanwhile.
+def carry(q, v, port, mass, inverse, time, impulse, shift, work):
+    """Both bodies ``time`` [s] later under a wrench of which only two integrals are needed, in P at P's origin, axes held fixed.
 
     Args:
-        impulse: integral of the force's size [s], ``sum of h F_j``.
-        shift: its second integral [s^2], ``sum of h^2 F_j`` times the ticks that are left after j, its own included.
+        impulse: (6,) its integral, ``sum of h w_j``.
+        shift: (6,) its second integral, ``sum of h^2 w_j`` times the ticks that are left after j, its own included.
 
     Rates are taken as constant but for the impulse: the gyroscopic torque over the time is left out.
     """
-    load_bodies(q, port, wrench, work, work[6:8])
+    load_bodies(q, port, impulse, work, work[6:8])
+    load_bodies(q, port, shift, work, work[8:10])
     for b in range(2):
-        tau, turn, gain = work[6 + b], work[8], work[9]
+        gain, turn = work[0], work[1]
         for j in range(3):
-            gain[j] = inverse[b, j, 0] * tau[3] + inverse[b, j, 1] * tau[4] + inverse[b, j, 2] * tau[5]
+            gain[j] = inverse[b, j, 0] * work[8 + b, 3] + inverse[b, j, 1] * work[8 + b, 4] + inverse[b, j, 2] * work[8 + b, 5]
         for j in range(3):
-            a = tau[j] / mass[b]
-            q[b, j] += time * v[b, j] + shift * a
-            v[b, j] += impulse * a
-            turn[j] = time * v[b, 3 + j] + shift * gain[j]
-            v[b, 3 + j] += impulse * gain[j]
-        _turn(q[b, 3:7], turn, work[10], work[11])
+            q[b, j] += time * v[b, j] + work[8 + b, j] / mass[b]
+            v[b, j] += work[6 + b, j] / mass[b]
+            turn[j] = time * v[b, 3 + j] + gain[j]
+        for j in range(3):
+            v[b, 3 + j] += inverse[b, j, 0] * work[6 + b, 3] + inverse[b, j, 1] * work[6 + b, 4] + inverse[b, j, 2] * work[6 + b, 5]
+        _turn(q[b, 3:7], turn, work[2], work[3])
 
 
 @njit(cache=True, inline="always")
