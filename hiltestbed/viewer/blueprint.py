@@ -9,7 +9,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from hiltestbed.frames import Array
-from hiltestbed.signals import RunTrace
+from hiltestbed.signals import AXES, RunTrace
 from hiltestbed.simulation import Run
 from hiltestbed.viewer import plots, rig, spacecraft
 
@@ -61,10 +61,17 @@ def _scenes(facts: Facts) -> rrb.Vertical:
         _scene(f"The rig ({legend})", rig.ROOT, eye=(1.7, -3.3, 0.25), target=(0.0, 0.0, -0.38)),
         rrb.Horizontal(
             _scene("At the contact", rig.ROOT, eye=(0.75, -1.25, -0.28), target=(0.0, 0.0, 0.05)),
-            _scene("The two spacecraft of the numerical model", spacecraft.ROOT, eye=(4.4, -6.6, 1.4), target=(0.0, 0.0, 0.0)),
+            _spacecraft(facts),
         ),
         row_shares=[1.7, 1.0],
     )
+
+
+def _spacecraft(facts: Facts) -> rrb.Spatial3DView:
+    up, down = spacecraft.heights(facts.run.scenario)
+    middle, away = 0.5 * (up - down), 1.3 * (up + down)
+    eye = (0.55 * away, -0.82 * away, middle + 0.18 * away)
+    return _scene("The two spacecraft of the numerical model", spacecraft.ROOT, eye, target=(0.0, 0.0, middle))
 
 
 def _scene(name: str, origin: str, eye: tuple[float, float, float], target: tuple[float, float, float]) -> rrb.Spatial3DView:
@@ -111,10 +118,13 @@ def _six(facts: Facts, name: str, *quantities: tuple[str, str, str]) -> rrb.Hori
 
 
 def _estimates(facts: Facts) -> rrb.Horizontal:
+    """The axes that gave an estimate, or have a true value to be found."""
     columns = []
     for path, title in (("stiffness", "Stiffness"), ("damping", "Damping")):
-        axes = facts.run.summary["identification"]
-        columns.append(rrb.Vertical(*(_plot(facts, f"{path}/{axis}", f"{title} {axis}") for axis in axes)))
+        known = np.any(np.isfinite(facts.trace[f"{path}_est"]), axis=0).tolist()
+        truth = facts.run.summary["identification"]
+        axes = [axis for j, axis in enumerate(AXES) if known[j] or truth[axis][f"{path}_true"] is not None]
+        columns.append(rrb.Vertical(*(_plot(facts, f"{path}/{axis}", f"{title} {axis}") for axis in axes or ["z"])))
     return rrb.Horizontal(*columns, name="Identified")
 
 

@@ -24,8 +24,8 @@ BROAD = (4.0, 1.5, 1.5)  # line widths: what the others are held against lies br
 PHASE = f"{ROOT}/contact_phase"
 PHASES = {
     "approach": ("Approach", (84, 96, 116)),
-    "compression": ("Contact: closing", (255, 140, 38)),
-    "restitution": ("Contact: opening", (240, 200, 80)),
+    "compression": ("Closing", (255, 140, 38)),
+    "restitution": ("Opening", (240, 200, 80)),
     "free": ("Apart again", (70, 130, 120)),
 }
 

@@ -19,6 +19,7 @@ from hiltestbed.viewer.rig import RigScene, force_scale, send_force
 from hiltestbed.viewer.text import figures
 
 APPLICATION = "hiltestbed"
+FORCE_PART = 0.6  # of a spacecraft's height, at most: the largest force drawn on it
 FOOTER, FOOTER_SIZE = b"RRF2FOOT", 12
 
 
@@ -49,7 +50,7 @@ def _write(path: Path, run: Run, trace: RunTrace) -> None:
         rec.send_recording_name(run.scenario.name)
         rec.log("figures", rr.TextDocument(figures(run), media_type=rr.MediaType.MARKDOWN), static=True)
         _rig(rec, run, trace, rows, facts.force_scale)
-        _spacecraft(rec, run, trace, rows, facts.force_scale)
+        _spacecraft(rec, run, trace, rows)
         send_signals(rec, run, trace)
 
 
@@ -68,10 +69,11 @@ def _rig(rec: rr.RecordingStream, run: Run, trace: RunTrace, rows: NDArray[np.in
     send_force(rec, time, trace["wrench_true"][rows], pose, scale)
 
 
-def _spacecraft(rec: rr.RecordingStream, run: Run, trace: RunTrace, rows: NDArray[np.intp], scale: float) -> None:
+def _spacecraft(rec: rr.RecordingStream, run: Run, trace: RunTrace, rows: NDArray[np.intp]) -> None:
     time = rr.TimeColumn("time", duration=trace.t[rows])
     spacecraft.draw(rec, run.scenario)
     poses = spacecraft.body_poses(run.scenario, rows, trace["pose_cmd"], trace["wrench_comp"])
+    scale = force_scale(_peak(trace), FORCE_PART * min(spacecraft.heights(run.scenario)))
     spacecraft.move(rec, time, run.scenario, poses, trace["wrench_comp"][rows], scale)
 
 

@@ -22,7 +22,7 @@ DRAWN_GROUPS = 3  # geom groups 0 to 2 are drawn, as in MuJoCo's own viewer; 3 i
 TRIAD = 0.16  # [m] length of a port's axes
 ARROW_LENGTH = 0.6  # [m] of the largest force, at most
 LINE_OF_ACTION = 0.6  # [m] the force is drawn at its line of action where that passes A this closely
-GLASS = 0.35  # opacity of the passive mechanism: the force that it takes is drawn inside it
+GLASS = 0.25  # opacity of the passive mechanism: the force that it takes is drawn inside it
 LABEL_FROM = 0.02  # of the largest force: below it an arrow has no label
 
 
@@ -106,11 +106,11 @@ def send_poses(rec: rr.RecordingStream, path: str, time: rr.TimeColumn, poses: A
     rec.send_columns(path, indexes=[time], columns=rr.Transform3D.columns(translation=poses[:, :3], quaternion=poses[:, 3:]))
 
 
-def force_scale(peak: float) -> float:
-    """[m/N] so that ``peak`` [N] is drawn within ARROW_LENGTH and a metre is 1, 2 or 5 times a power of ten newtons."""
+def force_scale(peak: float, length: float = ARROW_LENGTH) -> float:
+    """[m/N] so that ``peak`` [N] is drawn within ``length`` [m] and a metre is 1, 2 or 5 times a power of ten newtons."""
     if not peak > 0.0:
         return 1e-3
-    least = peak / ARROW_LENGTH
+    least = peak / length
     decade = 10.0 ** np.floor(np.log10(least))
     return float(1.0 / next(step * decade for step in (1.0, 2.0, 5.0, 10.0) if step * decade >= least * (1.0 - 1e-9)))
 
@@ -137,7 +137,7 @@ def send_force(rec: rr.RecordingStream, time: rr.TimeColumn, wrench: Array, pose
     text = [f"{f:.0f} N" if f > LABEL_FROM * peak else "" for f in force[acts]]
     origins = force_origin(wrench, pose)[acts]
     columns = rr.Arrows3D.columns(vectors=scale * wrench[acts, :3], origins=origins, labels=text)
-    rec.log(path, rr.Arrows3D.from_fields(colors=[colors.PHYSICAL], radii=[0.025], show_labels=True), static=True)
+    rec.log(path, rr.Arrows3D.from_fields(colors=[colors.PHYSICAL], radii=[0.03], show_labels=True), static=True)
     rec.send_columns(path, indexes=[time], columns=columns.partition(lengths))
 
 

@@ -22,7 +22,7 @@ ROOT = "spacecraft"
 NAMES = {CHASER: "chaser", TARGET: "target"}
 BODY = {CHASER: (0.80, 0.64, 0.28, 1.0), TARGET: (0.72, 0.75, 0.80, 1.0)}
 PORT = {CHASER: (0.86, 0.20, 0.16, 1.0), TARGET: (0.10, 0.48, 0.62, 1.0)}
-GLASS = 0.45  # opacity of a body: the force on it is drawn inside
+GLASS = 0.3  # opacity of a body: the force on it is drawn inside
 PANEL = (0.12, 0.20, 0.46, 1.0)
 
 
@@ -71,32 +71,39 @@ def cuboid(body: Body) -> tuple[Array, Array]:
     return np.sqrt(np.maximum(1.5 / body.mass * (moments.sum() - 2.0 * moments), 1e-4)), axes
 
 
+def heights(scenario: Scenario) -> tuple[float, float]:
+    """[m] how far the target reaches up from the ports at t = 0, and the chaser down."""
+    craft = scenario.spacecraft
+    up, down = (float(np.linalg.norm(body.port.position) + cuboid(body)[0].max()) for body in (craft.target, craft.chaser))
+    return up, down
+
+
 def draw(rec: rr.RecordingStream, scenario: Scenario) -> None:
     """Both bodies as cuboids of their mass and inertia, with a port on a boom and a pair of panels."""
     rec.log(ROOT, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     for i, body in ((CHASER, scenario.spacecraft.chaser), (TARGET, scenario.spacecraft.target)):
         half, axes = cuboid(body)
-        log_solid(rec, f"{ROOT}/{NAMES[i]}/body", box(half, np.array(BODY[i])).moved(np.zeros(3), axes), GLASS)
-        solids = []
-        panel = np.array([0.9 * half[1] + 0.3, 0.45 * half[1], 0.012])
+        port, width = port_pose(body)[:3], 0.3 * float(half.min())
+        glass = [box(half, np.array(BODY[i])).moved(np.zeros(3), axes), _tube(np.zeros(3), 0.85 * port, width, np.array(PORT[i]))]
+        log_solid(rec, f"{ROOT}/{NAMES[i]}/body", Solid.joined(glass), GLASS)
+        solids = [_tube(0.85 * port, port, 1.2 * width, np.array(PORT[i]))]
         for side in (-1.0, 1.0):
-            at = np.array([side * (half[0] + 0.25 + panel[0]), 0.0, 0.0])
-            solids.append(box(panel, np.array(PANEL)).moved(axes @ at, axes))
-            arm = np.array([0.125, 0.02, 0.02])
-            solids.append(box(arm, np.array(BODY[TARGET])).moved(axes @ np.array([side * (half[0] + 0.125), 0.0, 0.0]), axes))
-        solids.append(_boom(port_pose(body)[:3], float(half.min()), np.array(PORT[i])))
-        shape = Solid.joined(solids)
-        log_solid(rec, f"{ROOT}/{NAMES[i]}/panels", shape)
+            root, panel = side * (half[0] + 0.25), np.array([1.1 * half[1] + 0.3, 0.012, 0.45 * half[2]])
+            middle = np.array([root + side * panel[0], 0.0, 0.0])
+            solids.append(box(panel, np.array(PANEL)).moved(axes @ middle, axes))
+            solids.append(_tube(axes @ [0.99 * side * half[0], 0.0, 0.0], axes @ [root, 0.0, 0.0], 0.03, np.array(BODY[TARGET])))
+        log_solid(rec, f"{ROOT}/{NAMES[i]}/panels", Solid.joined(solids))
 
 
-def _boom(port: Array, width: float, rgba: Array) -> Solid:
-    """From the centre of mass to the port."""
-    length = float(np.linalg.norm(port))
-    z = port / length if length > 1e-6 else np.array([0.0, 0.0, 1.0])
+def _tube(start: Array, end: Array, radius: float, rgba: Array) -> Solid:
+    """From point to point."""
+    along = np.asarray(end) - start
+    length = max(float(np.linalg.norm(along)), 1e-3)
+    z = along / length if np.any(along) else np.array([0.0, 0.0, 1.0])
     x = np.cross([0.0, 1.0, 0.0], z) if abs(z[1]) < 0.9 else np.cross([1.0, 0.0, 0.0], z)
     x /= np.linalg.norm(x)
     rotation = np.stack([x, np.cross(z, x), z], axis=-1)
-    return cylinder(0.3 * width, max(0.5 * length, 0.01), rgba).moved(0.5 * port, rotation)
+    return cylinder(radius, 0.5 * length, rgba).moved(0.5 * (np.asarray(end) + start), rotation)
 
 
 def move(rec: rr.RecordingStream, time: rr.TimeColumn, scenario: Scenario, poses: Array, wrench: Array, scale: float) -> None:
@@ -111,6 +118,6 @@ def move(rec: rr.RecordingStream, time: rr.TimeColumn, scenario: Scenario, poses
     vectors = scale * np.stack([force, -force], axis=1)[acts]
     origins = np.repeat(origin[acts, None], 2, axis=1)
     path = f"{ROOT}/force"
-    rec.log(path, rr.Arrows3D.from_fields(colors=[colors.USED], radii=[0.05]), static=True)
+    rec.log(path, rr.Arrows3D.from_fields(colors=[colors.USED], radii=[0.01 * sum(heights(scenario))]), static=True)
     columns = rr.Arrows3D.columns(vectors=vectors.reshape(-1, 3), origins=origins.reshape(-1, 3))
     rec.send_columns(path, indexes=[time], columns=columns.partition(2 * acts.astype(int)))
