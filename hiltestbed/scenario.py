@@ -105,7 +105,9 @@ class Mount(Strictly):
 class Latch(Strictly):
     """When the latches of a probe in its cone close: all three hold at once. From then on the mechanism pulls as well as pushes."""
 
-    depth: Annotated[float, Field(ge=0, le=0.1)] = Field(default=0.004, description="the tip is within this of the nominal touch, pz >= -depth [m]")
+    depth: Annotated[float, Field(ge=0, le=0.1)] = Field(
+        default=0.004, description="the tip is within this of the nominal touch, pz >= -depth [m]"
+    )
     angle_deg: Annotated[float, Field(gt=0, le=30)] = Field(default=5.0, description="angle between the axes of both sides [deg]")
     speed: Positive = Field(default=0.02, description="relative speed of A's origin [m/s]")
 
@@ -128,11 +130,36 @@ class Mechanism(Strictly):
         return self
 
 
+class Actuator(Strictly):
+    """The drive of each slider of the platform, and the friction that each of its motors works against.
+
+    The numbers are those of a preloaded screw with its guide: 0.5 % of the 40 kN that a drive gives, break-away 1.5 times that, the
+    Stribeck speed of oiled steel, and a viscous part that equals the sliding one at 0.5 m/s.
+    """
+
+    kind: Literal["ideal", "single", "dual"] = Field(
+        default="ideal",
+        description="ideal: no friction; single: one motor; dual: two summed by a differential screw, each kept turning by bias_speed",
+    )
+    coulomb: NotNegative = Field(default=200.0, description="sliding friction [N]")
+    stiction: NotNegative = Field(default=300.0, description="break-away [N], at least coulomb")
+    stribeck_speed: Positive = Field(default=0.005, description="speed at which the break-away excess has fallen to 1/e [m/s]")
+    viscous: NotNegative = Field(default=400.0, description="[N s/m]")
+    bias_speed: Positive = Field(default=0.3, description="of each of the two motors at rest, in terms of the slider [m/s]; dual alone")
+
+    @model_validator(mode="after")
+    def _breaks_away(self) -> Actuator:
+        if self.stiction < self.coulomb:
+            refuse([(("stiction",), f"is less than coulomb (got {self.stiction:g} N); allowed is {self.coulomb:g} N and more")])
+        return self
+
+
 class Platform(Strictly):
     """The motion platform and how it follows."""
 
     kind: Literal["pss33"] = "pss33"
     tracking: Literal["servo", "ideal"] = Field(default="servo", description="ideal: the pose reaches the command exactly, one tick later")
+    actuator: Actuator = Field(default=Actuator(), description="with tracking servo")
 
 
 class Rig(Strictly):

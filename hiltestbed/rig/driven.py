@@ -55,6 +55,7 @@ class ServoTracking:
         bind = self.batch.bind
         self._qpos, self._qvel, self._ctrl, self._time = bind("qpos"), bind("qvel"), bind("ctrl"), bind("time")
         self._warmstart, self._history = bind("qacc_warmstart"), bind("history")
+        self.servo.add_friction(scenarios, bind("qfrc_applied"))
         self._reading, self._ncon = bind("sensordata"), bind("ncon")
         self._tare = np.zeros((n, 6))
         self._applied = bind("xfrc_applied").reshape(n, -1, 6)
@@ -73,11 +74,10 @@ class ServoTracking:
         self._weigh()
 
     def _weigh(self) -> None:
-        """Tare: the reading of the sensor at home, before anything touches."""
-        data = mujoco.MjData(self.model)
-        data.joint("platform").qpos[2] -= 1.0
-        mujoco.mj_forward(self.model, data)
-        self._tare[:] = data.sensordata
+        """Tare: the reading of the sensor at rest, the active side a metre away."""
+        self._qpos[:, self.model.joint("platform").qposadr[0] + 2] -= 1.0
+        self.batch.forward()
+        self._tare[:] = self._reading
 
     def reset(self, pose: Array, twist: Array) -> None:
         """Start at ``pose`` (n, 7), moving with ``twist`` (n, 6); forces start from zero."""
@@ -162,7 +162,7 @@ class ServoTracking:
 
     def buffers(self) -> dict[str, NDArray[Any]]:
         """The state between two ticks."""
-        parts = self.path.buffers() | self.mount.buffers() | (self.touch.buffers() if self.touch else {})
+        parts = self.path.buffers() | self.mount.buffers() | self.servo.buffers() | (self.touch.buffers() if self.touch else {})
         return parts | {
             "ticks": self._ticks,
             "applied": self._applied,
@@ -172,9 +172,6 @@ class ServoTracking:
             "time": self._time,
             "warmstart": self._warmstart,
             "history": self._history,
-            "target": self.servo.target,
-            "speed": self.servo.speed,
-            "velocity": self.servo.velocity,
             "pose_act": self.pose_act,
             "twist_act": self.twist_act,
             "wrench_sub": self.wrench_sub,

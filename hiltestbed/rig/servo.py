@@ -13,6 +13,8 @@ reference.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
@@ -20,7 +22,11 @@ from numba import njit
 
 from hiltestbed.frames import Array, rotate, rotate_back
 from hiltestbed.rig.dynamics import drive_forces, invert, load_constants
+from hiltestbed.rig.friction import DriveFriction
 from hiltestbed.rig.kinematics import Platform, jacobian, joints
+
+if TYPE_CHECKING:
+    from hiltestbed.scenario import Scenario
 
 # A drive's share of what moves up and down: platform and mechanism 350 kg, three links, carriages and armatures of 97 kg, over 3.
 MOVED_PER_DRIVE = 214.0  # [kg]
@@ -82,9 +88,7 @@ def _push(plan, sub, kp, kv, adr, qpos, qvel, force):
     for i in range(force.shape[0]):
         for j in range(6):
             force[i, j] = (
-                plan[i, sub, 2, j]
-                + kp * (plan[i, sub, 0, j] - qpos[i, adr[0, j]])
-                + kv * (plan[i, sub, 1, j] - qvel[i, adr[1, j]])
+                plan[i, sub, 2, j] + kp * (plan[i, sub, 0, j] - qpos[i, adr[0, j]]) + kv * (plan[i, sub, 1, j] - qvel[i, adr[1, j]])
             )
 
 
@@ -167,6 +171,20 @@ class Servo:
         self._free = np.array([free.qposadr[0], free.dofadr[0]])
         self.target, self.speed, self.velocity = np.zeros((n, 6)), np.zeros((n, 6)), np.zeros((n, 6))
         self._plan = np.zeros((n, substeps, 3, 6))
+        self._step, self._least = tick / substeps, float(self._load[14] + self._load[15])
+        self._friction: DriveFriction | None = None
+        self._applied = np.zeros((n, model.nv))
+
+    def add_friction(self, scenarios: Sequence[Scenario], applied: Array) -> None:
+        """Let the scenarios' actuators rub: into the generalised forces ``applied`` (n, nv), where one has friction at all."""
+        friction = DriveFriction(scenarios, self._adr[1], self._least, self._step)
+        if friction.acts:
+            self._friction, self._applied = friction, applied
+
+    def buffers(self) -> dict[str, Array]:
+        """The state between two ticks."""
+        rubbing = {"bristles": self._friction.bristles, "rubbing": self._applied} if self._friction else {}
+        return {"target": self.target, "speed": self.speed, "velocity": self.velocity} | rubbing
 
     def settle(self, pose: Array, twist: Array, qpos: Array, qvel: Array) -> None:
         """Put the joints where a rig is that moves uniformly with ``twist`` (n, 6) through ``pose`` (n, 7), and the references."""
@@ -174,6 +192,8 @@ class Servo:
             self.platform.limbs, pose, twist, self.target, self.speed, self.velocity,
             qpos, qvel, self._adr, self._free, self.platform.centre,
         )  # fmt: skip
+        if self._friction:
+            self._friction.settle(qvel)
 
     def aim(self, pose_cmd: Array, twist_cmd: Array, accel_cmd: Array) -> None:
         """Plan one tick, at whose end ``pose_cmd`` (n, 7) is to be reached."""
@@ -185,6 +205,8 @@ class Servo:
     def push(self, sub: int, qpos: Array, qvel: Array, force: Array) -> None:
         """``force`` (n, 6) [N] of the drives for substep ``sub`` of the tick, from the joints as they stand."""
         _push(self._plan, sub, self.kp, self.kv, self._adr, qpos, qvel, force)
+        if self._friction:
+            self._friction.act(qvel, self._applied)
 
     def observe(self, qpos: Array, qvel: Array, limit: float, pose: Array, twist: Array, sliders: Array, diverged: Array) -> bool:
         """Read pose, twist and sliders; True where a run has just left ``limit`` [m/s, rad/s], which ``diverged`` then names."""
