@@ -23,8 +23,7 @@ AXES = ("x", "y", "z", "rx", "ry", "rz")
 
 
 def add_joints(body: mujoco.MjsBody) -> None:
-    """Put the passive mechanism's ``body`` on the mount's joints; its weight is carried by the springs' preload, not by their sag."""
-    body.gravcomp = 1.0
+    """Put the passive mechanism's ``body`` on the mount's joints."""
     for k, axis in enumerate(AXES):
         kind = mujoco.mjtJoint.mjJNT_SLIDE if k < 3 else mujoco.mjtJoint.mjJNT_HINGE
         body.add_joint(name=f"mount_{axis}", type=kind, axis=np.eye(3)[k % 3], stiffness=1.0, damping=1.0)
@@ -56,7 +55,9 @@ class Mount:
             assert s.mechanism.mount is not None  # one structure
             stiffness[i, [j.id for j in joints]] = s.mechanism.mount.stiffness
             damping[i, self._adr[1] : self._adr[1] + 6] = s.mechanism.mount.damping
-        batch.set_const()
+        # The weight is carried by a preload of the spring along z, so that nothing sags.
+        weight = -model.opt.gravity[2] * float(model.body("passive_mechanism").subtreemass[0])
+        batch.expand("qpos_spring")[:, self._adr[0] + 2] = weight / stiffness[:, joints[2].id]
 
     def observe(self, qpos: Array, qvel: Array) -> None:
         """Set ``place`` and ``motion`` from the joints of the model."""
