@@ -221,7 +221,7 @@ def _along(fixed, line, x):
     return line[0, 0] * x[0] + line[0, 1] * x[1] + line[0, 2] * x[2] + line[0, 3] * x[3] + line[0, 4] * x[4] + line[0, 5] * x[5]
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def _identify(i, h, fixed, ideal, substeps, bodies, setup, state, work, rows):
     """Take the reading of this tick beside the pose at the time it was felt."""
     k, late, part = state.tick[i, DONE], setup.late[i], setup.part[i]
@@ -305,7 +305,7 @@ def _felt(x, v, smooth, leak, memory, out):
             out[c] = memory[c, 0]
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def _catch_up(i, h, fixed, bodies, setup, state, work, rows):
     """Bring *behind* to where the last reading allows; from the touch on again when the law has become much better."""
     tick, count = state.tick[i], state.count[i]
@@ -322,7 +322,7 @@ def _catch_up(i, h, fixed, bodies, setup, state, work, rows):
         tick[BEHIND] += 1
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def _step_behind(i, j, h, fixed, bodies, setup, state, work, rows):
     """*Behind* from t_j to t_(j+1), under the wrench that was felt at t_j, less what the rig was elsewhere than *behind* is."""
     length = state.x.shape[1]
@@ -385,7 +385,7 @@ def _silent(wrench, sigma):
     return True
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def _predict(i, h, fixed, bodies, setup, state, work, rows, matrix, pose, twist, predicted):
     """*Ahead*: from *behind* to t_(k+1), and the wrench at t_k."""
     line, law = state.line[i], state.law[i]
