@@ -13,6 +13,7 @@ FREE_MINIMUM = 20  # samples before the first touch from which a noise floor is 
 THIRD_DIFFERENCE = math.sqrt(20.0)  # of white noise: 1 + 9 + 9 + 1 times its variance
 MAD_TO_SIGMA = 1.4826
 UNIFORM = 2.0  # rms over white, above which a pose does not move uniformly and a straight line says nothing of its noise
+ROUND_OFF = 1e-12  # of the largest value: such steps are those of the number format
 SAME = 1e-9  # of the range: values this close are one value
 
 
@@ -65,5 +66,7 @@ def step_of(values: Array) -> float | None:
     gaps = np.diff(distinct)
     gaps = gaps[gaps > SAME * (distinct[-1] - distinct[0])]
     step = float(gaps.min())
+    if step < ROUND_OFF * np.abs(distinct[[0, -1]]).max():
+        return None
     multiples = gaps / step
     return step if np.abs(multiples - np.round(multiples)).max() < 0.05 else None

@@ -163,6 +163,8 @@ def _pulls(record: Record, force: Array, peak: float, low: float, scenario: Scen
     if not poses:
         return not latched
     depth = record.column(poses[0])
+    if scenario.mechanism.kind == "probe_cone" and not np.nanmax(depth) > 0:
+        return True  # on the wall of a cone the probe touches before pz = 0
     depth = depth if latched else np.maximum(depth, 0.0)
     late = min(round(scenario.sensor.delay * scenario.rate), len(force) - 2)
     return correlation(depth[: len(depth) - late], force[late:]) < CORRELATION

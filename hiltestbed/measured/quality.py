@@ -13,6 +13,7 @@ from hiltestbed.measured.survey import Survey, baseline
 FLAT = 4  # equal samples in a row at an extreme value, from which clipping is considered
 CORNER = 6.0  # quanta; the rounded top of a smooth signal gives 3, see `_is_corner`
 AWAY = 0.2  # of the range, that a limit lies away from the free level: a force of zero between contacts is no limit
+ROUND_OFF = 1e-9  # [m], [N], [N m]: no sensor tells this; a simulated channel that should be zero may hold it
 STEPS = 4  # samples to a step of the range, from which steps are worth a note: a CSV of six digits has steps too
 
 
@@ -46,7 +47,7 @@ def _at_limit(values: Array, level: float, quantum: float) -> NDArray[np.bool_]:
     mask = np.zeros(len(values), dtype=bool)
     known = values[np.isfinite(values)]
     span = float(np.ptp(known)) if len(known) else 0.0
-    if span == 0.0:
+    if span < ROUND_OFF:
         return mask
     for extreme in (known.max(), known.min()):
         if abs(extreme - level) <= AWAY * span:

@@ -54,7 +54,8 @@ def look(record: Record, scenario: Scenario) -> Survey:
     depth = penetration(record)
     free = 0 if latched else _free_ticks(record, depth)
     noise = {n: noise_of(record.column(n), free, record.steps.get(n, 0.0), n.startswith("pose")) for n in record.columns()}
-    spans = [(0, record.ticks)] if latched else _spans(record, depth, noise)
+    flat = scenario.mechanism.kind == "bumper"
+    spans = [(0, record.ticks)] if latched else _spans(record, depth if flat else None, noise) or _spans(record, depth, noise)
     contacts = tuple(_contact(record, span, depth, scenario) for span in spans)
     excited = tuple(name for name in record.columns() if _range(record.column(name)) > MOVED * max(noise[name].white, 1e-300))
     k, body = scenario.mechanism.contact.stiffness, scenario.spacecraft
@@ -119,7 +120,7 @@ def _first_run(flags: np.ndarray, length: int) -> list[int]:
 
 
 def _spans(record: Record, depth: Array | None, noise: dict[str, Noise]) -> list[tuple[int, int]]:
-    """Start and end of each contact: pz > 0 where the pose was measured, the force off its floor where it was not."""
+    """Start and end of each contact: pz > 0 where ``depth`` is given, the force off its floor where it is not (a cone is met early)."""
     if depth is not None:
         name = "pose_act.pz" if "pose_act.pz" in record.columns() else "pose_cmd.pz"
         return _above(np.nan_to_num(depth, nan=-1.0), 0.0, 5 * noise[name].white)
