@@ -42,3 +42,9 @@ def file(tmp_path: Path) -> Path:
 @pytest.fixture
 def campaign(file: Path) -> LoadedCampaign:
     return load_campaign(file)
+
+
+@pytest.fixture
+def small(file: Path) -> LoadedCampaign:
+    """The first eight cases, for what does not depend on their number."""
+    return load_campaign(file, {"design.cases": 8})
