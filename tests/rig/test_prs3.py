@@ -1,0 +1,108 @@
+"""Kinematics of the upper platform against MuJoCo's own, and the constraints of its three legs."""
+
+from __future__ import annotations
+
+import math
+
+import mujoco
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from hiltestbed.frames import Array
+from hiltestbed.rig.model import load
+from hiltestbed.rig.prs3 import HEAVE, TILT, Upper, inverse, jacobian, motion, place, revolute
+
+UPPER = Upper.load()
+
+
+def coordinates(n: int, tilt: float = TILT) -> Array:
+    """``(n, 3)`` over the whole heave and tilts up to ``tilt`` [rad] in any direction."""
+    rng = np.random.default_rng(4)
+    size, towards = tilt * np.sqrt(rng.uniform(size=n)), rng.uniform(0.0, 2.0 * np.pi, n)
+    return np.column_stack([rng.uniform(0.0, HEAVE, n), size * np.cos(towards), size * np.sin(towards)])
+
+
+def placed(x: Array) -> Array:
+    pose = np.empty(7)
+    place(UPPER.shape, x, pose)
+    return pose
+
+
+@pytest.mark.parametrize("tilt", [TILT, 0.2])
+def test_placed_by_the_inverse_kinematics_every_link_of_mujocos_ends_on_its_anchor(tilt: float) -> None:
+    """Slider and revolute joint alone: were the parasitic motion wrong, the anchor would leave the plane in which the link swings."""
+    m = load("prs3/prs3").compile()
+    data = mujoco.MjData(m)
+    sliders = np.empty((1, 3))
+    for x in coordinates(200, tilt):
+        pose = placed(x)
+        inverse(UPPER.legs, pose[None], sliders)
+        turn = Rotation.from_quat(pose[3:])
+        data.joint("platform").qpos[:3] = pose[:3] + turn.apply([0.0, 0.0, UPPER.shape[1]])
+        data.joint("platform").qpos[3:] = pose[[6, 3, 4, 5]]
+        for j in range(3):
+            data.joint(f"slider_{j}").qpos[:] = sliders[0, j]
+            data.joint(f"revolute_{j}").qpos[:] = revolute(UPPER.legs[j], pose, np.empty(3))
+        mujoco.mj_kinematics(m, data)
+        for j in range(3):
+            assert np.linalg.norm(data.site(f"link_end_{j}").xpos - data.site(f"anchor_{j}").xpos) < 1e-9
+        np.testing.assert_allclose(data.site("mount").xpos, pose[:3], atol=1e-12)
+
+
+def test_mujocos_own_mechanism_moves_sideways_as_the_closed_form_says() -> None:
+    """Its joints are released, its sliders pulled to those of a tilt; what the platform then does is MuJoCo's own solution."""
+    m = load("prs3/prs3").compile()
+    m.opt.gravity[:] = 0.0
+    m.opt.timestep = 1e-3
+    m.eq_solref[:] = [2e-3, 1.0]
+    data, sliders = mujoco.MjData(m), np.empty((1, 3))
+    goal = placed(np.array([0.05, 0.06, -0.08]))
+    inverse(UPPER.legs, goal[None], sliders)
+    for _ in range(4000):
+        for j in range(3):
+            joint = data.joint(f"slider_{j}")
+            data.ctrl[j] = 2e5 * (sliders[0, j] - joint.qpos[0]) - 1e4 * joint.qvel[0]
+        mujoco.mj_step(m, data)
+    np.testing.assert_allclose(data.site("mount").xpos, goal[:3], atol=1e-6)
+    matrix = Rotation.from_quat(goal[3:]).as_matrix()
+    np.testing.assert_allclose(data.site("mount").xmat.reshape(3, 3), matrix, atol=2e-6)
+    radius = UPPER.shape[0]
+    sideways = np.linalg.norm((goal[:3] + UPPER.shape[1] * matrix[:, 2])[:2])
+    assert sideways == pytest.approx(0.5 * radius * (1.0 - math.cos(0.1)), rel=1e-9)
+
+
+def test_the_whole_travel_is_within_the_sliders_stroke() -> None:
+    low, high = load("prs3/prs3").compile().joint("slider_0").range
+    poses = np.array([placed(x) for x in coordinates(2000)])
+    sliders = np.empty((2000, 3))
+    inverse(UPPER.legs, poses, sliders)
+    assert low < sliders.min() and sliders.max() < high
+
+
+def test_motion_is_the_derivative_of_the_pose() -> None:
+    e, out = 1e-6, np.empty((6, 3))
+    for x in coordinates(20, 0.2):
+        motion(UPPER.shape, x, out)
+        for j in range(3):
+            before, after = (placed(x + s * np.eye(3)[j]) for s in (-e, e))
+            turn = (Rotation.from_quat(after[3:]) * Rotation.from_quat(before[3:]).inv()).as_rotvec()
+            slope = np.concatenate([after[:3] - before[:3], turn]) / (2.0 * e)
+            np.testing.assert_allclose(out[:, j], slope, atol=2e-9)
+
+
+def test_the_jacobian_is_the_derivative_of_the_inverse_kinematics() -> None:
+    e, rates, sliders, jac = 1e-6, np.empty((6, 3)), np.empty(3), np.empty((3, 6))
+    for x in coordinates(20, 0.2):
+        jacobian(UPPER.legs, placed(x), sliders, jac)
+        motion(UPPER.shape, x, rates)
+        for j in range(3):
+            ends = np.empty((2, 3))
+            inverse(UPPER.legs, np.array([placed(x + s * np.eye(3)[j]) for s in (-e, e)]), ends)
+            np.testing.assert_allclose(jac @ rates[:, j], (ends[1] - ends[0]) / (2.0 * e), atol=2e-8)
+
+
+def test_heave_alone_moves_every_slider_as_far() -> None:
+    sliders = np.empty((1, 3))
+    inverse(UPPER.legs, placed(np.array([0.7, 0.0, 0.0]))[None], sliders)
+    np.testing.assert_allclose(sliders, 0.7, atol=1e-12)
