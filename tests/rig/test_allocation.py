@@ -45,7 +45,8 @@ def test_the_lower_platform_stays_in_its_workspace_over_the_whole_approach() -> 
 
 def test_heave_and_tilt_keep_their_limits() -> None:
     x = upper_coordinates(poses(np.linspace(-1.0, 5.0, 500), (9.0, 9.0, 0.0)))
-    assert x[:, 0].min() == 0.0 and x[:, 0].max() <= HEAVE + 1e-12
+    assert x[:, 0].min() == 0.0
+    assert x[:, 0].max() <= HEAVE + 1e-12
     assert np.hypot(x[:, 1], x[:, 2]).max() <= TILT
 
 
@@ -56,7 +57,8 @@ def test_speed_and_acceleration_follow_without_a_step() -> None:
     t = np.arange(0.0, LONGEST / v, h)
     heave = upper_coordinates(poses(LONGEST - v * t))[:, 0]
     speed, acceleration = -np.diff(heave) / h, np.diff(heave, 2) / h**2
-    assert speed.min() > -1e-9 and speed.max() < v * (1.0 + 1e-9)
+    assert speed.min() > -1e-9
+    assert speed.max() < v * (1.0 + 1e-9)
     assert np.abs(acceleration).max() < MOST_BENT * v**2 / BLEND * (1.0 + 1e-3)
     jerk = 10.0 / np.sqrt(3.0) * v**3 / BLEND**2
     assert np.abs(np.diff(acceleration)).max() < 1.01 * jerk * h + 1e-6

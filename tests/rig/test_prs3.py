@@ -77,7 +77,8 @@ def test_the_whole_travel_is_within_the_sliders_stroke() -> None:
     poses = np.array([placed(x) for x in coordinates(2000)])
     sliders = np.empty((2000, 3))
     inverse(UPPER.legs, poses, sliders)
-    assert low < sliders.min() and sliders.max() < high
+    assert low < sliders.min()
+    assert sliders.max() < high
 
 
 def test_motion_is_the_derivative_of_the_pose() -> None:
