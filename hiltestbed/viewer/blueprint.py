@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,9 +14,11 @@ from hiltestbed.signals import AXES, RunTrace
 from hiltestbed.simulation import Run
 from hiltestbed.viewer import plots, rig, spacecraft
 
+Point = tuple[float, float, float]
+
 BACKGROUND = (22, 26, 33)
 BEFORE, AFTER = 0.15, 0.35  # [s] shown around the first contact, at least
-SLOW = 0.1  # of real time, around a contact
+SHOWN = 10.0  # [s] that the window takes to play, in slow motion where it is shorter
 
 
 @dataclass(frozen=True)
@@ -40,12 +43,11 @@ class Facts:
 def layout(facts: Facts) -> rrb.Blueprint:
     """The layout as it opens: playing the contact in slow motion."""
     start, end = facts.window
-    touched = bool(facts.trace.contact.any())
     return rrb.Blueprint(
         rrb.Horizontal(_scenes(facts), _signals(facts), column_shares=[1.25, 1.0]),
         rrb.TimePanel(
             timeline="time",
-            playback_speed=SLOW if touched else 1.0,
+            playback_speed=min(1.0, float(f"{(end - start) / SHOWN:.1g}")) if end > start else 1.0,
             loop_mode=rrb.components.LoopMode.Selection,
             time_selection=rrb.components.AbsoluteTimeRange(min=round(1e9 * start), max=round(1e9 * end)),
             state="collapsed",
@@ -58,9 +60,9 @@ def layout(facts: Facts) -> rrb.Blueprint:
 def _scenes(facts: Facts) -> rrb.Vertical:
     legend = f"force arrow: 1 m is {1.0 / facts.force_scale:g} N"
     return rrb.Vertical(
-        _scene(f"The rig ({legend})", rig.ROOT, eye=(1.7, -3.3, 0.25), target=(0.0, 0.0, -0.38)),
+        _scene(f"The rig ({legend})", rig.ROOT, eye=(1.45, -2.75, 0.2), target=(0.0, 0.0, -0.45), hidden=rig.PORT_NAMES),
         rrb.Horizontal(
-            _scene("At the contact", rig.ROOT, eye=(0.75, -1.25, -0.28), target=(0.0, 0.0, 0.05)),
+            _scene("At the contact", rig.ROOT, eye=(0.42, -0.76, -0.2), target=(0.0, 0.0, 0.01)),
             _spacecraft(facts),
         ),
         row_shares=[1.7, 1.0],
@@ -74,10 +76,11 @@ def _spacecraft(facts: Facts) -> rrb.Spatial3DView:
     return _scene("The two spacecraft of the numerical model", spacecraft.ROOT, eye, target=(0.0, 0.0, middle))
 
 
-def _scene(name: str, origin: str, eye: tuple[float, float, float], target: tuple[float, float, float]) -> rrb.Spatial3DView:
+def _scene(name: str, origin: str, eye: Point, target: Point, hidden: Sequence[str] = ()) -> rrb.Spatial3DView:
     return rrb.Spatial3DView(
         name=name,
         origin=origin,
+        contents=["$origin/**", *(f"- /{entity}" for entity in hidden)],
         background=BACKGROUND,
         line_grid=False,
         eye_controls=rrb.EyeControls3D(kind=rrb.Eye3DKind.Orbital, position=eye, look_target=target, eye_up=(0.0, 0.0, 1.0)),

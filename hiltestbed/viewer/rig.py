@@ -18,11 +18,14 @@ from hiltestbed.viewer.solids import Solid, arrow, geom_solid
 
 ROOT = "rig"
 CONTACT_FORCE = f"{ROOT}/forces/contact"
+PORT_NAMES = (f"{ROOT}/platform/port_A/name", f"{ROOT}/fixed/port_P/name")
 DRAWN_GROUPS = 3  # geom groups 0 to 2 are drawn, as in MuJoCo's own viewer; 3 is for collision
-TRIAD = 0.16  # [m] length of a port's axes
+TRIAD = 0.1  # [m] length of a port's axes
 ARROW_LENGTH = 0.6  # [m] of the largest force, at most
 LINE_OF_ACTION = 0.6  # [m] the force is drawn at its line of action where that passes A this closely
 GLASS = 0.25  # opacity of the passive mechanism: the force that it takes is drawn inside it
+ARROW_RADIUS = 0.02  # [m]
+LABEL_GAP = 0.03  # [m] from the tip of an arrow to its label
 LABEL_FROM = 0.02  # of the largest force: below it an arrow has no label
 
 
@@ -99,6 +102,7 @@ class RigScene:
         """Poses of the moving bodies at the frames."""
         for body, poses in zip(self.moving, self.body_poses(pose), strict=True):
             send_poses(rec, self.path(body), time, poses)
+        rec.log(f"{ROOT}/path_of_A", rr.LineStrips3D([pose[:, :3]], colors=[colors.PATH], radii=[0.0015]), static=True)
 
 
 def send_poses(rec: rr.RecordingStream, path: str, time: rr.TimeColumn, poses: Array) -> None:
@@ -107,12 +111,12 @@ def send_poses(rec: rr.RecordingStream, path: str, time: rr.TimeColumn, poses: A
 
 
 def force_scale(peak: float, length: float = ARROW_LENGTH) -> float:
-    """[m/N] so that ``peak`` [N] is drawn within ``length`` [m] and a metre is 1, 2 or 5 times a power of ten newtons."""
+    """[m/N] so that ``peak`` [N] is drawn within ``length`` [m] and a metre is a round number of newtons."""
     if not peak > 0.0:
         return 1e-3
     least = peak / length
     decade = 10.0 ** np.floor(np.log10(least))
-    return float(1.0 / next(step * decade for step in (1.0, 2.0, 5.0, 10.0) if step * decade >= least * (1.0 - 1e-9)))
+    return float(1.0 / next(step * decade for step in (1.0, 1.5, 2.0, 3.0, 5.0, 7.5, 10.0) if step * decade >= least * (1.0 - 1e-9)))
 
 
 def force_origin(wrench: Array, pose: Array) -> Array:
@@ -128,17 +132,22 @@ def force_origin(wrench: Array, pose: Array) -> Array:
     return np.where(near[:, None], point, a)
 
 
-def send_force(rec: rr.RecordingStream, time: rr.TimeColumn, wrench: Array, pose: Array, scale: float, path: str = CONTACT_FORCE) -> None:
-    """The force on the passive side as an arrow where it acts, ``scale`` [m/N]; none where there is none."""
+def send_force(rec: rr.RecordingStream, time: rr.TimeColumn, wrench: Array, pose: Array, scale: float) -> None:
+    """The force on the passive side as an arrow where it acts, ``scale`` [m/N], its size at the tip; none where there is none."""
     force = np.linalg.norm(wrench[:, :3], axis=1)
     acts = force > 0.0
-    lengths = acts.astype(int)
-    peak = force.max(initial=0.0)
-    text = [f"{f:.0f} N" if f > LABEL_FROM * peak else "" for f in force[acts]]
-    origins = force_origin(wrench, pose)[acts]
-    columns = rr.Arrows3D.columns(vectors=scale * wrench[acts, :3], origins=origins, labels=text)
-    rec.log(path, rr.Arrows3D.from_fields(colors=[colors.PHYSICAL], radii=[0.03], show_labels=True), static=True)
-    rec.send_columns(path, indexes=[time], columns=columns.partition(lengths))
+    vectors, origins = scale * wrench[acts, :3], force_origin(wrench, pose)[acts]
+    rec.log(CONTACT_FORCE, rr.Arrows3D.from_fields(colors=[colors.PHYSICAL], radii=[ARROW_RADIUS]), static=True)
+    rec.send_columns(
+        CONTACT_FORCE, indexes=[time], columns=rr.Arrows3D.columns(vectors=vectors, origins=origins).partition(acts.astype(int))
+    )
+    told = force > LABEL_FROM * force.max(initial=0.0)
+    beyond = 1.0 + LABEL_GAP / (scale * force[told, None])
+    tips = origins[told[acts]] + beyond * scale * wrench[told, :3]
+    points = rr.Points3D.columns(positions=tips, labels=[f"{f:.0f} N" for f in force[told]])
+    path = f"{CONTACT_FORCE}/size"
+    rec.log(path, rr.Points3D.from_fields(colors=[colors.PHYSICAL], radii=[0.001], show_labels=True), static=True)
+    rec.send_columns(path, indexes=[time], columns=points.partition(told.astype(int)))
 
 
 def log_solid(rec: rr.RecordingStream, path: str, shape: Solid, opacity: float = 1.0) -> None:
