@@ -18,6 +18,7 @@ from hiltestbed.compensation.motion import MotionCommand
 from hiltestbed.frames import Array
 from hiltestbed.identification import make_identification
 from hiltestbed.metrics import Tally
+from hiltestbed.outcome import Outcomes
 from hiltestbed.rig.plant import Plant
 from hiltestbed.safety import Safety
 from hiltestbed.scenario import Scenario
@@ -46,6 +47,7 @@ class Loop:
         self.drive = make_drive(scenarios)
         self.motion = MotionCommand(scenarios)
         self.tally = Tally(scenarios)
+        self.outcomes = Outcomes(scenarios)
         self.safety = Safety(scenarios)
         self.k = 0
         self.alive = np.ones(n, dtype=bool)
@@ -72,15 +74,16 @@ class Loop:
             self.identification.update(self.sensor.reading, plant.pose_act, plant.twist_act)
         self._pose_before[:] = drive.pose
         drive.advance(self.measurement)
-        self.motion.update(drive.twist)
+        self.motion.update(drive.pose, drive.twist, plant.pose_act)
         wrench = plant.wrench_sub[:, -1]
         self.tally.update(k, (wrench, plant.pose_act, plant.twist_act, plant.contact), self._pose_before, (drive.wrench, drive.twist))
+        self.outcomes.update(k, wrench, plant.contact, plant.captured)
         if trace is not None:
             self.write(trace)
         passed = self.safety.passed(plant.slider_act, plant.pose_act, self._pose_before, plant.wrench_sub, self.tally.energy)
         if passed or _lost(drive.pose, POSE_LIMIT, self.alive) or plant.diverged.any():
             self._end_runs()
-        plant.advance(drive.pose, self.motion.twist, self.motion.acceleration)
+        plant.advance(self.motion.pose, self.motion.twist, self.motion.acceleration)
         self.k = k + 1
 
     def write(self, trace: Trace) -> None:
@@ -122,6 +125,7 @@ class Loop:
             "drive": self.drive,
             "motion": self.motion,
             "tally": self.tally,
+            "outcomes": self.outcomes,
             "safety": self.safety,
         }
         if self.identification:

@@ -11,6 +11,7 @@ from typing import Any
 from hiltestbed.ledger import delay_ledger, predicted_log_error
 from hiltestbed.loop import Loop
 from hiltestbed.metrics import ContactFigures
+from hiltestbed.rig.truth import axis_truth
 from hiltestbed.scenario import Scenario, scenario_from, scenario_sha256
 from hiltestbed.signals import AXES, RunTrace, Trace
 from hiltestbed.snapshot import Snapshot, Snapshots
@@ -46,6 +47,7 @@ class Batch:
     figures: list[ContactFigures]
     trouble: dict[int, tuple[int, str, str]]
     identification: list[dict[str, Any]]
+    outcomes: list[dict[str, Any]]
     ticks: int
     wall: float
     trace: Trace | None = None
@@ -107,6 +109,7 @@ def simulate(
         figures=[loop.tally.figures(i) for i in range(len(scenarios))],
         trouble=loop.trouble,
         identification=[_identified(loop, i) for i in range(len(scenarios))],
+        outcomes=[loop.outcomes.summary(i) for i in range(len(scenarios))],
         ticks=loop.k,
         wall=wall,
         trace=rows,
@@ -131,16 +134,16 @@ def reference_scenario(scenario: Scenario) -> Scenario:
 
 def _identified(loop: Loop, i: int) -> dict[str, Any]:
     """Per axis: stiffness and damping identified, None where the axis gave no estimate, and the truth where there is one."""
-    contact = loop.scenarios[i].mechanism.contact
+    truth = axis_truth(loop.scenarios[i])
     estimate = loop.identification
     out = {}
     for j, axis in enumerate(AXES):
-        truth = axis == "z"
+        pair = truth[j] or (None, None)
         out[axis] = {
             "stiffness": _number(estimate.stiffness[i, j]) if estimate else None,
             "damping": _number(estimate.damping[i, j]) if estimate else None,
-            "stiffness_true": contact.stiffness if truth else None,
-            "damping_true": contact.damping if truth else None,
+            "stiffness_true": pair[0],
+            "damping_true": pair[1],
             "samples": int(estimate.samples[i, j]) if estimate else 0,
         }
     return out
@@ -177,6 +180,7 @@ def _run(batch: Batch, reference: Batch, i: int) -> Run:
         "impulse": figures.impulse,
         "tracking_error": figures.tracking_error,
         "tracking_compliance": figures.tracking_compliance,
+        **batch.outcomes[i],
         "delay_ledger": [vars(entry) for entry in ledger],
         "identification": batch.identification[i],
         "timing": {

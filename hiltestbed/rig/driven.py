@@ -50,7 +50,7 @@ class ServoTracking:
         self.path = PlatformPath(scenarios)
         self._ticks = np.zeros(1, dtype=np.int64)
         self._goal = np.zeros((n, 7))
-        feed = np.array([s.compensation.motion.kind != "none" for s in scenarios])
+        feed = np.array([s.compensation.motion.kind == "feedforward" for s in scenarios])
         self.servo = Servo(self.model, n, first.tick, m, feed)
         bind = self.batch.bind
         self._qpos, self._qvel, self._ctrl, self._time = bind("qpos"), bind("qvel"), bind("ctrl"), bind("time")
@@ -76,6 +76,7 @@ class ServoTracking:
     def _weigh(self) -> None:
         """Tare: the reading of the sensor at rest, the active side a metre away."""
         self._qpos[:, self.model.joint("platform").qposadr[0] + 2] -= 1.0
+        self._applied[:, self._passive, 2] = self.mount.balance
         self.batch.forward()
         self._tare[:] = self._reading
 
@@ -142,6 +143,7 @@ class ServoTracking:
         _centres(self.pose_act, self._offset, self._centre)
         load_body(-1.0, self.touch.wrench, self._active, self._centre, self._applied)
         load_body(1.0, self.touch.wrench, self._passive, self.mount.centre, self._applied)
+        self._applied[:, self._passive, 2] += self.mount.balance
 
     def _observe(self) -> None:
         self.servo.observe(self._qpos, self._qvel, SPEED_LIMIT, self.pose_act, self.twist_act, self.slider_act, self.diverged)

@@ -1,6 +1,8 @@
 """The passive side on its compliant mount: where its frame S is, from the six joints between mechanism and sensor.
 
 Three slides x, y, z and three hinges rx, ry, rz in this order, all through P's origin; each has the stiffness and damping of its axis.
+The weight of what moves on them hangs on a constant-force balance at its centre of mass, as gravity is unloaded on a real rig: springs
+that sag, and a weight whose lever arm at the sensor swings, would otherwise stand in the reading of the torques.
 """
 
 from __future__ import annotations
@@ -35,7 +37,7 @@ class Mount:
     Attributes:
         place: (n, 7) pose of S in W; motion: (n, 6) its twist in W. On a rigid mount ``tilt``, and no motion.
         tilt: (n, 7) pose of S in the passive mechanism's body: 0 but for a port that is misaligned.
-        centre: (n, 3) the body's centre of mass in W [m].
+        centre: (n, 3) the body's centre of mass in W [m]. balance: constant force upwards on it [N].
     """
 
     def __init__(self, batch: Batch, scenarios: Sequence[Scenario]) -> None:
@@ -46,6 +48,7 @@ class Mount:
         self._offset = np.array(model.body("passive_mechanism").ipos)
         self.centre = np.tile(self._offset, (n, 1))
         self.moves = scenarios[0].mechanism.mount is not None
+        self.balance = -model.opt.gravity[2] * float(model.body("passive_mechanism").subtreemass[0]) if self.moves else 0.0
         if not self.moves:
             return
         joints = [model.joint(f"mount_{axis}") for axis in AXES]
@@ -55,9 +58,6 @@ class Mount:
             assert s.mechanism.mount is not None  # one structure
             stiffness[i, [j.id for j in joints]] = s.mechanism.mount.stiffness
             damping[i, self._adr[1] : self._adr[1] + 6] = s.mechanism.mount.damping
-        # The weight is carried by a preload of the spring along z, so that nothing sags.
-        weight = -model.opt.gravity[2] * float(model.body("passive_mechanism").subtreemass[0])
-        batch.expand("qpos_spring")[:, self._adr[0] + 2] = weight / stiffness[:, joints[2].id]
 
     def observe(self, qpos: Array, qvel: Array) -> None:
         """Set ``place`` and ``motion`` from the joints of the model."""
