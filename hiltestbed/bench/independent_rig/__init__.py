@@ -1,0 +1,34 @@
+"""A second rig that shares no code with the simulation: where the diagnosis gets its data to practise on.
+
+Two free bodies, platform, contact, sensor and compensator, written again from their definitions (`closed_loop` is the tick), with
+other sub-steps than the simulation has. Every effect of the vocabulary can be hidden in it, alone and in pairs, and so can others
+that the vocabulary has no name for.
+
+    rng = np.random.default_rng(7)
+    hidden = draw_set(rng, "single")                        # healthy | single | pair | foreign
+    hidden = draw_set(rng, "pair", names=("contact.preload", "sensor.hum"))
+    hidden = draw_set(rng, "single", names=("sensor.delay",), scale=0.2)      # how small can it be?
+    write_set("folder", hidden)                             # nominal.yaml, dataset.yaml, run_0.parquet ... run_5.parquet
+    hidden.effects, hidden.links, hidden.strengths          # the truth; `write_set(..., truth=True)` writes truth.yaml too
+
+`hidden.strengths` says how far each effect stands above the noise of its link's records: drawn sets (scale 1) have at least 3.
+`hidden.variants` lists how the rig reads what the definitions leave open (`draw_variants`); `literal=True` leaves them out.
+
+One run by hand:
+
+    rig = with_effect(nominal_rig(scenario), {"kind": "contact.preload", "force": 12.0})
+    records = simulate(rig, silence(rig.ticks))             # no noise; pose_cmd=..., wrench_comp=... cut the loop
+"""
+
+from hiltestbed.bench.independent_rig.closed_loop import Noise, Records, Rig, silence, simulate
+from hiltestbed.bench.independent_rig.facility import Facility, draw_facility
+from hiltestbed.bench.independent_rig.foreign import FOREIGN
+from hiltestbed.bench.independent_rig.hidden import EFFECTS
+from hiltestbed.bench.independent_rig.rig import nominal_rig, overridden
+from hiltestbed.bench.independent_rig.sets import HiddenSet, draw_noise, draw_set, generate, link_of, strength, with_effect, write_set
+from hiltestbed.bench.independent_rig.sizes import SIZES, alike
+
+__all__ = [
+    "EFFECTS", "FOREIGN", "SIZES", "Facility", "HiddenSet", "Noise", "Records", "Rig", "alike", "draw_facility", "draw_noise",
+    "draw_set", "generate", "link_of", "nominal_rig", "overridden", "silence", "simulate", "strength", "with_effect", "write_set",
+]  # fmt: skip

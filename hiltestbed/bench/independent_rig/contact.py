@@ -1,0 +1,166 @@
+"""The contact of this rig: a flat bumper, or a latch that also pulls, met by the probe's tip.
+
+Every law is evaluated at any instant from the position there, the rate of that tick and the states of the contact;
+nothing is interpolated across a touch.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+BRANCH, FRAME, FRAME_V, AGE = range(4)  # states: Maxwell force [N], frame [m], [m/s], time since the touch [s]
+STATES = 4
+SLIDING = 1e-4  # m/s, of tangential friction
+REVERSAL = 2e-4  # m/s, of the buffer's friction
+
+
+class Contact(NamedTuple):
+    """The contact law; zero switches a term off. SI, in P."""
+
+    normal: np.ndarray  # (3,) of the passive surface, along the insertion
+    stiffness: float
+    damping: float
+    friction: float
+    latched: bool
+    exponent: float = 0.0
+    power: float = 0.0  # N/m^exponent
+    hunt: float = -1.0  # s/m; negative: k x + c v
+    dry: float = 0.0
+    preload: float = 0.0
+    stop_at: float = 0.0
+    stop_stiffness: float = 0.0
+    branch_stiffness: float = 0.0
+    branch_time: float = 1.0
+    adhesion: float = 0.0
+    touch: float = 0.0
+    play: float = 0.0  # whole
+    frame_stiffness: float = 0.0
+    lever: float = 1.0  # where along the penetration the force acts: 1 at the tip, 0 at the undeformed surface
+    frame_rate: bool = False  # whether the statically giving frame also lowers the rate of the contact
+    mode_w: float = 0.0
+    mode_zeta: float = 0.0
+    mode_mass: float = 0.0
+    mode_read: bool = False  # the sensor is under the moving mass, not above it
+    unloading: float = 0.0  # foreign: part of the spring's force that is lost on the way out
+    ageing: float = 0.0  # 1/s, foreign: the spring changes during the contact
+    speeding: float = 0.0  # s/m, foreign: the spring is stiffer when fast, either way
+    ripple: float = 0.0  # N, foreign: teeth
+    ripple_period: float = 1.0  # m
+    side: float = 0.0  # 1/m, foreign: a part of the force that grows with penetration shows along x
+
+
+@njit(cache=True)
+def penetration(law, p):
+    """Penetration [m] of the tip at p (3,); in a latch also negative."""
+    x = p[0] * law.normal[0] + p[1] * law.normal[1] + p[2] * law.normal[2] - law.touch
+    if law.play > 0.0:
+        return math.copysign(max(abs(x) - 0.5 * law.play, 0.0), x)
+    return x
+
+
+@njit(cache=True)
+def _law(law, x, v, branch, age):
+    """Force [N] at penetration x [m] and rate v [m/s] of a spring that does not give."""
+    if x == 0.0 or (x < 0.0 and not law.latched):
+        return 0.0
+    k = law.stiffness * (1.0 + law.ageing * age) * (1.0 + law.speeding * abs(v))
+    elastic = k * x
+    if law.exponent > 0.0:
+        elastic = math.copysign(law.power * abs(x) ** law.exponent, x)
+    if v * x < 0.0:
+        elastic *= 1.0 - law.unloading
+    force = elastic * (1.0 + law.hunt * v) if law.hunt >= 0.0 else elastic + law.damping * v
+    force += law.dry * math.tanh(v / REVERSAL) + math.copysign(law.preload, x) + branch
+    if law.stop_stiffness > 0.0 and x > law.stop_at:
+        force += law.stop_stiffness * (x - law.stop_at)
+    if law.ripple > 0.0:
+        force += law.ripple * math.sin(2.0 * math.pi * x / law.ripple_period)
+    return force if law.latched else max(force, -law.adhesion)
+
+
+@njit(cache=True)
+def force_on(law, x, v, state):
+    """Normal force [N]: with a frame that gives, the root of F = law(x - F/K)."""
+    if law.mode_w > 0.0:
+        return _law(law, x - state[FRAME], v - state[FRAME_V], state[BRANCH], state[AGE])
+    if law.frame_stiffness == 0.0:
+        return _law(law, x, v, state[BRANCH], state[AGE])
+    soft = 1.0 / law.frame_stiffness
+    rate = v / (1.0 + law.stiffness * soft) if law.frame_rate else v
+    low, high = 0.0, 0.0
+    rigid = _law(law, x, rate, state[BRANCH], state[AGE])
+    if rigid >= 0.0:
+        high = rigid
+    else:
+        low = rigid
+    for _ in range(60):
+        mid = 0.5 * (low + high)
+        if _law(law, x - mid * soft, rate, state[BRANCH], state[AGE]) > mid:
+            low = mid
+        else:
+            high = mid
+    return 0.5 * (low + high)
+
+
+@njit(cache=True)
+def wrench(law, p, velocity, state, out):
+    """Wrench (6,) on the passive side, in P at its origin, with the tip at p (3,) and its velocity (3,)."""
+    x = penetration(law, p)
+    v = velocity[0] * law.normal[0] + velocity[1] * law.normal[1] + velocity[2] * law.normal[2]
+    force = force_on(law, x, v, state)
+    slip = velocity - v * law.normal
+    drag = law.friction * abs(force) / math.sqrt(slip[0] ** 2 + slip[1] ** 2 + slip[2] ** 2 + SLIDING**2)
+    read = force
+    if law.mode_w > 0.0 and law.mode_read:
+        read = law.mode_mass * law.mode_w * (law.mode_w * state[FRAME] + 2.0 * law.mode_zeta * state[FRAME_V])
+    for a in range(3):
+        out[a] = read * law.normal[a] + drag * slip[a]
+    if law.side != 0.0:
+        out[0] += force * law.side * x
+    lift = (1.0 - law.lever) * x
+    rx, ry, rz = p[0] - lift * law.normal[0], p[1] - lift * law.normal[1], p[2] - lift * law.normal[2]
+    out[3] = ry * out[2] - rz * out[1]
+    out[4] = rz * out[0] - rx * out[2]
+    out[5] = rx * out[1] - ry * out[0]
+
+
+@njit(cache=True)
+def _ring(law, x0, x1, v, state, dt):
+    """Runge-Kutta step of the frame's mode under the contact force."""
+    q, qv = state[FRAME], state[FRAME_V]
+    trial = state.copy()
+    dq = dqv = 0.0
+    for stage in range(4):
+        part = 0.0 if stage == 0 else (1.0 if stage == 3 else 0.5)
+        force = force_on(law, x0 + part * (x1 - x0), v, trial)
+        a = force / law.mode_mass - law.mode_w * (law.mode_w * trial[FRAME] + 2.0 * law.mode_zeta * trial[FRAME_V])
+        weight = dt / 6.0 if stage in (0, 3) else dt / 3.0
+        dq += weight * trial[FRAME_V]
+        dqv += weight * a
+        ahead = 0.5 * dt if stage < 2 else dt
+        trial[FRAME], trial[FRAME_V] = q + ahead * trial[FRAME_V], qv + ahead * a
+    state[FRAME], state[FRAME_V] = q + dq, qv + dqv
+
+
+@njit(cache=True)
+def advance(law, p0, p1, velocity, state, dt):
+    """The states of the contact over dt in which the tip went from p0 to p1; changes `state` (4,)."""
+    x0, x1 = penetration(law, p0), penetration(law, p1)
+    v = velocity[0] * law.normal[0] + velocity[1] * law.normal[1] + velocity[2] * law.normal[2]
+    if law.mode_w > 0.0:
+        _ring(law, x0, x1, v, state, dt)
+    touching = dt
+    if not law.latched:
+        if x1 <= 0.0:
+            state[BRANCH] = state[AGE] = 0.0
+            return
+        if x0 <= 0.0:
+            touching = dt * x1 / (x1 - x0)
+    state[AGE] += touching
+    if law.branch_stiffness > 0.0:
+        fade = math.exp(-touching / law.branch_time)
+        state[BRANCH] = state[BRANCH] * fade + law.branch_stiffness * v * law.branch_time * (1.0 - fade)

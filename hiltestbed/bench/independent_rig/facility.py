@@ -1,0 +1,185 @@
+"""Facilities drawn at random: a nominal scenario and the six runs of its test campaign."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.random import Generator
+
+DESCRIPTION = "Axial contact through a flat bumper, as the facility believes its rig to be."
+
+
+def rounded(value: float, digits: int = 4) -> float:
+    """`value` with this many significant digits, as people write numbers."""
+    return float(f"{value:.{digits}g}")
+
+
+@dataclass(frozen=True)
+class Facility:
+    """What a facility believes of its rig, and how it tests.
+
+    Attributes:
+        scenario: the nominal scenario, as in its file. runs: what each run sets in it.
+        speeds: axial, of each run [m/s]. torque_noise [N m], pose_noise [m], turn_noise [-]: 1 sigma, not in the scenario.
+        design: what the runs excite besides the axial contact: any of "slide", "offset", "latched", "friction".
+    """
+
+    scenario: dict
+    runs: list[dict]
+    speeds: list[float]
+    torque_noise: float
+    pose_noise: float
+    turn_noise: float
+    touch_time: float
+    design: frozenset[str]
+
+    @property
+    def stiffness(self) -> float:
+        """Of the nominal spring [N/m]."""
+        return self.scenario["mechanism"]["contact"]["stiffness"]
+
+    @property
+    def damping(self) -> float:
+        """Of the nominal damper [N s/m]."""
+        return self.scenario["mechanism"]["contact"]["damping"]
+
+    @property
+    def noise(self) -> float:
+        """Of a force axis [N]."""
+        return self.scenario["sensor"]["noise"]
+
+    @property
+    def reduced_mass(self) -> float:
+        """Of the two bodies on the line of approach [kg]."""
+        chaser, target = (self.scenario["spacecraft"][b]["mass"] for b in ("chaser", "target"))
+        return 1.0 / (1.0 / chaser + 1.0 / target)
+
+    @property
+    def frequency(self) -> float:
+        """Of the contact with the nominal spring [Hz]."""
+        return math.sqrt(self.stiffness / self.reduced_mass) / (2.0 * math.pi)
+
+    @property
+    def contact_time(self) -> float:
+        """Half a period [s]."""
+        return 0.5 / self.frequency
+
+    @property
+    def tick(self) -> float:
+        """[s]"""
+        return 1.0 / self.scenario["rate"]
+
+    @property
+    def top_speed(self) -> float:
+        """[m/s]"""
+        return max(self.speeds)
+
+    @property
+    def middle_speed(self) -> float:
+        """[m/s]"""
+        return float(np.median(self.speeds))
+
+    @property
+    def depth(self) -> float:
+        """Penetration of a run at the middle speed [m]."""
+        return self.middle_speed / (2.0 * math.pi * self.frequency)
+
+    @property
+    def peak(self) -> float:
+        """Force of a run at the middle speed [N]."""
+        return self.depth * self.stiffness
+
+    @property
+    def top_peak(self) -> float:
+        """Force of the fastest run with the nominal spring [N]."""
+        return self.peak * self.top_speed / self.middle_speed
+
+    @property
+    def side(self) -> float:
+        """How far off the axis the runs go that slide or are offset [m]."""
+        far = [math.hypot(*r.get("approach.offset", [0.0, 0.0])) for r in self.runs]
+        slid = [abs(r["approach.velocity"][0]) * (self.touch_time + self.contact_time) for r in self.runs]
+        return max(max(far), max(slid), 1e-4)
+
+
+def draw_facility(rng: Generator, design: frozenset[str]) -> Facility:
+    """A facility at random, whose contact is neither too short for its rate nor too fast for its delay."""
+    while True:
+        chaser, target = _log(rng, 200.0, 1500.0), _log(rng, 500.0, 10000.0)
+        stiffness, delay = _log(rng, 2e4, 5e5), float(rng.integers(1, 11)) / 1000.0
+        rate = int(rng.choice([1000, 2000]))
+        reduced = 1.0 / (1.0 / chaser + 1.0 / target)
+        fastest = math.sqrt(2.0 * stiffness / reduced)  # rad/s, with the stiffer of the known springs
+        if fastest * delay < 0.4 and math.pi / fastest * rate >= 40.0 and fastest > 12.0:
+            break
+    chaser, target, stiffness = (rounded(v, 3) for v in (chaser, target, stiffness))
+    ratio = _log(rng, 0.02, 0.15)
+    damping = rounded(2.0 * ratio * math.sqrt(stiffness * reduced), 3)
+    fast = _log(rng, 0.06, 0.1)
+    speeds = [rounded(fast * part, 2) for part in (0.25, 0.375, 0.625, 1.0, 0.5, 0.5)]
+    touch_time = 0.1 + 0.1 * rng.random()
+    longest = math.pi / (fastest / 2.0)
+    noise = rounded(min(max(_log(rng, 2e-4, 7e-4) * fast * math.sqrt(stiffness * reduced), 0.05), 1.5), 2)
+    friction = rounded(rng.uniform(0.05, 0.2), 2) if "friction" in design else 0.0
+    latched = "latched" in design
+    scenario = {
+        "name": "facility",
+        "description": DESCRIPTION,
+        "seed": 1,
+        "duration": round(math.ceil((touch_time + (2.0 if latched else 1.3) * longest + 0.3) * 10.0) / 10.0, 1),
+        "rate": rate,
+        "physics_rate": 4 * rate if rng.random() < 0.5 else 2 * rate,
+        "spacecraft": {"chaser": _body(rng, chaser, 1.0, design), "target": _body(rng, target, -1.0, design)},
+        "approach": {
+            "gap": rounded(speeds[1] * touch_time, 2), "velocity": [0.0, 0.0, speeds[1]], "offset": [0.0, 0.0],
+            "attitude_deg": [0, 0, 0], "rate_deg": [0, 0, 0],
+        },
+        "mechanism": {
+            "kind": "latched" if latched else "bumper",
+            "contact": {"stiffness": stiffness, "damping": damping, "friction": friction},
+        },
+        "rig": {"platform": {"kind": "pss33", "tracking": "ideal"}},
+        "sensor": {"delay": delay, "lowpass": None, "time_constant": None, "noise": noise},
+        "compensation": {"force": {"kind": "phase_lead"}, "motion": {"kind": "none"}},
+        "identification": {"kind": "rls"},
+        "effects": [],
+    }  # fmt: skip
+    runs = [_run(rng, i, v, touch_time, design, scenario) for i, v in enumerate(speeds)]
+    pose = rng.uniform(1e-6, 2.5e-6)
+    return Facility(scenario, runs, speeds, rng.uniform(0.01, 0.04), pose, 0.5 * pose, touch_time, design)
+
+
+def _log(rng: Generator, low: float, high: float) -> float:
+    return float(math.exp(rng.uniform(math.log(low), math.log(high))))
+
+
+def _body(rng: Generator, mass: float, side: float, design: frozenset[str]) -> dict:
+    size = _log(rng, 0.25, 0.6)  # m^2
+    inertia = [rounded(mass * size * rng.uniform(0.8, 1.1), 2) for _ in range(3)]
+    # A port off the axis: the contact turns this body as well, not only the one that is met off-centre.
+    across = [rounded(v, 2) if "offset" in design else 0.0 for v in rng.uniform(-0.12, 0.12, 2)]
+    port = {"position": [*across, side * rounded(rng.uniform(0.7, 1.4), 2)], "attitude_deg": [0, 0, 0]}
+    return {"mass": mass, "inertia": inertia, "port": port}
+
+
+def _run(rng: Generator, number: int, speed: float, touch_time: float, design: frozenset[str], scenario: dict) -> dict:
+    """What run `number` sets: two of the four speeds slide, the last two runs have other known springs."""
+    slides = number in (1, 3) and "slide" in design
+    sideways = [rounded(rng.uniform(0.1, 0.25) * speed, 1) * (1 if rng.random() < 0.5 else -1) if slides else 0.0 for _ in range(2)]
+    if rng.random() < 0.5:
+        sideways[1] = 0.0
+    # The touch falls between two ticks: on one of them, noise would decide in which tick the force begins.
+    ticks = math.floor(touch_time * scenario["rate"]) + rng.uniform(0.25, 0.75)
+    gap = 0.0 if "latched" in design else rounded(speed * ticks / scenario["rate"], 5)
+    changes: dict = {"approach.velocity": [*sideways, speed], "approach.gap": gap}
+    if "offset" in design and number in (1, 2, 3, 4):
+        far = rng.uniform(0.04, 0.12, 2) * rng.choice([-1.0, 1.0], 2)
+        changes["approach.offset"] = [rounded(v, 2) for v in far]
+    if number >= 4:
+        factor = 0.5 if number == 4 else 2.0
+        contact = scenario["mechanism"]["contact"]
+        changes["mechanism.contact.stiffness"] = factor * contact["stiffness"]
+        changes["mechanism.contact.damping"] = math.sqrt(factor) * contact["damping"]
+    return changes
