@@ -10,12 +10,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import numpy as np
-
 from hiltestbed.compensation.phase_lead import lead_and_lag
 from hiltestbed.metrics import ContactFigures
 from hiltestbed.scenario import Scenario
-from hiltestbed.spacecraft import inertia_matrix, port_pose
+from hiltestbed.spacecraft import effective_mass
 
 
 @dataclass(frozen=True)
@@ -46,21 +44,6 @@ def delay_ledger(scenario: Scenario, figures: ContactFigures) -> list[Delay]:
         delays.append(("platform.servo", figures.tracking_delay or 0.0))
     delays.append(("total", sum(delay for _, delay in delays)))
     return [Delay(source, delay, 0.0 - k * delay) for source, delay in delays]
-
-
-def effective_mass(scenario: Scenario) -> float:
-    """Reduced mass [kg] of both bodies along the line of approach at P's origin, lever arms included.
-
-    ``1/m = sum of 1/m_i + (r_i x n)^T I_i^-1 (r_i x n)`` with n along z of P, at the start pose with centred ports.
-    """
-    total = 0.0
-    for body in (scenario.spacecraft.chaser, scenario.spacecraft.target):
-        port = port_pose(body)
-        q = port[3:]
-        n = np.array([2 * (q[0] * q[2] + q[1] * q[3]), 2 * (q[1] * q[2] - q[0] * q[3]), 1 - 2 * (q[0] ** 2 + q[1] ** 2)])
-        arm = np.cross(port[:3], n)
-        total += 1.0 / body.mass + arm @ np.linalg.solve(inertia_matrix(body.inertia), arm)
-    return 1.0 / total
 
 
 def contact_frequency(scenario: Scenario) -> float:

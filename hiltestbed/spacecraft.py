@@ -121,6 +121,21 @@ def approach_state(scenario: Scenario) -> Array:
     return np.concatenate([position, quat_from_attitude_deg(a.attitude_deg), a.velocity, np.radians(a.rate_deg)])
 
 
+def effective_mass(scenario: Scenario) -> float:
+    """Reduced mass [kg] of both bodies along the line of approach at P's origin, lever arms included.
+
+    ``1/m = sum of 1/m_i + (r_i x n)^T I_i^-1 (r_i x n)`` with n along z of P, at the start pose with centred ports.
+    """
+    total = 0.0
+    for body in (scenario.spacecraft.chaser, scenario.spacecraft.target):
+        port = port_pose(body)
+        q = port[3:]
+        n = np.array([2 * (q[0] * q[2] + q[1] * q[3]), 2 * (q[1] * q[2] - q[0] * q[3]), 1 - 2 * (q[0] ** 2 + q[1] ** 2)])
+        arm = np.cross(port[:3], n)
+        total += 1.0 / body.mass + arm @ np.linalg.solve(inertia_matrix(body.inertia), arm)
+    return 1.0 / total
+
+
 def pair_momentum(mass: Array, inertia: Array, q: Array, v: Array) -> Array:
     """Linear [kg m/s] and angular [N m s] momentum of both bodies together, about the inertial origin.
 

@@ -11,10 +11,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Protocol
 
+from hiltestbed.compensation.contact_correction import ContactCorrection
+from hiltestbed.compensation.cor_designed import CorDesigned
+from hiltestbed.compensation.dead_zone import DeadZone
 from hiltestbed.compensation.measurement import Measurement
 from hiltestbed.compensation.none import Uncompensated
+from hiltestbed.compensation.passivity import NormalisedPassivity, PassivityControl
 from hiltestbed.compensation.phase_lead import PhaseLead
+from hiltestbed.compensation.polynomial import PolynomialExtrapolation
+from hiltestbed.compensation.reconstruction import Reconstruction, SmithPredictor
 from hiltestbed.compensation.resynchronised import Resynchronised
+from hiltestbed.compensation.second_order_lead import SecondOrderLead
+from hiltestbed.compensation.virtual_contact import VirtualContact
 from hiltestbed.frames import Array
 from hiltestbed.scenario import Scenario
 from hiltestbed.spacecraft import Spacecraft
@@ -57,15 +65,18 @@ class Drive(Protocol):
 class ForceDrive:
     """Correct the wrench, drive the numerical model with it, command where it goes."""
 
-    def __init__(self, spacecraft: Spacecraft, method: ForceCompensation) -> None:
+    def __init__(self, spacecraft: Spacecraft, method: ForceCompensation, correction: ContactCorrection | None = None) -> None:
         self.spacecraft = spacecraft
         self.method = method
+        self.correction = correction
         self.pose = spacecraft.pose
         self.twist = spacecraft.twist
         self.wrench = spacecraft.twist * 0.0
 
     def advance(self, measurement: Measurement) -> None:
         self.wrench[:] = self.method.compensate(measurement)
+        if self.correction:
+            self.correction.add(measurement, self.pose, self.twist, self.wrench)
         self.spacecraft.advance(self.wrench)
 
     def buffers(self) -> dict[str, Array]:
@@ -73,14 +84,38 @@ class ForceDrive:
 
 
 def make_drive(scenarios: Sequence[Scenario]) -> Drive:
-    """The drive that ``compensation.force`` names; one kind for all runs of a batch."""
+    """The drive that ``compensation`` names; one kind for all runs of a batch."""
     spacecraft = Spacecraft(scenarios)
+    if scenarios[0].compensation.force.kind == "resynchronised":
+        return Resynchronised(spacecraft, scenarios)
+    correction = ContactCorrection() if scenarios[0].compensation.motion.kind == "contact_correction" else None
+    return ForceDrive(spacecraft, make_method(scenarios, spacecraft), correction)
+
+
+def make_method(scenarios: Sequence[Scenario], spacecraft: Spacecraft) -> ForceCompensation:
+    """The method that corrects the wrench."""
     match scenarios[0].compensation.force.kind:
         case "none":
-            return ForceDrive(spacecraft, Uncompensated())
+            return Uncompensated()
         case "phase_lead":
-            return ForceDrive(spacecraft, PhaseLead(scenarios))
-        case "resynchronised":
-            return Resynchronised(spacecraft, scenarios)
+            return PhaseLead(scenarios)
+        case "second_order_lead":
+            return SecondOrderLead(scenarios)
+        case "polynomial":
+            return PolynomialExtrapolation(scenarios)
+        case "reconstruction":
+            return Reconstruction(scenarios)
+        case "smith_predictor":
+            return SmithPredictor(scenarios)
+        case "virtual_contact":
+            return VirtualContact(scenarios)
+        case "cor_designed":
+            return CorDesigned(scenarios)
+        case "dead_zone":
+            return DeadZone(scenarios)
+        case "passivity_control":
+            return PassivityControl(scenarios, spacecraft)
+        case "normalised_passivity":
+            return NormalisedPassivity(scenarios, spacecraft)
         case kind:
-            raise ValueError(f"compensation.force.kind {kind!r} has no drive")
+            raise ValueError(f"compensation.force.kind {kind!r} has no method")

@@ -3,20 +3,43 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Protocol
 
 import numpy as np
+from numba import njit
 
+from hiltestbed.compensation.adaptive_time_series import AdaptiveTimeSeries
+from hiltestbed.compensation.inverse_model import InverseModel
 from hiltestbed.frames import Array
 from hiltestbed.scenario import Scenario
+
+
+class PoseCommand(Protocol):
+    """A method that changes the commanded pose."""
+
+    def command(self, pose: Array, derivatives: tuple[Array, Array, Array], pose_act: Array, out: Array) -> None:
+        """Write the pose ``out`` (n, 7) to tell the platform.
+
+        Args:
+            pose: ``(n, 7)`` pose of A in P that is to be reached at t_(k+1).
+            derivatives: ``(n, 6)`` each: velocity then, acceleration and jerk over the tick.
+            pose_act: ``(n, 7)`` where the platform is at t_k.
+        """
+        ...
+
+    def buffers(self) -> dict[str, Array]:
+        """The arrays that make up the state."""
+        ...
 
 
 class MotionCommand:
     """Pose, velocity and acceleration references of the platform for ``n`` runs.
 
     With ``compensation.motion: feedforward`` the servo is told the velocity and the acceleration of the tick that it is to run;
-    with ``none`` it is told the pose alone and follows with its own lag.
+    else it is told the pose alone, changed by the method if there is one, and follows with its own lag.
 
     Attributes:
+        pose: ``(n, 7)`` pose reference for the end of the tick.
         twist: ``(n, 6)`` velocity reference over the tick.
         acceleration: ``(n, 6)`` change of the velocity reference a second.
     """
@@ -25,20 +48,51 @@ class MotionCommand:
         n = len(scenarios)
         self._rate = scenarios[0].rate
         self._feed = np.array([[float(s.compensation.motion.kind == "feedforward")] for s in scenarios])
+        self._method = _method(scenarios)
+        self.pose = np.zeros((n, 7))
         self.twist = np.zeros((n, 6))
         self.acceleration = np.zeros((n, 6))
         self._previous = np.zeros((n, 6))
+        self._velocity, self._accel, self._jerk = np.zeros((n, 6)), np.zeros((n, 6)), np.zeros((n, 6))
 
     def start(self, twist: Array) -> None:
         """The twist ``(n, 6)`` before the first tick."""
         self._previous[:] = twist
 
-    def update(self, twist: Array) -> None:
-        """Set the references from the twist ``(n, 6)`` commanded for the coming tick."""
+    def update(self, pose: Array, twist: Array, pose_act: Array) -> None:
+        """Set the references from the pose ``(n, 7)`` and twist ``(n, 6)`` commanded for the coming tick."""
+        if self._method is None:
+            self.pose[:] = pose
+        else:
+            derivatives = (self._velocity, self._accel, self._jerk)
+            _differentiate(twist, self._previous, self._rate, *derivatives)
+            self._method.command(pose, derivatives, pose_act, self.pose)
         np.subtract(twist, self._previous, out=self.acceleration)
         self.acceleration *= self._rate * self._feed
         np.multiply(twist, self._feed, out=self.twist)
         self._previous[:] = twist
 
     def buffers(self) -> dict[str, Array]:
-        return {"twist": self.twist, "acceleration": self.acceleration, "previous": self._previous}
+        own = {"pose": self.pose, "twist": self.twist, "acceleration": self.acceleration, "previous": self._previous}
+        return own | {"accel": self._accel} | (self._method.buffers() if self._method else {})
+
+
+def _method(scenarios: Sequence[Scenario]) -> PoseCommand | None:
+    match scenarios[0].compensation.motion.kind:
+        case "inverse_model":
+            return InverseModel(scenarios)
+        case "adaptive_time_series":
+            return AdaptiveTimeSeries(scenarios)
+        case _:
+            return None
+
+
+@njit(cache=True)
+def _differentiate(twist, previous, rate, velocity, acceleration, jerk):
+    """A semi-implicit velocity belongs to the middle of its tick: half a tick of the acceleration takes it to the end."""
+    for i in range(twist.shape[0]):
+        for j in range(6):
+            change = rate * (twist[i, j] - previous[i, j])
+            jerk[i, j] = rate * (change - acceleration[i, j])
+            acceleration[i, j] = change
+            velocity[i, j] = twist[i, j] + 0.5 / rate * change

@@ -351,7 +351,7 @@ def _step_behind(i, j, h, fixed, bodies, setup, state, work, rows):
         rotation_vector(pose[3:7], at[3:6])
     size = cl.size(law, _along(fixed, line, at), _along(fixed, line, twist))
     for c in range(6):
-        used[c] += line[0, c] * (size - rig) if c != 0 and c != 1 or law[cl.FRICTION] == 0.0 else 0.0
+        used[c] += line[0, c] * (size - rig) if (c != 0 and c != 1) or law[cl.FRICTION] == 0.0 else 0.0
     if law[cl.FRICTION] > 0.0:
         _rub_behind(line, law, v, twist, rig, size, state.creep[i, 0], used)
     wrench_at_P(used, pose, used)

@@ -149,5 +149,3 @@ def wrench_at_P(wrench, position, out):
     out[4] = wrench[4] + (z * fx - x * fz)
     out[5] = wrench[5] + (x * fy - y * fx)
     out[0], out[1], out[2] = fx, fy, fz
-
-
