@@ -213,8 +213,16 @@ def replay_contact(position, before, h, substeps, p, out):
     normal, at, rate = np.empty(3), np.empty(3), np.empty(3)
     contact_normal(p, normal)
     dt = h / substeps
+    may_skip = p[CAPTURED] == 0.0 and p[MODE] == 0.0
+    x_now = before[0] * normal[0] + before[1] * normal[1] + before[2] * normal[2] - p[OFFSET]
     for k in range(position.shape[0]):
         last = before if k == 0 else position[k - 1]
+        x_last = x_now
+        x_now = position[k, 0] * normal[0] + position[k, 1] * normal[1] + position[k, 2] * normal[2] - p[OFFSET]
+        if may_skip and x_last <= 0.0 and x_now <= 0.0:  # the way between is straight: no touch
+            state[:] = 0.0
+            out[k] = 0.0
+            continue
         for j in range(3):
             rate[j] = (position[k, j] - last[j]) / h
         for s in range(substeps):

@@ -1,0 +1,195 @@
+"""What may be wrong with a link: each effect of the vocabulary with the parameters to fit, their bounds, and where to start.
+
+Fits of these effects are rough (jumps at whole ticks, clipped and dead ranges, several minima), so that each candidate brings a grid
+of starts, scaled by what the data hold: peak force, penetration, rate.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from hiltestbed.diagnosis.links import FORM
+from hiltestbed.effects.vocabulary import AXES, EFFECTS, WRENCH_AXES
+from hiltestbed.frames import Array
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """One effect with its free parameters.
+
+    Attributes:
+        effect: id. fixed: parameters that are chosen, not fitted. names: free parameters, "force.0" for an item of a list.
+        low, high: bounds. log: which are searched by ratio. grid: starts. null: parameters at which the effect vanishes.
+        choices: number of siblings that differ in what is fixed: a search among them costs 2 ln(choices).
+    """
+
+    effect: str
+    names: tuple[str, ...]
+    low: Array
+    high: Array
+    log: np.ndarray
+    grid: tuple[tuple[float, ...], ...]
+    fixed: dict[str, Any] = field(default_factory=dict)
+    choices: int = 1
+
+    @property
+    def key(self) -> tuple:
+        """What tells candidates apart."""
+        return (self.effect, *sorted((k, str(v)) for k, v in self.fixed.items()))
+
+    def parameters(self, theta: Array) -> dict[str, Any]:
+        """The effect's parameters at theta, lists put together."""
+        out = dict(self.fixed)
+        for name, value in zip(self.names, theta, strict=True):
+            key, _, item = name.partition(".")
+            if item:
+                out.setdefault(key, [0.0] * EFFECTS[self.effect].parameters[key].size)[int(item)] = float(value)
+            else:
+                out[key] = float(value)
+        for key, spec in EFFECTS[self.effect].parameters.items():
+            if key not in out and spec.default is not None:
+                out[key] = list(spec.default) if isinstance(spec.default, tuple) else spec.default
+        return out
+
+    def with_effect(self, theta: Array) -> tuple[str, dict[str, Any]]:
+        """(id, parameters)."""
+        return self.effect, self.parameters(theta)
+
+
+def candidate(effect: str, grids: dict[str, Sequence[float]], choices: int = 1, starts: Sequence[Sequence[float]] | None = None,
+              bounds: dict[str, tuple[float, float]] | None = None, **fixed: Any) -> Candidate:  # fmt: skip
+    """A candidate whose starts are all combinations of `grids` (or `starts`), within the vocabulary's fit bounds."""
+    low, high, log = [], [], []
+    for name in grids:
+        spec = EFFECTS[effect].parameters[name.partition(".")[0]]
+        a, b = (bounds or {}).get(name, spec.fit)
+        low.append(a)
+        high.append(b)
+        log.append(spec.log and a > 0)
+    grid = tuple(tuple(map(float, s)) for s in (starts or itertools.product(*grids.values())))
+    return Candidate(effect, tuple(grids), np.array(low, float), np.array(high, float), np.array(log), grid, fixed, choices)
+
+
+@dataclass(frozen=True)
+class Scales:
+    """What the data hold, to scale starts and bounds with: peak force [N], largest penetration [m], stiffness [N/m], tick [s], noise [N],
+    lowest and highest approach speed [m/s]."""
+
+    force: float
+    depth: float
+    stiffness: float
+    tick: float
+    noise: float
+    slow: float
+    fast: float
+    reading: tuple[float, ...] = ()
+
+
+def contact_candidates(s: Scales, captured: bool, lateral: bool) -> list[Candidate]:
+    """Effects of the contact and of the sensor's frame."""
+    k, f, x = s.stiffness, s.force, s.depth
+    small = [0.01 * f, 0.04 * f, 0.15 * f]
+    force_bounds = (0.0, 0.8 * f)
+    powers = [(n, k * x ** (1.0 - n) * g) for n in (1.1, 1.25, 1.5, 1.8) for g in (0.6, 1.0, 1.6)]
+    out = [
+        candidate("contact.stiffness", {"factor": [0.5, 0.75, 0.92, 1.08, 1.3, 1.8]}),
+        candidate("contact.damping", {"factor": [0.2, 0.6, 1.5, 2.5, 4.0]}),
+        candidate("contact.hunt_crossley", {"alpha": [0.2, 1.0, 3.0, 8.0]}),
+        candidate("contact.dry_friction", {"force": small}, bounds={"force": force_bounds}),
+        candidate("contact.preload", {"force": small}, bounds={"force": force_bounds}),
+        candidate("contact.hard_stop", {"position": [x * q for q in (0.15, 0.3, 0.45, 0.6, 0.75, 0.9)], "stiffness": [0.3 * k, k, 4 * k]},
+                  bounds={"position": (0.0, x), "stiffness": (0.01 * k, 100 * k)}),
+        candidate("contact.relaxation", {"stiffness": [0.1 * k, 0.4 * k], "time_constant": [0.004, 0.02, 0.08, 0.4]},
+                  bounds={"stiffness": (0.005 * k, 10 * k), "time_constant": (1e-3, 5.0)}),
+        candidate("contact.touch_offset", {"offset": [-0.3 * x, -0.1 * x, -0.02 * x, 0.02 * x, 0.1 * x, 0.3 * x]}),
+        candidate("contact.misalignment", {"angles_deg.0": [0.0], "angles_deg.1": [0.0]}, starts=[(0.2, 0.2), (2.0, 2.0), (-2.0, -2.0)]),
+        candidate("frame.compliance", {"stiffness": [2 * k, 8 * k, 40 * k]}, bounds={"stiffness": (0.3 * k, 3000 * k)}),
+        candidate("frame.compliance", {"stiffness": [2 * k, 8 * k, 40 * k]}, bounds={"stiffness": (0.3 * k, 3000 * k)}, form="series"),
+    ]  # fmt: skip
+    for form in ({}, {FORM: "undamped"}):
+        out.append(candidate("contact.power_law", {"exponent": [], "stiffness": []}, starts=powers, **form))
+    for form in ({}, {FORM: "reaction"}):
+        modes = {"frequency": [8, 14, 22, 35, 60], "damping_ratio": [0.03], "mass": [k / 3e4, k / 2e3, k / 300]}
+        out.append(candidate("frame.mode", modes, **form))
+    if lateral:
+        out.append(candidate("contact.surface_friction", {"coefficient": [0.02, 0.1, 0.3]}))
+    out.append(candidate("contact.backlash", {"width": [0.02 * x, 0.1 * x, 0.3 * x, 0.8 * x]}, bounds={"width": (0.0, 2 * x)}) if captured
+               else candidate("contact.adhesion", {"force": small}, bounds={"force": force_bounds}))  # fmt: skip
+    return out
+
+
+def sensor_candidates(s: Scales, tone: dict[str, tuple[float, float, float]]) -> list[Candidate]:
+    """Effects of the sensor; `tone`: axis to frequency [Hz], amplitude [N], phase [rad] of the strongest line of the residual."""
+    f, h = s.force, s.tick
+    delays = [0.4 * h, 0.8 * h, 1.4 * h, 2.5 * h, 4.5 * h, 8 * h, 13 * h, 20 * h]
+    bias = {f"{kind}.{j}": [0.0] for kind in ("force", "torque") for j in range(3)}
+    out = [
+        candidate("sensor.delay", {"delay": delays}),
+        candidate("sensor.lag", {"time_constant": [0.3 * h, h, 3 * h, 8 * h, 25 * h]}),
+        candidate("sensor.highpass", {"time_constant": [0.05, 0.2, 1.0, 5.0, 25.0]}),
+        candidate("sensor.bias", bias),
+        candidate("sensor.deadzone", {"width": [0.01 * f, 0.03 * f, 0.08 * f, 0.2 * f]}, bounds={"width": (0.5 * s.noise, 0.7 * f)}),
+        candidate("sensor.saturation", {"limit": [q * f for q in (0.25, 0.4, 0.55, 0.7, 0.8, 0.9, 0.97)] + list(s.reading)},
+                  bounds={"limit": (0.05 * f, 1.2 * f)}),
+    ]  # fmt: skip
+    out += [candidate("sensor.drift", {"rate": [0.0]}, 3, axis=a) for a in AXES]
+    out += [candidate("sensor.gain", {"factor": [0.9, 1.1]}, 2, axis=a) for a in WRENCH_AXES]
+    pairs = [(a, b) for a in WRENCH_AXES for b in WRENCH_AXES if a != b]
+    out += [candidate("sensor.crosstalk", {"ratio": [0.0]}, 6, source=a, axis=b) for a, b in pairs]
+    for axis, (frequency, amplitude, phase) in tone.items():
+        step = {"frequency": [frequency], "amplitude": [amplitude], "phase": [phase]}
+        wide = {"frequency": (max(0.5, frequency - 3.0), frequency + 3.0), "phase": (phase - math.pi, phase + math.pi),
+                "amplitude": (0.0, 20 * amplitude + 1.0)}  # fmt: skip
+        out.append(candidate("sensor.hum", step, 4, bounds=wide, axis=axis))
+    return out
+
+
+def skew_candidate(h: float) -> Candidate:
+    """The record of the force alone stamped late."""
+    return candidate("log.skew", {"delay": [0.4 * h, 0.8 * h, 1.4 * h, 2.5 * h, 4.5 * h, 8 * h, 13 * h, 20 * h]})
+
+
+def platform_candidates(s: Scales, substeps: int) -> list[Candidate]:
+    """Effects of the motion platform, for a tick of s.tick."""
+    h = s.tick
+    out = [
+        candidate("platform.delay", {"delay": [0.3 * h, h, 3 * h, 8 * h, 20 * h]}),
+        candidate("platform.lag", {"bandwidth": [4, 8, 15, 30, 60, 120, 250]}),
+        candidate("platform.backlash", {"width": [1e-5, 4e-5, 1.5e-4, 5e-4]}),
+        candidate("platform.mode", {"frequency": [5, 8, 12, 18, 27, 40, 60, 90, 130], "damping_ratio": [0.02, 0.1]}),
+        candidate("platform.speed_limit", {"speed": list(np.geomspace(0.3 * s.slow, 1.05 * s.fast, 8))}),
+    ]
+    out += [candidate("platform.scale", {"factor": [0.97, 1.03]}, 3, axis=a) for a in AXES]
+    sticks = list(np.geomspace(5e-6, 8e-4, 16))
+    out += [candidate("platform.friction", {"stick": sticks}, **{FORM: m}) for m in dict.fromkeys((substeps, 20))]
+    return out
+
+
+def compensation_candidates(s: Scales) -> list[Candidate]:
+    """What may happen between the measured wrench and the one used."""
+    widths = list(np.geomspace(0.3 * s.noise, 0.3 * s.force, 12))
+    bounds = {"width": (0.1 * s.noise, 0.8 * s.force)}
+    return [candidate("loop.deadzone", {"width": widths}, bounds=bounds, **form) for form in ({}, {FORM: "after"}, {FORM: "magnitude"})] + [
+        skew_candidate(s.tick)
+    ]
+
+
+def dynamics_candidates(max_ticks: int = 12) -> list[Candidate]:
+    """Effects of the numerical model."""
+    out = [Candidate("dynamics.integrator", (), np.zeros(0), np.zeros(0), np.zeros(0, bool), ((),), {"scheme": "explicit_euler"})]
+    out += [Candidate("dynamics.step_delay", (), np.zeros(0), np.zeros(0), np.zeros(0, bool), ((),), {"ticks": n}, max_ticks)
+            for n in range(1, max_ticks + 1)]  # fmt: skip
+    for body in ("chaser", "target"):
+        out.append(candidate("dynamics.mass", {"factor": [0.6, 0.9, 1.1, 1.6]}, body=body))
+        out.append(candidate("dynamics.inertia", {"factor": [0.7, 1.3]}, body=body))
+        offset = {f"offset.{j}": [0.0] for j in range(3)}
+        out.append(candidate("dynamics.port_offset", offset, starts=[(0, 0, 0), (0.05, 0.05, 0.05)], body=body))
+        swing = {"mass_ratio": [0.05, 0.2], "frequency": [0.15, 0.4, 0.8, 1.5, 3.0, 6.0], "damping_ratio": [0.02, 0.15]}
+        out.append(candidate("dynamics.appendage", swing, body=body))
+    return out

@@ -1,0 +1,229 @@
+"""The loop cut into links, each replayed alone on measured inputs, so that one link's error cannot leak into another's.
+
+A link predicts what was measured at its output for any list of effects and gives the residual in units of the noise floor. Rows that
+were not measured or that stand at a limit have weight zero.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from hiltestbed.compensation.phase_lead import lead_and_lag
+from hiltestbed.diagnosis.chain import lead_record, sense_record
+from hiltestbed.effects.contact import DAMPING, FRAME, LEVER, REACTION, STIFFNESS, contact_parameters, replay_contact
+from hiltestbed.effects.dynamics import dynamics_effects, replay_dynamics
+from hiltestbed.effects.platform import platform_parameters, replay_platform
+from hiltestbed.effects.sensor import sensor_chain
+from hiltestbed.frames import Array
+from hiltestbed.scenario import Scenario
+
+Effects = Sequence[tuple[str, dict[str, Any]]]
+FORM = "form"  # private parameter: one of several readings of an effect's equation
+
+
+@dataclass
+class LinkRun:
+    """One run as a link sees it.
+
+    Attributes:
+        scenario: as believed. measured: (N, C) at the output. sigma: (N, C) its noise, infinite where not measured.
+        touching: (N,) bool, the nominal or the measured contact, with its tail through the sensor.
+    """
+
+    scenario: Scenario
+    measured: Array
+    sigma: Array
+    touching: np.ndarray
+
+
+class Link(Protocol):
+    """What the fit needs of a link."""
+
+    name: str
+    channels: tuple[str, ...]
+    runs: list[Any]
+
+    def predict(self, i: int, effects: Effects) -> Array:
+        """(N, C) what run i should have shown."""
+        ...
+
+
+def start_of(scenario: Scenario) -> tuple[Array, Array]:
+    """Position [m] of A in P at t = 0 and its velocity [m/s]."""
+    a = scenario.approach
+    return np.array([*a.offset, -a.gap], dtype=float), np.asarray(a.velocity, dtype=float)
+
+
+class PlatformLink:
+    """pose_cmd to pose_act: the three translations."""
+
+    name = "platform"
+    channels = ("pose_act.px", "pose_act.py", "pose_act.pz")
+
+    def __init__(self, runs: list[LinkRun], commands: list[Array]) -> None:
+        """commands: (N, 7) pose_cmd of each run."""
+        self.runs, self.commands = runs, commands
+
+    def predict(self, i: int, effects: Effects) -> Array:
+        return self.path(i, effects)
+
+    def path(self, i: int, effects: Effects) -> Array:
+        """(N, 3) positions that the platform reaches."""
+        s = self.runs[i].scenario
+        position, velocity = start_of(s)
+        out = np.empty((len(self.commands[i]), 3))
+        divide = next((p[FORM] for _, p in effects if FORM in p), s.substeps)
+        replay_platform(self.commands[i], position, velocity, s.tick, divide, platform_parameters(effects), out)
+        return out
+
+
+class WrenchLink:
+    """The pose through contact and sensor to wrench_meas."""
+
+    name = "wrench"
+    channels = tuple(f"wrench_meas.{c}" for c in ("fx", "fy", "fz", "tx", "ty", "tz"))
+
+    def __init__(self, runs: list[LinkRun], paths: list[Array], lever: float = 0.5) -> None:
+        """paths: (N, 3) where the tip was at t_k. lever: where between tip (1) and undeformed surface (0) the force acts."""
+        self.runs, self.paths, self.lever = runs, paths, lever
+        self._before = []
+        for run, path in zip(runs, paths, strict=True):
+            position, velocity = start_of(run.scenario)
+            self._before.append(path[0] - velocity * run.scenario.tick)
+
+    def predict(self, i: int, effects: Effects) -> Array:
+        s = self.runs[i].scenario
+        sub = self.physical(i, effects)
+        sensor = s.sensor
+        chain = sensor_chain(
+            effects, s.tick, sensor.delay, sensor.lowpass, sensor.time_constant, sensor.drift,
+            (0.0, 0.0), (sensor.range, sensor.torque_range),
+        )  # fmt: skip
+        late = float(chain.delay) + sum(p["delay"] for kind, p in effects if kind == "log.skew")
+        out = np.empty((len(sub), 6))
+        sense_record(sub, late, s.tick, *chain.arrays(), out)
+        return out
+
+    def doubt(self, i: int, effects: Effects) -> Array:
+        """(N, 6) how far a reading hangs on what lies between two instants of the physics: large where a touch does."""
+        s = self.runs[i].scenario
+        step = s.tick / s.substeps
+        if s.sensor.delay < step:
+            return np.zeros((len(self.paths[i]), 6))
+        early, late = (self.predict(i, [*effects, ("log.skew", {"delay": d})]) for d in (-step, step))
+        return np.abs(early + late - 2.0 * self.predict(i, effects))
+
+    def physical(self, i: int, effects: Effects) -> Array:
+        """(N, m, 6) the wrench of the contact at the instants up to t_k."""
+        s = self.runs[i].scenario
+        contact = s.mechanism.contact
+        p = contact_parameters(contact.stiffness, contact.damping, contact.friction, s.mechanism.kind == "latched", effects)
+        p[LEVER] = self.lever
+        for kind, given in effects:
+            _shape(p, kind, given)
+        sub = np.empty((len(self.paths[i]), s.substeps, 6))
+        replay_contact(self.paths[i], self._before[i], s.tick, s.substeps, p, sub)
+        return sub
+
+
+def _shape(p: Array, kind: str, given: dict[str, Any]) -> None:
+    """Other readings of an effect's equation, where the words leave more than one."""
+    form = given.get(FORM)
+    if form is None:
+        return
+    if kind == "contact.power_law" and form == "undamped":
+        p[DAMPING] = 0.0
+    if kind == "frame.mode" and form == "reaction":
+        p[REACTION] = 1.0
+    if kind == "frame.compliance" and form == "series":
+        share = given["stiffness"] / (given["stiffness"] + p[STIFFNESS])
+        p[STIFFNESS] *= share
+        p[DAMPING] *= share * share
+        p[FRAME] = 0.0
+
+
+class CompensationLink:
+    """wrench_meas to wrench_comp."""
+
+    name = "compensation"
+    channels = tuple(f"wrench_comp.{c}" for c in ("fx", "fy", "fz", "tx", "ty", "tz"))
+
+    def __init__(self, runs: list[LinkRun], wrenches: list[Array]) -> None:
+        """wrenches: (N, 6) wrench_meas of each run."""
+        self.runs, self.wrenches = runs, wrenches
+
+    def predict(self, i: int, effects: Effects) -> Array:
+        s, wrench = self.runs[i].scenario, self.wrenches[i]
+        skew = sum(p["delay"] for kind, p in effects if kind == "log.skew")
+        if skew:
+            wrench = advanced(wrench, skew / s.tick)
+        width = max((p["width"] for kind, p in effects if kind == "loop.deadzone"), default=0.0)
+        form = next((p.get(FORM) for kind, p in effects if kind == "loop.deadzone"), None)
+        if width and form is None:
+            wrench = dead(wrench, width)
+        elif width and form == "magnitude":
+            wrench = np.where(np.linalg.norm(wrench[:, :3], axis=1, keepdims=True) < width, 0.0, wrench)
+        if s.compensation.force.kind == "phase_lead":
+            out = np.empty_like(wrench)
+            lead_record(wrench, *lead_and_lag(s), s.tick, out)
+            wrench = out
+        return dead(wrench, width) if width and form == "after" else wrench
+
+
+def dead(wrench: Array, width: float) -> Array:
+    """Forces below `width` [N] read zero, axis by axis."""
+    out = wrench.copy()
+    out[:, :3][np.abs(out[:, :3]) < width] = 0.0
+    return out
+
+
+def advanced(values: Array, ticks: float) -> Array:
+    """`values` (N, C) read `ticks` rows later, linearly between rows; the last row is held."""
+    rows = np.arange(len(values)) + ticks
+    low = np.minimum(np.floor(rows).astype(int), len(values) - 1)
+    part = np.clip(rows - low, 0.0, 1.0)[:, None]
+    return values[low] + part * (values[np.minimum(low + 1, len(values) - 1)] - values[low])
+
+
+class DynamicsLink:
+    """wrench_comp to pose_cmd: position, and attitude as a small rotation vector."""
+
+    name = "dynamics"
+    channels = ("pose_cmd.px", "pose_cmd.py", "pose_cmd.pz", "pose_cmd.rx", "pose_cmd.ry", "pose_cmd.rz")
+
+    def __init__(self, runs: list[LinkRun], wrenches: list[Array]) -> None:
+        """wrenches: (N, 6) wrench_comp of each run. The runs' `measured` is (N, 6), see `flat_pose`."""
+        from hiltestbed.spacecraft import approach_state, inertia_matrix, port_pose
+
+        self.runs, self.wrenches = runs, wrenches
+        bodies = [(r.scenario.spacecraft.chaser, r.scenario.spacecraft.target) for r in runs]
+        self._approach = [approach_state(r.scenario) for r in runs]
+        self._mass = [np.array([b.mass for b in pair]) for pair in bodies]
+        self._inertia = [np.array([inertia_matrix(b.inertia) for b in pair]) for pair in bodies]
+        self._port = [np.array([port_pose(b) for b in pair]) for pair in bodies]
+
+    def predict(self, i: int, effects: Effects) -> Array:
+        e = dynamics_effects(effects)
+        port = self._port[i].copy()
+        port[:, :3] += e.port
+        pose = np.empty((len(self.wrenches[i]), 7))
+        replay_dynamics(
+            self.wrenches[i], self._approach[i], self._mass[i] * e.mass, self._inertia[i] * e.inertia[:, None, None], port,
+            self.runs[i].scenario.tick, e.appendage, e.explicit, pose,
+        )  # fmt: skip
+        if e.late:
+            start = np.repeat(self._approach[i][None, :7], e.late, axis=0)
+            velocity = self._approach[i][7:10]
+            start[:, :3] += velocity * self.runs[i].scenario.tick * (np.arange(e.late)[:, None] + 1 - e.late)
+            pose = np.concatenate([start, pose])[: len(pose)]
+        return flat_pose(pose)
+
+
+def flat_pose(pose: Array) -> Array:
+    """(N, 6) position [m] and rotation vector [rad] (for small angles twice the vector part) of poses (N, 7)."""
+    sign = np.where(pose[:, 6:] < 0, -1.0, 1.0)
+    return np.concatenate([pose[:, :3], 2.0 * sign * pose[:, 3:6]], axis=1)

@@ -1,0 +1,227 @@
+"""Which effects explain a link: singles, then pairs grown from the best of them, each by what it takes off chi-square and costs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from hiltestbed.diagnosis.adequacy import Leftover, leftover, soften
+from hiltestbed.diagnosis.candidates import Candidate
+from hiltestbed.diagnosis.fit import Fit, Residual, differences, effects_at, fit, refit, scales, square
+from hiltestbed.diagnosis.links import Effects
+from hiltestbed.frames import Array
+
+ALARM = 22.0  # by which the best single must better the nominal link, its penalty paid
+PAYS = 25.0  # by which a second cause must better a first one that is adequate already
+PAYS_INADEQUATE = 10.0  # and one that is not
+TIE = 12.0  # hypotheses closer than this cannot be told apart
+WORTH_A_FIT = 8.0  # linearised gain below which a candidate is not fitted
+BEAM = 5
+PARTNERS = 6
+SIMILAR_EFFECTS = 3  # of the same effect (axes, forms) that are fitted
+
+
+@dataclass
+class Explanation:
+    """What a search found on one link.
+
+    Attributes:
+        null: nothing departs. singles, pairs: fits, best first. chosen: the best that pays. adequate: it leaves noise.
+        leftovers: channel to what the chosen fit leaves. before: channel to what the null leaves.
+        rivals: for each cause of the chosen fit the fits that differ from it in that cause alone and cannot be told from it.
+    """
+
+    null: Fit
+    chosen: Fit
+    adequate: bool
+    alarm: bool
+    leftovers: dict[str, Leftover]
+    before: dict[str, Leftover]
+    singles: list[Fit] = field(default_factory=list)
+    pairs: list[Fit] = field(default_factory=list)
+    rivals: list[list[Fit]] = field(default_factory=list)
+
+
+Judge = Callable[[Residual, Effects], dict[str, Leftover]]
+
+
+def contact_leftovers(residual: Residual, effects: Effects) -> dict[str, Leftover]:
+    """Channel to leftover in contact, and over the free rest, of the worse of the two."""
+    link = residual.link
+    inside: list[list[Array]] = [[] for _ in link.channels]
+    outside: list[list[Array]] = [[] for _ in link.channels]
+    for i in residual.runs:
+        run = link.runs[i]
+        prediction = link.predict(i, [*residual.base, *effects])
+        weight = residual.weight[i]
+        sigma = np.where(weight > 0, 1.0 / np.where(weight > 0, weight, 1.0), np.inf)
+        z = (residual.measured[i] - prediction) / (soften(sigma, prediction) if link.name == "wrench" else sigma)
+        for c in range(len(link.channels)):
+            counted = weight[:, c] > 0
+            inside[c].append(z[run.touching & counted, c])
+            outside[c].append(z[~run.touching & counted, c])
+    out = {}
+    for name, a, b in zip(link.channels, inside, outside, strict=True):
+        both = [leftover(part) for part in (a, b) if sum(map(len, part)) > 0]
+        if both:
+            out[name] = max(both, key=lambda left: left.excess)
+    return out
+
+
+def search(residual: Residual, candidates: Sequence[Candidate], judge: Judge = contact_leftovers, special: Sequence[Callable] = (),
+           progress: Callable[[str], None] | None = None, most: int = 2) -> Explanation:  # fmt: skip
+    """The explanation of a link; `most` causes at a time."""
+    residual.beware(())
+    r0 = residual(())
+    null = Fit((), np.zeros(0), square(r0), r0, np.zeros((len(r0), 0)), np.zeros(0))
+    before = judge(residual, ())
+    singles = _extend(residual, null, candidates, progress, special)
+    adequate_null = all(left.noise for left in before.values())
+    if singles and residual.beware(singles[0].effects()):
+        r0 = residual(())
+        null = replace(null, chi2=square(r0), residual=r0)
+        singles = [refit(residual, f) for f in _distinct(singles)[:BEAM]] + [f for f in singles if f not in _distinct(singles)[:BEAM]]
+        singles.sort(key=lambda f: f.score)
+        before = judge(residual, ())
+    best = singles[0] if singles else null
+    alarm = null.chi2 - best.score > ALARM * inflation(best) or not adequate_null
+    if not alarm:
+        return Explanation(null, null, True, False, before, before, singles)
+    chosen = best if null.score - best.score > ALARM * inflation(best) else null
+    leftovers = judge(residual, chosen.effects())
+    adequate = all(left.noise for left in leftovers.values())
+    pairs: list[Fit] = []
+    if most > 1 and singles:
+        for base in _distinct(singles)[: 1 if adequate else BEAM]:
+            pairs += _extend(residual, base, candidates, progress, special, PARTNERS)
+        pairs.sort(key=lambda f: f.score)
+        pairs = _unique(pairs)
+        need = (PAYS if adequate else PAYS_INADEQUATE) * inflation(pairs[0]) if pairs else math.inf
+        if pairs and residual.beware(pairs[0].effects()):
+            pairs = sorted([refit(residual, f) for f in pairs[:PARTNERS]], key=lambda f: f.score)
+            chosen = refit(residual, chosen) if chosen.causes else chosen
+        if pairs and chosen.score - pairs[0].score > need:
+            left = judge(residual, pairs[0].effects())
+            chosen, leftovers = pairs[0], left
+            adequate = all(x.noise for x in left.values())
+    found = Explanation(null, chosen, adequate, True, leftovers, before, singles, pairs)
+    if adequate and chosen.causes:
+        found.rivals = _rivals(residual, found, judge)
+    return found
+
+
+def inflation(fit_: Fit) -> float:
+    """Misfit of the best hypothesis in units of the noise: differences of chi-square count by it."""
+    return max(1.0, fit_.chi2 / max(1, np.count_nonzero(fit_.residual)))
+
+
+def _extend(residual: Residual, base: Fit, candidates: Sequence[Candidate], progress: Callable[[str], None] | None,
+            special: Sequence[Callable], most: int = 40) -> list[Fit]:  # fmt: skip
+    """Fits of base with one more cause, best first."""
+    taken = {c.effect for c in base.causes}
+    basis = _orthonormal(base.jacobian)
+    rated = []
+    for c in candidates:
+        if c.effect in taken:
+            continue
+        gain, starts = prescreen(residual, base, basis, c)
+        if gain > WORTH_A_FIT * inflation(base) * 0.5:
+            rated.append((gain, c, starts))
+    rated.sort(key=lambda item: -item[0])
+    fits, count = [], {}
+    for _, c, starts in rated:
+        count[c.effect] = count.get(c.effect, 0) + 1
+        if count[c.effect] > SIMILAR_EFFECTS or len(fits) >= most:
+            continue
+        if progress:
+            progress(" + ".join([*(b.effect for b in base.causes), c.effect]))
+        fits.append(fit(residual, (*base.causes, c), [np.concatenate([base.theta, s]) for s in starts], tries=2 if base.causes else 3))
+    fits += [f for make in special if (f := make(residual, base)) is not None]
+    fits.sort(key=lambda f: f.score)
+    return fits
+
+
+def prescreen(residual: Residual, base: Fit, basis: Array, c: Candidate) -> tuple[float, list[Array]]:
+    """What a candidate could at most take off chi-square beside `base`, linearised at each start; and the starts worth a descent."""
+    r = _without(basis, base.residual)
+    known = base.effects()
+    best, rated = 0.0, []
+    for start in c.grid:
+        theta = np.clip(np.array(start, dtype=float), c.low, c.high)
+        moved = residual([*known, *effects_at((c,), theta)])
+        d = moved - base.residual
+        left = square(moved)
+        gain = base.chi2 - left
+        if len(c.grid) == 1 and len(theta):
+            columns = differences(lambda x: residual([*known, *effects_at((c,), x)]), theta, moved, scales(theta, c.low, c.high, c.log), c.low, c.high)
+            q = _orthonormal(np.column_stack([_without(basis, column) for column in columns.T]))
+            gain = max(gain, float(np.sum(np.einsum("mi,m->i", q, r) ** 2)))
+        else:
+            d = _without(basis, d)
+            length, along = square(d), float(np.einsum("m,m->", r, d))
+            if length > 0 and along < 0:
+                gain = max(gain, along**2 / length)
+        best = max(best, gain)
+        rated.append((gain, -left, theta))
+    by_gain = max(rated, key=lambda item: item[0])[2]
+    by_fit = sorted(rated, key=lambda item: -item[1])[:3]
+    return best, [by_gain, *(item[2] for item in by_fit if item[2] is not by_gain)]
+
+
+def _orthonormal(columns: Array | None) -> Array:
+    if columns is None or columns.shape[1] == 0:
+        return np.zeros((0 if columns is None else len(columns), 0))
+    kept: list[Array] = []
+    for column in columns.T:
+        length = math.sqrt(square(column))
+        rest = column / length if length > 0 else column
+        for q in kept:
+            rest = rest - q * np.einsum("m,m->", q, rest)
+        if square(rest) > 1e-12:
+            kept.append(rest / math.sqrt(square(rest)))
+    return np.column_stack(kept) if kept else np.zeros((len(columns), 0))
+
+
+def _without(basis: Array, r: Array) -> Array:
+    """r less its part in the span of the basis (M, Q); by einsum, since threads of a BLAS wait for each other on a busy machine."""
+    return r - np.einsum("mi,i->m", basis, np.einsum("mi,m->i", basis, r)) if basis.shape[1] else r
+
+
+def _distinct(fits: Sequence[Fit]) -> list[Fit]:
+    """The best of each set of effects."""
+    seen, out = set(), []
+    for f in fits:
+        key = tuple(sorted(c.effect for c in f.causes))
+        if key not in seen:
+            seen.add(key)
+            out.append(f)
+    return out
+
+
+def _unique(fits: Sequence[Fit]) -> list[Fit]:
+    """The best of each set of causes."""
+    seen, out = set(), []
+    for f in fits:
+        key = tuple(sorted(c.key for c in f.causes))
+        if key not in seen:
+            seen.add(key)
+            out.append(f)
+    return out
+
+
+def _rivals(residual: Residual, found: Explanation, judge: Judge) -> list[list[Fit]]:
+    chosen = found.chosen
+    pool = found.singles if len(chosen.causes) == 1 else found.pairs
+    close = [f for f in pool if f is not chosen and f.score - chosen.score < TIE * inflation(chosen)]
+    rivals: list[list[Fit]] = [[] for _ in chosen.causes]
+    for f in _distinct(close):
+        effects = {c.effect for c in f.causes}
+        shared = [c.effect in effects for c in chosen.causes]
+        if sum(shared) != len(shared) - 1:
+            continue
+        if all(left.noise for left in judge(residual, f.effects()).values()):
+            rivals[shared.index(False)].append(f)
+    return rivals

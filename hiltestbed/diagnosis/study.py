@@ -1,0 +1,153 @@
+"""A measured dataset laid out for the links: what each was driven with, what it showed, and its noise floor."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from hiltestbed.diagnosis.candidates import Scales
+from hiltestbed.diagnosis.links import CompensationLink, DynamicsLink, Effects, LinkRun, PlatformLink, WrenchLink, flat_pose
+from hiltestbed.frames import Array
+from hiltestbed.measured import MeasuredDataset, MeasuredRun
+from hiltestbed.measured.noise import white_noise
+
+DYNAMICS_FLOOR = 2e-6  # [m], [rad]: pose_cmd is computed, not measured; integrator details below this are harmless
+COMPENSATION_FLOOR = 0.05  # of the force noise: wrench_comp is computed too
+CORRELATED = 50  # rows of a computed channel that count as one
+TAIL = 0.15  # [s] after the last contact that a search looks at
+PLATFORM_LEAST = 1e-9  # [m] floor of a pose that carries no noise
+
+
+@dataclass
+class Study:
+    """The links of one dataset.
+
+    Attributes:
+        runs: as measured. rows: of each run that the search looks at. scales: what the data hold.
+        noise: channel to its floor. links: by name, on the rows of the search. full: the same on whole runs.
+    """
+
+    runs: tuple[MeasuredRun, ...]
+    rows: list[int]
+    scales: Scales
+    noise: dict[str, float]
+    links: dict[str, object] = field(default_factory=dict)
+    full: dict[str, object] = field(default_factory=dict)
+
+
+def make_study(dataset: MeasuredDataset) -> Study:
+    """Everything but the wrench link, which waits for the platform: see `wrench_link`."""
+    runs = dataset.runs
+    noise = _floors(runs)
+    study = Study(runs, [_rows(r) for r in runs], _scales(runs, noise), noise)
+    for target, rows in ((study.links, study.rows), (study.full, [r.record.ticks for r in runs])):
+        if _all(runs, "pose_cmd", "pose_act"):
+            target["platform"] = PlatformLink(
+                [_link_run(r, "pose_act", 3, noise, n, PLATFORM_LEAST) for r, n in zip(runs, rows, strict=True)],
+                [np.ascontiguousarray(r.record.filled("pose_cmd")[:n]) for r, n in zip(runs, rows, strict=True)],
+            )
+        if _all(runs, "wrench_meas", "wrench_comp") and _computable(runs):
+            level = COMPENSATION_FLOOR * max(noise.get("wrench_meas.fz", 0.0), 1e-6) * np.sqrt(CORRELATED)
+            target["compensation"] = CompensationLink(
+                [_flat_run(r, r.record.data["wrench_comp"], level, n) for r, n in zip(runs, rows, strict=True)],
+                [np.ascontiguousarray(r.record.filled("wrench_meas")[:n]) for r, n in zip(runs, rows, strict=True)],
+            )
+        if _all(runs, "wrench_comp", "pose_cmd"):
+            level = DYNAMICS_FLOOR * np.sqrt(CORRELATED)
+            target["dynamics"] = DynamicsLink(
+                [_flat_run(r, flat_pose(r.record.data["pose_cmd"]), level, n) for r, n in zip(runs, rows, strict=True)],
+                [np.ascontiguousarray(r.record.filled("wrench_comp")[:n]) for r, n in zip(runs, rows, strict=True)],
+            )
+    return study
+
+
+def wrench_link(study: Study, paths: Callable[[int], Array], whole: bool = False, lever: float = 0.5) -> WrenchLink:
+    """Contact and sensor on the paths (N, 3) that the tip took in each run."""
+    rows = [r.record.ticks for r in study.runs] if whole else study.rows
+    runs = [_link_run(r, "wrench_meas", 6, study.noise, n, 1e-9) for r, n in zip(study.runs, rows, strict=True)]
+    return WrenchLink(runs, [np.ascontiguousarray(paths(i)[:n]) for i, n in enumerate(rows)], lever)
+
+
+def _all(runs: Sequence[MeasuredRun], *groups: str) -> bool:
+    return all(r.record.has(g) for r in runs for g in groups)
+
+
+def _computable(runs: Sequence[MeasuredRun]) -> bool:
+    return all(r.scenario.compensation.force.kind in ("none", "phase_lead") for r in runs)
+
+
+def _rows(run: MeasuredRun) -> int:
+    if not run.survey.contacts:
+        return run.record.ticks
+    end = max(c.end for c in run.survey.contacts)
+    return min(run.record.ticks, end + round((TAIL + run.scenario.sensor.delay) * run.scenario.rate))
+
+
+def touching(run: MeasuredRun, rows: int) -> np.ndarray:
+    """(rows,) bool: in contact, or the sensor still shows it."""
+    out = np.zeros(run.record.ticks, dtype=bool)
+    late = round(run.scenario.sensor.delay * run.scenario.rate) + 3
+    for c in run.survey.contacts:
+        out[max(0, c.start - 2) : c.end + late] = True
+    return out[:rows]
+
+
+def _link_run(run: MeasuredRun, group: str, parts: int, noise: dict[str, float], rows: int, least: float) -> LinkRun:
+    names = _names(group)[:parts]
+    level = np.array([max(noise.get(name, 0.0), least) for name in names])
+    valid = run.record.valid[group][:rows, :parts]
+    sigma = np.where(valid, level, np.inf)
+    sigma[0] = np.inf if group == "pose_act" else sigma[0]  # the start pose stands for itself
+    return LinkRun(run.scenario, run.record.data[group][:rows, :parts], sigma, touching(run, rows))
+
+
+def _flat_run(run: MeasuredRun, values: Array, level: float, rows: int) -> LinkRun:
+    sigma = np.where(np.isfinite(values[:rows]), level, np.inf)
+    return LinkRun(run.scenario, values[:rows], sigma, touching(run, rows))
+
+
+def _names(group: str) -> tuple[str, ...]:
+    from hiltestbed.signals import GROUPS
+
+    return GROUPS[group].columns
+
+
+def _floors(runs: Sequence[MeasuredRun]) -> dict[str, float]:
+    """Channel to noise floor: third differences away from contacts, pooled; readings that stand still there tell nothing."""
+    floors = {}
+    for name in dict.fromkeys(c for r in runs for c in r.record.columns()):
+        found, still = [], 0
+        for r in runs:
+            if not r.record.has(name):
+                continue
+            values = r.record.column(name)
+            outside = values[~touching(r, len(values))] if name.startswith("wrench") and r.survey.contacts else values
+            still += int(len(outside) > 10 and np.median(np.abs(np.diff(outside))) == 0.0)
+            found.append(white_noise(outside))
+        level = float(np.sqrt(np.mean(np.square(found)))) if found else 0.0
+        if name.startswith("wrench_meas") and still * 2 > len(runs):  # a dead zone, or a sensor that is off between contacts
+            believed = runs[0].scenario.sensor.noise if ".f" in name else runs[0].scenario.sensor.torque_noise
+            inside = [white_noise(r.record.column(name)[touching(r, r.record.ticks)]) for r in runs if r.survey.contacts]
+            level = believed or (float(np.median(inside)) if inside else 0.0)
+        floors[name] = level
+    return floors
+
+
+def _scales(runs: Sequence[MeasuredRun], noise: dict[str, float]) -> Scales:
+    contacts = [c for r in runs for c in r.survey.contacts]
+    stiffness = float(np.median([r.scenario.mechanism.contact.stiffness for r in runs]))
+    depth = max([c.penetration or 0.0 for c in contacts], default=1e-3) or 1e-3
+    force = max([abs(c.peak_force or 0.0) for c in contacts], default=0.0) or stiffness * depth
+    speeds = [abs(v) for r in runs for v in r.scenario.approach.velocity if v] or [0.01]
+    peaks = sorted({round(abs(c.peak_force), 6) for c in contacts if c.peak_force}, reverse=True)
+    return Scales(
+        force, depth, stiffness, runs[0].scenario.tick, noise.get("wrench_meas.fz", 0.01 * force) or 1e-3 * force, min(speeds), max(speeds),
+        tuple(peaks[:3]),
+    )  # fmt: skip
+
+
+def joint(*effects: Effects) -> list:
+    """One list of several."""
+    return [e for part in effects for e in part]
