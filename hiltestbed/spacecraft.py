@@ -27,7 +27,7 @@ from hiltestbed.frames import (
 )
 from hiltestbed.scenario import Body, Scenario
 
-RUNS_PER_MODEL = 16  # Pinocchio's Data holds several (nv, nv) matrices: 16 runs are nv = 192
+RUNS_PER_MODEL = 6  # Pinocchio's Data holds several (nv, nv, nv) tensors: at 6 runs, nv = 72, 12 MB and 2 ms to make; at 16, 230 MB and 0.2 s
 CHASER, TARGET = 0, 1
 WORK = 9  # rows of scratch that the kernels of one run need
 
