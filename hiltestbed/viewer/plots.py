@@ -27,6 +27,7 @@ PHASES = {
     "compression": ("Closing", (255, 140, 38)),
     "restitution": ("Opening", (240, 200, 80)),
     "free": ("Apart again", (70, 130, 120)),
+    "captured": ("Captured", (150, 110, 230)),
 }
 
 
@@ -56,7 +57,7 @@ def send_signals(rec: rr.RecordingStream, run: Run, trace: RunTrace) -> None:
     _platform(plotter, trace)
     energy = energy_generated(trace, run.scenario)
     plotter.curves("energy_generated", ["made by the rig [J]"], [colors.ENERGY], energy[:, None], [2.0])
-    send_phases(rec, trace)
+    send_phases(rec, run, trace)
 
 
 def _poses(plotter: Plotter, trace: RunTrace) -> None:
@@ -117,18 +118,21 @@ def _slopes(pose, tick, out):
         twist_between(pose[k - 1], pose[k], tick, out[k])
 
 
-def contact_phases(trace: RunTrace) -> list[str]:
-    """The phase of every tick: approach before the first touch, closing and opening in contact by the rate along z, then free."""
+def contact_phases(trace: RunTrace, captured_at: float | None = None) -> list[str]:
+    """The phase of every tick: approach before the first touch, closing and opening in contact by the rate along z, then free; captured
+    from the time ``captured_at`` [s] at which the latches closed."""
     touched = np.logical_or.accumulate(trace.contact)
     opening = trace["twist_act"][:, 2] < 0.0
     code = np.where(trace.contact, np.where(opening, 2, 1), np.where(touched, 3, 0))
+    if captured_at is not None:
+        code[trace.t >= captured_at - 1e-9] = 4
     names = list(PHASES)
     return [names[c] for c in code]
 
 
-def send_phases(rec: rr.RecordingStream, trace: RunTrace) -> None:
+def send_phases(rec: rr.RecordingStream, run: Run, trace: RunTrace) -> None:
     """The contact phase as a state: a row where it changes."""
-    phases = np.array(contact_phases(trace))
+    phases = np.array(contact_phases(trace, run.summary.get("captured_at")))
     rows = np.flatnonzero(np.concatenate([[True], phases[1:] != phases[:-1]]))
     labels, palette = zip(*PHASES.values(), strict=True)
     rec.log(PHASE, rr.StateConfiguration(values=list(PHASES), labels=list(labels), colors=list(palette)), static=True)

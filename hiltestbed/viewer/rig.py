@@ -9,8 +9,9 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 import rerun as rr
+from numba import njit
 
-from hiltestbed.frames import Array, quat_from_mujoco, rotation_matrix
+from hiltestbed.frames import Array, quat_from_mujoco, quat_to_mujoco, rotation_matrix
 from hiltestbed.rig.kinematics import Platform, joints
 from hiltestbed.rig.model import PASSIVE, rig_scene
 from hiltestbed.viewer import colors
@@ -40,7 +41,7 @@ class RigScene:
         self._platform = Platform.load()
         weld = self.model.body_weldid
         self.moving = sorted({int(b) for b in weld if b > 0})
-        self._slider = [int(self.model.joint(f"slider_{j}").qposadr[0]) for j in range(6)]
+        self._slider = np.array([int(self.model.joint(f"slider_{j}").qposadr[0]) for j in range(6)])
         self._free = int(self.model.joint("platform").qposadr[0])
 
     def path(self, body: int) -> str:
@@ -82,27 +83,35 @@ class RigScene:
 
     def body_poses(self, pose: Array) -> Array:
         """``(moving, frames, 7)`` poses in W of the moving bodies at the poses ``(frames, 7)`` of A in P; limbs by inverse kinematics."""
-        out = np.empty((len(self.moving), len(pose), 7))
-        centre = pose[:, :3] + np.einsum("fij,j->fi", rotation_matrix(pose[:, 3:]), self._platform.centre)
-        still, q, v, qpos = np.zeros(6), np.empty(3), np.empty(3), self.data.qpos
-        qpos[:] = self._home
+        qpos = np.tile(self._home, (len(pose), 1))
+        _limb_joints(self._platform.limbs, self._slider, np.ascontiguousarray(pose), qpos)
+        free = qpos[:, self._free : self._free + 7]
+        free[:, :3] = pose[:, :3] + rotation_matrix(pose[:, 3:]) @ self._platform.centre
+        free[:, 3:] = quat_to_mujoco(pose[:, 3:])
+        place, attitude = np.empty((len(pose), len(self.moving), 3)), np.empty((len(pose), len(self.moving), 4))
         for f in range(len(pose)):
-            for limb, adr in zip(self._platform.limbs, self._slider, strict=True):
-                joints(limb, pose[f], still, q, v)
-                qpos[adr : adr + 3] = q
-            qpos[self._free : self._free + 3] = centre[f]
-            qpos[self._free + 3] = pose[f, 6]
-            qpos[self._free + 4 : self._free + 7] = pose[f, 3:6]
+            self.data.qpos[:] = qpos[f]
             mujoco.mj_kinematics(self.model, self.data)
-            out[:, f, :3] = self.data.xpos[self.moving]
-            out[:, f, 3:] = quat_from_mujoco(self.data.xquat[self.moving])
-        return out
+            place[f] = self.data.xpos[self.moving]
+            attitude[f] = self.data.xquat[self.moving]
+        return np.concatenate([place, quat_from_mujoco(attitude)], axis=-1).swapaxes(0, 1)
 
     def move(self, rec: rr.RecordingStream, time: rr.TimeColumn, pose: Array) -> None:
         """Poses of the moving bodies at the frames."""
         for body, poses in zip(self.moving, self.body_poses(pose), strict=True):
             send_poses(rec, self.path(body), time, poses)
         rec.log(f"{ROOT}/path_of_A", rr.LineStrips3D([pose[:, :3]], colors=[colors.PATH], radii=[0.0015]), static=True)
+
+
+@njit(cache=True)
+def _limb_joints(limbs, first, pose, qpos):
+    """Slider and universal joint of every limb at the poses ``(frames, 7)`` of A, into ``qpos`` from the columns ``first`` (6,) on."""
+    still, q, v = np.zeros(6), np.empty(3), np.empty(3)
+    for f in range(pose.shape[0]):
+        for j in range(6):
+            joints(limbs[j], pose[f], still, q, v)
+            for k in range(3):
+                qpos[f, first[j] + k] = q[k]
 
 
 def send_poses(rec: rr.RecordingStream, path: str, time: rr.TimeColumn, poses: Array) -> None:

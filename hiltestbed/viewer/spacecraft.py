@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import numpy as np
 import rerun as rr
+from numba import njit
 from numpy.typing import NDArray
 
-from hiltestbed.frames import Array, quat_conj_mul, quat_mul, rotate, rotation_matrix
+from hiltestbed.frames import Array, quat_mul, rotate, rotation_matrix
 from hiltestbed.scenario import Body, Scenario
 from hiltestbed.spacecraft import CHASER, TARGET, Spacecraft, inertia_matrix, port_pose
 from hiltestbed.viewer import colors
@@ -39,24 +40,26 @@ def body_poses(scenario: Scenario, rows: NDArray[np.intp], pose_cmd: Array, wren
         model.tick = ticks / scenario.rate
         model.advance(((total[row + 1] - total[done]) / ticks)[None])
         done += ticks
-        target = model.q[0, TARGET]
-        _place_chaser(target, model.port[0], pose_cmd[row], out[CHASER, f])
-        out[TARGET, f] = target
+        out[TARGET, f] = model.q[0, TARGET]
+    _place_chaser(out[TARGET], model.port[0], pose_cmd[rows], out[CHASER])
     return out
 
 
-def _place_chaser(target: Array, port: Array, pose: Array, out: Array) -> None:
-    """``out`` (7,): the chaser's pose from the target's, both ports in their bodies, and the pose of A in P."""
+@njit(cache=True)
+def _place_chaser(target, port, pose, out):
+    """``out`` (frames, 7): the chaser's poses from the target's, both ports in their bodies, and the poses of A in P."""
     q_P, q_A, inverse, r, s = np.empty(4), np.empty(4), np.empty(4), np.empty(3), np.empty(3)
-    quat_mul(target[3:], port[TARGET, 3:], q_P)
-    quat_mul(q_P, pose[3:], q_A)
-    quat_conj_mul(port[CHASER, 3:], np.array([0.0, 0.0, 0.0, 1.0]), inverse)
-    quat_mul(q_A, inverse, out[3:])
-    rotate(target[3:], port[TARGET, :3], r)
-    rotate(q_P, pose[:3], s)
-    out[:3] = target[:3] + r + s
-    rotate(out[3:], port[CHASER, :3], r)
-    out[:3] -= r
+    inverse[:3] = -port[CHASER, 3:6]
+    inverse[3] = port[CHASER, 6]
+    for f in range(target.shape[0]):
+        quat_mul(target[f, 3:7], port[TARGET, 3:7], q_P)
+        quat_mul(q_P, pose[f, 3:7], q_A)
+        quat_mul(q_A, inverse, out[f, 3:7])
+        rotate(target[f, 3:7], port[TARGET, 0:3], r)
+        rotate(q_P, pose[f, 0:3], s)
+        out[f, 0:3] = target[f, 0:3] + r + s
+        rotate(out[f, 3:7], port[CHASER, 0:3], r)
+        out[f, 0:3] -= r
 
 
 def cuboid(body: Body) -> tuple[Array, Array]:

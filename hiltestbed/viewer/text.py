@@ -19,6 +19,8 @@ def figures(run: Run) -> str:
         ("contact time", summary["contact_duration"], "s"),
         ("energy made by the rig", summary["energy_generated"], "J"),
     ]
+    if "outcome" in summary:
+        lines.append(f"| outcome | {summary['outcome'].replace('_', ' ')} |")
     lines += [f"| {name} | {_number(value, unit)} |" for name, value, unit in rows]
     if summary["status"] != "completed":
         lines += ["", f"**{summary['status']}**: {summary['stop_reason']}"]

@@ -20,6 +20,7 @@ from hiltestbed.signals import RunTrace
 from hiltestbed.simulation import Run, run
 from hiltestbed.viewer import write_recording
 from hiltestbed.viewer.frames import CONTACT, FREE, frame_rows
+from hiltestbed.viewer.plots import contact_phases
 from hiltestbed.viewer.rig import force_scale
 
 SINGLE = 1e-6  # poses and arrows are in single precision: 6e-8 of a metre or two
@@ -168,6 +169,12 @@ def test_phases_change_with_the_contact(recording: Read, trace: RunTrace) -> Non
     at = np.searchsorted(times, trace.t + 1e-9) - 1
     touching = np.isin(np.array(states)[at], ["compression", "restitution"])
     np.testing.assert_array_equal(touching, trace.contact)
+
+
+def test_phase_is_captured_from_the_latch_on(trace: RunTrace) -> None:
+    phases = np.array(contact_phases(trace, captured_at=trace.t[700]))
+    assert set(phases[700:]) == {"captured"}
+    assert phases[:700].tolist() == contact_phases(trace)[:700]
 
 
 def test_spacecraft_stand_apart_as_their_ports_do(recording: Read, done: Run, trace: RunTrace, rows: np.ndarray) -> None:
