@@ -80,7 +80,7 @@ class Loop:
         self.outcomes.update(k, wrench, plant.contact, plant.captured)
         if trace is not None:
             self.write(trace)
-        passed = self.safety.passed(plant.slider_act, plant.pose_act, self._pose_before, plant.wrench_sub, self.tally.energy)
+        passed = self.safety.passed(plant, self._pose_before, self.tally.energy)
         if passed or _lost(drive.pose, POSE_LIMIT, self.alive) or plant.diverged.any():
             self._end_runs()
         plant.advance(self.motion.pose, self.motion.twist, self.motion.acceleration)

@@ -16,6 +16,7 @@ from numba import njit
 
 from hiltestbed.frames import Array
 from hiltestbed.rig.kinematics import Platform, slider
+from hiltestbed.rig.plant import Plant
 from hiltestbed.scenario import Scenario
 
 LIMITS = ("stroke", "speed", "acceleration", "limb_angle_deg", "tracking_error", "force", "torque", "energy")
@@ -49,15 +50,14 @@ class Safety:
         self._sliders = np.zeros((n, 2, 6))  # positions and speeds at the tick before
         self._ticks = np.zeros(n, dtype=np.int64)
 
-    def passed(self, sliders: Array, pose: Array, pose_before: Array, wrench_sub: Array, energy: Array) -> bool:
+    def passed(self, plant: Plant, pose_before: Array, energy: Array) -> bool:
         """Whether a run has passed a limit at this tick.
 
         Args:
-            sliders: ``(n, 6)`` reached. pose: ``(n, 7)`` reached. pose_before: ``(n, 7)`` that had been commanded for this tick.
-            wrench_sub: ``(n, m, 6)`` physical wrench over the tick. energy: ``(n,)`` created so far [J].
+            plant: at t_k. pose_before: ``(n, 7)`` that had been commanded for this tick. energy: ``(n,)`` created so far [J].
         """
         return _watch(
-            self._tick, self._limbs, sliders, pose, pose_before, wrench_sub, energy,
+            self._tick, self._limbs, plant.slider_act, plant.pose_W, plant.pose_act, pose_before, plant.wrench_sub, energy,
             self._ticks, self._sliders, self.quantities, self._limits,
         )  # fmt: skip
 
@@ -74,7 +74,7 @@ class Safety:
 
 
 @njit(cache=True)
-def _watch(h, limbs, sliders, pose, pose_before, wrench_sub, energy, ticks, before, q, limits):
+def _watch(h, limbs, sliders, pose_W, pose, pose_before, wrench_sub, energy, ticks, before, q, limits):
     passed = False
     arm = np.empty(3)
     for i in range(sliders.shape[0]):
@@ -86,10 +86,10 @@ def _watch(h, limbs, sliders, pose, pose_before, wrench_sub, energy, ticks, befo
             q[i, 0] = max(q[i, 0], abs(sliders[i, j]))
             q[i, 1] = max(q[i, 1], abs(speed))
             q[i, 2] = max(q[i, 2], abs(acceleration))
-            s = slider(limbs[j], pose[i], arm)
+            s = slider(limbs[j], pose_W[i], arm)
             along = 0.0
             for c in range(3):
-                along += limbs[j, 3 + c] * (pose[i, c] + arm[c] - limbs[j, c])
+                along += limbs[j, 3 + c] * (pose_W[i, c] + arm[c] - limbs[j, c])
             lean = math.acos(min(max((along - s) / limbs[j, 9], -1.0), 1.0))
             q[i, 3] = max(q[i, 3], math.degrees(lean))
         error = 0.0

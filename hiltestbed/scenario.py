@@ -20,6 +20,7 @@ from hiltestbed.yaml_source import Source, describe, read_source
 
 WORKSPACE_TRANSLATION = 0.25  # [m] the platform's reach from home, any axis; home is at the nominal first touch
 WORKSPACE_ROTATION_DEG = 10.0
+UPPER_SPEED = 0.5  # [m/s] at which the upper platform is clamped before the touch
 TICK_LIMIT = 20_000_000  # a trace of this many rows fills 16 GB
 MECHANISMS_BUILT = ("bumper", "probe_cone", "latched")  # the kinds that the rig has a model of
 
@@ -162,10 +163,20 @@ class Platform(Strictly):
     actuator: Actuator = Field(default=Actuator(), description="with tracking servo")
 
 
+class UpperPlatform(Strictly):
+    """What carries the passive side and the force sensor."""
+
+    kind: Literal["fixed", "prs3"] = Field(
+        default="fixed", description="prs3: heave of 2 m and two tilts while the ports are more than 0.08 m apart, clamped below that"
+    )
+    tracking: Literal["servo", "ideal"] = Field(default="servo", description="of prs3; ideal: it is where it is planned to be")
+
+
 class Rig(Strictly):
     """The physical side."""
 
     platform: Platform = Platform()
+    upper: UpperPlatform = UpperPlatform()
 
 
 class Sensor(Strictly):
@@ -480,6 +491,9 @@ def _delay_problems(scenario: Scenario) -> Iterator[Problem]:
 def _start_problems(scenario: Scenario) -> Iterator[Problem]:
     """The platform reaches WORKSPACE_TRANSLATION and WORKSPACE_ROTATION_DEG around the nominal first touch, and no further."""
     approach, reach, turn = scenario.approach, WORKSPACE_TRANSLATION, WORKSPACE_ROTATION_DEG
+    if scenario.rig.upper.kind == "prs3":
+        yield from _nine_axis_problems(scenario)
+        return
     lowest = -reach if scenario.mechanism.kind == "latched" else 0.0
     limits = [(("approach", "gap"), approach.gap, lowest, reach, "m")]
     limits += [(("approach", "offset", axis), value, -reach, reach, "m") for axis, value in enumerate(approach.offset)]
@@ -487,6 +501,42 @@ def _start_problems(scenario: Scenario) -> Iterator[Problem]:
     for path, value, low, high, unit in limits:
         if not low <= value <= high:
             yield path, f"starts outside the workspace (got {value:g} {unit}); allowed is {low:g} to {high:g} {unit}"
+
+
+def _nine_axis_problems(scenario: Scenario) -> Iterator[Problem]:
+    """With the upper platform the gap may be as long as its heave; the lower platform's part of the start must be in its workspace."""
+    import numpy as np
+
+    from hiltestbed.frames import quat_from_attitude_deg, rotation_vectors
+    from hiltestbed.rig.allocation import LONGEST, lower_pose
+
+    approach, effects = scenario.approach, [str(entry.get("kind")) for entry in scenario.effects]
+    lowest = -WORKSPACE_TRANSLATION if scenario.mechanism.kind == "latched" else 0.0
+    if not lowest <= approach.gap <= LONGEST:
+        yield ("approach", "gap"), f"starts outside the workspace (got {approach.gap:g} m); allowed is {lowest:g} to {LONGEST:g} m"
+        return
+    if not abs(approach.velocity[2]) <= UPPER_SPEED:
+        yield (
+            ("approach", "velocity", 2),
+            f"is faster than the upper platform comes to rest before the touch (got {approach.velocity[2]:g} m/s); "
+            f"allowed is -{UPPER_SPEED:g} to {UPPER_SPEED:g} m/s",
+        )
+    for index, kind in enumerate(effects):
+        if kind.startswith("platform."):
+            yield (
+                ("effects", index, "kind"),
+                f"is an effect of a rig without an upper platform (got {kind}); allowed with rig.upper.kind fixed",
+            )
+    pose = np.array([[*approach.offset, -approach.gap, *quat_from_attitude_deg(approach.attitude_deg)]])
+    lower = lower_pose(pose)
+    place, turn = np.abs(lower[0, :3]), np.degrees(np.abs(rotation_vectors(lower[:, 3:])[0]))
+    if not (place.max() <= WORKSPACE_TRANSLATION and turn.max() <= WORKSPACE_ROTATION_DEG):
+        where = ", ".join(f"{value:.3g}" for value in lower[0, :3])
+        yield (
+            ("approach",),
+            f"starts outside the workspace (the lower platform would stand at {where} m, turned by up to {turn.max():.3g} deg); allowed "
+            f"are {WORKSPACE_TRANSLATION:g} m and {WORKSPACE_ROTATION_DEG:g} deg on each axis: take a smaller offset or attitude_deg",
+        )
 
 
 def _effect_problems(effects: tuple[dict[str, Any], ...]) -> Iterator[Problem]:

@@ -127,7 +127,7 @@ def reference_scenario(scenario: Scenario) -> Scenario:
     data["compensation"] = {"force": {"kind": "none"}, "motion": {"kind": "none"}}
     data["identification"] = {"kind": "none"}
     data["safety"] = dict.fromkeys(data["safety"])  # nothing is watched
-    data["rig"]["platform"]["tracking"] = "ideal"
+    data["rig"]["platform"]["tracking"] = data["rig"]["upper"]["tracking"] = "ideal"
     data["effects"] = [e for e in data["effects"] if e["kind"].startswith("contact.")]
     return scenario_from(data)
 

@@ -77,9 +77,15 @@ def _add_pair(spec: mujoco.MjSpec) -> None:
     spec.add_pair(name="contact", geomname1=tip, geomname2=surface, condim=1, solimp=CONTACT_SOLIMP)
 
 
-def _add_passive(spec: mujoco.MjSpec, structure: Structure) -> None:
-    """The passive mechanism at P, on its mount if it has one, behind the six-axis force sensor at P's origin."""
-    carrier = spec.worldbody.add_body(name="passive_carrier")
+def _add_passive(spec: mujoco.MjSpec, structure: Structure, above: str | None = None) -> None:
+    """The passive mechanism at P, on its mount if it has one, behind the six-axis force sensor at P's origin.
+
+    It is fixed, or on the upper platform, whose names have the prefix ``above``.
+    """
+    if above is None:
+        carrier = spec.worldbody.add_body(name="passive_carrier")
+    else:
+        carrier = spec.body(f"{above}platform").add_body(name="passive_carrier", pos=spec.site(f"{above}mount").pos)
     carrier.add_site(name="P_nominal")
     spec.attach(load(PASSIVE_FILES[structure.kind]), prefix=PASSIVE, frame=carrier.add_frame())
     if structure.mounted:
@@ -142,6 +148,28 @@ def rig_model(structure: Structure, timestep: float, kept: int) -> mujoco.MjMode
     spec.compiler.discardvisual = True
     for sensor in spec.sensors:
         sensor.nsample = kept
+    return spec.compile()
+
+
+def upper_model(kind: str, timestep: float) -> mujoco.MjModel:
+    """The upper platform alone, with force sensor and passive mechanism, its spherical joints held as those of the lower one."""
+    spec = load("prs3/prs3")
+    spec.modelname = f"prs3-{kind}"
+    _options(spec, timestep, gravity=True)
+    _add_passive(spec, Structure(kind, mounted=False, paired=False), above="")
+    spec.compiler.discardvisual = True
+    for joint in spec.equalities:
+        joint.solref[:] = [2.0 * timestep, 1.0]
+    return spec.compile()
+
+
+def nine_axis_scene(kind: str) -> mujoco.MjModel:
+    """The rig with its upper platform as it is drawn; the names of the upper one begin with ``upper_``."""
+    spec = load("pss33/pss33")
+    spec.modelname = f"pss33-prs3-{kind}"
+    spec.attach(load("prs3/prs3"), prefix="upper_", frame=spec.worldbody.add_frame())
+    spec.attach(load(ACTIVE_FILES[kind]), prefix=ACTIVE, site=spec.site("mount"))
+    _add_passive(spec, Structure(kind, mounted=False, paired=False), above="upper_")
     return spec.compile()
 
 

@@ -19,6 +19,7 @@ from hiltestbed.rig.driven import ServoTracking
 from hiltestbed.rig.ideal import IdealTracking
 from hiltestbed.rig.latch import LatchCondition
 from hiltestbed.rig.model import Structure
+from hiltestbed.rig.nine_axes import NineAxes
 from hiltestbed.rig.touch import Touch
 
 if TYPE_CHECKING:
@@ -35,7 +36,9 @@ def structure(scenario: Scenario, law: bool = False) -> Structure:
 
 def alike(scenario: Scenario) -> Hashable:
     """What must be equal in the scenarios of one :class:`Plant`; all other numbers may differ run by run."""
-    return (scenario.rate, scenario.physics_rate, structure(scenario), scenario.rig.platform.kind, scenario.rig.platform.tracking)
+    platform, upper = scenario.rig.platform, scenario.rig.upper
+    above = (upper.kind, upper.tracking if upper.kind != "fixed" else None)
+    return (scenario.rate, scenario.physics_rate, structure(scenario), platform.kind, platform.tracking, above)
 
 
 class Plant:
@@ -47,7 +50,8 @@ class Plant:
         wrench_sub: (n, m, 6) contact wrench, what the active side exerts on the passive one, in P at P's origin, tared [N, N m],
             at t_(k-1) + (s + 1) dt, s = 0 .. m - 1; the last is at t_k.
         contact: (n,) bool, whether the mechanisms touch. captured: (n,) bool, whether they are latched to each other.
-        slider_cmd, slider_act: (n, 6) the platform's sliders [m], 0 at home.
+        slider_cmd, slider_act: (n, 6) the platform's sliders [m], 0 at home. pose_W: (n, 7) pose of A in W, which is P without an
+            upper platform.
         diverged: (n,) bool, whether a run has left the finite numbers; it is frozen from then on.
     """
 
@@ -55,11 +59,14 @@ class Plant:
         """``contact_law``: in place of the scenarios' own contact along the normal, their effects included."""
         if len({alike(s) for s in scenarios}) != 1:
             raise InputError(
-                "one Plant takes runs of one structure: the same rate, physics_rate, rig.platform and mechanism.kind; mechanism.mount, "
-                "contact.friction > 0 and effects of the contact in all or in none"
+                "one Plant takes runs of one structure: the same rate, physics_rate, rig.platform, rig.upper and mechanism.kind; "
+                "mechanism.mount, contact.friction > 0 and effects of the contact in all or in none"
             )
         tracking = IdealTracking if scenarios[0].rig.platform.tracking == "ideal" else ServoTracking
-        self._tracking = tracking(scenarios, nthread, structure(scenarios[0], contact_law is not None))
+        lower = tracking(scenarios, nthread, structure(scenarios[0], contact_law is not None))
+        above = scenarios[0].rig.upper.kind == "prs3"
+        self._tracking = NineAxes(scenarios, lower, nthread) if above else lower
+        self.pose_W: Array = lower.pose_act
         self._law: ContactForce | None = None
         self._latch: LatchCondition | None = None
         if self._tracking.touch is not None:

@@ -67,7 +67,7 @@ class Touch:
 
     def update(self, pose: Array, twist: Array, place: Array, motion: Array) -> None:
         """Set ``wrench`` from the pose (n, 7) and twist (n, 6) of A in W, and those of S, ``place`` and ``motion``; once an instant."""
-        _relate(pose, twist, place, motion, self._pose, self._twist)
+        relate(pose, twist, place, motion, self._pose, self._twist)
         _geometry(
             self.surfaces.kind, self.surfaces.sizes, self._pose, self._twist, self.latched, self.hold,
             self.depth, self._rate, self.point, self.normal, self._slip,
@@ -96,7 +96,7 @@ class Touch:
 
 
 @njit(cache=True)
-def _relate(pose, twist, place, motion, pose_out, twist_out):
+def relate(pose, twist, place, motion, pose_out, twist_out):
     """Pose and twist of A in S: positions, and velocities relative to S as it moves and turns, in S."""
     v = np.empty(3)
     for i in range(pose.shape[0]):

@@ -1,0 +1,134 @@
+"""The nine-axis rig: the lower platform's six axes and the upper one's three realise one relative pose.
+
+The upper platform goes where the allocation has it (:mod:`hiltestbed.rig.allocation`); the lower one is sent where the relative pose
+then lies in W. Ports can touch only while the upper platform is clamped at home, where W and P are one and the lower platform is told
+what it would be told without an upper one, bit for bit. The sensor's wrench is that of the contact and what the moving payload leaves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import mujoco
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from hiltestbed.frames import Array, pose_step, twist_between
+from hiltestbed.rig.allocation import compose
+from hiltestbed.rig.driven import ServoTracking
+from hiltestbed.rig.ideal import IdealTracking
+from hiltestbed.rig.prs3 import Upper, place
+from hiltestbed.rig.touch import relate
+from hiltestbed.rig.upper import UpperPlatform
+
+if TYPE_CHECKING:
+    from hiltestbed.scenario import Scenario
+
+
+@njit(cache=True)
+def _command(planned, home, pose, twist, accel, h, before, slope, pose_W, twist_W, accel_W):
+    """The lower platform's command in W for that of A in P, ``pose`` (n, 7), ``twist`` and ``accel`` (n, 6).
+
+    planned: (n, 7) of P in W at the end of the tick; home: (n,) whether it is home at both of its ends. before (n, 7), slope (n, 6):
+    the command of the last tick and its slope, moved on.
+    """
+    for i in range(pose.shape[0]):
+        if home[i]:
+            pose_W[i], twist_W[i], accel_W[i] = pose[i], twist[i], accel[i]
+        else:
+            compose(planned[i], pose[i], pose_W[i])
+            twist_between(before[i], pose_W[i], h, twist_W[i])
+            for j in range(6):
+                accel_W[i, j] = (twist_W[i, j] - slope[i, j]) / h
+        before[i] = pose_W[i]
+        slope[i] = twist_W[i]
+
+
+@njit(cache=True)
+def _slope_of(before, now, h, away, twist_W, twist):
+    for i in range(now.shape[0]):
+        if away[i]:
+            twist_between(before[i], now[i], h, twist[i])
+        else:
+            twist[i] = twist_W[i]
+
+
+class NineAxes:
+    """The rigs of `n` runs with both platforms; arrays as in :class:`hiltestbed.rig.plant.Plant`."""
+
+    def __init__(self, scenarios: Sequence[Scenario], lower: ServoTracking | IdealTracking, nthread: int) -> None:
+        n, first = len(scenarios), scenarios[0]
+        self.lower, self.upper = lower, UpperPlatform(scenarios, nthread)
+        self.tick = first.tick
+        self.touch, self.mount, self.causes, self.diverged = lower.touch, lower.mount, lower.causes, lower.diverged
+        self.contact_now, self.slider_cmd, self.slider_act = lower.contact_now, lower.slider_cmd, lower.slider_act
+        self._ideal = isinstance(lower, IdealTracking)
+        self.pose_act, self.twist_act = np.zeros((n, 7)), np.zeros((n, 6))
+        self.wrench_sub = np.zeros_like(lower.wrench_sub)
+        self._before, self._slope = np.zeros((n, 7)), np.zeros((n, 6))  # of the command in W
+        self._pose_W, self._twist_W, self._accel_W = np.zeros((n, 7)), np.zeros((n, 6)), np.zeros((n, 6))
+        self._reached = np.zeros((n, 7))
+        self._home, self._was_home = np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)
+
+    @property
+    def model(self) -> mujoco.MjModel:
+        """The lower platform's: what is stepped while the ports touch."""
+        return self.lower.model
+
+    def bare_steps(self, count: int) -> None:
+        """``count`` steps of the lower platform."""
+        self.lower.bare_steps(count)
+
+    def reset(self, pose: Array, twist: Array) -> None:
+        """Start at the relative ``pose`` (n, 7), moving with the uniform relative ``twist`` (n, 6)."""
+        self.upper.reset(pose, twist)
+        before, x, place_before = np.empty(7), np.zeros(3), np.empty(7)
+        for i in range(len(pose)):
+            compose(self.upper.planned[i], pose[i], self._before[i])
+            pose_step(pose[i], twist[i], -self.tick, before)
+            x[:] = self.upper.x[i] - self.tick * self.upper.rate[i]
+            place(Upper.load().shape, x, place_before)
+            compose(place_before, before, self._pose_W[i])
+            twist_between(self._pose_W[i], self._before[i], self.tick, self._slope[i])
+        self._was_home[:] = ~self.upper.away
+        self._slope[self._was_home] = twist[self._was_home]
+        self.lower.reset(self._before, self._slope)
+        self.pose_act[:], self.twist_act[:] = pose, twist
+        self.wrench_sub[:] = self.lower.wrench_sub
+
+    def advance(self, pose_cmd: Array, twist_cmd: Array, accel_cmd: Array) -> None:
+        """One tick towards the relative ``pose_cmd`` (n, 7), with ``twist_cmd`` and ``accel_cmd`` (n, 6)."""
+        upper, lower = self.upper, self.lower
+        if upper.advance(pose_cmd, self.diverged):
+            for i in np.flatnonzero(self.diverged):
+                self.causes[i] = self.causes[i] or "the upper platform moves faster than 1000 m/s or rad/s"
+        at_home = ~upper.x.any(axis=1)
+        np.logical_and(at_home, self._was_home, out=self._home)
+        self._was_home[:] = at_home
+        _command(
+            upper.planned, self._home, pose_cmd, twist_cmd, accel_cmd, self.tick,
+            self._before, self._slope, self._pose_W, self._twist_W, self._accel_W,
+        )  # fmt: skip
+        lower.advance(self._pose_W, self._twist_W, self._accel_W)
+        self._reached[:] = self.pose_act
+        relate(lower.pose_act, lower.twist_act, upper.pose, upper.twist, self.pose_act, self.twist_act)
+        if self._ideal:
+            _slope_of(self._reached, self.pose_act, self.tick, upper.away, lower.twist_act, self.twist_act)
+        np.add(lower.wrench_sub, upper.residual, out=self.wrench_sub)
+
+    def buffers(self) -> dict[str, NDArray[Any]]:
+        """The state between two ticks."""
+        return (
+            {f"lower_{name}": array for name, array in self.lower.buffers().items()}
+            | self.upper.buffers()
+            | {
+                "pose_act": self.pose_act,
+                "twist_act": self.twist_act,
+                "wrench_sub": self.wrench_sub,
+                "command": self._before,
+                "slope": self._slope,
+                "was_home": self._was_home,
+            }
+        )
