@@ -8,7 +8,7 @@ from typing import Any
 from hiltestbed.campaign.schema import Campaign, Variation
 from hiltestbed.signals import AXES
 
-_TEXT = ("name", "scenario_sha256", "status", "stop_reason")
+_TEXT = ("name", "scenario_sha256", "status", "stop_reason", "outcome")
 _COUNTS = ("seed", "contacts")
 _FIGURES = (
     "cor",
@@ -21,6 +21,7 @@ _FIGURES = (
     "peak_force",
     "contact_duration",
     "first_contact",
+    "captured_at",
     "impulse",
     "tracking_error",
     "tracking_compliance",

@@ -17,16 +17,13 @@ BLOCK = 128  # rows between two updates of the hashes: 64 runs take 5 MB
 
 
 class _Rows:
-    """An array of BLOCK rows that takes row k of a longer one; `full` is called when the last of a block is in."""
+    """An array of BLOCK rows that takes row k of a longer one."""
 
-    def __init__(self, shape: tuple[int, ...], dtype: type, full=None) -> None:
-        self.block = np.zeros((BLOCK, *shape), dtype=dtype)
-        self._full = full
+    def __init__(self, shape: tuple[int, ...]) -> None:
+        self.block = np.zeros((BLOCK, *shape))
 
     def __setitem__(self, k: int, row: Array) -> None:
         self.block[k % BLOCK] = row
-        if self._full is not None:
-            self._full(k)
 
 
 class TraceDigest:
@@ -38,14 +35,20 @@ class TraceDigest:
 
     def __init__(self, loop: Loop) -> None:
         n = len(loop.scenarios)
-        self._loop = loop
+        self._trouble = loop.trouble  # not the loop itself, which would live on with its models
         self._hashes = [hashlib.sha256() for _ in range(n)]
         self._done = 0
         self.length = np.zeros(n, dtype=int)  # set by the simulation when it ends
-        self.data = {group.name: _Rows((n, len(group.parts)), float) for group in GROUPS.values()}
-        self.contact = _Rows((n,), bool, self._row_written)
+        self.data = {group.name: _Rows((n, len(group.parts))) for group in GROUPS.values()}
+        self._contact = np.zeros((BLOCK, n))
 
-    def _row_written(self, k: int) -> None:
+    @property
+    def contact(self) -> TraceDigest:
+        """Takes the contact of row k, the last of a row to be written."""
+        return self
+
+    def __setitem__(self, k: int, row: Array) -> None:
+        self._contact[k % BLOCK] = row
         if (k + 1) % BLOCK == 0:
             self._take(k + 1)
 
@@ -53,10 +56,10 @@ class TraceDigest:
         """Hash the rows from the last block's end to `end`."""
         count = end - self._done
         for i, digest in enumerate(self._hashes):
-            rows = min(count, self._loop.trouble[i][0] + 1 - self._done) if i in self._loop.trouble else count
+            rows = min(count, self._trouble[i][0] + 1 - self._done) if i in self._trouble else count
             if rows > 0:
                 parts = [self.data[name].block[:rows, i] for name in GROUPS]
-                digest.update(_matrix(parts, self.contact.block[:rows, i]))
+                digest.update(_matrix(parts, self._contact[:rows, i]))
         self._done = end
 
     def run(self, i: int) -> None:
@@ -64,8 +67,8 @@ class TraceDigest:
 
     def sha256(self, i: int) -> str:
         """The hash of run i, in hexadecimal; ask when the loop has ended."""
-        if self._done < self._loop.k:
-            self._take(self._loop.k)
+        if self._done < self.length.max():
+            self._take(int(self.length.max()))
         return self._hashes[i].hexdigest()
 
 
