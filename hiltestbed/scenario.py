@@ -383,9 +383,45 @@ class Rls(Strictly):
 
     kind: Literal["rls"] = "rls"
     forgetting: Annotated[float, Field(gt=0, le=1)] = Field(default=1.0, description="forgetting factor a tick; 1: none")
+    delay: Literal["known", "estimate"] = Field(default="known", description="estimate: sensor.delay is found from the instant of touch")
 
 
-Identification = Annotated[NoIdentification | Rls, Field(discriminator="kind")]
+class RlsRaw(Strictly):
+    """The same on the force as it is read, beside the pose of the same tick."""
+
+    kind: Literal["rls_raw"] = "rls_raw"
+    forgetting: Annotated[float, Field(gt=0, le=1)] = Field(default=1.0, description="forgetting factor a tick; 1: none")
+
+
+class RlsLead(Strictly):
+    """The same on the force after the first-order phase lead."""
+
+    kind: Literal["rls_lead"] = "rls_lead"
+    forgetting: Annotated[float, Field(gt=0, le=1)] = Field(default=1.0, description="forgetting factor a tick; 1: none")
+    lag: Positive = Field(default=0.0005, description="T2 of the lead [s]; T1 is sensor.delay + T2")
+
+
+class Kalman(Strictly):
+    """Adaptive Kalman filter of k, c and an intercept that wander, on aligned samples."""
+
+    kind: Literal["kalman"] = "kalman"
+    wander: NotNegative = Field(default=1e-6, description="part of an innovation's correction that is taken for wandering")
+
+
+class HuntCrossley(Strictly):
+    """Single-stage fit of F = k x^n (1 + alpha v), on aligned samples."""
+
+    kind: Literal["hunt_crossley"] = "hunt_crossley"
+
+
+class Instrumental(Strictly):
+    """Batch least squares with instrument variables, on aligned samples: the yardstick where the pose is noisy."""
+
+    kind: Literal["instrumental"] = "instrumental"
+    lag: Annotated[int, Field(ge=1)] = Field(default=2, description="ticks by which the instruments are older than the samples")
+
+
+Identification = Annotated[NoIdentification | Rls | RlsRaw | RlsLead | Kalman | HuntCrossley | Instrumental, Field(discriminator="kind")]
 
 
 class Scenario(Strictly):

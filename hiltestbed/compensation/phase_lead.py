@@ -24,10 +24,11 @@ from hiltestbed.scenario import Scenario
 class PhaseLead:
     """The lead on all six components of the wrench, for ``n`` runs."""
 
-    def __init__(self, scenarios: Sequence[Scenario]) -> None:
+    def __init__(self, scenarios: Sequence[Scenario], time_constants: Sequence[tuple[float, float]] | None = None) -> None:
+        """``time_constants``: T1 and T2 [s] of each run, by default those of its compensation."""
         n = len(scenarios)
         self.tick = 1.0 / scenarios[0].rate
-        time_constants = [lead_and_lag(s) for s in scenarios]
+        time_constants = [lead_and_lag(s) for s in scenarios] if time_constants is None else time_constants
         self.lead = np.array([lead for lead, _ in time_constants])
         self.lag = np.array([lag for _, lag in time_constants])
         self.output = np.zeros((n, 6))
@@ -35,7 +36,11 @@ class PhaseLead:
 
     def compensate(self, measurement: Measurement) -> Array:
         """``(n, 6)`` the wrench led by ``T1 - T2``."""
-        _lead(measurement.wrench, self.lead, self.lag, self.tick, self._previous, self.output)
+        return self.lead_wrench(measurement.wrench)
+
+    def lead_wrench(self, wrench: Array) -> Array:
+        """``(n, 6)`` a wrench ``(n, 6)`` led by ``T1 - T2``."""
+        _lead(wrench, self.lead, self.lag, self.tick, self._previous, self.output)
         return self.output
 
     def buffers(self) -> dict[str, Array]:

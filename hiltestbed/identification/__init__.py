@@ -5,8 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Protocol
 
+from hiltestbed.compensation.phase_lead import PhaseLead
 from hiltestbed.frames import Array
+from hiltestbed.identification.hunt_crossley import HuntCrossley
+from hiltestbed.identification.instrumental import InstrumentVariables
+from hiltestbed.identification.kalman import AdaptiveKalman
 from hiltestbed.identification.least_squares import RecursiveLeastSquares
+from hiltestbed.identification.samples import ContactSamples
 from hiltestbed.scenario import Scenario
 
 
@@ -32,11 +37,23 @@ class Identification(Protocol):
 
 
 def make_identification(scenarios: Sequence[Scenario]) -> Identification | None:
-    """The estimator that ``identification`` names, or None."""
-    match scenarios[0].identification.kind:
+    """The estimator that ``identification`` names, or None; one kind for all runs of a batch."""
+    identification = scenarios[0].identification
+    match identification.kind:
         case "none":
             return None
         case "rls":
-            return RecursiveLeastSquares(scenarios)
+            return RecursiveLeastSquares(scenarios, ContactSamples(scenarios, estimate=identification.delay == "estimate"))
+        case "rls_raw":
+            return RecursiveLeastSquares(scenarios, ContactSamples(scenarios, aligned=False))
+        case "rls_lead":
+            constants = [(s.sensor.delay + s.identification.lag, s.identification.lag) for s in scenarios]
+            return RecursiveLeastSquares(scenarios, ContactSamples(scenarios, aligned=False), PhaseLead(scenarios, constants))
+        case "kalman":
+            return AdaptiveKalman(scenarios)
+        case "hunt_crossley":
+            return HuntCrossley(scenarios)
+        case "instrumental":
+            return InstrumentVariables(scenarios)
         case kind:
             raise ValueError(f"identification.kind {kind!r} has no estimator")

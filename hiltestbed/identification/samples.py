@@ -1,0 +1,161 @@
+"""Contact samples: what was felt, beside where the rig was when it was felt.
+
+What is measured at t_k left the contact at t_k - delay, so x and v are taken then, from the history of the pose, and pass the sensor's
+own filters: nothing is differentiated and no lead is needed. A sample counts when the axial force is above the noise for a while
+before and after it: at touch and at separation the force is clipped, and the filters remember it.
+
+A delay that is not known can be estimated from the instant of touch: the pose crosses the nominal touch point at t0, the force rises at
+t0 + delay. That is all that tells it: while the contact lasts, c takes up any error of the delay (``c - k d`` fits as well as ``c``, to
+first order in w d). It needs a touch point that is known to ``v0 d`` (30 um for a millisecond at 0.03 m/s), and a force that rises by
+more than its noise within a tick; the standard deviation that is reported grows where it does not.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numba import njit
+
+from hiltestbed.frames import Array, rotation_vector
+from hiltestbed.scenario import Scenario
+
+GATE_SIGMA = 5.0  # contact is where the force exceeds this many standard deviations of its noise
+GATE_PEAK = 0.02  # and this part of the peak so far
+FILTER_MEMORY = 3.0  # time constants of the low-pass that are left out at both ends of a contact: exp(-3) = 5 % is left
+SPARE = 0.03  # [s] that an estimated delay may be longer than the nominal one
+
+
+class ContactSamples:
+    """Regressors and force on six axes for ``n`` runs.
+
+    Axes are the components of the relative pose (position of A, rotation vector, both in P) against those of the wrench.
+
+    Attributes:
+        ready: ``(n,)`` whether ``sample`` counts.
+        sample: ``(n, 6, 4)`` x, v and 1 as felt, and the force.
+        delay: ``(n,)`` [s] of the force, as known or as estimated.
+    """
+
+    def __init__(self, scenarios: Sequence[Scenario], aligned: bool = True, estimate: bool = False) -> None:
+        """``aligned`` False takes pose and force of the same tick, as if there were neither delay nor filter."""
+        n, first = len(scenarios), scenarios[0]
+        h = 1.0 / first.rate
+        self.tick = h
+        self.delay = np.array([s.sensor.delay if aligned else 0.0 for s in scenarios])
+        self.threshold = np.array([GATE_SIGMA * s.sensor.noise for s in scenarios])
+        lowpass = np.array([0.0 if s.sensor.lowpass is None else 1.0 / (2.0 * math.pi * s.sensor.lowpass) for s in scenarios]) * aligned
+        highpass = np.array([math.inf if s.sensor.time_constant is None or not aligned else s.sensor.time_constant for s in scenarios])
+        self._smooth = np.array([1.0 if T == 0.0 else 1.0 - math.exp(-h / T) for T in lowpass])
+        self._leak = np.exp(-h / highpass)
+        self._held_rate = first.rig.platform.tracking == "ideal"
+        self._estimate = estimate
+        self._margin = 1 + int(math.ceil(FILTER_MEMORY * lowpass.max() / h))
+        self._longest = self.delay.max() + SPARE * estimate
+        length = 2 + int(math.ceil(self._longest / h))
+        self._x = np.zeros((n, length, 6))
+        self._v = np.zeros((n, length, 6))
+        self._clock = np.zeros(1, dtype=np.int64)  # ticks seen
+        self._filter = np.zeros((n, 6, 3, 2))  # low-passed value; its predecessor's high-passed value
+        self._pending = np.zeros((n, self._margin + 1, 6, 4))
+        self._gated = np.zeros(n, dtype=np.int64)
+        self._peak = np.zeros(n)
+        self._onset = np.full((n, 3), np.nan)  # force and speed at the first contact sample, delay as found then
+        self.ready = np.zeros(n, dtype=bool)
+        self.sample = np.zeros((n, 6, 4))
+
+    def take(self, wrench: Array, pose: Array, twist: Array) -> None:
+        """Take in what was measured at t_k: wrench ``(n, 6)``, pose ``(n, 7)``, twist ``(n, 6)``."""
+        k = int(self._clock[0])
+        _remember(k, pose, twist, self._x, self._v)
+        _gate(wrench, self.threshold, self._peak, self._gated)
+        if self._estimate:
+            _find_delay(k, self.tick, self._longest, wrench, self._x, self._v, self._gated, self.delay, self._onset)
+        late = (self._x, self._v, self.delay, self.tick, self._held_rate, self._gated)
+        _sample(k, wrench, *late, self._smooth, self._leak, self._filter, self._pending)
+        np.greater_equal(self._gated, 2 * self._margin + 1, out=self.ready)
+        self.sample[:] = self._pending[:, (k - self._margin) % self._pending.shape[1]]
+        self._clock[0] = k + 1
+
+    def delay_sd(self, stiffness: Array) -> Array:
+        """``(n,)`` [s] standard deviation of the estimated delay, given the axial stiffness ``(n,)``; NaN before a touch.
+
+        The touch lies within the tick before the first force; or, where the force rises so slowly that an earlier tick may have been
+        below the noise, within the time that the force takes to come out of it.
+        """
+        force, speed = self._onset[:, 0], self._onset[:, 1]
+        hidden = force - stiffness * speed * self.tick <= self.threshold
+        slow = np.where(hidden, self.threshold / (stiffness * speed), 0.0)
+        return np.hypot(self.tick / math.sqrt(12.0), slow)
+
+    def buffers(self) -> dict[str, Array]:
+        names = ("x", "v", "clock", "filter", "pending", "gated", "peak", "onset")
+        return {name: getattr(self, "_" + name) for name in names} | {"delay": self.delay}
+
+
+@njit(cache=True)
+def _remember(k, pose, twist, x, v):
+    slot = k % x.shape[1]
+    for i in range(pose.shape[0]):
+        for j in range(3):
+            x[i, slot, j] = pose[i, j]
+        rotation_vector(pose[i, 3:7], x[i, slot, 3:6])
+        for j in range(6):
+            v[i, slot, j] = twist[i, j]
+        if k == 0:  # before the start the approach is uniform; no force is felt from then
+            for s in range(x.shape[1]):
+                x[i, s] = x[i, slot]
+                v[i, s] = v[i, slot]
+
+
+@njit(cache=True)
+def _sample(k, wrench, x, v, delay, h, held_rate, gated, smooth, leak, memory, pending):
+    """x, v and 1 at t_k - delay while in contact, else 0, through the sensor's filters, beside the force read at t_k."""
+    length = x.shape[1]
+    slot = k % pending.shape[1]
+    for i in range(wrench.shape[0]):
+        ticks = delay[i] / h
+        whole = int(math.floor(ticks))
+        part = ticks - whole
+        late = (k - whole) % length  # the tick that ends at or after t_k - delay
+        early = (k - whole - 1) % length
+        for j in range(6):
+            position = (1.0 - part) * x[i, late, j] + part * x[i, early, j]
+            rate = v[i, late, j] if held_rate else (1.0 - part) * v[i, late, j] + part * v[i, early, j]
+            for c in range(3):
+                u = 0.0 if gated[i] == 0 else position if c == 0 else rate if c == 1 else 1.0
+                before = memory[i, j, c, 0]
+                memory[i, j, c, 0] += (u - before) * smooth[i]
+                if leak[i] < 1.0:
+                    memory[i, j, c, 1] = leak[i] * (memory[i, j, c, 1] + memory[i, j, c, 0] - before)
+                    pending[i, slot, j, c] = memory[i, j, c, 1]
+                else:
+                    pending[i, slot, j, c] = memory[i, j, c, 0]
+            pending[i, slot, j, 3] = wrench[i, j]
+
+
+@njit(cache=True)
+def _gate(wrench, threshold, peak, gated):
+    for i in range(wrench.shape[0]):
+        force = wrench[i, 2]  # pushing is positive; what a high-pass leaves after the contact is negative
+        peak[i] = max(peak[i], force)
+        gated[i] = gated[i] + 1 if force > threshold[i] and force > GATE_PEAK * peak[i] else 0
+
+
+@njit(cache=True)
+def _find_delay(k, h, longest, wrench, x, v, gated, delay, onset):
+    """At the first contact sample of a run: by how much the pose had passed the nominal touch point when this force was felt."""
+    length = x.shape[1]
+    for i in range(wrench.shape[0]):
+        if gated[i] != 1 or not np.isnan(onset[i, 0]):
+            continue
+        for back in range(length - 1):  # the tick within which the pose crossed the touch point
+            late, early = x[i, (k - back) % length, 2], x[i, (k - back - 1) % length, 2]
+            if early < 0.0 <= late:
+                crossed = back + late / (late - early)
+                delay[i] = min(max((crossed - 0.5) * h, 0.0), longest)
+                onset[i, 0] = wrench[i, 2]
+                onset[i, 1] = v[i, (k - back) % length, 2]
+                onset[i, 2] = delay[i]
+                break
