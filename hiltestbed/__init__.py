@@ -15,22 +15,42 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from hiltestbed.recording import read_run, write_run
+    from hiltestbed.campaign.schema import load_campaign
+    from hiltestbed.campaign.sweep import read_sweep, sweep
+    from hiltestbed.dataset import load_dataset
     from hiltestbed.failure import replay
+    from hiltestbed.recording import read_run, write_run
     from hiltestbed.scenario import dump_scenario, load_scenario
     from hiltestbed.shipped import shipped
     from hiltestbed.simulation import run, run_batch
 
-__all__ = ["dump_scenario", "load_scenario", "read_run", "replay", "run", "run_batch", "shipped", "write_run"]
+__all__ = [
+    "dump_scenario",
+    "load_campaign",
+    "load_dataset",
+    "load_scenario",
+    "read_run",
+    "read_sweep",
+    "replay",
+    "run",
+    "run_batch",
+    "shipped",
+    "sweep",
+    "write_run",
+]
 
 _HOME = {
     "dump_scenario": "scenario",
+    "load_campaign": "campaign.schema",
+    "load_dataset": "dataset",
     "load_scenario": "scenario",
     "read_run": "recording",
+    "read_sweep": "campaign.sweep",
     "replay": "failure",
     "run": "simulation",
     "run_batch": "simulation",
     "shipped": "shipped",
+    "sweep": "campaign.sweep",
     "write_run": "recording",
 }
 

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hiltestbed.errors import HiltestbedError, InputError
+from hiltestbed.folders import free_folder, safe_name
 
 if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario
@@ -161,13 +162,14 @@ def sweep(
 ) -> None:
     """Run a campaign; run again with the same --out, it goes on where it stopped."""
     from hiltestbed.campaign.schema import load_campaign
+    from hiltestbed.campaign.sweep import default_folder
     from hiltestbed.campaign.sweep import sweep as run_sweep
     from hiltestbed.progress import case_bar
 
     if workers is not None and scheduler is not None:
         raise InputError("--workers is for this machine and --scheduler for a cluster; allowed is one of the two")
     spec = load_campaign(campaign, overrides(sets))
-    folder = out if out is not None else Path("results") / safe_name(spec.spec.name or campaign.stem)
+    folder = out if out is not None else default_folder(spec)
     workers = workers if workers is not None else len(os.sched_getaffinity(0))
     try:
         with case_bar() as progress:
@@ -213,20 +215,6 @@ def _scenario(file: Path, sets: list[str] | None, case: int | None) -> Scenario:
         other = {"campaign": "sweep FILE` or `hiltestbed run FILE --case N", "dataset": "diagnose FILE"}[kind]
         raise InputError(source.fault((), f"is a {kind} (got its keys); a scenario is expected here; for a {kind}: `hiltestbed {other}`"))
     return scenario_from(source, overrides(sets))
-
-
-def free_folder(path: Path) -> Path:
-    """`path`, or the first of path-2, path-3, ... that does not exist."""
-    number, candidate = 1, path
-    while candidate.exists():
-        number += 1
-        candidate = path.with_name(f"{path.name}-{number}")
-    return candidate
-
-
-def safe_name(name: str) -> str:
-    """A scenario's name as the name of a folder."""
-    return "".join(c if c.isalnum() or c in "-_." else "-" for c in name).strip(".-") or "run"
 
 
 def _fail(error: BaseException, text: str, status: int) -> int:

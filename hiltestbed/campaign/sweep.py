@@ -18,6 +18,7 @@ from hiltestbed.campaign.schema import LoadedCampaign, load_campaign
 from hiltestbed.campaign.store import CASES, Store, read_about, refuse_another
 from hiltestbed.campaign.structure import structural_keys
 from hiltestbed.errors import InputError
+from hiltestbed.folders import safe_name
 from hiltestbed.scenario import Scenario, scenario_from
 
 CHUNK = 64
@@ -41,14 +42,14 @@ class Sweep:
 
 def sweep(
     campaign: LoadedCampaign | str | Path,
-    out: str | Path,
+    out: str | Path | None = None,
     *,
     workers: int = 1,
     scheduler: str | None = None,
     chunk: int = CHUNK,
     progress: Progress | None = None,
 ) -> Sweep:
-    """Runs every case that `out` does not hold yet, then writes cases.parquet, report.html and campaign.json.
+    """Runs every case that `out` (left out: results/NAME) does not hold yet, then writes cases.parquet, report.html and campaign.json.
 
     Raises InputError for a bad campaign, a folder that belongs to something else, or a scheduler that does not answer.
     """
@@ -58,7 +59,7 @@ def sweep(
         raise InputError(f"--chunk {chunk}: is out of range; allowed are 1 to {CHUNK_LIMIT} cases")
     if workers < 1:
         raise InputError(f"--workers {workers}: is out of range; allowed is 1 or more")
-    folder = Path(out)
+    folder = Path(out) if out is not None else default_folder(campaign)
     refuse_another(folder, campaign)
     if Store(folder, campaign).is_complete():
         return read_sweep(folder)
@@ -70,6 +71,11 @@ def sweep(
         counts = _run(store, engine, chunk, progress)
         _finish(store, name, chunk, *counts)
     return read_sweep(folder)
+
+
+def default_folder(campaign: LoadedCampaign) -> Path:
+    """results/NAME, the same whenever the same campaign is run: that is how it goes on where it stopped."""
+    return Path("results") / safe_name(campaign.spec.name or campaign.path.stem)
 
 
 def _run(store: Store, engine: engines.Engine, chunk: int, progress: Progress | None) -> tuple[int, float]:
