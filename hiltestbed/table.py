@@ -52,6 +52,7 @@ def _figures(summary: dict[str, Any]) -> Table:
     table.add_column("figure")
     table.add_column("value", justify="right")
     table.add_column("note")
+    table.add_row("outcome", summary["outcome"].replace("_", " "), _outcome_note(summary))
     cor, reference, log_error = summary["cor"], summary["cor_reference"], summary["cor_log_error"]
     table.add_row("coefficient of restitution", _number(cor, 4), _cor_note(cor, reference))
     if log_error is not None:
@@ -65,6 +66,12 @@ def _figures(summary: dict[str, Any]) -> Table:
     pace = "" if timing["real_time_factor"] is None else f"{timing['real_time_factor']:.1f} times real time"
     table.add_row("wall time", _number(timing["wall"], 3, "s"), f"{timing['ticks']} ticks, {pace}")
     return table
+
+
+def _outcome_note(summary: dict[str, Any]) -> str:
+    contacts = f"{summary['contacts']} contact" + ("" if summary["contacts"] == 1 else "s")
+    captured = summary["captured_at"]
+    return contacts if captured is None else f"{contacts}, latched at {captured:.3f} s"
 
 
 def _cor_note(cor: float | None, reference: float | None) -> str:
