@@ -108,6 +108,14 @@ class WrenchLink:
         sense_record(sub, late, s.tick, *chain.arrays(), out)
         return out
 
+    def slope(self, i: int, effects: Effects) -> Array:
+        """(N, 6) rate of the reading [N/s, N m/s]: what a late sample is worth."""
+        step = self.runs[i].scenario.tick / 2.0
+        if self.runs[i].scenario.sensor.delay < step:
+            return np.gradient(self.predict(i, effects), 2.0 * step, axis=0)
+        early, late = (self.predict(i, [*effects, ("log.skew", {"delay": d})]) for d in (-step, step))
+        return (early - late) / (2.0 * step)
+
     def doubt(self, i: int, effects: Effects) -> Array:
         """(N, 6) how far a reading hangs on what lies between two instants of the physics: large where a touch does."""
         s = self.runs[i].scenario

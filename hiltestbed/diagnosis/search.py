@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
 from hiltestbed.diagnosis.adequacy import Leftover, leftover, soften
 from hiltestbed.diagnosis.candidates import Candidate
@@ -45,6 +46,7 @@ class Explanation:
     rivals: list[list[Fit]] = field(default_factory=list)
 
 
+JITTER = "sensor.jitter"
 Judge = Callable[[Residual, Effects], dict[str, Leftover]]
 
 
@@ -58,7 +60,11 @@ def contact_leftovers(residual: Residual, effects: Effects) -> dict[str, Leftove
         prediction = link.predict(i, [*residual.base, *effects])
         weight = residual.weight[i]
         sigma = np.where(weight > 0, 1.0 / np.where(weight > 0, weight, 1.0), np.inf)
-        z = (residual.measured[i] - prediction) / (soften(sigma, prediction) if link.name == "wrench" else sigma)
+        if link.name == "wrench":
+            sigma = soften(sigma, prediction)
+            shake = sum(p["sigma"] for kind, p in effects if kind == "sensor.jitter")
+            sigma = np.hypot(sigma, shake * link.slope(i, [*residual.base, *effects])) if shake else sigma
+        z = (residual.measured[i] - prediction) / sigma
         for c in range(len(link.channels)):
             counted = weight[:, c] > 0
             inside[c].append(z[run.touching & counted, c])
@@ -75,15 +81,13 @@ def search(residual: Residual, candidates: Sequence[Candidate], judge: Judge = c
            progress: Callable[[str], None] | None = None, most: int = 2) -> Explanation:  # fmt: skip
     """The explanation of a link; `most` causes at a time."""
     residual.beware(())
-    r0 = residual(())
-    null = Fit((), np.zeros(0), square(r0), r0, np.zeros((len(r0), 0)), np.zeros(0))
+    null = null_fit(residual)
     before = judge(residual, ())
     singles = _extend(residual, null, candidates, progress, special)
     adequate_null = all(left.noise for left in before.values())
     if singles and residual.beware(singles[0].effects()):
-        r0 = residual(())
-        null = replace(null, chi2=square(r0), residual=r0)
-        singles = [refit(residual, f) for f in _distinct(singles)[:BEAM]] + [f for f in singles if f not in _distinct(singles)[:BEAM]]
+        null = null_fit(residual)
+        singles = [again(residual, f) for f in _distinct(singles)[:BEAM]]
         singles.sort(key=lambda f: f.score)
         before = judge(residual, ())
     best = singles[0] if singles else null
@@ -101,8 +105,8 @@ def search(residual: Residual, candidates: Sequence[Candidate], judge: Judge = c
         pairs = _unique(pairs)
         need = (PAYS if adequate else PAYS_INADEQUATE) * inflation(pairs[0]) if pairs else math.inf
         if pairs and residual.beware(pairs[0].effects()):
-            pairs = sorted([refit(residual, f) for f in pairs[:PARTNERS]], key=lambda f: f.score)
-            chosen = refit(residual, chosen) if chosen.causes else chosen
+            pairs = sorted([again(residual, f) for f in pairs[:PARTNERS]], key=lambda f: f.score)
+            chosen = again(residual, chosen) if chosen.causes else chosen
         if pairs and chosen.score - pairs[0].score > need:
             left = judge(residual, pairs[0].effects())
             chosen, leftovers = pairs[0], left
@@ -113,15 +117,55 @@ def search(residual: Residual, candidates: Sequence[Candidate], judge: Judge = c
     return found
 
 
+def again(residual: Residual, f: Fit) -> Fit:
+    """The same hypothesis under the weights as they are now."""
+    if f.causes[-1].effect != JITTER:
+        return refit(residual, f)
+    rest = replace(f, causes=f.causes[:-1], theta=f.theta[:-1])
+    base = refit(residual, rest) if rest.causes else null_fit(residual)
+    return jitter_beside(residual, base) or f
+
+
+def null_fit(residual: Residual) -> Fit:
+    """Nothing departs."""
+    r = residual(())
+    return Fit((), np.zeros(0), square(r), r, np.zeros((len(r), 0)), np.zeros(0))
+
+
+def jitter_beside(residual: Residual, base: Fit) -> Fit | None:
+    """A delay that varies from sample to sample beside `base`: noise in proportion to the rate of the reading, by likelihood."""
+    link, effects = residual.link, base.effects()
+    if JITTER in {c.effect for c in base.causes}:
+        return None
+    worth = np.concatenate([(link.slope(i, [*residual.base, *effects]) * residual.weight[i]).ravel() for i in residual.runs])
+    cause = Candidate(JITTER, ("sigma",), np.array([0.0]), np.array([0.02]), np.array([False]), ((0.0,),))
+
+    def cost(sigma: float) -> float:
+        s2 = 1.0 + (sigma * worth) ** 2
+        return float(np.sum(base.residual**2 / s2 + np.log(s2)))
+
+    sigmas = np.geomspace(1e-6, 0.02, 40)
+    costs = [cost(s) for s in sigmas]
+    at = int(np.argmin(costs))
+    found = minimize_scalar(cost, bounds=(sigmas[max(at - 1, 0)], sigmas[min(at + 1, 39)]), method="bounded", options={"xatol": 1e-9})
+    if found.fun > base.chi2 - WORTH_A_FIT:
+        return None
+    spread = np.sqrt(1.0 + (found.x * worth) ** 2)
+    return Fit((*base.causes, cause), np.append(base.theta, found.x), float(found.fun), base.residual / spread,
+               np.column_stack([base.jacobian, np.zeros(len(spread))]), np.append(base.scale, found.x))  # fmt: skip
+
+
 def inflation(fit_: Fit) -> float:
     """Misfit of the best hypothesis in units of the noise: differences of chi-square count by it."""
-    return max(1.0, fit_.chi2 / max(1, np.count_nonzero(fit_.residual)))
+    return max(1.0, square(fit_.residual) / max(1, np.count_nonzero(fit_.residual)))
 
 
 def _extend(residual: Residual, base: Fit, candidates: Sequence[Candidate], progress: Callable[[str], None] | None,
             special: Sequence[Callable], most: int = 40) -> list[Fit]:  # fmt: skip
     """Fits of base with one more cause, best first."""
     taken = {c.effect for c in base.causes}
+    if JITTER in taken:  # its likelihood is not a sum of squares: it is added to others, not they to it
+        return []
     basis = _orthonormal(base.jacobian)
     rated = []
     for c in candidates:

@@ -1,0 +1,258 @@
+"""From a measured dataset to an explanation of each link, in the order in which one link's finding helps the next."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.signal import savgol_coeffs, savgol_filter
+
+from hiltestbed.compensation.phase_lead import lead_and_lag
+from hiltestbed.diagnosis.adequacy import Leftover
+from hiltestbed.diagnosis.candidates import (
+    Candidate,
+    compensation_candidates,
+    contact_candidates,
+    dynamics_candidates,
+    platform_candidates,
+    sensor_candidates,
+    skew_candidate,
+)
+from hiltestbed.diagnosis.chain import lead_record
+from hiltestbed.diagnosis.fit import Residual, fit
+from hiltestbed.diagnosis.links import Effects, WrenchLink
+from hiltestbed.diagnosis.search import Explanation, jitter_beside, search
+from hiltestbed.diagnosis.study import CORRELATED, DYNAMICS_FLOOR, Study, make_study, wrench_link
+from hiltestbed.frames import Array
+from hiltestbed.measured import MeasuredDataset
+
+SMOOTH = 31  # rows of the Savitzky-Golay filter, order 3, where only a noisy pose is left to go by
+TONE = 30.0  # power of a line over that of the noise, from which it is tried as a hum
+RELATIVE = 0.01  # of the departure of a computed channel that an explanation may leave
+LEAD_NOISE = 1.7  # times the led noise, up to which a residual of the compensation may be noise of the record
+
+Progress = Callable[[str], None]
+
+
+@dataclass
+class Findings:
+    """What was found, link by link.
+
+    Attributes:
+        study: the data as laid out. explanations: link to its explanation. residuals: link to what was fitted.
+        wrench: contact and sensor on whole runs, or None. path_effects: the platform's effects that the contact was replayed through.
+        base: effects that the wrench link was given from the compensation's (log.skew).
+        missing: link to why it could not be replayed.
+    """
+
+    study: Study
+    explanations: dict[str, Explanation] = field(default_factory=dict)
+    residuals: dict[str, Residual] = field(default_factory=dict)
+    base: list = field(default_factory=list)
+    missing: dict[str, str] = field(default_factory=dict)
+
+
+def investigate(dataset: MeasuredDataset, progress: Progress | None = None) -> Findings:
+    """Explain every link that the dataset's channels allow."""
+    study = make_study(dataset)
+    out = Findings(study)
+    for name, ends in (("platform", "pose_cmd, pose_act"), ("compensation", "wrench_meas, wrench_comp"), ("dynamics", "wrench_comp, pose_cmd")):
+        if name not in study.links:
+            out.missing[name] = f"needs {ends} in every run"
+    s = study.scales
+    if "platform" in study.links:
+        _explain(out, "platform", platform_candidates(s, study.runs[0].scenario.substeps), progress)
+    if "compensation" in study.links:
+        residual = Residual(study.links["compensation"])
+        judge = _compensation_judge(study)
+        out.explanations["compensation"] = search(residual, compensation_candidates(s), judge, progress=_named(progress, "compensation"))
+        out.residuals["compensation"] = residual
+    _investigate_wrench(out, progress)
+    if "dynamics" in study.links:
+        residual = Residual(study.links["dynamics"])
+        out.explanations["dynamics"] = search(residual, dynamics_candidates(), _dynamics_judge(residual), progress=_named(progress, "dynamics"))
+        out.residuals["dynamics"] = residual
+    return out
+
+
+def _explain(out: Findings, name: str, candidates: list[Candidate], progress: Progress | None) -> None:
+    residual = Residual(out.study.links[name])
+    out.explanations[name] = search(residual, candidates, progress=_named(progress, name))
+    out.residuals[name] = residual
+
+
+def _named(progress: Progress | None, link: str) -> Progress | None:
+    return (lambda text: progress(f"{link}: {text}")) if progress else None
+
+
+def _investigate_wrench(out: Findings, progress: Progress | None) -> None:
+    study = out.study
+    runs = study.runs
+    reason = _no_wrench(study)
+    if reason:
+        out.missing["wrench"] = reason
+        return
+    link = choose_lever(study, make_wrench_link(out))
+    candidates = _wrench_candidates(study, link)
+    comp = out.explanations.get("compensation")
+    skewed = comp is not None and any(c.effect == "log.skew" for c in comp.chosen.causes)
+    if skewed:
+        found = fit(Residual(link), (skew_candidate(study.scales.tick),), skew_candidate(study.scales.tick).grid)
+        out.base = found.effects()
+    elif comp is None:
+        candidates.append(skew_candidate(runs[0].scenario.tick))
+    residual = Residual(link, out.base)
+    out.explanations["wrench"] = search(residual, candidates, special=[jitter_beside], progress=_named(progress, "contact and sensor"))
+    out.residuals["wrench"] = residual
+
+
+def _no_wrench(study: Study) -> str | None:
+    runs = study.runs
+    if not all(r.record.has("wrench_meas") for r in runs):
+        return "needs wrench_meas in every run"
+    if not all(r.record.has("pose_act") or r.record.has("pose_cmd") for r in runs):
+        return "needs pose_act or pose_cmd in every run"
+    if any(r.scenario.mechanism.kind == "probe_cone" for r in runs):
+        return "a probe in a cone is not replayed"
+    if any(r.scenario.mechanism.mount is not None for r in runs):
+        return "a compliant mount is not replayed"
+    if not any(r.survey.contacts for r in runs):
+        return "needs a contact"
+    return None
+
+
+def make_wrench_link(out: Findings, whole: bool = False) -> WrenchLink:
+    """Contact and sensor on the path through the explained platform; on the smoothed pose where the platform is not explained."""
+    study = out.study
+    platform = out.explanations.get("platform")
+    if platform is not None and platform.adequate:
+        effects = platform.chosen.effects()
+        full = study.full["platform"]
+        return wrench_link(study, lambda i: full.path(i, effects), whole)
+    clean = platform is None and not any(r.record.has("pose_act") for r in study.runs)
+    link = wrench_link(study, lambda i: _smooth_path(out, i), whole)
+    if not clean:
+        _widen(study, link)
+    return link
+
+
+def _smooth_path(out: Findings, i: int) -> Array:
+    run = out.study.runs[i]
+    if not run.record.has("pose_act"):  # the commanded pose, one row on: ideal tracking believed
+        command = run.record.filled("pose_cmd")[:, :3]
+        a = run.scenario.approach
+        return np.concatenate([[[*a.offset, -a.gap]], command[:-1]])
+    measured = run.record.filled("pose_act")[:, :3]
+    platform = out.explanations.get("platform")
+    if platform is None:
+        return savgol_filter(measured, SMOOTH, 3, axis=0)
+    near = out.study.full["platform"].path(i, platform.chosen.effects())
+    return near + savgol_filter(measured - near, SMOOTH, 3, axis=0)
+
+
+def _widen(study: Study, link: WrenchLink) -> None:
+    """Add what the noise of a smoothed pose makes of k x + c v to the noise of the readings in contact."""
+    noise = study.noise.get("pose_act.pz", 0.0)
+    for run in link.runs:
+        contact, tick = run.scenario.mechanism.contact, run.scenario.tick
+        place = float(np.linalg.norm(savgol_coeffs(SMOOTH, 3))) * noise
+        rate = float(np.linalg.norm(savgol_coeffs(SMOOTH, 3, deriv=1))) * noise / tick
+        extra = 2.0 * math.hypot(contact.stiffness * place, contact.damping * rate)
+        run.sigma = np.where(run.touching[:, None] & (np.arange(6) < 3), np.hypot(run.sigma, extra), run.sigma)
+
+
+def choose_lever(study: Study, link: WrenchLink) -> WrenchLink:
+    """Where between tip and surface the force acts: the reading of the geometry that the torques bear out."""
+    if all(r.scenario.mechanism.contact.friction == 0.0 for r in study.runs):
+        return link
+    costs = {}
+    for lever in (0.5, 0.0, 1.0):
+        link.lever = lever
+        r = Residual(link)(())
+        costs[lever] = float(np.sum(np.minimum(r * r, 100.0)))
+    link.lever = min(costs, key=lambda key: costs[key])
+    return link
+
+
+def _wrench_candidates(study: Study, link: WrenchLink) -> list[Candidate]:
+    first = study.runs[0].scenario
+    lateral = any(any(r.scenario.approach.velocity[:2]) for r in study.runs)
+    contact = contact_candidates(study.scales, first.mechanism.kind == "latched", lateral or first.mechanism.contact.friction > 0)
+    return contact + sensor_candidates(study.scales, tones(link))
+
+
+def tones(link: WrenchLink) -> dict[str, tuple[float, float, float]]:
+    """Axis to the strongest line [Hz, N, rad] of the readings outside contacts, where it stands out of the noise."""
+    size = 1 << 15
+    total = np.zeros((3, size // 2 + 1), dtype=complex)
+    count, tick = 0, link.runs[0].scenario.tick
+    level = np.ones(3)
+    for i, run in enumerate(link.runs):
+        free = ~run.touching & np.isfinite(run.sigma[:, :3]).all(axis=1)
+        r = np.where(free[:, None], np.nan_to_num(run.measured[:, :3]) - link.predict(i, ())[:, :3], 0.0)
+        r -= np.where(free[:, None], r[free].mean(axis=0) if free.any() else 0.0, 0.0)
+        total += np.fft.rfft(r, size, axis=0).T
+        count += int(free.sum())
+        level = np.min(np.where(np.isfinite(run.sigma[:, :3]), run.sigma[:, :3], 1e9), axis=0)
+    if count < 50:
+        return {}
+    frequencies = np.fft.rfftfreq(size, tick)
+    total[:, frequencies < 0.7] = 0.0
+    out, sums = {}, {}
+    for j, axis in enumerate("xyz"):
+        at = int(np.argmax(np.abs(total[j])))
+        if abs(total[j, at]) ** 2 > TONE * count * level[j] ** 2:
+            line = total[j, at]
+            sums[axis] = (float(frequencies[at]), 2.0 * abs(line) / count, float(np.angle(line) + math.pi / 2.0))
+    out.update(sums)
+    if len(sums) > 1:
+        out["all"] = sums.get("z", next(iter(sums.values())))
+    return out
+
+
+def _compensation_judge(study: Study) -> Callable:
+    """Computed, not measured: the residual is nothing, or noise of the record seen through the lead, no larger in contact than out of it."""
+    run = study.runs[0].scenario
+    impulse = np.zeros((400, 6))
+    impulse[0] = 1.0
+    led = np.empty_like(impulse)
+    gain = 1.0
+    if run.compensation.force.kind == "phase_lead":
+        lead_record(impulse, *lead_and_lag(run), run.tick, led)
+        gain = float(np.linalg.norm(led[:, 0]))
+
+    def judge(residual: Residual, effects: Effects) -> dict[str, Leftover]:
+        out = {}
+        z = [residual.of_run(i, effects) for i in residual.runs]
+        for c, name in enumerate(residual.link.channels):
+            level = residual.link.runs[residual.runs[0]].sigma[0, c]
+            inside = np.concatenate([r[residual.link.runs[i].touching, c] for i, r in zip(residual.runs, z, strict=True)])
+            outside = np.concatenate([r[~residual.link.runs[i].touching, c] for i, r in zip(residual.runs, z, strict=True)])
+            rms_in, rms_out = (float(np.sqrt(np.mean(x * x))) * level if len(x) else 0.0 for x in (inside, outside))
+            noise = study.noise.get(name.replace("comp", "meas"), 0.0)
+            floor = max(level / math.sqrt(CORRELATED), min(rms_out, LEAD_NOISE * gain * noise))
+            out[name] = Leftover((max(rms_in, rms_out) / floor) ** 2, 0.0, 1.3, 1.0, len(inside))
+        return out
+
+    return judge
+
+
+def _dynamics_judge(residual: Residual) -> Callable:
+    """Computed: nothing but what integrators may differ by, or a hundredth of the departure that was explained."""
+    departures = _rms(residual, ())
+
+    def judge(_: Residual, effects: Effects) -> dict[str, Leftover]:
+        out = {}
+        for name, rms, departure in zip(residual.link.channels, _rms(residual, effects), departures, strict=True):
+            allowed = max(DYNAMICS_FLOOR, RELATIVE * departure if effects else 0.0)
+            out[name] = Leftover((rms / allowed) ** 2, 0.0, 1.0, 1.0, len(residual.runs))
+        return out
+
+    return judge
+
+
+def _rms(residual: Residual, effects: Effects) -> list[float]:
+    z = np.concatenate([residual.of_run(i, effects) for i in residual.runs])
+    return [float(v) * DYNAMICS_FLOOR * math.sqrt(CORRELATED) for v in np.sqrt(np.mean(z * z, axis=0))]
