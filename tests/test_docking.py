@@ -78,3 +78,10 @@ def test_a_ring_down_gives_stiffness_and_damping_of_all_six_axes() -> None:
     for axis, found in result.summary["identification"].items():
         assert found["stiffness"] == pytest.approx(found["stiffness_true"], rel=1e-2), axis
         assert found["damping"] == pytest.approx(found["damping_true"], rel=5e-2), axis
+
+
+@pytest.mark.parametrize("path", sorted((SCENARIOS / "envelope").glob("*.yaml")), ids=lambda p: p.stem)
+def test_the_edges_of_the_envelope(path: Path) -> None:
+    """Each edge alone ends in a capture; all of them at once do not."""
+    outcome = simulate([load_scenario(path, set={"duration": 4.0})]).outcomes[0]["outcome"]
+    assert outcome == ("rebound" if path.stem == "all-at-once" else "captured")
