@@ -95,7 +95,7 @@ class NineAxes:
         self._was_home[:] = ~self.upper.away
         self._slope[self._was_home] = twist[self._was_home]
         self.lower.reset(self._before, self._slope)
-        self.pose_act[:], self.twist_act[:] = pose, twist
+        relate(self.lower.pose_act, self.lower.twist_act, self.upper.pose, self.upper.twist, self.pose_act, self.twist_act)
         self.wrench_sub[:] = self.lower.wrench_sub
 
     def advance(self, pose_cmd: Array, twist_cmd: Array, accel_cmd: Array) -> None:

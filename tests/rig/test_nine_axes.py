@@ -1,0 +1,201 @@
+"""Both platforms together: one relative pose, a sensor that forgets its payload, and docking as if there were no upper platform."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from hiltestbed.errors import InputError
+from hiltestbed.frames import Array
+from hiltestbed.rig import Plant
+from hiltestbed.rig.dynamics import GRAVITY
+from hiltestbed.rig.nine_axes import NineAxes
+from hiltestbed.rig.payload import carry
+from hiltestbed.scenario import Scenario, scenario_from
+from hiltestbed.simulation import run
+from tests.rig.rigs import scenario
+
+
+def nine_axes(tracking: str = "servo", upper: str = "servo", **keys: Any) -> Scenario:
+    data = scenario(tracking).model_dump(mode="json")
+    data["rig"]["upper"] = {"kind": "prs3", "tracking": upper}
+    for key, value in keys.items():
+        data[key] = data[key] | value if isinstance(value, dict) else value
+    return scenario_from(data)
+
+
+def relative(t: Array, middle: float = 1.0) -> tuple[Array, Array, Array]:
+    """A relative motion that shakes the upper platform: poses (t, 7), twists (t, 6) of the ticks, accelerations (t, 6).
+
+    Heave 0.2 m at 0.35 Hz, 0.97 m/s^2; tilts of 1.5 deg at 0.5 Hz, 0.26 rad/s^2.
+    """
+    h = t[1] - t[0]
+    gap = middle + 0.2 * np.sin(2.2 * t)
+    tilt = np.radians(1.5) * np.column_stack([np.sin(np.pi * t), np.cos(np.pi * t), np.zeros_like(t)])
+    turn = Rotation.from_rotvec(tilt)
+    pose = np.column_stack([0.02 * np.sin(t), 0.0 * t, -gap, turn.as_quat()])
+    twist = np.zeros((len(t), 6))
+    twist[1:, :3] = np.diff(pose[:, :3], axis=0) / h
+    twist[1:, 3:] = (turn[1:] * turn[:-1].inv()).as_rotvec() / h
+    accel = np.zeros((len(t), 6))
+    accel[2:] = np.diff(twist[1:], axis=0) / h
+    twist[0] = 2.0 * twist[1] - twist[2]
+    return pose, twist, accel
+
+
+def shaken(plant: Plant, seconds: float = 3.0, middle: float = 1.0) -> dict[str, Array]:
+    """What a plant gives on that motion: the reached pose less the one commanded, and the wrench at every instant."""
+    t = np.arange(0.0, seconds, 1.0 / 2000.0)
+    pose, twist, accel = relative(t, middle)
+    n = len(plant.pose_act)
+    plant.reset(np.repeat(pose[:1], n, axis=0), np.repeat(twist[:1], n, axis=0))
+    out: dict[str, list[Array]] = {"error": [], "wrench": [], "pose_W": []}
+    for k in range(1, len(t)):
+        plant.advance(*(np.repeat(a[k : k + 1], n, axis=0) for a in (pose, twist, accel)))
+        out["error"].append(plant.pose_act[0] - pose[k])
+        out["wrench"].append(plant.wrench_sub[0].copy())
+        out["pose_W"].append(plant.pose_W[0].copy())
+    return {name: np.array(rows) for name, rows in out.items()}
+
+
+def test_what_moves_a_load_is_what_its_momentum_takes() -> None:
+    """f = d(m v_c)/dt + m g, and about P's origin t = d(R I R^T omega)/dt + r x f, by differences of an analytic motion."""
+    mass, com, inertia = 120.0, np.array([0.03, -0.02, 0.3]), np.array([[8.0, 0.3, -0.2], [0.3, 9.0, 0.1], [-0.2, 0.1, 10.0]])
+    e, times = 1e-4, np.array([-2.0, -1.0, 0.0, 1.0, 2.0])
+
+    def attitude(t: Array) -> Rotation:
+        return Rotation.from_rotvec(np.column_stack([0.3 * np.sin(2.0 * t), 0.2 * np.cos(3.0 * t), 0.1 * t]))
+
+    def origin(t: Array) -> Array:
+        return np.column_stack([0.1 * np.sin(3.0 * t), 0.2 * t**2, 0.3 * np.cos(2.0 * t)])
+
+    t = 0.7 + e * times
+    turn = attitude(t)
+    spin = (turn[1:] * turn[:-1].inv()).as_rotvec() / e  # in the middle of the steps
+    middle = attitude(0.5 * (t[1:] + t[:-1])).as_matrix()
+    momentum = np.einsum("kij,kj->ki", middle @ inertia @ middle.swapaxes(1, 2), spin)
+    centre = origin(t) + turn.apply(com)
+    force = mass * ((centre[3] - 2.0 * centre[2] + centre[1]) / e**2 + [0.0, 0.0, GRAVITY])
+    torque = (momentum[2] - momentum[1]) / e + np.cross(turn[2].apply(com), force)
+    accel = np.concatenate([(origin(t)[3] - 2.0 * origin(t)[2] + origin(t)[1]) / e**2, (spin[2] - spin[1]) / e])
+    wrench = np.empty(6)
+    load = np.concatenate([[mass], com, inertia.ravel()])
+    carry(load, turn[2].as_quat(), 0.5 * (spin[1] + spin[2]), accel, wrench)
+    np.testing.assert_allclose(wrench, np.concatenate([force, torque]), rtol=1e-4, atol=1e-3)
+
+
+def test_the_sensor_loses_weight_and_inertia_of_its_payload() -> None:
+    """120 kg shaken by 1 m/s^2 and 0.3 rad/s^2 (inertia 116 N, and 31 N across through the tilt): less than 0.05 % of the weight is left."""
+    plant = Plant([nine_axes()])
+    wrench = shaken(plant)["wrench"].reshape(-1, 6)
+    tracking = plant._tracking
+    assert isinstance(tracking, NineAxes)
+    assert tracking.upper.drives is not None
+    weight = tracking.upper.drives.payload[0] * GRAVITY
+    assert weight == pytest.approx(120.0 * GRAVITY)
+    assert np.linalg.norm(wrench[:, :3], axis=1).max() < 5e-4 * weight
+    assert np.linalg.norm(wrench[:, 3:], axis=1).max() < 5e-4 * weight * 0.30  # over the lever of its centre of mass
+    heavier = tracking.upper.drives.payload
+    heavier[0] *= 1.01  # believed 1 % heavier than it is: 1 % of weight and inertia is left, and nothing hides it
+    left = np.linalg.norm(shaken(plant, 0.2)["wrench"].reshape(-1, 6)[:, :3], axis=1)
+    assert left.max() == pytest.approx(0.01 * weight, rel=0.15)
+
+
+@pytest.mark.parametrize(("tracking", "upper", "most"), [("ideal", "ideal", 1e-12), ("servo", "servo", 1e-5)])
+def test_both_platforms_realise_the_relative_pose(tracking: str, upper: str, most: float) -> None:
+    result = shaken(Plant([nine_axes(tracking, upper)]))
+    assert np.abs(result["error"]).max() < most
+    assert np.abs(result["pose_W"][:, :3]).max() < 0.25  # while the ports are 0.8 to 1.2 m apart
+
+
+def test_coming_home_and_leaving_again_leaves_no_step() -> None:
+    """The gap swings from 0.05 m, where the upper platform is clamped, to 0.45 m: the reached pose has no jump beyond 2 um."""
+    result = shaken(Plant([nine_axes()]), 6.0, middle=0.25)
+    assert np.abs(result["error"]).max() < 1e-5
+    assert np.abs(np.diff(result["error"], axis=0)).max() < 2e-6
+    assert np.linalg.norm(result["wrench"].reshape(-1, 6)[:, :3], axis=1).max() < 5e-4 * 120.0 * GRAVITY
+
+
+@pytest.mark.parametrize("tracking", ["ideal", "servo"])
+def test_docking_is_what_it_is_without_an_upper_platform_bit_for_bit(tracking: str) -> None:
+    approach = {"gap": 0.01, "velocity": [0.003, 0.0, 0.03], "attitude_deg": [2.0, -1.0, 3.0]}
+    with_upper = run(nine_axes(tracking, approach=approach, duration=0.8)).trace
+    data = nine_axes(tracking, approach=approach, duration=0.8).model_dump(mode="json")
+    data["rig"]["upper"] = {"kind": "fixed"}
+    without = run(scenario_from(data)).trace
+    assert with_upper is not None
+    assert without is not None
+    assert without.contact.any()
+    for name in ("pose_act", "twist_act", "wrench_true", "pose_cmd", "slider_act"):
+        assert np.array_equal(with_upper[name], without[name])
+
+
+def test_a_run_alone_is_the_run_in_a_batch_bit_for_bit() -> None:
+    """One far away, one near, so that some upper platforms are stepped and others clamped."""
+    runs = [nine_axes(approach={"gap": gap, "velocity": [0.0, 0.0, 0.2]}) for gap in (0.5, 0.10, 0.05)]
+    together, alone = Plant(runs, nthread=2), [Plant([s]) for s in runs]
+    start = np.array([[0.0, 0.0, -s.approach.gap, 0.0, 0.0, 0.0, 1.0] for s in runs])
+    twist, still = np.tile([0.0, 0.0, 0.2, 0.0, 0.0, 0.0], (3, 1)), np.zeros((3, 6))
+    together.reset(start, twist)
+    for i, plant in enumerate(alone):
+        plant.reset(start[i : i + 1], twist[:1])
+    for k in range(1, 500):
+        goal = start.copy()
+        goal[:, 2] += 0.2 * k / 2000.0
+        together.advance(goal, twist, still)
+        for i, plant in enumerate(alone):
+            plant.advance(goal[i : i + 1], twist[:1], still[:1])
+    for i, plant in enumerate(alone):
+        assert np.array_equal(together.pose_act[i], plant.pose_act[0])
+        assert np.array_equal(together.wrench_sub[i], plant.wrench_sub[0])
+
+
+@pytest.mark.parametrize("tracking", ["ideal", "servo"])
+def test_the_state_between_two_ticks_is_all_of_it(tracking: str) -> None:
+    s = nine_axes(tracking)
+    first, second = Plant([s]), Plant([s])
+    shaken(first, 0.3)
+    shaken(second, 0.1)
+    for name, array in second.buffers().items():
+        array[...] = first.buffers()[name]
+    pose, twist, accel = relative(np.arange(0.2, 0.5, 1.0 / 2000.0))
+    for k in range(200, 260):
+        for plant in (first, second):
+            plant.advance(pose[k : k + 1], twist[k : k + 1], accel[k : k + 1])
+        assert np.array_equal(first.pose_act, second.pose_act)
+        assert np.array_equal(first.wrench_sub, second.wrench_sub)
+
+
+def test_the_upper_platform_is_clamped_when_the_ports_touch() -> None:
+    """From 0.4 m at 0.4 m/s: what the sensor reads in contact is the contact's, k x + c v of the pose reached."""
+    s = nine_axes(approach={"gap": 0.4, "velocity": [0.0, 0.0, 0.4]}, duration=1.2)
+    trace = run(s).trace
+    assert trace is not None
+    touch = trace.contact & (trace["pose_act"][:, 2] > 1e-4)
+    law = s.mechanism.contact.stiffness * trace["pose_act"][touch, 2] + s.mechanism.contact.damping * trace["twist_act"][touch, 2]
+    np.testing.assert_allclose(trace["wrench_true"][touch, 2], np.maximum(law, 0.0), atol=0.5, rtol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("keys", "message"),
+    [
+        ({"approach": {"gap": 2.2}}, "0 to 2.08 m"),
+        ({"approach": {"gap": 1.0, "velocity": [0.0, 0.0, 0.6]}}, "comes to rest before the touch"),
+        ({"approach": {"gap": 2.0, "attitude_deg": [4.0, 4.0, 0.0], "offset": [0.2, 0.2]}}, "outside the workspace"),
+        ({"effects": [{"kind": "platform.delay", "delay": 0.01}]}, "without an upper platform"),
+    ],
+)
+def test_a_start_that_the_nine_axes_cannot_hold_is_refused(keys: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        nine_axes(**keys)
+
+
+def test_without_the_upper_platform_two_metres_are_refused_and_with_it_they_are_not() -> None:
+    assert nine_axes(approach={"gap": 2.0}).approach.gap == 2.0
+    data = nine_axes(approach={"gap": 2.0}).model_dump(mode="json")
+    data["rig"]["upper"]["kind"] = "fixed"
+    with pytest.raises(InputError, match="outside the workspace"):
+        scenario_from(data)
