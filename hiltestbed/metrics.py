@@ -106,7 +106,12 @@ class Tally:
 
     def parted(self, alive: NDArray[np.bool_]) -> bool:
         """Whether the rebound speed of every run in ``alive`` ``(n,)`` is known."""
-        return not np.isnan(self._speeds[alive, 1]).any()
+        return bool(self.rebounded[alive].all())
+
+    @property
+    def rebounded(self) -> NDArray[np.bool_]:
+        """``(n,)`` runs whose rebound speed is known."""
+        return ~np.isnan(self._speeds[:, 1])
 
     def figures(self, i: int) -> ContactFigures:
         """The figures of run ``i``."""
