@@ -90,16 +90,7 @@ def _scene(name: str, origin: str, eye: Point, target: Point, hidden: Sequence[s
 
 def _signals(facts: Facts) -> rrb.Tabs:
     return rrb.Tabs(
-        rrb.Vertical(
-            _plot(facts, "position_mm/z", "Insertion, z [mm]"),
-            _plot(facts, "force/z", "Contact force, z [N]"),
-            _phases(facts),
-            _plot(facts, "stiffness/z", "Stiffness, z [N/m]", _range(facts, "stiffness")),
-            _plot(facts, "damping/z", "Damping, z [N s/m]", _range(facts, "damping")),
-            _plot(facts, "energy_generated", "Energy made by the rig [J]"),
-            row_shares=[1.0, 1.25, 0.6, 0.9, 0.9, 0.9],
-            name="Contact",
-        ),
+        _contact(facts),
         _six(facts, "Pose", ("position_mm", "Position", "mm"), ("attitude_deg", "Attitude", "deg")),
         _six(facts, "Wrench", ("force", "Force", "N"), ("torque", "Torque", "N m")),
         _estimates(facts),
@@ -110,6 +101,26 @@ def _signals(facts: Facts) -> rrb.Tabs:
         ),
         rrb.TextDocumentView(name="Figures", origin="figures"),
         active_tab=0,
+    )
+
+
+def _contact(facts: Facts) -> rrb.Vertical:
+    """The axis of insertion; with its stiffness and damping where these have a true value, else with the forces across it."""
+    if facts.run.summary["identification"]["z"]["stiffness_true"] is not None:
+        between = [
+            _plot(facts, "stiffness/z", "Stiffness, z [N/m]", _range(facts, "stiffness")),
+            _plot(facts, "damping/z", "Damping, z [N s/m]", _range(facts, "damping")),
+        ]
+    else:
+        between = [_plot(facts, f"force/{axis}", f"Contact force, {axis} [N]") for axis in "xy"]
+    return rrb.Vertical(
+        _plot(facts, "position_mm/z", "Insertion, z [mm]"),
+        _plot(facts, "force/z", "Contact force, z [N]"),
+        _phases(facts),
+        *between,
+        _plot(facts, "energy_generated", "Energy made by the rig [J]"),
+        row_shares=[1.0, 1.25, 0.6, 0.9, 0.9, 0.9],
+        name="Contact",
     )
 
 
