@@ -25,10 +25,22 @@ from hiltestbed.bench.independent_rig.facility import Facility, draw_facility
 from hiltestbed.bench.independent_rig.foreign import FOREIGN
 from hiltestbed.bench.independent_rig.hidden import EFFECTS
 from hiltestbed.bench.independent_rig.rig import nominal_rig, overridden
-from hiltestbed.bench.independent_rig.sets import HiddenSet, draw_noise, draw_set, generate, link_of, strength, with_effect, write_set
+from hiltestbed.bench.independent_rig.sets import (
+    HiddenSet,
+    draw_effects,
+    draw_noise,
+    draw_set,
+    generate,
+    link_of,
+    strength,
+    with_effect,
+    write_set,
+)
 from hiltestbed.bench.independent_rig.sizes import SIZES, alike
 
 __all__ = [
-    "EFFECTS", "FOREIGN", "SIZES", "Facility", "HiddenSet", "Noise", "Records", "Rig", "alike", "draw_facility", "draw_noise",
-    "draw_set", "generate", "link_of", "nominal_rig", "overridden", "silence", "simulate", "strength", "with_effect", "write_set",
+    "EFFECTS", "FOREIGN", "SIZES",
+    "Facility", "HiddenSet", "Noise", "Records", "Rig",
+    "alike", "draw_effects", "draw_facility", "draw_noise", "draw_set", "generate", "link_of", "nominal_rig", "overridden",
+    "silence", "simulate", "strength", "with_effect", "write_set",
 ]  # fmt: skip

@@ -40,7 +40,7 @@ class Contact(NamedTuple):
     play: float = 0.0  # whole
     frame_stiffness: float = 0.0
     lever: float = 1.0  # where along the penetration the force acts: 1 at the tip, 0 at the undeformed surface
-    frame_rate: bool = False  # whether the statically giving frame also lowers the rate of the contact
+    frame_rate: float = 0.0  # a frame that gives lowers the rate of the contact by the part of the stiffness, to this power
     mode_w: float = 0.0
     mode_zeta: float = 0.0
     mode_mass: float = 0.0
@@ -64,46 +64,48 @@ def penetration(law, p):
 
 @njit(cache=True)
 def _law(law, x, v, branch, age):
-    """Force [N] at penetration x [m] and rate v [m/s] of a spring that does not give."""
-    if x == 0.0 or (x < 0.0 and not law.latched):
-        return 0.0
-    k = law.stiffness * (1.0 + law.ageing * age) * (1.0 + law.speeding * abs(v))
-    elastic = k * x
+    """Force [N] in touch at penetration x [m] of the spring and rate v [m/s]."""
+    side = -1.0 if law.latched and x < 0.0 else 1.0
+    elastic = law.stiffness * (1.0 + law.ageing * age) * (1.0 + law.speeding * abs(v)) * x
     if law.exponent > 0.0:
-        elastic = math.copysign(law.power * abs(x) ** law.exponent, x)
-    if v * x < 0.0:
+        elastic = side * law.power * max(side * x, 0.0) ** law.exponent
+    if v * side < 0.0:
         elastic *= 1.0 - law.unloading
     force = elastic * (1.0 + law.hunt * v) if law.hunt >= 0.0 else elastic + law.damping * v
-    force += law.dry * math.tanh(v / REVERSAL) + math.copysign(law.preload, x) + branch
+    force += law.dry * math.tanh(v / REVERSAL) + side * law.preload + branch
     if law.stop_stiffness > 0.0 and x > law.stop_at:
         force += law.stop_stiffness * (x - law.stop_at)
     if law.ripple > 0.0:
         force += law.ripple * math.sin(2.0 * math.pi * x / law.ripple_period)
-    return force if law.latched else max(force, -law.adhesion)
+    return force
 
 
 @njit(cache=True)
-def force_on(law, x, v, state):
-    """Normal force [N]: with a frame that gives, the root of F = law(x - F/K)."""
-    if law.mode_w > 0.0:
-        return _law(law, x - state[FRAME], v - state[FRAME_V], state[BRANCH], state[AGE])
-    if law.frame_stiffness == 0.0:
-        return _law(law, x, v, state[BRANCH], state[AGE])
+def _series(law, x, v, branch, age):
+    """Force of the contact and the giving frame in series: the root of F = law(x - F/K)."""
     soft = 1.0 / law.frame_stiffness
-    rate = v / (1.0 + law.stiffness * soft) if law.frame_rate else v
-    low, high = 0.0, 0.0
-    rigid = _law(law, x, rate, state[BRANCH], state[AGE])
-    if rigid >= 0.0:
-        high = rigid
-    else:
-        low = rigid
-    for _ in range(60):
+    rate = v * (1.0 + law.stiffness * soft) ** -law.frame_rate
+    low = high = _law(law, x, rate, branch, age)
+    low, high = min(low, 0.0), max(high, 0.0)
+    for _ in range(60):  # the law rises with x: there is one root, between none and the rigid force
         mid = 0.5 * (low + high)
-        if _law(law, x - mid * soft, rate, state[BRANCH], state[AGE]) > mid:
+        if _law(law, x - mid * soft, rate, branch, age) > mid:
             low = mid
         else:
             high = mid
     return 0.5 * (low + high)
+
+
+@njit(cache=True)
+def force_on(law, x, v, state):
+    """Normal force [N] at penetration x [m] and rate v [m/s]; whether it touches is a matter of x, not of what the frame gives."""
+    if law.mode_w > 0.0:
+        x, v = x - state[FRAME], v - state[FRAME_V]
+    if x == 0.0 or (x < 0.0 and not law.latched):
+        return 0.0
+    given = law.frame_stiffness > 0.0 and law.mode_w == 0.0
+    force = _series(law, x, v, state[BRANCH], state[AGE]) if given else _law(law, x, v, state[BRANCH], state[AGE])
+    return force if law.latched else max(force, -law.adhesion)
 
 
 @njit(cache=True)

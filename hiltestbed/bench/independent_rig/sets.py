@@ -83,7 +83,7 @@ def rig_of(facility: Facility, run: int, effects: list[dict[str, Any]], variants
     return rig
 
 
-PLAIN = {"coarse": False, "quiet_zone": False, "lever": 1.0, "frame_rate": False, "mode_read": False}
+PLAIN = {"coarse": False, "quiet_zone": False, "lever": 1.0, "frame_rate": 0.0, "mode_read": False}
 
 
 def draw_variants(rng: Generator) -> dict[str, Any]:
@@ -91,11 +91,12 @@ def draw_variants(rng: Generator) -> dict[str, Any]:
 
     coarse: the platform's filters advance by semi-implicit Euler, sub-step by sub-step, not exactly. quiet_zone: noise comes after
     the dead zone and the saturation of the sensor. lever: the force acts at the tip (1) or at the undeformed surface (0).
-    frame_rate: a frame that gives also lowers the rate of the contact. mode_read: the sensor lies under the ringing mass.
+    frame_rate: a frame that gives lowers the force of spring and damper alike (0), that of the damper twice (1) or not at all (-1).
+    mode_read: the sensor lies under the ringing mass.
     """
     return {
         "coarse": bool(rng.random() < 0.5), "quiet_zone": bool(rng.random() < 0.3), "lever": float(rng.choice([0.0, 0.5, 1.0])),
-        "frame_rate": bool(rng.random() < 0.3), "mode_read": bool(rng.random() < 0.5),
+        "frame_rate": float(rng.choice([0.0, 0.0, 1.0, -1.0])), "mode_read": bool(rng.random() < 0.5),
     }  # fmt: skip
 
 
@@ -121,7 +122,7 @@ def draw_set(
     for attempt in range(200):
         chosen = names or _names(rng, kind)
         facility = draw_facility(rng, _design(rng, chosen))
-        effects = [{"kind": name, **_parameters(rng, name, facility, scale)} for name in chosen]
+        effects = draw_effects(rng, chosen, facility, scale)
         variants = dict(PLAIN) if literal else draw_variants(rng)
         strengths = [strength(facility, effects, i, variants) for i in range(len(effects))]
         if scale == 1.0 and attempt < 150 and any(s < least_strength for s in strengths):
@@ -131,6 +132,14 @@ def draw_set(
             links = [link_of(e["kind"]) for e in effects]
             return HiddenSet(kind, facility, effects, links, [round(s, 3) for s in strengths], variants, runs)
     raise RuntimeError(f"no stable set with {names or kind} at scale {scale} in 200 draws")
+
+
+def draw_effects(rng: Generator, names: tuple[str, ...], facility: Facility, scale: float = 1.0) -> list[dict[str, Any]]:
+    """The effects `names`, of the vocabulary or foreign, at moderate sizes for the facility, times `scale`."""
+    draws = [FOREIGN[name].draw if name in FOREIGN else SIZES[name] for name in names]
+    found = [draw(rng, facility, scale) for draw in draws]
+    short = [{k: float(f"{v:.4g}") if isinstance(v, float) else v for k, v in given.items()} for given in found]
+    return [{"kind": name, **given} for name, given in zip(names, short, strict=True)]
 
 
 def generate(rng: Generator, facility: Facility, effects: list[dict[str, Any]], variants: dict[str, Any]) -> list[Records]:
@@ -208,12 +217,6 @@ def _names(rng: Generator, kind: Kind) -> tuple[str, ...]:
     if kind == "single":
         return (first,)
     return (first, str(rng.choice([name for name in EFFECTS if not alike(first, name)])))
-
-
-def _parameters(rng: Generator, name: str, facility: Facility, scale: float) -> dict[str, Any]:
-    if name in FOREIGN:
-        return {k: float(f"{v:.4g}") for k, v in FOREIGN[name].draw(rng, facility, scale).items()}
-    return SIZES[name](rng, facility, scale)
 
 
 def _design(rng: Generator, names: tuple[str, ...]) -> frozenset[str]:
