@@ -21,10 +21,10 @@ def axis_truth(scenario: Scenario) -> list[Pair | None]:
     A bumper has one along z. Latches hold on all six; a mount lies behind whatever acts.
     """
     mechanism = scenario.mechanism
-    k, c = mechanism.contact.stiffness, mechanism.contact.damping
+    k, c = float(mechanism.contact.stiffness), float(mechanism.contact.damping)
     turning = LATCH_RADIUS**2
     if mechanism.kind == "latched":
-        front: list[Pair | None] = [(k, c)] * 3 + [(k * turning, c * turning)] * 3
+        front: list[Pair | None] = [*[(k, c)] * 3, *[(k * turning, c * turning)] * 3]
     else:
         front = [None, None, (k, c) if mechanism.kind == "bumper" else None, None, None, None]
     if mechanism.mount is None:
