@@ -48,6 +48,7 @@ class Batch:
     trouble: dict[int, tuple[int, str, str]]
     identification: list[dict[str, Any]]
     outcomes: list[dict[str, Any]]
+    payload: list[dict[str, float] | None]
     ticks: int
     wall: float
     trace: Trace | None = None
@@ -110,6 +111,7 @@ def simulate(
         trouble=loop.trouble,
         identification=[_identified(loop, i) for i in range(len(scenarios))],
         outcomes=[loop.outcomes.summary(i) for i in range(len(scenarios))],
+        payload=[loop.plant.payload_left(i) for i in range(len(scenarios))],
         ticks=loop.k,
         wall=wall,
         trace=rows,
@@ -180,6 +182,7 @@ def _run(batch: Batch, reference: Batch, i: int) -> Run:
         "impulse": figures.impulse,
         "tracking_error": figures.tracking_error,
         "tracking_compliance": figures.tracking_compliance,
+        "payload_left": batch.payload[i],
         **batch.outcomes[i],
         "delay_ledger": [vars(entry) for entry in ledger],
         "identification": batch.identification[i],

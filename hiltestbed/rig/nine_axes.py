@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from hiltestbed.frames import Array, pose_step, twist_between
 from hiltestbed.rig.allocation import compose
 from hiltestbed.rig.driven import ServoTracking
+from hiltestbed.rig.dynamics import GRAVITY
 from hiltestbed.rig.ideal import IdealTracking
 from hiltestbed.rig.prs3 import Upper, place
 from hiltestbed.rig.touch import relate
@@ -117,6 +118,15 @@ class NineAxes:
         if self._ideal:
             _slope_of(self._reached, self.pose_act, self.tick, upper.away, lower.twist_act, self.twist_act)
         np.add(lower.wrench_sub, upper.residual, out=self.wrench_sub)
+
+    def payload_left(self, i: int) -> dict[str, float] | None:
+        """What weight and inertia of the passive side have left in the sensor's reading of run ``i``, at most; None: not simulated."""
+        drives = self.upper.drives
+        if drives is None:
+            return None
+        weight = float(drives.payload[0] * GRAVITY)
+        force, torque = (float(v) for v in drives.left[i])
+        return {"weight": weight, "force": force, "torque": torque, "share": force / weight}
 
     def buffers(self) -> dict[str, NDArray[Any]]:
         """The state between two ticks."""

@@ -106,6 +106,10 @@ class Plant:
             raise InputError("a bumper without friction, mount or effects of the contact touches in MuJoCo's own contact")
         return self._tracking.touch
 
+    def payload_left(self, i: int) -> dict[str, float] | None:
+        """What of the passive side's weight and inertia has been left in the reading of run ``i``; None where it has not moved."""
+        return self._tracking.payload_left(i) if isinstance(self._tracking, NineAxes) else None
+
     def divergence(self, i: int) -> str:
         """Why run ``i`` diverged: which quantity, and its value."""
         return self._tracking.causes[i]

@@ -113,6 +113,7 @@ class UpperPlatform:
         self.pose[:], self.twist[:] = self.planned, self._slope
         self.residual[:] = 0.0
         if self.drives:
+            self.drives.left[:] = 0.0
             for i in range(len(pose)):
                 self.drives.settle(i, self.x[i], self.rate[i])
 

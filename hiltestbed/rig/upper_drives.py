@@ -117,11 +117,17 @@ def _push(away, plan, sub, kp, kv, adr, qpos, qvel, force):
 
 
 @njit(cache=True)
-def _take_out(away, felt, sub, reading, residual):
-    """What the sensor reads beyond its payload, as a wrench of the active side on the passive one; nothing while clamped."""
+def _take_out(away, felt, sub, reading, residual, left):
+    """What the sensor reads beyond its payload, as a wrench of the active side on the passive one; nothing while clamped.
+
+    left: (n, 2) largest force and torque so far.
+    """
     for i in range(reading.shape[0]):
+        w = residual[i, sub]
         for j in range(6):
-            residual[i, sub, j] = felt[i, sub + 1, j] - reading[i, j] if away[i] else 0.0
+            w[j] = felt[i, sub + 1, j] - reading[i, j] if away[i] else 0.0
+        left[i, 0] = max(left[i, 0], math.sqrt(w[0] ** 2 + w[1] ** 2 + w[2] ** 2))
+        left[i, 1] = max(left[i, 1], math.sqrt(w[3] ** 2 + w[4] ** 2 + w[5] ** 2))
 
 
 @njit(cache=True)
@@ -159,6 +165,7 @@ class UpperDrives:
     Attributes:
         payload: (13,) what hangs on the sensor (:func:`hiltestbed.rig.payload.load_of`).
         residual: (n, m, 6) what is left of the payload in the reading, at the m instants of the tick, in P at P's origin [N, N m].
+        left: (n, 2) its largest force [N] and torque [N m] so far.
     """
 
     def __init__(self, scenarios: Sequence[Scenario], nthread: int) -> None:
@@ -180,6 +187,7 @@ class UpperDrives:
         self._target, self._velocity = np.zeros((n, 3)), np.zeros((n, 3))
         self._plan, self._felt = np.zeros((n, first.substeps + 1, 3, 3)), np.zeros((n, first.substeps + 1, 6))
         self.residual = np.zeros((n, first.substeps, 6))
+        self.left = np.zeros((n, 2))
 
     def _constants(self, m: mujoco.MjModel) -> None:
         data = mujoco.MjData(m)
@@ -230,11 +238,11 @@ class UpperDrives:
             if going.size:
                 self.batch.step(going)
             if s > 0:  # a step's reading is that of its start
-                _take_out(away, self._felt, s - 1, self._reading, self.residual)
+                _take_out(away, self._felt, s - 1, self._reading, self.residual, self.left)
         self._push(m, away)
         if going.size:
             self.batch.forward(going)
-        _take_out(away, self._felt, m - 1, self._reading, self.residual)
+        _take_out(away, self._felt, m - 1, self._reading, self.residual, self.left)
 
     def _push(self, sub: int, away: NDArray[np.bool_]) -> None:
         _push(away, self._plan, sub, self.kp, self.kv, self._adr, self._qpos, self._qvel, self._ctrl)
@@ -254,4 +262,5 @@ class UpperDrives:
             "upper_target": self._target,
             "upper_velocity": self._velocity,
             "upper_residual": self.residual,
+            "upper_left": self.left,
         }

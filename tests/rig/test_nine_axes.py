@@ -88,7 +88,7 @@ def test_what_moves_a_load_is_what_its_momentum_takes() -> None:
 
 
 def test_the_sensor_loses_weight_and_inertia_of_its_payload() -> None:
-    """120 kg shaken by 1 m/s^2 and 0.3 rad/s^2 (inertia 116 N, and 31 N across through the tilt): less than 0.05 % of the weight is left."""
+    """120 kg shaken by 1 m/s^2 and 0.3 rad/s^2 (inertia 116 N, and 31 N across by the tilt): less than 0.05 % of the weight is left."""
     plant = Plant([nine_axes()])
     wrench = shaken(plant)["wrench"].reshape(-1, 6)
     tracking = plant._tracking
