@@ -11,6 +11,7 @@ that the vocabulary has no name for.
     write_set("folder", hidden)                             # nominal.yaml, dataset.yaml, run_0.parquet ... run_5.parquet
     hidden.effects, hidden.links, hidden.strengths          # the truth; `write_set(..., truth=True)` writes truth.yaml too
 
+Contact and sensor (and the frame) are seen through the same records, pose_act and wrench_meas: either is the right link for the other.
 `hidden.strengths` says how far each effect stands above the noise of its link's records: drawn sets (scale 1) have at least 3.
 `hidden.variants` lists how the rig reads what the definitions leave open (`draw_variants`); `literal=True` leaves them out.
 
