@@ -118,7 +118,11 @@ def schema(kind: Annotated[str, typer.Argument(metavar="[scenario|campaign|datas
     print(json.dumps(json_schema(kind), indent=2))
 
 
-BENCHES = {"throughput": "hiltestbed.bench.throughput"}  # name to the module whose function of that name measures
+BENCHES = {  # name to the module whose function of that name measures
+    "cor": "hiltestbed.bench.cor",
+    "identification": "hiltestbed.bench.identification",
+    "throughput": "hiltestbed.bench.throughput",
+}
 
 
 @app.command()

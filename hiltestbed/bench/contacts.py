@@ -1,0 +1,174 @@
+"""The contacts of the benchmarks: frequency, delay and damping ratio of one head-on bounce, or rigs drawn at random."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from hiltestbed.frames import Array
+from hiltestbed.loop import Loop
+from hiltestbed.metrics import ContactFigures
+from hiltestbed.scenario import Scenario, scenario_from
+from hiltestbed.signals import Trace
+from hiltestbed.spacecraft import effective_mass
+
+FREQUENCIES = (1.0, 2.0, 4.0, 8.0)  # [Hz]
+DELAYS = (0.002, 0.005, 0.010, 0.020)  # [s]
+DAMPING_RATIOS = (0.02, 0.05, 0.2)
+RATE = 2000.0
+SPEED = 0.03  # [m/s]
+APPROACH_TICKS = 60.37  # to the touch; a touch on a tick would let round-off decide whether that tick pushes
+MASSES = (500.0, 2000.0)
+NOISE = 0.002  # of the peak force
+ARM = 0.05  # [m] noise of the torques over that of the forces
+
+
+@dataclass(frozen=True)
+class Contact:
+    """One contact and what is known of the delay.
+
+    Attributes:
+        frequency: sqrt(k/mu)/2 pi [Hz]. delay: of the force, true [s]. noise: 1 sigma over the peak force.
+        delay_knowledge: exact; off: believed 1/1.2 of what it is; jitter: sigma of a tenth of it.
+    """
+
+    frequency: float
+    delay: float
+    damping_ratio: float
+    delay_knowledge: str = "exact"
+    tracking: str = "ideal"
+    noise: float = NOISE
+    seed: int = 1
+    masses: tuple[float, float] = MASSES
+    speed: float = SPEED
+    changes: dict[str, Any] = field(default_factory=dict)  # of the scenario: a random rig
+
+    @property
+    def mass(self) -> float:
+        """Reduced mass [kg] of a centred hit."""
+        return self.masses[0] * self.masses[1] / sum(self.masses)
+
+    @property
+    def w(self) -> float:
+        return 2.0 * math.pi * self.frequency
+
+    @property
+    def stiffness(self) -> float:
+        return self.mass * self.w**2
+
+    @property
+    def damping(self) -> float:
+        return 2.0 * self.damping_ratio * self.mass * self.w
+
+    @property
+    def peak(self) -> float:
+        """Peak force [N] without damping."""
+        return self.speed * math.sqrt(self.stiffness * self.mass)
+
+    @property
+    def believed_delay(self) -> float:
+        return self.delay / 1.2 if self.delay_knowledge == "off" else self.delay
+
+    def scenario(self, force: dict[str, Any], identification: dict[str, Any] | None = None, motion: str = "feedforward") -> Scenario:
+        """The contact with a force compensation."""
+        effects = []
+        if self.delay_knowledge == "off":
+            effects.append({"kind": "sensor.delay", "delay": self.delay - self.believed_delay})
+        if self.delay_knowledge == "jitter":
+            effects.append({"kind": "sensor.jitter", "sigma": 0.1 * self.delay})
+        data = {
+            "name": f"bounce-{self.frequency:g}Hz-{1e3 * self.delay:g}ms-zeta{self.damping_ratio:g}",
+            "seed": self.seed,
+            "rate": RATE,
+            "physics_rate": 2.0 * RATE,
+            "duration": (APPROACH_TICKS + 80.0) / RATE + 1.25 * math.pi / self.w + 3.0 * self.delay,
+            "spacecraft": {
+                "chaser": _body(self.masses[0], [0.0, 0.0, 1.0]),
+                "target": _body(self.masses[1], [0.0, 0.0, -1.0]),
+            },
+            "approach": {"gap": APPROACH_TICKS * self.speed / RATE, "velocity": [0.0, 0.0, self.speed]},
+            "mechanism": {"kind": "bumper", "contact": {"stiffness": self.stiffness, "damping": self.damping}},
+            "rig": {"platform": {"tracking": self.tracking}},
+            "sensor": {"delay": self.believed_delay, "noise": self.noise * self.peak, "torque_noise": ARM * self.noise * self.peak},
+            "compensation": {"force": force, "motion": {"kind": motion}},
+            "identification": identification or {"kind": "rls"},
+            "effects": effects,
+        }
+        return scenario_from(data, self.changes)
+
+
+def _body(mass: float, port: list[float]) -> dict[str, Any]:
+    inertia = 0.36 * mass  # a homogeneous ball of 0.95 m
+    return {"mass": mass, "inertia": [inertia, inertia, inertia], "port": {"position": port}}
+
+
+def grid(frequencies: tuple[float, ...] = FREQUENCIES, delays: tuple[float, ...] = DELAYS, **same: Any) -> list[Contact]:
+    """Every combination of frequency, delay and damping ratio."""
+    ratios = same.pop("damping_ratios", DAMPING_RATIOS)
+    return [Contact(f, d, z, **same) for z in ratios for f in frequencies for d in delays]
+
+
+def random_rigs(count: int, seed: int) -> list[Contact]:
+    """Rigs drawn at random: masses, contact, delay, speed, and hits beside the axis with tilt, sliding and friction."""
+    rng = np.random.default_rng(seed)
+    rigs = []
+    for i in range(count):
+        masses = (float(np.exp(rng.uniform(*np.log([300.0, 8000.0])))), float(np.exp(rng.uniform(*np.log([500.0, 1e5])))))
+        changes = {
+            "approach.offset": rng.uniform(-0.1, 0.1, 2).tolist(),
+            "approach.attitude_deg": rng.uniform(-3.0, 3.0, 3).tolist(),
+            "approach.rate_deg": rng.uniform(-0.3, 0.3, 3).tolist(),
+            "mechanism.contact.friction": float(rng.uniform(0.02, 0.3)),
+        }
+        frequency, delay, ratio = (float(np.exp(rng.uniform(*np.log(r)))) for r in ([1.0, 6.0], [0.002, 0.02], [0.02, 0.2]))
+        speed = float(np.exp(rng.uniform(*np.log([0.01, 0.06]))))
+        rigs.append(Contact(frequency, delay, ratio, tracking="servo", seed=seed + i, masses=masses, speed=speed, changes=changes))
+    return rigs
+
+
+@dataclass
+class Bounce:
+    """What came of a batch of bounces.
+
+    Attributes:
+        figures: one a run.
+        velocity: ``(n, 2, 6)`` of both bodies when the rebound speed was read, NaN where it never was.
+        identification: the estimator, with its arrays ``(n, 6)``.
+        trace: rows, where they were asked for.
+    """
+
+    figures: list[ContactFigures]
+    velocity: Array
+    start: Array
+    loop: Loop
+    trace: Trace | None = None
+
+
+def bounce(scenarios: list[Scenario], nthread: int = 1, trace: bool = False) -> Bounce:
+    """Run a batch until every run has rebounded, or its time is over."""
+    loop = Loop(scenarios, nthread)
+    ticks = max(s.ticks for s in scenarios)
+    rows = Trace(ticks, len(scenarios), RATE) if trace else None
+    craft = loop.drive.spacecraft  # type: ignore[attr-defined]
+    start, velocity = craft.v.copy(), np.full_like(craft.v, np.nan)
+    seen = np.zeros(len(scenarios), dtype=bool)
+    while loop.k < ticks and loop.alive.any():
+        loop.step(rows)
+        new = loop.tally.rebounded & ~seen
+        if new.any():
+            velocity[new] = craft.v[new]
+            seen |= new
+            if seen.all():
+                break
+    if rows is not None:
+        rows.length[:] = loop.k
+    return Bounce([loop.tally.figures(i) for i in range(len(scenarios))], velocity, start, loop, rows)
+
+
+def effective_contact(contact: Contact) -> float:
+    """w tau of a contact, with the lever arms of a hit beside the axis."""
+    scenario = contact.scenario({"kind": "none"})
+    return math.sqrt(scenario.mechanism.contact.stiffness / effective_mass(scenario)) * contact.delay

@@ -1,0 +1,57 @@
+"""The methods that the benchmark of the coefficient of restitution puts side by side."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from hiltestbed.bench.contacts import Contact
+
+BEST = "resynchronised"
+
+
+@dataclass(frozen=True)
+class Contender:
+    """A method as it is run.
+
+    Attributes:
+        contact: first: nothing is known of the contact; known: its k and c are given.
+        force: its section of the scenario for a contact.
+    """
+
+    name: str
+    contact: str
+    force: Callable[[Contact], dict[str, Any]]
+    estimates_delay: bool = False
+
+
+def _model(c: Contact) -> dict[str, float]:
+    return {"stiffness": c.stiffness, "damping": c.damping}
+
+
+CONTENDERS = (
+    Contender("none", "first", lambda c: {"kind": "none"}),
+    Contender("dead_zone", "first", lambda c: {"kind": "dead_zone", "width": 0.02 * c.peak}),
+    Contender("phase_lead", "first", lambda c: {"kind": "phase_lead"}),
+    Contender("second_order_lead", "first", lambda c: {"kind": "second_order_lead"}),
+    Contender("polynomial_1", "first", lambda c: {"kind": "polynomial", "order": 1}),
+    Contender("polynomial_3", "first", lambda c: {"kind": "polynomial", "order": 3}),
+    Contender("passivity_control", "first", lambda c: {"kind": "passivity_control"}),
+    Contender("normalised_passivity", "first", lambda c: {"kind": "normalised_passivity"}),
+    Contender("reconstruction", "first", lambda c: {"kind": "reconstruction"}),
+    Contender(BEST, "first", lambda c: {"kind": BEST}),
+    Contender("virtual_contact", "known", lambda c: {"kind": "virtual_contact", "damping": c.stiffness * c.believed_delay}),
+    Contender("cor_designed", "known", lambda c: {"kind": "cor_designed", **_model(c)}),
+    Contender("smith_predictor", "known", lambda c: {"kind": "smith_predictor", **_model(c)}),
+    Contender(
+        "smith_predictor_10pct_off", "known",
+        lambda c: {"kind": "smith_predictor", "stiffness": 1.1 * c.stiffness, "damping": c.damping},
+    ),
+    Contender(
+        "smith_predictor_lead_10pct_off", "known",
+        lambda c: {"kind": "smith_predictor", "stiffness": 1.1 * c.stiffness, "damping": c.damping, "lead_rest": True},
+    ),
+    Contender(BEST, "known", lambda c: {"kind": BEST, "contact": _model(c)}),
+    Contender(f"{BEST}_delay_estimated", "first", lambda c: {"kind": BEST, "delay": "estimate"}, estimates_delay=True),
+)  # fmt: skip

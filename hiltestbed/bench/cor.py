@@ -1,0 +1,228 @@
+"""The coefficient of restitution that each compensation leaves, over contact frequency, delay and damping ratio.
+
+Every method meets the same contacts: a first contact of which it knows nothing, or a contact that was identified before; the delay known
+exactly, off by 20 % or jittering; ideal tracking or the platform's servo; 0.2 % of the peak force as noise. The reference is the same
+contact with no delay and perfect tracking. Rigs drawn at random, with hits beside the axis, sliding and friction, give mean, standard
+deviation and maximum, as the benchmark of real-time hybrid simulation reports (C. E. Silva et al., MSSP 135, 2020).
+"""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from hiltestbed.bench.contacts import DELAYS, FREQUENCIES, Bounce, Contact, bounce, effective_contact, grid, random_rigs
+from hiltestbed.bench.contenders import BEST, CONTENDERS, Contender
+from hiltestbed.bench.cor_report import cor_report
+from hiltestbed.bench.result import BenchResult
+from hiltestbed.loop import Loop
+from hiltestbed.simulation import log_error, reference_scenario
+
+Progress = Callable[[int, int], None]
+THREADS = 2
+COST_RUNS, COST_TICKS = 64, 300  # the touch is at tick 60, the force arrives at tick 100
+RANDOM_METHODS = ("none", "phase_lead", "reconstruction", BEST)
+
+
+def cor(quick: bool = False, progress: Progress | None = None) -> BenchResult:
+    """All methods on the whole grid; ``quick``: on its corners."""
+    contacts = grid((2.0, 8.0), (0.005, 0.020), damping_ratios=(0.05,)) if quick else grid()
+    jobs = [(t, k, m) for t, k in _conditions(quick) for m in CONTENDERS if _takes_part(m, t, k, quick)]
+    total = len(jobs) + 2 + len(RANDOM_METHODS)
+    step = _counter(progress, total)
+    reference = bounce([reference_scenario(c.scenario({"kind": "none"})) for c in contacts], THREADS)
+    step()
+    records: list[dict[str, Any]] = []
+    for tracking, knowledge, contender in jobs:
+        same = [_under(c, tracking, knowledge) for c in contacts]
+        records += measure(contender, same, reference)
+        step()
+    rigs, random_records = random_rigs(8 if quick else 64, seed=11), []
+    for contender in (m for m in CONTENDERS if m.name in RANDOM_METHODS and m.contact == "first"):
+        random_records += measure_random(contender, rigs)
+        step()
+    boundary = stability_boundary(6 if quick else 12)
+    step()
+    costs = {(m.name, m.contact): cost(m, COST_TICKS // (2 if quick else 1)) for m in CONTENDERS}
+    board = leaderboard(records, costs)
+    summary = {"leaderboard": board, "random_rigs": statistics_of(random_records), "boundary": boundary, "best": BEST}
+    lines = [
+        (f"{row['method']} ({row['contact']} contact)", f"|ln e/e_ref| <= {_number(row['largest_log_error'])}")
+        for row in board
+        if row["largest_log_error"] is not None
+    ]
+    return BenchResult("cor", records + random_records, summary, cor_report(records, summary), lines)
+
+
+def _conditions(quick: bool) -> list[tuple[str, str]]:
+    """(tracking, delay knowledge)."""
+    return [("ideal", "exact"), ("ideal", "off"), ("servo", "exact")] + ([] if quick else [("ideal", "jitter")])
+
+
+def _takes_part(contender: Contender, tracking: str, knowledge: str, quick: bool) -> bool:
+    """A quick run takes every method under ideal conditions, and the leading ones elsewhere."""
+    return not quick or (tracking, knowledge) == ("ideal", "exact") or contender.name.startswith((BEST, "phase_lead"))
+
+
+def _under(contact: Contact, tracking: str, knowledge: str) -> Contact:
+    return Contact(contact.frequency, contact.delay, contact.damping_ratio, knowledge, tracking)
+
+
+def measure(contender: Contender, contacts: Sequence[Contact], reference: Bounce) -> list[dict[str, Any]]:
+    """A record a contact."""
+    servo = contacts[0].tracking == "servo"
+    result = bounce([c.scenario(contender.force(c)) for c in contacts], THREADS, trace=servo)
+    return [_record(contender, c, result, reference, i) | (_tracking(result, i) if servo else {}) for i, c in enumerate(contacts)]
+
+
+def _record(contender: Contender, contact: Contact, result: Bounce, reference: Bounce, i: int) -> dict[str, Any]:
+    figures, ideal = result.figures[i], reference.figures[i]
+    return {
+        "method": contender.name,
+        "frequency": contact.frequency,
+        "delay": contact.delay,
+        "damping_ratio": contact.damping_ratio,
+        "contact": contender.contact,
+        "delay_knowledge": contact.delay_knowledge,
+        "tracking": contact.tracking,
+        "cor": figures.cor,
+        "cor_reference": ideal.cor,
+        "cor_log_error": log_error(figures.cor, ideal.cor),
+        "energy_generated": figures.energy_generated,
+        "energy_of_approach": 0.5 * contact.mass * contact.speed**2,
+        "peak_force_error": figures.peak_force / ideal.peak_force - 1.0,
+        "stable": figures.cor is not None and figures.cor <= 1.0,
+        "w_tau": contact.w * contact.delay,
+    }
+
+
+def _tracking(result: Bounce, i: int) -> dict[str, float]:
+    """J1 delay by cross-correlation [ms], J2 rms error over rms [%], J3 peak error over peak [%] of the position along z in contact."""
+    trace = result.trace
+    if trace is None:
+        return {}
+    contact = trace.contact[: trace.length[i], i]
+    if not contact.any():
+        return {}
+    first, last = int(np.argmax(contact)), len(contact) - int(np.argmax(contact[::-1]))
+    wanted = trace["pose_cmd"][first - 1 : last - 1, i, 2]  # commanded at t_k for t_(k+1)
+    reached = trace["pose_act"][first:last, i, 2]
+    lags = range(-2, min(60, len(wanted) // 3))
+    products = [float(np.dot(wanted[max(0, -n) : len(wanted) - max(0, n)], reached[max(0, n) : len(reached) + min(0, n)])) for n in lags]
+    error = wanted - reached
+    return {
+        "J1": 1e3 * lags[int(np.argmax(products))] * result.loop.drive.spacecraft.tick,  # type: ignore[attr-defined]
+        "J2": 100.0 * float(np.sqrt(np.mean(error**2) / np.mean(wanted**2))),
+        "J3": 100.0 * float(np.abs(error).max() / np.abs(wanted).max()),
+    }
+
+
+def measure_random(contender: Contender, rigs: Sequence[Contact]) -> list[dict[str, Any]]:
+    """A record a rig; ``twist_error``: of what the contact changed of each body's velocities, the larger of both, linear and angular."""
+    scenarios = [r.scenario(contender.force(r)) for r in rigs]
+    result = bounce(scenarios, THREADS)
+    reference = bounce([reference_scenario(s) for s in scenarios], THREADS)
+    records = []
+    for i, rig in enumerate(rigs):
+        record = _record(contender, rig, result, reference, i) | {"random_rig": i, "w_tau": effective_contact(rig)}
+        change = np.linalg.norm((reference.velocity[i] - reference.start[i]).reshape(2, 2, 3), axis=2)
+        error = np.linalg.norm((result.velocity[i] - reference.velocity[i]).reshape(2, 2, 3), axis=2)
+        worst = float((error / change).max())
+        records.append(record | {"twist_error": worst if np.isfinite(worst) else None})
+    return records
+
+
+def statistics_of(records: Sequence[dict[str, Any]]) -> dict[str, dict[str, Any]]:
+    """Method to mean, sd and max of |ln e/e_ref| and of the twist error over the random rigs, and how many rebounded in time."""
+    out = {}
+    for name in dict.fromkeys(r["method"] for r in records):
+        mine = [r for r in records if r["method"] == name]
+        out[name] = {"rigs": len(mine), "rebounded": sum(r["cor_log_error"] is not None for r in mine)}
+        for key in ("cor_log_error", "twist_error"):
+            values = [abs(r[key]) for r in mine if r[key] is not None]
+            if values:
+                out[name][key] = {"mean": statistics.fmean(values), "sd": statistics.pstdev(values), "max": max(values)}
+    return out
+
+
+def stability_boundary(points: int) -> dict[str, Any]:
+    """e over a fine grid of frequency and delay, for the methods whose threshold theory gives, at a damping ratio of 0.05."""
+    frequencies = np.geomspace(FREQUENCIES[0], FREQUENCIES[-1], points)
+    delays = np.geomspace(0.5 * DELAYS[0], 1.5 * DELAYS[-1], points)
+    contacts = [Contact(float(f), float(d), 0.05, noise=0.0) for f in frequencies for d in delays]
+    out: dict[str, Any] = {"frequency": frequencies.tolist(), "delay": delays.tolist(), "damping_ratio": 0.05}
+    for name in ("none", "phase_lead", BEST):
+        contender = next(m for m in CONTENDERS if m.name == name and m.contact == "first")
+        figures = bounce([c.scenario(contender.force(c)) for c in contacts], THREADS).figures
+        out[name] = np.array([np.nan if f.cor is None else f.cor for f in figures]).reshape(points, points).tolist()
+    return out
+
+
+def cost(contender: Contender, ticks: int = COST_TICKS) -> float:
+    """Microseconds a sim-tick in a batch of 64 that the method takes beyond the numerical model, in contact."""
+    contacts = [Contact(4.0, 0.02, 0.05, seed=i) for i in range(COST_RUNS)]
+    loop = Loop([c.scenario(contender.force(c)) for c in contacts])
+    craft = loop.drive.spacecraft  # type: ignore[attr-defined]
+    times = []
+    for k in range(ticks):
+        loop.sensor.read(loop.k, loop.plant.wrench_sub)
+        start = time.perf_counter()
+        loop.drive.advance(loop.measurement)
+        middle = time.perf_counter()
+        q, v = craft.q.copy(), craft.v.copy()
+        pose, twist = craft.pose.copy(), craft.twist.copy()
+        again = time.perf_counter()
+        craft.advance(loop.drive.wrench)
+        end = time.perf_counter()
+        craft.q[:], craft.v[:], craft.pose[:], craft.twist[:] = q, v, pose, twist
+        loop.motion.update(loop.drive.pose, loop.drive.twist, loop.plant.pose_act)
+        loop.plant.advance(loop.motion.pose, loop.motion.twist, loop.motion.acceleration)
+        loop.k += 1
+        if k > ticks // 2:
+            times.append((middle - start) - (end - again))
+    return max(0.0, 1e6 * statistics.median(times) / COST_RUNS)
+
+
+def leaderboard(records: Sequence[dict[str, Any]], costs: dict[tuple[str, str], float]) -> list[dict[str, Any]]:
+    """A row a method and knowledge of the contact, best first; a run that never rebounded counts as unstable and ranks last."""
+    rows = []
+    for name, contact in dict.fromkeys((r["method"], r["contact"]) for r in records):
+        mine = [r for r in records if (r["method"], r["contact"]) == (name, contact)]
+        exact = [r for r in mine if r["delay_knowledge"] == "exact" and r["tracking"] == "ideal"]
+        row: dict[str, Any] = {"method": name, "contact": contact, "largest_log_error": _largest(exact)}
+        for limit in (0.26, 0.51, 1.01):
+            row[f"to_w_tau_{limit - 0.01:.2f}"] = _largest([r for r in exact if r["w_tau"] <= limit])
+        row["servo"] = _largest([r for r in mine if r["tracking"] == "servo"])
+        row["delay_off"] = _largest([r for r in mine if r["delay_knowledge"] == "off"])
+        row["delay_jitter"] = _largest([r for r in mine if r["delay_knowledge"] == "jitter"])
+        row["energy_created"] = max(r["energy_generated"] / r["energy_of_approach"] for r in exact)
+        row["peak_force_error"] = max(abs(r["peak_force_error"]) for r in exact)
+        row["stable"] = sum(r["stable"] for r in exact) / len(exact)
+        row["cost"] = costs[name, contact]
+        rows.append(row)
+    return sorted(rows, key=lambda r: np.inf if r["largest_log_error"] is None else r["largest_log_error"])
+
+
+def _largest(records: Sequence[dict[str, Any]]) -> float | None:
+    errors = [r["cor_log_error"] for r in records]
+    return max(abs(e) for e in errors) if errors and None not in errors else None
+
+
+def _number(value: float | None) -> str:
+    return "no rebound" if value is None else f"{value:.4f}"
+
+
+def _counter(progress: Progress | None, total: int) -> Callable[[], None]:
+    done = 0
+
+    def step() -> None:
+        nonlocal done
+        done += 1
+        if progress:
+            progress(done, total)
+
+    return step

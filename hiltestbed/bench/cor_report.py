@@ -1,0 +1,144 @@
+"""The page of the benchmark of the coefficient of restitution."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from hiltestbed.report import Report, new_figure
+
+COLUMNS = (
+    ("to_w_tau_0.25", "w tau to 0.25"),
+    ("to_w_tau_0.50", "to 0.5"),
+    ("to_w_tau_1.00", "to 1.0"),
+    ("servo", "servo"),
+    ("delay_off", "delay off 20 %"),
+    ("delay_jitter", "delay jitters"),
+)
+SMALLEST, LARGEST = 1e-4, 1.0  # |ln e/e_ref| at the ends of the colour scale
+
+
+def cor_report(records: Sequence[dict[str, Any]], summary: dict[str, Any]) -> Report:
+    """Leaderboard, heat maps, stability boundary, random rigs."""
+    report = Report("Coefficient of restitution")
+    board = summary["leaderboard"]
+    first = next(row for row in board if row["contact"] == "first")
+    report.lead(
+        f"On a first contact, of which nothing is known, {first['method']} leaves |ln(e/e_ref)| <= {first['largest_log_error']:.4f} "
+        "over the whole grid."
+    )
+    _leaderboard(report, board)
+    report.heading("Over the grid")
+    report.figure(_heat_maps(records), "ln(e/e_ref) with ideal tracking and the delay known; the largest over the damping ratios.")
+    report.heading("Where the rig becomes active")
+    report.figure(_boundary(summary["boundary"]), "e over frequency and delay at a damping ratio of 0.05; black: e = 1.")
+    report.text(
+        "White: the delay at which a closed contact becomes unstable, tau = atan(c w_c/k)/w_c with "
+        "w_c^2 = (c^2 + sqrt(c^4 + 4 mu^2 k^2))/(2 mu^2); a bounce reaches e = 1 there to first order."
+    )
+    _random_rigs(report, summary["random_rigs"])
+    return report
+
+
+def _leaderboard(report: Report, board: Sequence[dict[str, Any]]) -> None:
+    header = ["method", "contact", *(title for _, title in COLUMNS), "energy / approach", "peak force", "e <= 1", "us a sim-tick"]
+    rows = []
+    for row in board:
+        cells = [_error(row[key]) for key, _ in COLUMNS]
+        rest = [f"{row['energy_created']:+.3f}", f"{100 * row['peak_force_error']:.1f} %", f"{100 * row['stable']:.0f} %"]
+        rows.append([row["method"], row["contact"], *cells, *rest, f"{row['cost']:.1f}"])
+    report.table(
+        header,
+        rows,
+        "Largest |ln(e/e_ref)| over the grid. Ideal tracking and the delay known unless the column says otherwise; a dash: not measured, "
+        "or a run without a rebound. Energy that the rig created, largest, over the energy of approach; largest error of the peak force.",
+    )
+
+
+def _error(value: float | None) -> str:
+    return "-" if value is None else f"{value:.4f}"
+
+
+def _heat_maps(records: Sequence[dict[str, Any]]):
+    exact = [r for r in records if r["delay_knowledge"] == "exact" and r["tracking"] == "ideal"]
+    methods = list(dict.fromkeys((r["method"], r["contact"]) for r in exact))
+    frequencies, delays = (sorted({r[key] for r in exact}) for key in ("frequency", "delay"))
+    columns = 4
+    lines = math.ceil(len(methods) / columns)
+    figure, axes = new_figure(13, 2.6 * lines, nrows=lines, ncols=columns, squeeze=False)
+    for axis in axes.flat[len(methods) :]:
+        axis.axis("off")
+    for axis, (name, contact) in zip(axes.flat, methods, strict=False):
+        values = np.full((len(frequencies), len(delays)), np.nan)
+        for r in exact:
+            if (r["method"], r["contact"]) == (name, contact) and r["cor_log_error"] is not None:
+                i, j = frequencies.index(r["frequency"]), delays.index(r["delay"])
+                if not abs(values[i, j]) > abs(r["cor_log_error"]):
+                    values[i, j] = r["cor_log_error"]
+        _heat_map(axis, values, frequencies, delays)
+        axis.set_title(f"{name}, {contact}", fontsize=9)
+    return figure
+
+
+def _heat_map(axis, values: np.ndarray, frequencies: Sequence[float], delays: Sequence[float]) -> None:
+    from matplotlib.colors import SymLogNorm
+
+    norm = SymLogNorm(SMALLEST, vmin=-LARGEST, vmax=LARGEST)
+    axis.imshow(values, norm=norm, cmap="RdBu_r", origin="lower", aspect="auto")
+    for (i, j), value in np.ndenumerate(values):
+        text = "-" if np.isnan(value) else f"{value:+.3f}"
+        strong = not np.isnan(value) and abs(value) > 0.05
+        axis.text(j, i, text, ha="center", va="center", fontsize=7, color="white" if strong else "black")
+    axis.set_xticks(range(len(delays)), [f"{1e3 * d:g}" for d in delays], fontsize=7)
+    axis.set_yticks(range(len(frequencies)), [f"{f:g}" for f in frequencies], fontsize=7)
+    axis.set_xlabel("delay [ms]", fontsize=7)
+    axis.set_ylabel("frequency [Hz]", fontsize=7)
+
+
+def threshold(frequency: np.ndarray, z: float) -> np.ndarray:
+    """Delay [s] at which a closed contact of ``frequency`` [Hz] and damping ratio ``z`` becomes unstable, in closed form.
+
+    With k = mu w^2 and c = 2 z mu w: w_c^2/w^2 = 2 z^2 + sqrt(4 z^4 + 1), tau = atan(2 z w_c/w)/w_c.
+    """
+    w = 2.0 * math.pi * np.asarray(frequency)
+    ratio = math.sqrt(2.0 * z * z + math.sqrt(4.0 * z**4 + 1.0))
+    return math.atan(2.0 * z * ratio) / (ratio * w)
+
+
+def _boundary(boundary: dict[str, Any]):
+    frequency, delay = np.array(boundary["frequency"]), 1e3 * np.array(boundary["delay"])
+    names = [name for name in boundary if name not in ("frequency", "delay", "damping_ratio")]
+    figure, axes = new_figure(13, 3.8, ncols=len(names), sharey=True)
+    limit = 1e3 * threshold(frequency, boundary["damping_ratio"])
+    for axis, name in zip(axes, names, strict=True):
+        e = np.array(boundary[name])
+        mesh = axis.pcolormesh(frequency, delay, np.log(e).T, cmap="RdBu_r", vmin=-1.0, vmax=1.0, shading="gouraud")
+        if (e > 1.0).any() and (e < 1.0).any():
+            axis.contour(frequency, delay, e.T, levels=[1.0], colors="black")
+        axis.plot(frequency, limit, color="white", linestyle="--")
+        axis.set(xscale="log", yscale="log", xlabel="contact frequency [Hz]", title=name, ylim=(delay[0], delay[-1]))
+    axes[0].set_ylabel("delay [ms]")
+    figure.colorbar(mesh, ax=axes, label="ln e")
+    return figure
+
+
+def _random_rigs(report: Report, results: dict[str, dict[str, Any]]) -> None:
+    report.heading("Rigs drawn at random")
+    rows = []
+    for name, result in results.items():
+        cells = []
+        for key in ("cor_log_error", "twist_error"):
+            figures = result.get(key)
+            cells += ["-"] * 3 if figures is None else [f"{figures[k]:.4f}" for k in ("mean", "sd", "max")]
+        rows.append([name, f"{result['rebounded']} of {result['rigs']}", *cells])
+    header = ["method", "rebounded", "|ln e/e_ref| mean", "sd", "max", "twist error mean", "sd", "max"]
+    report.table(
+        header,
+        rows,
+        "First contact through the platform's servo: masses of 0.3 to 100 t, 1 to 6 Hz, 2 to 20 ms, hits up to 0.1 m beside the axis, "
+        "tilted, turning and sliding with friction. Twist error: of what the contact changed of each body's linear and angular velocity, "
+        "the worst.",
+    )
