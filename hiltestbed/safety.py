@@ -10,9 +10,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from hiltestbed.frames import Array
 from hiltestbed.rig.kinematics import Platform, slider
@@ -69,7 +71,7 @@ class Safety:
                 return f"{_SAID[j].format(value=value)}; safety.{name} is {limit:g} {_UNITS[j]}"
         return None
 
-    def buffers(self) -> dict[str, Array]:
+    def buffers(self) -> dict[str, NDArray[Any]]:
         return {"quantities": self.quantities, "sliders": self._sliders, "ticks": self._ticks}
 
 

@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from hiltestbed.frames import Array
 
@@ -92,7 +93,7 @@ class DriveFriction:
         bristles: (n, 6, 2) deflection of each drive's bristle [m]; a single drive uses the first.
     """
 
-    def __init__(self, scenarios: Sequence[Scenario], dofs: Array, moved: float, dt: float) -> None:
+    def __init__(self, scenarios: Sequence[Scenario], dofs: NDArray[np.intp], moved: float, dt: float) -> None:
         """``dofs`` (6,) of the sliders, ``moved`` [kg] the least that a drive moves: carriage and armature; ``dt`` [s] a step."""
         actuators = [s.rig.platform.actuator for s in scenarios]
         self.kinds = np.array([KINDS[a.kind] for a in actuators])

@@ -122,6 +122,11 @@ class IdealTracking:
             self._evaluate()
         self._conclude()
 
+    def bare_steps(self, count: int) -> None:
+        """``count`` evaluations of the contact where it is."""
+        for _ in range(count):
+            self.batch.forward()
+
     def _evaluate(self) -> None:
         for s in range(1, self.substeps + 1):
             self._place(s)
