@@ -16,6 +16,8 @@ from hiltestbed.viewer import plots, rig, spacecraft
 
 Point = tuple[float, float, float]
 
+SIX_AXES: tuple[Point, Point] = (1.45, -2.75, 0.2), (0.0, 0.0, -0.45)  # eye and what it looks at
+NINE_AXES: tuple[Point, Point] = (5.0, -2.8, 1.7), (0.0, 0.0, 0.75)
 BACKGROUND = (22, 26, 33)
 BEFORE, AFTER = 0.15, 0.35  # [s] shown around the first contact, at least
 SHOWN = 10.0  # [s] that the window takes to play, in slow motion where it is shorter
@@ -59,10 +61,12 @@ def layout(facts: Facts) -> rrb.Blueprint:
 
 def _scenes(facts: Facts) -> rrb.Vertical:
     legend = f"force arrow: 1 m is {1.0 / facts.force_scale:g} N"
+    nine_axes = facts.run.scenario.rig.upper.kind != "fixed"
+    eye, target = NINE_AXES if nine_axes else SIX_AXES  # between the columns of either frame
     return rrb.Vertical(
-        _scene(f"The rig ({legend})", rig.ROOT, eye=(1.45, -2.75, 0.2), target=(0.0, 0.0, -0.45), hidden=rig.PORT_NAMES),
+        _scene(f"The rig ({legend})", rig.ROOT, eye, target, contents=[f"/{rig.ROOT}/**", *(f"- /{name}" for name in rig.PORT_NAMES)]),
         rrb.Horizontal(
-            _scene("At the contact", rig.ROOT, eye=(0.42, -0.76, -0.2), target=(0.0, 0.0, 0.01)),
+            _scene("At the contact", rig.AT_P, eye=(0.42, -0.76, -0.2), target=(0.0, 0.0, 0.01), contents=[f"/{rig.ROOT}/**"]),
             _spacecraft(facts),
         ),
         row_shares=[1.7, 1.0],
@@ -71,16 +75,17 @@ def _scenes(facts: Facts) -> rrb.Vertical:
 
 def _spacecraft(facts: Facts) -> rrb.Spatial3DView:
     up, down = spacecraft.heights(facts.run.scenario)
+    down += facts.run.scenario.approach.gap
     middle, away = 0.5 * (up - down), 1.3 * (up + down)
     eye = (0.55 * away, -0.82 * away, middle + 0.18 * away)
     return _scene("The two spacecraft of the numerical model", spacecraft.ROOT, eye, target=(0.0, 0.0, middle))
 
 
-def _scene(name: str, origin: str, eye: Point, target: Point, hidden: Sequence[str] = ()) -> rrb.Spatial3DView:
+def _scene(name: str, origin: str, eye: Point, target: Point, contents: Sequence[str] = ("$origin/**",)) -> rrb.Spatial3DView:
     return rrb.Spatial3DView(
         name=name,
         origin=origin,
-        contents=["$origin/**", *(f"- /{entity}" for entity in hidden)],
+        contents=list(contents),
         background=BACKGROUND,
         line_grid=False,
         eye_controls=rrb.EyeControls3D(kind=rrb.Eye3DKind.Orbital, position=eye, look_target=target, eye_up=(0.0, 0.0, 1.0)),

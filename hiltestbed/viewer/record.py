@@ -13,9 +13,10 @@ from hiltestbed.signals import RunTrace
 from hiltestbed.simulation import Run
 from hiltestbed.viewer import spacecraft
 from hiltestbed.viewer.blueprint import Facts, layout
+from hiltestbed.viewer.forces import force_scale, send_force
 from hiltestbed.viewer.frames import frame_rows
 from hiltestbed.viewer.plots import send_signals
-from hiltestbed.viewer.rig import RigScene, force_scale, send_force
+from hiltestbed.viewer.rig import CONTACT_FORCE, RigScene, port_poses
 from hiltestbed.viewer.text import figures
 
 APPLICATION = "hiltestbed"
@@ -62,11 +63,11 @@ def _whole(path: Path) -> bool:
 
 
 def _rig(rec: rr.RecordingStream, run: Run, trace: RunTrace, rows: NDArray[np.intp], scale: float) -> None:
-    scene = RigScene(run.scenario.mechanism.kind)
+    scene = RigScene(run.scenario)
     time, pose = rr.TimeColumn("time", duration=trace.t[rows]), trace["pose_act"][rows]
     scene.draw(rec)
-    scene.move(rec, time, pose)
-    send_force(rec, time, trace["wrench_true"][rows], pose, scale)
+    scene.move(rec, time, pose, port_poses(run.scenario, rows, trace["pose_cmd"]))
+    send_force(rec, CONTACT_FORCE, time, trace["wrench_true"][rows], pose, scale)
 
 
 def _spacecraft(rec: rr.RecordingStream, run: Run, trace: RunTrace, rows: NDArray[np.intp]) -> None:

@@ -1,7 +1,8 @@
-"""The rig in 3-D: bodies drawn once, their poses at the frames, the contact force as an arrow.
+"""The rig in 3-D: bodies drawn once, their poses at the frames.
 
-Coordinates are the rig's world W, whose origin is P and whose z is the insertion, so that a pose of A in P is one in W. Each moving
-body is an entity with its pose in W; what is welded to it is drawn in its frame.
+Coordinates are the rig's world W, whose origin is where P stands, at home on a rig with an upper platform, and whose z is the
+insertion. Each moving body is an entity with its pose in W; what is welded to it is drawn in its frame. What belongs to P, such as the
+contact force, stands under an entity with the pose of P.
 """
 
 from __future__ import annotations
@@ -10,39 +11,39 @@ import mujoco
 import numpy as np
 import rerun as rr
 from numba import njit
+from numpy.typing import NDArray
 
 from hiltestbed.frames import Array, quat_from_mujoco, quat_to_mujoco, rotation_matrix
+from hiltestbed.rig.allocation import compose, upper_coordinates
 from hiltestbed.rig.kinematics import Platform, joints
-from hiltestbed.rig.model import PASSIVE, rig_scene
+from hiltestbed.rig.model import ACTIVE, PASSIVE, nine_axis_scene, rig_scene
+from hiltestbed.rig.prs3 import Upper, place, revolute, slider
+from hiltestbed.scenario import Scenario
 from hiltestbed.viewer import colors
+from hiltestbed.viewer.drawing import log_solid, send_poses
 from hiltestbed.viewer.solids import Solid, arrow, geom_solid
 
 ROOT = "rig"
-CONTACT_FORCE = f"{ROOT}/forces/contact"
-PORT_NAMES = (f"{ROOT}/platform/port_A/name", f"{ROOT}/fixed/port_P/name")
+AT_P = f"{ROOT}/at_P"
+CONTACT_FORCE = f"{AT_P}/contact_force"
+PORT_NAMES = (f"{ROOT}/platform/port_A/name", f"{AT_P}/port_P/name")
+UPPER = "upper_"  # prefix of the upper platform's names
 DRAWN_GROUPS = 3  # geom groups 0 to 2 are drawn, as in MuJoCo's own viewer; 3 is for collision
 TRIAD = 0.1  # [m] length of a port's axes
-ARROW_LENGTH = 0.6  # [m] of the largest force, at most
-LINE_OF_ACTION = 0.6  # [m] the force is drawn at its line of action where that passes A this closely
 GLASS = 0.25  # opacity of the passive mechanism: the force that it takes is drawn inside it
-ARROW_RADIUS = 0.02  # [m]
-LABEL_GAP = 0.03  # [m] from the tip of an arrow to its label
-LABEL_FROM = 0.02  # of the largest force: below it an arrow has no label
 
 
 class RigScene:
-    """The drawn model of one kind of mechanism and the joints that a pose of the platform needs."""
+    """The drawn model of a rig, and the joints that the poses of its ports need."""
 
-    def __init__(self, kind: str) -> None:
-        self.model = rig_scene(kind)
+    def __init__(self, scenario: Scenario) -> None:
+        kind = scenario.mechanism.kind
+        self.nine_axes = scenario.rig.upper.kind != "fixed"
+        self.model = nine_axis_scene(kind) if self.nine_axes else rig_scene(kind)
         self.data = mujoco.MjData(self.model)
         mujoco.mj_kinematics(self.model, self.data)
         self._home = self.data.qpos.copy()
-        self._platform = Platform.load()
-        weld = self.model.body_weldid
-        self.moving = sorted({int(b) for b in weld if b > 0})
-        self._slider = np.array([int(self.model.joint(f"slider_{j}").qposadr[0]) for j in range(6)])
-        self._free = int(self.model.joint("platform").qposadr[0])
+        self.moving = sorted({int(b) for b in self.model.body_weldid if b > 0})
 
     def path(self, body: int) -> str:
         """Entity of a body: under the moving body that carries it, if any."""
@@ -59,15 +60,11 @@ class RigScene:
             if solids:
                 opacity = GLASS if self.model.body(body).name.startswith(PASSIVE) else 1.0
                 log_solid(rec, f"{self.path(body)}/shape", Solid.joined(solids), opacity)
-        for name in ("A", "P"):
-            site = self._site(name)
-            root = int(self.model.body_weldid[self.model.site_bodyid[site]])
-            carrier = self.path(root) if root > 0 else f"{ROOT}/fixed"
-            position, rotation = self._relative(root, self.data.site_xpos[site], self.data.site_xmat[site])
-            _log_triad(rec, f"{carrier}/port_{name}", position, rotation, name)
-
-    def _site(self, port: str) -> int:
-        return int(self.model.site({"A": "active_A", "P": "passive_P"}[port]).id)
+        site = self.model.site(ACTIVE + "A").id
+        carrier = int(self.model.body_weldid[self.model.site_bodyid[site]])
+        position, rotation = self._relative(carrier, self.data.site_xpos[site], self.data.site_xmat[site])
+        _log_triad(rec, f"{self.path(carrier)}/port_A", position, rotation, "A")
+        _log_triad(rec, f"{AT_P}/port_P", np.zeros(3), np.eye(3), "P")
 
     def _body_solids(self, body: int) -> list[Solid]:
         m, root, out = self.model, int(self.model.body_weldid[body]), []
@@ -81,13 +78,13 @@ class RigScene:
         frame = self.data.xmat[root].reshape(3, 3)
         return frame.T @ (position - self.data.xpos[root]), frame.T @ matrix.reshape(3, 3)
 
-    def body_poses(self, pose: Array) -> Array:
-        """``(moving, frames, 7)`` poses in W of the moving bodies at the poses ``(frames, 7)`` of A in P; limbs by inverse kinematics."""
+    def body_poses(self, pose: Array, pose_P: Array) -> Array:
+        """``(moving, frames, 7)`` poses in W of the moving bodies, by inverse kinematics, at the poses ``(frames, 7)`` of A in P and of
+        P in W."""
         qpos = np.tile(self._home, (len(pose), 1))
-        _limb_joints(self._platform.limbs, self._slider, np.ascontiguousarray(pose), qpos)
-        free = qpos[:, self._free : self._free + 7]
-        free[:, :3] = pose[:, :3] + rotation_matrix(pose[:, 3:]) @ self._platform.centre
-        free[:, 3:] = quat_to_mujoco(pose[:, 3:])
+        self._lower_joints(pose if not self.nine_axes else _composed(pose_P, pose), qpos)
+        if self.nine_axes:
+            self._upper_joints(pose_P, qpos)
         place, attitude = np.empty((len(pose), len(self.moving), 3)), np.empty((len(pose), len(self.moving), 4))
         for f in range(len(pose)):
             self.data.qpos[:] = qpos[f]
@@ -96,11 +93,59 @@ class RigScene:
             attitude[f] = self.data.xquat[self.moving]
         return np.concatenate([place, quat_from_mujoco(attitude)], axis=-1).swapaxes(0, 1)
 
-    def move(self, rec: rr.RecordingStream, time: rr.TimeColumn, pose: Array) -> None:
-        """Poses of the moving bodies at the frames."""
-        for body, poses in zip(self.moving, self.body_poses(pose), strict=True):
+    def _lower_joints(self, pose: Array, qpos: Array) -> None:
+        """Limbs and free joint of the lower platform at the poses ``(frames, 7)`` of A in W."""
+        first = np.array([int(self.model.joint(f"slider_{j}").qposadr[0]) for j in range(6)])
+        _limb_joints(Platform.load().limbs, first, pose, qpos)
+        self._free_joint("platform", pose, Platform.load().centre, qpos)
+
+    def _upper_joints(self, pose_P: Array, qpos: Array) -> None:
+        """Legs and free joint of the upper platform at the poses ``(frames, 7)`` of P in W."""
+        first = np.array([int(self.model.joint(f"{UPPER}slider_{j}").qposadr[0]) for j in range(3)])
+        _leg_joints(Upper.load().legs, first, pose_P, qpos)
+        free = int(self.model.joint(f"{UPPER}platform").qposadr[0])
+        self._free_joint(f"{UPPER}platform", pose_P, self._home[free : free + 3], qpos)
+
+    def _free_joint(self, name: str, pose: Array, offset: Array, qpos: Array) -> None:
+        """A body whose origin stands at ``offset`` (3,) from the port whose poses in W are ``pose`` (frames, 7)."""
+        first = int(self.model.joint(name).qposadr[0])
+        qpos[:, first : first + 3] = pose[:, :3] + rotation_matrix(pose[:, 3:]) @ offset
+        qpos[:, first + 3 : first + 7] = quat_to_mujoco(pose[:, 3:])
+
+    def move(self, rec: rr.RecordingStream, time: rr.TimeColumn, pose: Array, pose_P: Array) -> None:
+        """Poses of the moving bodies and of P at the frames, and the path of A in P."""
+        for body, poses in zip(self.moving, self.body_poses(pose, pose_P), strict=True):
             send_poses(rec, self.path(body), time, poses)
-        rec.log(f"{ROOT}/path_of_A", rr.LineStrips3D([pose[:, :3]], colors=[colors.PATH], radii=[0.0015]), static=True)
+        send_poses(rec, AT_P, time, pose_P)
+        rec.log(f"{AT_P}/path_of_A", rr.LineStrips3D([pose[:, :3]], colors=[colors.PATH], radii=[0.0015]), static=True)
+
+
+def port_poses(scenario: Scenario, rows: NDArray[np.intp], pose_cmd: Array) -> Array:
+    """``(frames, 7)`` poses of P in W at the rows: home, or where the upper platform is planned to be for ``pose_cmd`` (ticks, 7)."""
+    home = np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (len(rows), 1))
+    if scenario.rig.upper.kind == "fixed":
+        return home
+    shape = Upper.load().shape
+    for out, x in zip(home, upper_coordinates(pose_cmd[np.maximum(rows - 1, 0)]), strict=True):  # commanded a tick before it is reached
+        place(shape, x, out)
+    return home
+
+
+def _composed(pose_P: Array, pose: Array) -> Array:
+    out = np.empty_like(pose)
+    for first, second, both in zip(pose_P, pose, out, strict=True):
+        compose(first, second, both)
+    return out
+
+
+@njit(cache=True)
+def _leg_joints(legs, first, pose, qpos):
+    """Slider and revolute joint of every leg at the poses ``(frames, 7)`` of P, into ``qpos`` from the columns ``first`` (3,) on."""
+    arm = np.empty(3)
+    for f in range(pose.shape[0]):
+        for j in range(3):
+            qpos[f, first[j]] = slider(legs[j], pose[f], arm)
+            qpos[f, first[j] + 1] = revolute(legs[j], pose[f], arm)
 
 
 @njit(cache=True)
@@ -112,63 +157,6 @@ def _limb_joints(limbs, first, pose, qpos):
             joints(limbs[j], pose[f], still, q, v)
             for k in range(3):
                 qpos[f, first[j] + k] = q[k]
-
-
-def send_poses(rec: rr.RecordingStream, path: str, time: rr.TimeColumn, poses: Array) -> None:
-    """Poses ``(frames, 7)`` of an entity."""
-    rec.send_columns(path, indexes=[time], columns=rr.Transform3D.columns(translation=poses[:, :3], quaternion=poses[:, 3:]))
-
-
-def force_scale(peak: float, length: float = ARROW_LENGTH) -> float:
-    """[m/N] so that ``peak`` [N] is drawn within ``length`` [m] and a metre is a round number of newtons."""
-    if not peak > 0.0:
-        return 1e-3
-    least = peak / length
-    decade = 10.0 ** np.floor(np.log10(least))
-    return float(1.0 / next(step * decade for step in (1.0, 1.5, 2.0, 3.0, 5.0, 7.5, 10.0) if step * decade >= least * (1.0 - 1e-9)))
-
-
-def force_origin(wrench: Array, pose: Array) -> Array:
-    """``(frames, 3)`` where the force of ``wrench`` (frames, 6) acts: on its line of action, next to A; A where that is far off.
-
-    The line of a force f with the torque t about the origin runs through f x t/f^2; a couple moves it away from the contact.
-    """
-    force, torque, a = wrench[:, :3], wrench[:, 3:], pose[:, :3]
-    square = np.maximum(np.einsum("ij,ij->i", force, force), 1e-12)[:, None]
-    line = np.cross(force, torque) / square
-    point = line + force * np.einsum("ij,ij->i", a - line, force)[:, None] / square
-    near = np.linalg.norm(point - a, axis=1) < LINE_OF_ACTION
-    return np.where(near[:, None], point, a)
-
-
-def send_force(rec: rr.RecordingStream, time: rr.TimeColumn, wrench: Array, pose: Array, scale: float) -> None:
-    """The force on the passive side as an arrow where it acts, ``scale`` [m/N], its size at the tip; none where there is none."""
-    force = np.linalg.norm(wrench[:, :3], axis=1)
-    acts = force > 0.0
-    vectors, origins = scale * wrench[acts, :3], force_origin(wrench, pose)[acts]
-    rec.log(CONTACT_FORCE, rr.Arrows3D.from_fields(colors=[colors.PHYSICAL], radii=[ARROW_RADIUS]), static=True)
-    rec.send_columns(
-        CONTACT_FORCE, indexes=[time], columns=rr.Arrows3D.columns(vectors=vectors, origins=origins).partition(acts.astype(int))
-    )
-    told = force > LABEL_FROM * force.max(initial=0.0)
-    beyond = 1.0 + LABEL_GAP / (scale * force[told, None])
-    tips = origins[told[acts]] + beyond * scale * wrench[told, :3]
-    points = rr.Points3D.columns(positions=tips, labels=[f"{f:.0f} N" for f in force[told]])
-    path = f"{CONTACT_FORCE}/size"
-    rec.log(path, rr.Points3D.from_fields(colors=[colors.PHYSICAL], radii=[0.001], show_labels=True), static=True)
-    rec.send_columns(path, indexes=[time], columns=points.partition(told.astype(int)))
-
-
-def log_solid(rec: rr.RecordingStream, path: str, shape: Solid, opacity: float = 1.0) -> None:
-    """A shape in the frame of its entity."""
-    mesh = rr.Mesh3D(
-        vertex_positions=shape.vertices,
-        vertex_normals=shape.normals,
-        triangle_indices=shape.triangles,
-        vertex_colors=shape.colors,
-        albedo_factor=(1.0, 1.0, 1.0, opacity) if opacity < 1.0 else None,
-    )
-    rec.log(path, mesh, static=True)
 
 
 def _log_triad(rec: rr.RecordingStream, path: str, position: Array, rotation: Array, name: str) -> None:

@@ -16,7 +16,7 @@ from hiltestbed.frames import Array, quat_mul, rotate, rotation_matrix
 from hiltestbed.scenario import Body, Scenario
 from hiltestbed.spacecraft import CHASER, TARGET, Spacecraft, inertia_matrix, port_pose
 from hiltestbed.viewer import colors
-from hiltestbed.viewer.rig import log_solid, send_poses
+from hiltestbed.viewer.drawing import log_solid, send_poses
 from hiltestbed.viewer.solids import Solid, box, cylinder
 
 ROOT = "spacecraft"
@@ -75,7 +75,7 @@ def cuboid(body: Body) -> tuple[Array, Array]:
 
 
 def heights(scenario: Scenario) -> tuple[float, float]:
-    """[m] how far the target reaches up from the ports at t = 0, and the chaser down."""
+    """[m] how far the target reaches up from its port, and the chaser down from its own."""
     craft = scenario.spacecraft
     up, down = (float(np.linalg.norm(body.port.position) + cuboid(body)[0].max()) for body in (craft.target, craft.chaser))
     return up, down

@@ -15,13 +15,14 @@ from rerun.chunk import RrdReader
 import hiltestbed
 from hiltestbed.frames import Array, rotation_matrix
 from hiltestbed.rig.kinematics import Platform
+from hiltestbed.rig.prs3 import Upper
 from hiltestbed.scenario import Scenario
 from hiltestbed.signals import RunTrace
 from hiltestbed.simulation import Run, run
 from hiltestbed.viewer import write_recording
+from hiltestbed.viewer.forces import force_scale
 from hiltestbed.viewer.frames import CONTACT, FREE, frame_rows
 from hiltestbed.viewer.plots import contact_phases
-from hiltestbed.viewer.rig import force_scale
 
 SINGLE = 1e-6  # poses and arrows are in single precision: 6e-8 of a metre or two
 
@@ -120,7 +121,7 @@ def test_links_end_at_the_platform_and_start_at_their_slider(recording: Read, tr
 
 
 def test_arrow_is_the_contact_force_where_it_acts(recording: Read, done: Run, trace: RunTrace, rows: np.ndarray) -> None:
-    entity, wrench = "/rig/forces/contact", trace["wrench_true"][rows]
+    entity, wrench = "/rig/at_P/contact_force", trace["wrench_true"][rows]
     scale = force_scale(np.linalg.norm(trace["wrench_true"][:, :3], axis=1).max())
     vectors, origins = (recording.moving[entity][f"Arrows3D:{part}"] for part in ("vectors", "origins"))
     assert len(vectors) == len(rows)
@@ -199,7 +200,7 @@ def test_centre_of_mass_of_the_spacecraft_moves_uniformly(recording: Read, done:
 def test_scene_holds_rig_ports_and_spacecraft(recording: Read) -> None:
     meshes = {entity for entity, columns in recording.static.items() if any(c.startswith("Mesh3D:") for c in columns)}
     limbs = {f"/rig/{part}_{j}/shape" for part in ("carriage", "link") for j in range(6)}
-    assert limbs | {"/rig/platform/shape", "/rig/platform/port_A", "/rig/fixed/port_P"} <= meshes
+    assert limbs | {"/rig/platform/shape", "/rig/platform/port_A", "/rig/at_P/port_P"} <= meshes
     assert {"/rig/platform/active_mechanism/shape", "/rig/fixed/passive_mechanism/shape", "/rig/fixed/frame_frame/shape"} <= meshes
     assert {"/spacecraft/chaser/body", "/spacecraft/target/body"} <= meshes
 
@@ -220,11 +221,29 @@ def test_the_same_run_gives_the_same_content(recording: Read, done: Run, tmp_pat
                 assert str(one[entity][name]) == str(other[entity][name]), (entity, name)
 
 
+def test_upper_platform_carries_P_and_its_legs_close(tmp_path: Path) -> None:
+    far = hiltestbed.load_scenario(Path(__file__).parents[2] / "scenarios" / "14-rendezvous.yaml")
+    done = run(far.model_copy(update={"duration": 0.2}))
+    assert done.trace is not None
+    write_recording(tmp_path / "recording.rrd", done)
+    read, rows = Read(tmp_path / "recording.rrd"), frame_rows(done.trace, far.rate)
+    port, attitude = read.pose("rig/at_P")
+    assert port[0, 2] > 1.0  # a gap of 2 m is for the upper platform to close
+    lower, turn = read.pose("rig/platform")
+    relative = np.einsum("fji,fj->fi", attitude, lower - turn @ Platform.load().centre - port)
+    np.testing.assert_allclose(relative, done.trace["pose_act"][rows, :3], atol=2e-5)  # P is drawn where it is planned to be
+    upper = Upper.load()
+    for j, leg in enumerate(upper.legs):
+        foot, swing = read.pose(f"rig/upper_link_{j}")
+        end = foot + swing @ [-1.0, 0.0, -0.98]  # link_end of models/prs3
+        np.testing.assert_allclose(end, port + attitude @ leg[3:6], atol=1e-5)
+
+
 def test_a_run_that_does_not_touch(scenario: Scenario, tmp_path: Path) -> None:
     away = run(scenario.model_copy(update={"duration": 0.1}))
     write_recording(tmp_path / "recording.rrd", away)
     read = Read(tmp_path / "recording.rrd")
-    assert all(len(v) == 0 for v in read.moving["/rig/forces/contact"]["Arrows3D:vectors"])
+    assert all(len(v) == 0 for v in read.moving["/rig/at_P/contact_force"]["Arrows3D:vectors"])
     assert not [entity for entity in read.moving if entity.endswith("/identified")]
 
 

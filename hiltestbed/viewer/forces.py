@@ -1,0 +1,52 @@
+"""The contact force as an arrow where it acts, in the frame of P."""
+
+from __future__ import annotations
+
+import numpy as np
+import rerun as rr
+
+from hiltestbed.frames import Array
+from hiltestbed.viewer import colors
+
+ARROW_LENGTH = 0.6  # [m] of the largest force, at most
+LINE_OF_ACTION = 0.6  # [m] the force is drawn at its line of action where that passes A this closely
+ARROW_RADIUS = 0.02  # [m]
+LABEL_GAP = 0.03  # [m] from the tip of an arrow to its label
+LABEL_FROM = 0.02  # of the largest force: below it an arrow has no label
+
+
+def force_scale(peak: float, length: float = ARROW_LENGTH) -> float:
+    """[m/N] so that ``peak`` [N] is drawn within ``length`` [m] and a metre is a round number of newtons."""
+    if not peak > 0.0:
+        return 1e-3
+    least = peak / length
+    decade = 10.0 ** np.floor(np.log10(least))
+    return float(1.0 / next(step * decade for step in (1.0, 1.5, 2.0, 3.0, 5.0, 7.5, 10.0) if step * decade >= least * (1.0 - 1e-9)))
+
+
+def force_origin(wrench: Array, pose: Array) -> Array:
+    """``(frames, 3)`` where the force of ``wrench`` (frames, 6) acts: on its line of action, next to A; A where that is far off.
+
+    The line of a force f with the torque t about the origin runs through f x t/f^2; a couple moves it away from the contact.
+    """
+    force, torque, a = wrench[:, :3], wrench[:, 3:], pose[:, :3]
+    square = np.maximum(np.einsum("ij,ij->i", force, force), 1e-12)[:, None]
+    line = np.cross(force, torque) / square
+    point = line + force * np.einsum("ij,ij->i", a - line, force)[:, None] / square
+    near = np.linalg.norm(point - a, axis=1) < LINE_OF_ACTION
+    return np.where(near[:, None], point, a)
+
+
+def send_force(rec: rr.RecordingStream, path: str, time: rr.TimeColumn, wrench: Array, pose: Array, scale: float) -> None:
+    """The force on the passive side as an arrow where it acts, ``scale`` [m/N], its size at the tip; none where there is none."""
+    force = np.linalg.norm(wrench[:, :3], axis=1)
+    acts = force > 0.0
+    vectors, origins = scale * wrench[acts, :3], force_origin(wrench, pose)[acts]
+    rec.log(path, rr.Arrows3D.from_fields(colors=[colors.PHYSICAL], radii=[ARROW_RADIUS]), static=True)
+    rec.send_columns(path, indexes=[time], columns=rr.Arrows3D.columns(vectors=vectors, origins=origins).partition(acts.astype(int)))
+    told = force > LABEL_FROM * force.max(initial=0.0)
+    beyond = 1.0 + LABEL_GAP / (scale * force[told, None])
+    tips = origins[told[acts]] + beyond * scale * wrench[told, :3]
+    points = rr.Points3D.columns(positions=tips, labels=[f"{f:.0f} N" for f in force[told]])
+    rec.log(f"{path}/size", rr.Points3D.from_fields(colors=[colors.PHYSICAL], radii=[0.001], show_labels=True), static=True)
+    rec.send_columns(f"{path}/size", indexes=[time], columns=points.partition(told.astype(int)))
