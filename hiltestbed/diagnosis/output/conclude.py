@@ -1,0 +1,31 @@
+"""From what was found to the whole diagnosis: the model extended, both models played in closed loop, the next experiment."""
+
+from __future__ import annotations
+
+from hiltestbed.diagnosis.output.closed_loop import closed_loop, play
+from hiltestbed.diagnosis.output.evidence import channel_residuals
+from hiltestbed.diagnosis.output.experiments import missing_links, next_experiment
+from hiltestbed.diagnosis.output.extend import extended_scenario
+from hiltestbed.diagnosis.output.result import Diagnosis, Finding
+from hiltestbed.measured import MeasuredDataset
+
+
+def conclude(dataset: MeasuredDataset, finding: Finding, seconds: float | None = None) -> Diagnosis:
+    """The diagnosis of a dataset; `seconds`: what it has taken so far."""
+    causes = finding.causes if finding.extends else ()
+    played = play(dataset, causes)
+    notes = (*finding.notes, *(() if finding.notes else missing_links(dataset)), *(str(remark) for remark in dataset.remarks))
+    refused = [f"run {p.run}: the nominal simulation could not be run" for p in played if p.nominal is None]
+    refused += [f"run {p.run}: the extended simulation could not be run" for p in played if p.extended is None and p.nominal is not None]
+    return Diagnosis(
+        name=dataset.spec.name or dataset.path.parent.resolve().name or dataset.nominal.name,
+        finding=finding,
+        residuals=channel_residuals(finding.series, finding.noise, bool(causes)),
+        closed_loop=closed_loop(dataset, played),
+        experiment=next_experiment(finding, dataset),
+        extended=extended_scenario(dataset.nominal, causes),
+        dataset=dataset,
+        played=played,
+        remarks=(*notes, *refused),
+        seconds=seconds,
+    )

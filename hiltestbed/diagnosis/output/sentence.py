@@ -1,0 +1,62 @@
+"""The verdict and the gain in words."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from hiltestbed.diagnosis.output.extend import in_words
+from hiltestbed.effects.vocabulary import EFFECTS
+
+if TYPE_CHECKING:
+    from hiltestbed.diagnosis.output.result import Cause, Diagnosis, Heldout
+
+WHERE = {
+    "platform": "the motion platform (pose commanded to pose reached)",
+    "contact": "the contact (pose reached to force measured)",
+    "sensor": "the force sensor (pose reached to force measured)",
+    "compensation": "the compensation (force measured to force used)",
+    "dynamics": "the numerical model (force used to pose commanded)",
+    "log": "the record alone (the loop is untouched)",
+}
+
+
+def verdict_sentence(diagnosis: Diagnosis) -> str:
+    """What was found, in a sentence or two that stand alone."""
+    finding = diagnosis.finding
+    where = WHERE.get(finding.link or "", "the loop")
+    if finding.verdict == "no_discrepancy":
+        return "The simulation explains these data: what is left is noise on every channel, and nothing is extended."
+    if finding.verdict == "unknown":
+        named = f" {' and '.join(c.effect for c in finding.causes)} explain a part of it." if finding.causes else ""
+        left = f" {finding.left[0].upper()}{finding.left[1:].rstrip('.')}." if finding.left else ""
+        return f"{where[0].upper()}{where[1:]} departs from its model, and no effect of the vocabulary leaves mere noise.{left}{named}"
+    found = " and ".join(named_cause(c) for c in finding.causes)
+    if finding.verdict == "ambiguous":
+        sets = "; ".join(" or ".join((c.effect, *c.indistinguishable_from)) for c in finding.causes)
+        return f"{where[0].upper()}{where[1:]} departs from its model; these data cannot tell which it is: {sets}. Best fit: {found}."
+    return f"{where[0].upper()}{where[1:]} departs from its model: {found}."
+
+
+def named_cause(cause: Cause) -> str:
+    """`sensor.delay (delay 0.0033 (0.0031 to 0.0035) s)`, and what it cannot be told from."""
+    words = ", ".join(f"{name} {in_words(p, 3)}" for name, p in cause.parameters.items())
+    rivals = f", not to be told from {' or '.join(cause.indistinguishable_from)}" if cause.indistinguishable_from else ""
+    return f"{cause.effect} [{words}]{rivals}" if words else f"{cause.effect}{rivals}"
+
+
+def meaning(effect: str) -> str:
+    """What an effect is, from the vocabulary."""
+    return EFFECTS[effect].description if effect in EFFECTS else ""
+
+
+def gain_sentence(heldout: Heldout | None, extends: bool) -> str:
+    """The gain on runs that were not fitted, against its placebo."""
+    if heldout is None:
+        return "The gain was not measured on left-out runs." if extends else "Nothing was extended, so there is no gain to measure."
+    low, high = heldout.ci95
+    text = (
+        f"On {len(heldout.runs)} runs that were not fitted the residual falls from {heldout.rms_before:.3g} to {heldout.rms_after:.3g} "
+        f"times the noise floor: {100 * heldout.reduction:.1f} % less (95 % interval {100 * low:.1f} to {100 * high:.1f} %); "
+        f"a wrong effect of equal size gives {100 * heldout.placebo_reduction:.1f} %."
+    )
+    return text if heldout.significant else text + " That is not significant: no gain is claimed and the model is not extended."
