@@ -29,31 +29,40 @@ if TYPE_CHECKING:
 
 
 @njit(cache=True)
-def _command(planned, home, pose, twist, accel, h, before, slope, pose_W, twist_W, accel_W):
+def _command(planned, x, was_home, pose, twist, accel, h, before, slope, pose_W, twist_W, accel_W):
     """The lower platform's command in W for that of A in P, ``pose`` (n, 7), ``twist`` and ``accel`` (n, 6).
 
-    planned: (n, 7) of P in W at the end of the tick; home: (n,) whether it is home at both of its ends. before (n, 7), slope (n, 6):
-    the command of the last tick and its slope, moved on.
+    planned (n, 7), x (n, 3): P in W and the upper platform's coordinates at the end of the tick; was_home: (n,) whether these were 0 at
+    its start, moved on. before (n, 7), slope (n, 6): the command of the last tick and its slope, moved on.
     """
     for i in range(pose.shape[0]):
-        if home[i]:
+        home = x[i, 0] == 0.0 and x[i, 1] == 0.0 and x[i, 2] == 0.0
+        if home and was_home[i]:
             pose_W[i], twist_W[i], accel_W[i] = pose[i], twist[i], accel[i]
         else:
             compose(planned[i], pose[i], pose_W[i])
             twist_between(before[i], pose_W[i], h, twist_W[i])
             for j in range(6):
                 accel_W[i, j] = (twist_W[i, j] - slope[i, j]) / h
+        was_home[i] = home
         before[i] = pose_W[i]
         slope[i] = twist_W[i]
 
 
 @njit(cache=True)
-def _slope_of(before, now, h, away, twist_W, twist):
-    for i in range(now.shape[0]):
-        if away[i]:
-            twist_between(before[i], now[i], h, twist[i])
-        else:
-            twist[i] = twist_W[i]
+def _together(ideal, away, h, pose_W, twist_W, place_P, motion_P, lower_wrench, residual, pose, twist, wrench):
+    """Relative pose and twist from those of A and of P in W, and the sensor's wrench from the contact's and what the payload leaves.
+
+    ``ideal``: the twist is the slope of the relative pose over the tick ``h`` where the upper platform is away.
+    """
+    before = pose.copy()
+    relate(pose_W, twist_W, place_P, motion_P, pose, twist)
+    for i in range(pose.shape[0]):
+        if ideal and away[i]:
+            twist_between(before[i], pose[i], h, twist[i])
+        for s in range(wrench.shape[1]):
+            for j in range(6):
+                wrench[i, s, j] = lower_wrench[i, s, j] + residual[i, s, j]
 
 
 class NineAxes:
@@ -70,8 +79,7 @@ class NineAxes:
         self.wrench_sub = np.zeros_like(lower.wrench_sub)
         self._before, self._slope = np.zeros((n, 7)), np.zeros((n, 6))  # of the command in W
         self._pose_W, self._twist_W, self._accel_W = np.zeros((n, 7)), np.zeros((n, 6)), np.zeros((n, 6))
-        self._reached = np.zeros((n, 7))
-        self._home, self._was_home = np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)
+        self._was_home = np.zeros(n, dtype=bool)
 
     @property
     def model(self) -> mujoco.MjModel:
@@ -105,19 +113,15 @@ class NineAxes:
         if upper.advance(pose_cmd, self.diverged):
             for i in np.flatnonzero(self.diverged):
                 self.causes[i] = self.causes[i] or "the upper platform moves faster than 1000 m/s or rad/s"
-        at_home = ~upper.x.any(axis=1)
-        np.logical_and(at_home, self._was_home, out=self._home)
-        self._was_home[:] = at_home
         _command(
-            upper.planned, self._home, pose_cmd, twist_cmd, accel_cmd, self.tick,
+            upper.planned, upper.x, self._was_home, pose_cmd, twist_cmd, accel_cmd, self.tick,
             self._before, self._slope, self._pose_W, self._twist_W, self._accel_W,
         )  # fmt: skip
         lower.advance(self._pose_W, self._twist_W, self._accel_W)
-        self._reached[:] = self.pose_act
-        relate(lower.pose_act, lower.twist_act, upper.pose, upper.twist, self.pose_act, self.twist_act)
-        if self._ideal:
-            _slope_of(self._reached, self.pose_act, self.tick, upper.away, lower.twist_act, self.twist_act)
-        np.add(lower.wrench_sub, upper.residual, out=self.wrench_sub)
+        _together(
+            self._ideal, upper.away, self.tick, lower.pose_act, lower.twist_act, upper.pose, upper.twist, lower.wrench_sub,
+            upper.residual, self.pose_act, self.twist_act, self.wrench_sub,
+        )  # fmt: skip
 
     def payload_left(self, i: int) -> dict[str, float] | None:
         """What weight and inertia of the passive side have left in the sensor's reading of run ``i``, at most; None: not simulated."""

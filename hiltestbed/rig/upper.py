@@ -27,14 +27,15 @@ SETTLE = 0.15  # [s] after which a 25 Hz critically damped loop has 1e-9 of an e
 
 
 @njit(cache=True)
-def _plan(shape, pose, h, settle, x, rate, speed, still, away, xs, planned, twist):
-    """Move on to the coordinates for the relative poses ``(n, 7)`` at the end of the tick ``h``.
+def _plan(shape, pose, h, settle, diverged, x, rate, speed, still, away, was_away, xs, planned, slope, reached, twist):
+    """Move on to the coordinates for the relative poses ``(n, 7)`` at the end of the tick ``h``; returns whether a run is or was away.
 
     x, rate, speed: (n, 3) coordinates, their change over the last tick, and the velocity with which the cubic leaves it. still: (n,)
-    ticks at home. xs: (n, m, 3) coordinates at the ends of the substeps. planned (n, 7), twist (n, 6): P in W at the end, and its
-    slope over the tick.
+    ticks at home. xs: (n, m, 3) coordinates at the ends of the substeps. planned (n, 7), slope (n, 6): P in W at the end, and its
+    slope over the tick; reached (n, 7) and twist (n, 6) become these.
     """
     m = xs.shape[1]
+    busy = False
     goal, before = np.empty(3), np.empty(7)
     for i in range(pose.shape[0]):
         goal[:] = x[i]
@@ -51,14 +52,18 @@ def _plan(shape, pose, h, settle, x, rate, speed, still, away, xs, planned, twis
                 xs[i, s, j] = goal[j] if s == m - 1 else x[i, j] + t * (b + t * ((3.0 * a - 2.0 * b - c) + t * (b + c - 2.0 * a)))
             rate[i, j], speed[i, j] = new, leave
         still[i] = 0 if moves else still[i] + 1
-        away[i] = still[i] <= settle
+        away[i] = still[i] <= settle and not diverged[i]
+        busy = busy or away[i] or was_away[i]
         before[:] = planned[i]
         if moves:
             x[i] = goal
             place(shape, goal, planned[i])
-            twist_between(before, planned[i], h, twist[i])
+            twist_between(before, planned[i], h, slope[i])
         else:
-            twist[i] = 0.0
+            slope[i] = 0.0
+        reached[i] = planned[i]
+        twist[i] = slope[i]
+    return busy
 
 
 @njit(cache=True)
@@ -119,23 +124,17 @@ class UpperPlatform:
 
     def advance(self, pose: Array, diverged: NDArray[np.bool_]) -> bool:
         """One tick towards the relative ``pose`` (n, 7); True where a run has just ``diverged`` (n,)."""
-        _plan(
-            self._shape, pose, self.tick, self._settle, self.x, self.rate, self._speed,
-            self._still, self.away, self._xs, self.planned, self._slope,
+        busy = _plan(
+            self._shape, pose, self.tick, self._settle, diverged, self.x, self.rate, self._speed, self._still, self.away,
+            self._was_away, self._xs, self.planned, self._slope, self.pose, self.twist,
         )  # fmt: skip
-        self.away &= ~diverged
-        if self.drives is None or not (self.away.any() or self._was_away.any()):
-            self.pose[:], self.twist[:] = self.planned, self._slope
-            return False
-        return self._drive(self.drives, diverged)
+        return self._drive(self.drives, diverged) if busy and self.drives else False
 
     def _drive(self, drives: UpperDrives, diverged: NDArray[np.bool_]) -> bool:
         for i in np.flatnonzero(self._was_away & ~self.away & ~diverged):  # clamped: it starts from here next time
             drives.settle(int(i), np.zeros(3), np.zeros(3))
         self._was_away[:] = self.away
         drives.run(self._xs, self.away, np.flatnonzero(self.away))
-        clamped = ~self.away
-        self.pose[clamped], self.twist[clamped] = self.planned[clamped], 0.0
         return drives.observe(self.away, self.pose, self.twist, diverged)
 
     def buffers(self) -> dict[str, NDArray[Any]]:
