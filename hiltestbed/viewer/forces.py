@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import rerun as rr
+from numpy.typing import NDArray
 
 from hiltestbed.frames import Array
 from hiltestbed.viewer import colors
@@ -37,14 +38,21 @@ def force_origin(wrench: Array, pose: Array) -> Array:
     return np.where(near[:, None], point, a)
 
 
-def send_force(rec: rr.RecordingStream, path: str, time: rr.TimeColumn, wrench: Array, pose: Array, scale: float) -> None:
-    """The force on the passive side as an arrow where it acts, ``scale`` [m/N], its size at the tip; none where there is none."""
+def send_force(
+    rec: rr.RecordingStream, path: str, time: rr.TimeColumn, wrench: Array, pose: Array, contact: NDArray[np.bool_], scale: float
+) -> None:
+    """The force on the passive side as an arrow where it acts, ``scale`` [m/N], its size at the tip; none apart from contact,
+    where the sensor may still feel the payload that it carries.
+
+    Args:
+        wrench: ``(frames, 6)``. pose: ``(frames, 7)`` of A in P. contact: ``(frames,)`` bool.
+    """
     force = np.linalg.norm(wrench[:, :3], axis=1)
-    acts = force > 0.0
+    acts = contact & (force > 0.0)
     vectors, origins = scale * wrench[acts, :3], force_origin(wrench, pose)[acts]
     rec.log(path, rr.Arrows3D.from_fields(colors=[colors.PHYSICAL], radii=[ARROW_RADIUS]), static=True)
     rec.send_columns(path, indexes=[time], columns=rr.Arrows3D.columns(vectors=vectors, origins=origins).partition(acts.astype(int)))
-    told = force > LABEL_FROM * force.max(initial=0.0)
+    told = acts & (force > LABEL_FROM * force.max(initial=0.0))
     beyond = 1.0 + LABEL_GAP / (scale * force[told, None])
     tips = origins[told[acts]] + beyond * scale * wrench[told, :3]
     points = rr.Points3D.columns(positions=tips, labels=[f"{f:.0f} N" for f in force[told]])

@@ -67,7 +67,7 @@ def _rig(rec: rr.RecordingStream, run: Run, trace: RunTrace, rows: NDArray[np.in
     time, pose = rr.TimeColumn("time", duration=trace.t[rows]), trace["pose_act"][rows]
     scene.draw(rec)
     scene.move(rec, time, pose, port_poses(run.scenario, rows, trace["pose_cmd"]))
-    send_force(rec, CONTACT_FORCE, time, trace["wrench_true"][rows], pose, scale)
+    send_force(rec, CONTACT_FORCE, time, trace["wrench_true"][rows], pose, trace.contact[rows], scale)
 
 
 def _spacecraft(rec: rr.RecordingStream, run: Run, trace: RunTrace, rows: NDArray[np.intp]) -> None:
