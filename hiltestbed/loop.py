@@ -15,6 +15,7 @@ from numba import njit
 from hiltestbed.compensation import make_drive
 from hiltestbed.compensation.measurement import Measurement
 from hiltestbed.compensation.motion import MotionCommand
+from hiltestbed.effects.record import InputDeadZone
 from hiltestbed.frames import Array
 from hiltestbed.identification import make_identification
 from hiltestbed.metrics import Tally
@@ -44,6 +45,7 @@ class Loop:
         self.plant = Plant(scenarios, nthread)
         self.sensor = Sensor(scenarios, [np.random.default_rng(s.seed) for s in scenarios])
         self.identification = make_identification(scenarios)
+        self.dead_zone = InputDeadZone(scenarios)
         self.drive = make_drive(scenarios)
         self.motion = MotionCommand(scenarios)
         self.tally = Tally(scenarios)
@@ -59,7 +61,7 @@ class Loop:
         unknown = np.full((n, 6), np.nan)
         estimate = self.identification
         self.measurement = Measurement(
-            wrench=self.sensor.reading,
+            wrench=self.dead_zone.wrench if self.dead_zone.active else self.sensor.reading,
             pose=self.plant.pose_act,
             twist=self.plant.twist_act,
             stiffness=estimate.stiffness if estimate else unknown,
@@ -72,6 +74,8 @@ class Loop:
         self.sensor.read(k, plant.wrench_sub)
         if self.identification:
             self.identification.update(self.sensor.reading, plant.pose_act, plant.twist_act)
+        if self.dead_zone.active:
+            self.dead_zone.update(self.sensor.reading)
         self._pose_before[:] = drive.pose
         drive.advance(self.measurement)
         self.motion.update(drive.pose, drive.twist, plant.pose_act)

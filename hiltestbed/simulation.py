@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from hiltestbed.effects.record import stamp_late
 from hiltestbed.ledger import delay_ledger, predicted_log_error
 from hiltestbed.loop import Loop
 from hiltestbed.metrics import ContactFigures
@@ -103,6 +104,7 @@ def simulate(
         progress(loop.k, ticks)
     if rows is not None:
         rows.length[:] = loop.k
+        stamp_late(rows, scenarios)
         for i, (k, *_) in loop.trouble.items():
             rows.length[i] = k + 1
     return Batch(

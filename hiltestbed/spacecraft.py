@@ -27,7 +27,9 @@ from hiltestbed.frames import (
 )
 from hiltestbed.scenario import Body, Scenario
 
-RUNS_PER_MODEL = 6  # Pinocchio's Data holds several (nv, nv, nv) tensors: at 6 runs, nv = 72, 12 MB and 2 ms to make; at 16, 230 MB and 0.2 s
+RUNS_PER_MODEL = (
+    6  # Pinocchio's Data holds several (nv, nv, nv) tensors: at 6 runs, nv = 72, 12 MB and 2 ms to make; at 16, 230 MB and 0.2 s
+)
 CHASER, TARGET = 0, 1
 WORK = 9  # rows of scratch that the kernels of one run need
 
@@ -61,22 +63,20 @@ class Spacecraft:
 
     def build(self) -> None:
         """(Re)make the Pinocchio models from ``mass`` and ``inertia``."""
-        self._blocks = [
-            _Block(self.mass[i : i + RUNS_PER_MODEL], self.inertia[i : i + RUNS_PER_MODEL], slice(i, i + RUNS_PER_MODEL))
-            for i in range(0, self.n, RUNS_PER_MODEL)
-        ]
+        self._blocks = pinocchio_blocks(self.mass, self.inertia)
 
     def reset(self) -> None:
         """Target at rest with P at the inertial origin; chaser where and as fast as ``approach`` says."""
-        _place(self._approach, self.port, self.q, self.v)
-        _relative(self.q, self.v, self.port, self.pose, self.twist)
+        place_at_start(self._approach, self.port, self.q, self.v)
+        relative_states(self.q, self.v, self.port, self.pose, self.twist)
 
     def advance(self, wrench: Array) -> None:
         """One semi-implicit Euler step under ``wrench`` ``(n, 6)``, active on passive, in P at P's origin: twists, then poses."""
-        _load(self.q, self.port, wrench, self._tau)
+        load_wrench(self.q, self.port, wrench, self._tau)
         for block in self._blocks:
-            block.step(self.q, self.v, self._tau, self.tick)
-        _relative(self.q, self.v, self.port, self.pose, self.twist)
+            block.accelerate(self.q, self.v, self._tau, self.tick)
+            block.move(self.q, self.v, self.tick)
+        relative_states(self.q, self.v, self.port, self.pose, self.twist)
 
     def buffers(self) -> dict[str, Array]:
         """The arrays that make up the state."""
@@ -97,10 +97,21 @@ class _Block:
                 self.model.appendBodyToJoint(ball, pin.Inertia(mass[i, b], np.zeros(3), inertia[i, b]), pin.SE3.Identity())
         self.data = self.model.createData()
 
-    def step(self, q: Array, v: Array, tau: Array, tick: float) -> None:
-        q_, v_, tau_ = q[self.runs].reshape(-1), v[self.runs].reshape(-1), tau[self.runs].reshape(-1)
-        v_ += tick * pin.aba(self.model, self.data, q_, v_, tau_)
-        q_[:] = pin.integrate(self.model, q_, tick * v_)
+    def accelerate(self, q: Array, v: Array, tau: Array, tick: float) -> None:
+        """Add a tick's change to the velocities."""
+        v_ = v[self.runs].reshape(-1)
+        v_ += tick * pin.aba(self.model, self.data, q[self.runs].reshape(-1), v_, tau[self.runs].reshape(-1))
+
+    def move(self, q: Array, v: Array, tick: float) -> None:
+        """Move the poses with the velocities for a tick."""
+        q_ = q[self.runs].reshape(-1)
+        q_[:] = pin.integrate(self.model, q_, tick * v[self.runs].reshape(-1))
+
+
+def pinocchio_blocks(mass: Array, inertia: Array) -> list[_Block]:
+    """The Pinocchio models of bodies of ``mass`` ``(n, 2)`` [kg] and ``inertia`` ``(n, 2, 3, 3)`` [kg m^2]."""
+    runs = [slice(i, i + RUNS_PER_MODEL) for i in range(0, len(mass), RUNS_PER_MODEL)]
+    return [_Block(mass[r], inertia[r], r) for r in runs]
 
 
 def inertia_matrix(inertia: Sequence[float]) -> Array:
@@ -133,7 +144,7 @@ def effective_mass(scenario: Scenario) -> float:
         n = np.array([2 * (q[0] * q[2] + q[1] * q[3]), 2 * (q[1] * q[2] - q[0] * q[3]), 1 - 2 * (q[0] ** 2 + q[1] ** 2)])
         arm = np.cross(port[:3], n)
         total += 1.0 / body.mass + arm @ np.linalg.solve(inertia_matrix(body.inertia), arm)
-    return 1.0 / total
+    return float(1.0 / total)
 
 
 def pair_momentum(mass: Array, inertia: Array, q: Array, v: Array) -> Array:
@@ -176,7 +187,8 @@ def place_bodies(approach, port, q, v):
 
 
 @njit(cache=True)
-def _place(approach, port, q, v):
+def place_at_start(approach, port, q, v):
+    """All runs: ``q`` (n, 2, 7) and ``v`` (n, 2, 6) at t = 0."""
     for i in range(q.shape[0]):
         place_bodies(approach[i], port[i], q[i], v[i])
 
@@ -234,14 +246,14 @@ def load_bodies(q, port, wrench, work, tau):
 
 
 @njit(cache=True)
-def _relative(q, v, port, pose, twist):
+def relative_states(q, v, port, pose, twist):
     work = np.empty((WORK, 7))
     for i in range(q.shape[0]):
         relative_motion(q[i], v[i], port[i], work, pose[i], twist[i])
 
 
 @njit(cache=True)
-def _load(q, port, wrench, tau):
+def load_wrench(q, port, wrench, tau):
     work = np.empty((WORK, 7))
     for i in range(q.shape[0]):
         load_bodies(q[i], port[i], wrench[i], work, tau[i])

@@ -23,6 +23,8 @@ from hiltestbed.compensation.reconstruction import Reconstruction, SmithPredicto
 from hiltestbed.compensation.resynchronised import Resynchronised
 from hiltestbed.compensation.second_order_lead import SecondOrderLead
 from hiltestbed.compensation.virtual_contact import VirtualContact
+from hiltestbed.effects.access import effects_of
+from hiltestbed.effects.numerical_model import DepartingSpacecraft
 from hiltestbed.frames import Array
 from hiltestbed.scenario import Scenario
 from hiltestbed.spacecraft import Spacecraft
@@ -85,7 +87,8 @@ class ForceDrive:
 
 def make_drive(scenarios: Sequence[Scenario]) -> Drive:
     """The drive that ``compensation`` names; one kind for all runs of a batch."""
-    spacecraft = Spacecraft(scenarios)
+    departs = any(effects_of(s, "dynamics") for s in scenarios)
+    spacecraft = DepartingSpacecraft(scenarios) if departs else Spacecraft(scenarios)
     if scenarios[0].compensation.force.kind == "resynchronised":
         return Resynchronised(spacecraft, scenarios)
     correction = ContactCorrection() if scenarios[0].compensation.motion.kind == "contact_correction" else None

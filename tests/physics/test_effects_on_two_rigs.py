@@ -17,7 +17,8 @@ EFFECTS = (
     "sensor.saturation", "sensor.hum", "contact.stiffness", "contact.damping", "contact.power_law", "contact.hunt_crossley",
     "contact.dry_friction", "contact.preload", "contact.hard_stop", "contact.relaxation", "contact.adhesion", "contact.surface_friction",
     "contact.touch_offset", "frame.compliance", "frame.mode", "platform.delay", "platform.lag", "platform.backlash", "platform.mode",
-    "platform.scale", "platform.speed_limit",
+    "platform.scale", "platform.speed_limit", "dynamics.mass", "dynamics.inertia", "dynamics.port_offset", "dynamics.appendage",
+    "dynamics.step_delay", "dynamics.integrator", "loop.deadzone", "log.skew",
 )  # fmt: skip
 
 
