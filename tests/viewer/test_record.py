@@ -278,9 +278,9 @@ def test_a_hundred_thousand_ticks_take_two_seconds_and_time_grows_with_them(done
     def seconds(long: Run) -> float:
         best = np.inf
         for _ in range(2):
-            start = time.perf_counter()
+            start = time.process_time()  # of all threads: a busy machine does not count
             write_recording(tmp_path / "recording.rrd", long)
-            best = min(best, time.perf_counter() - start)
+            best = min(best, time.process_time() - start)
         return best
 
     few, many = seconds(tiled(done, 25_000)), seconds(tiled(done, 100_000))
