@@ -134,7 +134,7 @@ def sensor_candidates(s: Scales, tone: dict[str, tuple[float, float, float]]) ->
         candidate("sensor.lag", {"time_constant": [0.3 * h, h, 3 * h, 8 * h, 25 * h]}),
         candidate("sensor.highpass", {"time_constant": [0.05, 0.2, 1.0, 5.0, 25.0]}),
         candidate("sensor.bias", bias),
-        candidate("sensor.deadzone", {"width": [0.01 * f, 0.03 * f, 0.08 * f, 0.2 * f]}, bounds={"width": (0.5 * s.noise, 0.7 * f)}),
+        candidate("sensor.deadzone", {"width": list(np.geomspace(s.noise, 0.5 * f, 16))}, bounds={"width": (0.5 * s.noise, 0.7 * f)}),
         candidate("sensor.saturation", {"limit": [q * f for q in (0.25, 0.4, 0.55, 0.7, 0.8, 0.9, 0.97)] + list(s.reading)},
                   bounds={"limit": (0.05 * f, 1.2 * f)}),
     ]  # fmt: skip

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,6 +15,11 @@ from hiltestbed.frames import Array
 STEP = 1e-4  # of a parameter's scale, for differences
 ITERATIONS = 25
 SETTLED = 1e-4  # change of chi-square below which a fit has settled
+ROUGH = {
+    "sensor.deadzone": "width", "sensor.saturation": "limit", "contact.hard_stop": "position", "platform.friction": "stick",
+    "loop.deadzone": "width", "platform.speed_limit": "speed", "sensor.delay": "delay", "log.skew": "delay",
+    "contact.touch_offset": "offset",
+}  # fmt: skip
 LEAST_PENALTY = math.log(1000.0)
 
 
@@ -81,12 +86,12 @@ class Residual:
         doubt = getattr(self.link, "doubt", None)
         if doubt is None:
             return False
-        worse = False
-        for i in self.runs:
-            u = doubt(i, [*self.base, *effects]) * self.weight[i]
-            worse = worse or bool(np.any(u > 1.0))
+        doubts = {i: doubt(i, [*self.base, *effects]) * self.weight[i] for i in self.runs}
+        if not any(np.any(u > 1.0) for u in doubts.values()):
+            return False
+        for i, u in doubts.items():
             self.weight[i] = self.weight[i] / np.sqrt(1.0 + u * u)
-        return worse
+        return True
 
     def on(self, runs: Sequence[int]) -> Residual:
         """The same on fewer runs."""
@@ -127,7 +132,26 @@ def fit(residual: Residual, causes: Sequence[Candidate], starts: Sequence[Sequen
         if best is None or found.chi2 < best.chi2:
             best = found
     assert best is not None
-    return best
+    return _polish(run, best, low, high)
+
+
+def _polish(run: Callable[[Array], Array], found: Fit, low: Array, high: Array) -> Fit:
+    """Pattern search on the parameters in which chi-square has jumps, where a gradient is no guide."""
+    rough = [ROUGH.get(c.effect) == name for c in found.causes for name in c.names]
+    theta, chi2, r = found.theta, found.chi2, found.residual
+    for j in np.flatnonzero(rough):
+        step = 0.1
+        while step > 1e-3:
+            better = False
+            for sign in (1.0, -1.0):
+                moved = theta.copy()
+                moved[j] = np.clip(theta[j] * (1.0 + sign * step), low[j], high[j])
+                r_new = run(moved)
+                if square(r_new) < chi2 - SETTLED:
+                    theta, r, chi2, better = moved, r_new, square(r_new), True
+                    break
+            step = step if better else 0.4 * step
+    return replace(found, theta=theta, residual=r, chi2=chi2) if theta is not found.theta else found
 
 
 def square(r: Array) -> float:

@@ -58,7 +58,11 @@ def investigate(dataset: MeasuredDataset, progress: Progress | None = None) -> F
     """Explain every link that the dataset's channels allow."""
     study = make_study(dataset)
     out = Findings(study)
-    for name, ends in (("platform", "pose_cmd, pose_act"), ("compensation", "wrench_meas, wrench_comp"), ("dynamics", "wrench_comp, pose_cmd")):
+    for name, ends in (
+        ("platform", "pose_cmd, pose_act"),
+        ("compensation", "wrench_meas, wrench_comp"),
+        ("dynamics", "wrench_comp, pose_cmd"),
+    ):
         if name not in study.links:
             out.missing[name] = f"needs {ends} in every run"
     s = study.scales
@@ -72,7 +76,9 @@ def investigate(dataset: MeasuredDataset, progress: Progress | None = None) -> F
     _investigate_wrench(out, progress)
     if "dynamics" in study.links:
         residual = Residual(study.links["dynamics"])
-        out.explanations["dynamics"] = search(residual, dynamics_candidates(), _dynamics_judge(residual), progress=_named(progress, "dynamics"))
+        out.explanations["dynamics"] = search(
+            residual, dynamics_candidates(), _dynamics_judge(residual), progress=_named(progress, "dynamics")
+        )
         out.residuals["dynamics"] = residual
     return out
 
@@ -106,6 +112,28 @@ def _investigate_wrench(out: Findings, progress: Progress | None) -> None:
     residual = Residual(link, out.base)
     out.explanations["wrench"] = search(residual, candidates, special=[jitter_beside], progress=_named(progress, "contact and sensor"))
     out.residuals["wrench"] = residual
+
+
+def candidates_of(out: Findings, name: str) -> list[Candidate]:
+    """What was weighed on a link."""
+    s = out.study.scales
+    match name:
+        case "platform":
+            return platform_candidates(s, out.study.runs[0].scenario.substeps)
+        case "compensation":
+            return compensation_candidates(s)
+        case "dynamics":
+            return dynamics_candidates()
+    return _wrench_candidates(out.study, out.residuals["wrench"].link)
+
+
+def full_links(out: Findings) -> dict:
+    """The links on whole runs."""
+    links = {name: link for name, link in out.study.full.items() if name in out.explanations}
+    if "wrench" in out.explanations:
+        links["wrench"] = make_wrench_link(out, whole=True)
+        links["wrench"].lever = out.residuals["wrench"].link.lever
+    return links
 
 
 def _no_wrench(study: Study) -> str | None:
@@ -213,7 +241,7 @@ def tones(link: WrenchLink) -> dict[str, tuple[float, float, float]]:
 
 
 def _compensation_judge(study: Study) -> Callable:
-    """Computed, not measured: the residual is nothing, or noise of the record seen through the lead, no larger in contact than out of it."""
+    """Computed, not measured: the residual is nothing, or led noise of the record, no larger in contact than out of it."""
     run = study.runs[0].scenario
     impulse = np.zeros((400, 6))
     impulse[0] = 1.0

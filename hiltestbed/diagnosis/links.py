@@ -22,6 +22,9 @@ from hiltestbed.frames import Array
 from hiltestbed.scenario import Scenario
 
 Effects = Sequence[tuple[str, dict[str, Any]]]
+BETWEEN = 8  # instants a tick, where a reading falls between ticks: the rate of the contact jumps from one tick to the next
+NODES = np.linspace(-2.75, 2.75, 12)  # of a standard normal
+WEIGHTS = np.exp(-0.5 * NODES**2) / np.sum(np.exp(-0.5 * NODES**2))
 FORM = "form"  # private parameter: one of several readings of an effect's equation
 
 
@@ -92,18 +95,18 @@ class WrenchLink:
         self.runs, self.paths, self.lever = runs, paths, lever
         self._before = []
         for run, path in zip(runs, paths, strict=True):
-            position, velocity = start_of(run.scenario)
+            _, velocity = start_of(run.scenario)
             self._before.append(path[0] - velocity * run.scenario.tick)
 
     def predict(self, i: int, effects: Effects) -> Array:
         s = self.runs[i].scenario
-        sub = self.physical(i, effects)
+        late = s.sensor.delay + sum(p["delay"] for kind, p in effects if kind in ("sensor.delay", "log.skew"))
+        sub = self.physical(i, effects, _instants(late / s.tick))
         sensor = s.sensor
         chain = sensor_chain(
             effects, s.tick, sensor.delay, sensor.lowpass, sensor.time_constant, sensor.drift,
             (0.0, 0.0), (sensor.range, sensor.torque_range),
         )  # fmt: skip
-        late = float(chain.delay) + sum(p["delay"] for kind, p in effects if kind == "log.skew")
         out = np.empty((len(sub), 6))
         sense_record(sub, late, s.tick, *chain.arrays(), out)
         return out
@@ -116,26 +119,40 @@ class WrenchLink:
         early, late = (self.predict(i, [*effects, ("log.skew", {"delay": d})]) for d in (-step, step))
         return (early - late) / (2.0 * step)
 
+    def shaken(self, i: int, effects: Effects, sigma: float) -> tuple[Array, Array]:
+        """(N, 6) mean of the reading and its spread [N, N m] where the delay varies by sigma [s] from sample to sample."""
+        nominal = self.runs[i].scenario.sensor.delay + sum(p["delay"] for kind, p in effects if kind in ("sensor.delay", "log.skew"))
+        mean, square = 0.0, 0.0
+        for node, weight in zip(NODES, WEIGHTS, strict=True):
+            reading = self.predict(i, [*effects, ("log.skew", {"delay": max(sigma * node, -nominal)})])
+            mean, square = mean + weight * reading, square + weight * reading**2
+        return np.asarray(mean), np.sqrt(np.maximum(np.asarray(square) - np.asarray(mean) ** 2, 0.0))
+
     def doubt(self, i: int, effects: Effects) -> Array:
         """(N, 6) how far a reading hangs on what lies between two instants of the physics: large where a touch does."""
         s = self.runs[i].scenario
-        step = s.tick / s.substeps
+        step = s.tick / min(s.substeps, 4)
         if s.sensor.delay < step:
             return np.zeros((len(self.paths[i]), 6))
         early, late = (self.predict(i, [*effects, ("log.skew", {"delay": d})]) for d in (-step, step))
         return np.abs(early + late - 2.0 * self.predict(i, effects))
 
-    def physical(self, i: int, effects: Effects) -> Array:
-        """(N, m, 6) the wrench of the contact at the instants up to t_k."""
+    def physical(self, i: int, effects: Effects, instants: int) -> Array:
+        """(N, m, 6) the wrench of the contact at so many instants a tick, up to t_k."""
         s = self.runs[i].scenario
         contact = s.mechanism.contact
         p = contact_parameters(contact.stiffness, contact.damping, contact.friction, s.mechanism.kind == "latched", effects)
         p[LEVER] = self.lever
         for kind, given in effects:
             _shape(p, kind, given)
-        sub = np.empty((len(self.paths[i]), s.substeps, 6))
-        replay_contact(self.paths[i], self._before[i], s.tick, s.substeps, p, sub)
+        sub = np.empty((len(self.paths[i]), instants, 6))
+        replay_contact(self.paths[i], self._before[i], s.tick, instants, p, sub)
         return sub
+
+
+def _instants(late: float) -> int:
+    """Instants a tick that a reading so many ticks late needs: whole ticks need the ticks alone."""
+    return 1 if abs(late - round(late)) < 1e-6 else BETWEEN
 
 
 def _shape(p: Array, kind: str, given: dict[str, Any]) -> None:

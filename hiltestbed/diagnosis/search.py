@@ -15,11 +15,13 @@ from hiltestbed.diagnosis.fit import Fit, Residual, differences, effects_at, fit
 from hiltestbed.diagnosis.links import Effects
 from hiltestbed.frames import Array
 
-ALARM = 22.0  # by which the best single must better the nominal link, its penalty paid
-PAYS = 25.0  # by which a second cause must better a first one that is adequate already
+ALARM = 30.0  # by which the best single must better the nominal link, its penalty paid
+PAYS = 100.0  # by which a second cause must better a first one that is adequate already
 PAYS_INADEQUATE = 10.0  # and one that is not
 TIE = 12.0  # hypotheses closer than this cannot be told apart
 WORTH_A_FIT = 8.0  # linearised gain below which a candidate is not fitted
+SHAKEN = 1.2  # times the noise: where a varying delay shows
+SAME_AGAIN = 0.3  # correlation of neighbouring samples, above which they are no varying delay
 BEAM = 5
 PARTNERS = 6
 SIMILAR_EFFECTS = 3  # of the same effect (axes, forms) that are fitted
@@ -63,7 +65,9 @@ def contact_leftovers(residual: Residual, effects: Effects) -> dict[str, Leftove
         if link.name == "wrench":
             sigma = soften(sigma, prediction)
             shake = sum(p["sigma"] for kind, p in effects if kind == "sensor.jitter")
-            sigma = np.hypot(sigma, shake * link.slope(i, [*residual.base, *effects])) if shake else sigma
+            if shake:
+                prediction, spread = link.shaken(i, [*residual.base, *effects], shake)
+                sigma = np.hypot(sigma, spread)
         z = (residual.measured[i] - prediction) / sigma
         for c in range(len(link.channels)):
             counted = weight[:, c] > 0
@@ -151,8 +155,32 @@ def jitter_beside(residual: Residual, base: Fit) -> Fit | None:
     if found.fun > base.chi2 - WORTH_A_FIT:
         return None
     spread = np.sqrt(1.0 + (found.x * worth) ** 2)
-    return Fit((*base.causes, cause), np.append(base.theta, found.x), float(found.fun), base.residual / spread,
-               np.column_stack([base.jacobian, np.zeros(len(spread))]), np.append(base.scale, found.x))  # fmt: skip
+    if not _independent(base.residual / spread, spread > SHAKEN, len(link.channels)):
+        return None
+    tried = [(float(found.x) * f, *_likelihood(residual, effects, float(found.x) * f)) for f in (0.92, 1.0, 1.08)]
+    sigma, chi2, r = min(tried, key=lambda item: item[1])
+    return Fit((*base.causes, cause), np.append(base.theta, sigma), chi2, r,
+               np.column_stack([base.jacobian, np.zeros(len(r))]), np.append(base.scale, sigma))  # fmt: skip
+
+
+def _likelihood(residual: Residual, effects: Effects, sigma: float) -> tuple[float, Array]:
+    """Chi-square with the cost of the spread, and the residual in units of noise and spread, for a delay that varies by sigma."""
+    total, parts = 0.0, []
+    for i in residual.runs:
+        mean, spread = residual.link.shaken(i, [*residual.base, *effects], sigma)
+        s2 = 1.0 + (spread * residual.weight[i]) ** 2
+        z = (residual.measured[i] - mean) * residual.weight[i] / np.sqrt(s2)
+        total += float(np.sum(z * z) + np.sum(np.log(s2)))
+        parts.append(z.ravel())
+    return total, np.concatenate(parts)
+
+
+def _independent(z: Array, where: np.ndarray, channels: int) -> bool:
+    """Whether neighbouring samples differ as if drawn anew, as a delay that varies from sample to sample makes them."""
+    z, where = z.reshape(-1, channels), where.reshape(-1, channels)
+    pairs = where[1:] & where[:-1]
+    products, squares = float(np.sum((z[1:] * z[:-1])[pairs])), float(np.sum((z[1:] ** 2)[pairs]))
+    return squares > 0 and abs(products) < SAME_AGAIN * squares
 
 
 def inflation(fit_: Fit) -> float:
@@ -184,8 +212,13 @@ def _extend(residual: Residual, base: Fit, candidates: Sequence[Candidate], prog
             progress(" + ".join([*(b.effect for b in base.causes), c.effect]))
         fits.append(fit(residual, (*base.causes, c), [np.concatenate([base.theta, s]) for s in starts], tries=2 if base.causes else 3))
     fits += [f for make in special if (f := make(residual, base)) is not None]
-    fits.sort(key=lambda f: f.score)
+    fits.sort(key=lambda f: (round(f.score, 1), _boldness(f)))
     return fits
+
+
+def _boldness(f: Fit) -> float:
+    """How far factors lie from one: of two that fit alike (a mass of either body) the one nearer to what is believed goes first."""
+    return sum(abs(math.log(max(p["factor"], 1e-9))) for _, p in f.effects() if "factor" in p)
 
 
 def prescreen(residual: Residual, base: Fit, basis: Array, c: Candidate) -> tuple[float, list[Array]]:
@@ -200,7 +233,9 @@ def prescreen(residual: Residual, base: Fit, basis: Array, c: Candidate) -> tupl
         left = square(moved)
         gain = base.chi2 - left
         if len(c.grid) == 1 and len(theta):
-            columns = differences(lambda x: residual([*known, *effects_at((c,), x)]), theta, moved, scales(theta, c.low, c.high, c.log), c.low, c.high)
+            columns = differences(
+                lambda x: residual([*known, *effects_at((c,), x)]), theta, moved, scales(theta, c.low, c.high, c.log), c.low, c.high
+            )
             q = _orthonormal(np.column_stack([_without(basis, column) for column in columns.T]))
             gain = max(gain, float(np.sum(np.einsum("mi,m->i", q, r) ** 2)))
         else:

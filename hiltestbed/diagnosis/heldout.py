@@ -1,0 +1,71 @@
+"""The gain on runs that were not fitted: each run left out in turn, against a placebo of as many parameters."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from hiltestbed.diagnosis.candidates import Candidate
+from hiltestbed.diagnosis.fit import Fit, Residual, fit
+from hiltestbed.diagnosis.output.result import Heldout
+from hiltestbed.diagnosis.search import JITTER
+
+RESAMPLES = 2000
+
+
+def heldout(residual: Residual, found: Fit, placebo: Fit | None, seed: int = 0) -> Heldout | None:
+    """The residual of a link, rms in units of the noise in contact, with nothing and with `found` fitted to the other runs."""
+    runs = residual.runs
+    if len(runs) < 2 or not found.causes:
+        return None
+    before = {i: _square(residual, i, ()) for i in runs}
+    after = {i: _left_out(residual, i, found) for i in runs}
+    wrong = {i: _left_out(residual, i, placebo) for i in runs} if placebo is not None else dict(before)
+    a, b, w = (np.array([x[i] for i in runs]) for x in (before, after, wrong))
+    draws = np.random.default_rng(seed).integers(0, len(runs), (RESAMPLES, len(runs)))
+    gains = 1.0 - np.sqrt(b[draws].sum(axis=1) / a[draws].sum(axis=1))
+    low, high = np.percentile(gains, [2.5, 97.5])
+    return Heldout(
+        tuple(runs), _rms(a), _rms(b), 1.0 - _rms(b) / _rms(a), (float(low), float(high)), 1.0 - _rms(w) / _rms(a),
+        {i: (math.sqrt(before[i]), math.sqrt(after[i])) for i in runs},
+    )  # fmt: skip
+
+
+def _rms(squares: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(squares)))
+
+
+def _left_out(residual: Residual, i: int, found: Fit) -> float:
+    """Mean square on run i of what was fitted to the others."""
+    others = residual.on([j for j in residual.runs if j != i])
+    smooth = [c for c in found.causes if c.effect != JITTER]  # the spread of a delay moves no mean
+    theta = found.theta[: sum(len(c.names) for c in smooth)]
+    if not smooth:
+        return _square(residual, i, ())
+    return _square(residual, i, fit(others, smooth, [theta], tries=1).effects())
+
+
+def _square(residual: Residual, i: int, effects: Sequence) -> float:
+    """Mean square of run i where it counts: in contact, where there is one."""
+    z = residual.of_run(i, effects)
+    counts = residual.weight[i] > 0
+    inside = counts & residual.link.runs[i].touching[:, None]
+    use = inside if inside.any() else counts
+    return float(np.mean(z[use] ** 2))
+
+
+def placebo_of(fits: Sequence[Fit], found: Fit) -> Fit | None:
+    """A wrong effect with as many parameters, as nearly as there is one: the worst that was fitted, not the next best."""
+    own = {c.effect for c in found.causes}
+    count = sum(len(c.names) for c in found.causes)
+    wrong = [f for f in fits if not own & {c.effect for c in f.causes} and JITTER not in {c.effect for c in f.causes}]
+    if not wrong:
+        return None
+    return min(wrong, key=lambda f: (abs(sum(len(c.names) for c in f.causes) - count), -f.score))
+
+
+def parameters_of(found: Fit) -> list[tuple[Candidate, np.ndarray]]:
+    """Each cause with its part of theta."""
+    return [(c, found.part(i)) for i, c in enumerate(found.causes)]
