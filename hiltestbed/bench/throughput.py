@@ -42,6 +42,7 @@ def throughput(quick: bool = False, progress: Progress | None = None) -> BenchRe
         "batch_ratio": batch["ratio"],
         "real_time_factor": single["real_time_factor"],
         "recording_per_1e5_ticks": recording,
+        "docking_ratio": docking_ratio(stretches=10 if quick else 40),
     }
     blocks = {n: per_block(scenario, n) for n in (1, 64)}
     if progress:
@@ -51,6 +52,7 @@ def throughput(quick: bool = False, progress: Progress | None = None) -> BenchRe
         ("a sim-tick of 64 runs over its bare steps, 2 threads", f"{batch['ratio']:.2f}"),
         ("real-time factor of one run, one core", f"{single['real_time_factor']:.1f}"),
         ("recording of 1e5 ticks", f"{recording:.2f} s"),
+        ("a tick with probe, cone and both platforms over the bumper's", f"{summary['docking_ratio']:.2f}"),
     ]
     return BenchResult("throughput", records, summary, _report(records, summary, blocks), lines)
 
@@ -90,6 +92,23 @@ def side_by_side(scenario: Scenario, n: int, threads: int, stretches: int) -> di
         "sim_ticks_per_second": n / each,
         "real_time_factor": n / each / scenario.rate,
     }
+
+
+def docking_ratio(stretches: int) -> float:
+    """A tick with probe and cone on the nine-axis rig over one with the bumper on the six axes: median processor times, in turns."""
+    docking: dict[str, Any] = {"approach.gap": 0.05, "approach.velocity.2": 0.06, "rig.upper.kind": "prs3"}
+    bumper = {"mechanism.kind": "bumper", "mechanism.latch": None, "mechanism.contact.friction": 0.0, "rig.upper.kind": "fixed"}
+    path = shipped("scenarios") / "09-docking.yaml"
+    loops = [Loop([load_scenario(path, set=keys)]) for keys in (docking | bumper, docking)]
+    times: list[list[float]] = [[], []]
+    for _ in range(stretches + 1):
+        for loop, taken in zip(loops, times, strict=True):
+            start = time.thread_time()
+            for _ in range(50):
+                loop.step()
+            taken.append(time.thread_time() - start)
+    plain, whole = (statistics.median(taken[1:]) for taken in times)  # the first stretch may have compiled the blocks
+    return whole / plain
 
 
 def per_block(scenario: Scenario, n: int) -> dict[str, float]:

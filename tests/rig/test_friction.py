@@ -133,6 +133,7 @@ def test_a_single_drive_makes_energy_at_the_reversal_and_a_pair_does_not() -> No
     data = base.model_dump(mode="json")
     data["approach"] |= {"velocity": [0.0, 0.0, 0.01], "gap": 0.002}
     data["duration"] = 0.6
+    data["compensation"]["force"] = {"kind": "none"}
     base = scenario_from(data)
     errors = {kind: run(with_actuator(base, kind)).summary for kind in ("ideal", "single", "dual")}
     ideal, single, dual = (errors[kind]["cor_log_error"] for kind in ("ideal", "single", "dual"))
