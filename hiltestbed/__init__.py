@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from hiltestbed.campaign.schema import load_campaign
     from hiltestbed.campaign.sweep import read_sweep, sweep
     from hiltestbed.dataset import load_dataset
+    from hiltestbed.diagnosis.diagnose import diagnose
     from hiltestbed.failure import replay
     from hiltestbed.recording import read_run, write_run
     from hiltestbed.scenario import dump_scenario, load_scenario
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from hiltestbed.simulation import run, run_batch
 
 __all__ = [
+    "diagnose",
     "dump_scenario",
     "load_campaign",
     "load_dataset",
@@ -40,6 +42,7 @@ __all__ = [
 ]
 
 _HOME = {
+    "diagnose": "diagnosis.diagnose",
     "dump_scenario": "scenario",
     "load_campaign": "campaign.schema",
     "load_dataset": "dataset",

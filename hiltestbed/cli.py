@@ -1,4 +1,4 @@
-"""The command line: `hiltestbed run | check | schema | view | bench | sweep`.
+"""The command line: `hiltestbed run | check | schema | view | bench | sweep | diagnose`.
 
 Exit status: 0 done; 2 bad input; 3 the simulation diverged or a safety limit stopped it; 1 anything else that failed. Results go to
 standard output, progress and messages to standard error. A command imports what it needs when it runs, so that --help is quick.
@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from hiltestbed import interrupt
 from hiltestbed.errors import HiltestbedError, InputError
 from hiltestbed.folders import free_folder, safe_name
 
@@ -188,6 +189,33 @@ def sweep(
         print_sweep(result.about, folder)
 
 
+@app.command()
+def diagnose(
+    dataset: Annotated[Path, typer.Argument(metavar="DATASET", help="Dataset file: a scenario and the measured runs.")],
+    out: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Folder to write; left out: runs/diagnosis-NAME.")] = None,
+    as_json: Json = False,
+) -> None:
+    """Measured data against the simulation: what departs, why, and what is gained."""
+    from hiltestbed.diagnosis.diagnose import diagnose as run_diagnosis
+    from hiltestbed.diagnosis.output.folder import DIAGNOSIS
+    from hiltestbed.progress import step_line
+    from hiltestbed.recording import refuse_foreign
+
+    label = dataset.stem if dataset.stem != "dataset" else dataset.resolve().parent.name
+    folder = out if out is not None else free_folder(Path("runs") / f"diagnosis-{safe_name(label)}")
+    refuse_foreign(folder, DIAGNOSIS)
+    with step_line(label) as progress:
+        result = run_diagnosis(dataset, progress)
+        progress("report and recording")
+        result.write(folder)
+    if as_json:
+        print(json.dumps(result.to_json() | {"folder": str(folder)}, allow_nan=False))
+    else:
+        from hiltestbed.table import print_diagnosis
+
+        print_diagnosis(result.to_json(), folder)
+
+
 def overrides(sets: list[str] | None) -> dict[str, Any]:
     """`["a.b=1"]` as `{"a.b": "1"}`. Raises InputError for what has no `=`."""
     result = {}
@@ -242,6 +270,7 @@ def main() -> None:
 
 
 def _run() -> int:
+    interrupt.install()
     try:
         app()
     except SystemExit as ended:  # what typer ends with: 2 for a wrong call, 130 after Ctrl-C
@@ -255,6 +284,10 @@ def _run() -> int:
     except OSError as error:
         where = f"{error.filename}: " if error.filename else ""
         return _fail(error, f"{where}{error.strerror or error}", 1)
+    except (ImportError, RuntimeError, SystemError) as error:
+        if not interrupt.asked():
+            raise
+        return _fail(error, "interrupted", 1)
     except MemoryError as error:
         return _fail(error, "out of memory; a shorter duration or a lower rate needs less", 1)
     return 0

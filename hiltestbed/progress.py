@@ -7,6 +7,8 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 
+from hiltestbed import interrupt
+
 QUIET = 1.0  # [s] a run that ends within it shows nothing
 LOG_INTERVAL = 10.0  # [s]
 
@@ -34,6 +36,7 @@ def case_bar() -> Iterator[Callable[[int, int, Mapping[str, int]], None]]:
 
     def update(done: int, total: int, statuses: Mapping[str, int]) -> None:
         nonlocal shown, first
+        interrupt.check()
         now = time.monotonic()
         ran = sum(statuses.values())
         first = done - ran if first is None else first
@@ -56,12 +59,37 @@ def case_bar() -> Iterator[Callable[[int, int, Mapping[str, int]], None]]:
 
 
 @contextmanager
+def step_line(name: str) -> Iterator[Callable[[str], None]]:
+    """A callback that is told what is being done: one line that changes on a terminal, a line now and then in a log."""
+    start = shown = time.monotonic()
+    terminal = sys.stderr.isatty()
+
+    def update(step: str) -> None:
+        nonlocal shown
+        interrupt.check()
+        now = time.monotonic()
+        if not terminal and now - shown < LOG_INTERVAL:
+            return
+        shown = now
+        line = f"{name}: {now - start:.0f} s: {step}"
+        sys.stderr.write(f"\r\x1b[K{line[:110]}" if terminal else f"{line}\n")
+        sys.stderr.flush()
+
+    try:
+        yield update
+    finally:
+        if terminal:
+            sys.stderr.write("\r\x1b[K")
+
+
+@contextmanager
 def _bar_or_lines(name: str, told: Callable[[float], str]) -> Iterator[Callable[[int, int], None]]:
     start = shown = time.monotonic()
     bar = None
 
     def update(done: int, total: int) -> None:
         nonlocal bar, shown
+        interrupt.check()
         now = time.monotonic()
         if bar is None and now - start > QUIET and done < total and sys.stderr.isatty():
             bar = _bar(name, total)

@@ -47,6 +47,25 @@ def print_sweep(about: dict[str, Any], folder: Path) -> None:
     print_lines(f"{about['name']}: {about['cases']} cases, {about['status']}", lines, folder)
 
 
+def print_diagnosis(result: dict[str, Any], folder: Path) -> None:
+    """Prints what diagnosis.json says at a glance to standard output, and where the report lies."""
+    console = Console(highlight=False)
+    console.print(f"[bold]{escape(result['name'])}: {result['verdict']}[/bold]\n{escape(result['sentence'])}", soft_wrap=False)
+    heldout, loop = result["heldout"], result["closed_loop"]
+    if heldout:
+        low, high = (100.0 * v for v in heldout["ci95"])
+        placebo = 100.0 * heldout["placebo_reduction"]
+        gain = f"{100.0 * heldout['reduction']:.4g} % ({low:.4g} to {high:.4g} %); with a wrong effect by {placebo:.3g} %"
+        console.print(f"residual on runs that were not fitted: less by {gain}", markup=False)
+    cor = [", ".join(_number(v, 4) for v in loop[f"cor_{source}"]) for source in ("measured", "nominal", "extended")]
+    console.print("coefficient of restitution, run by run:\n  measured  " + cor[0] + "\n  nominal   " + cor[1], markup=False)
+    if result["extended_scenario"]:
+        console.print(f"  extended  {cor[2]}", markup=False)
+    if result["next_experiment"]:
+        console.print(f"next experiment: {result['next_experiment']}", markup=False)
+    console.print(f"report: {folder / 'report.html'}", soft_wrap=True, markup=False)
+
+
 def _figures(summary: dict[str, Any]) -> Table:
     table = _table(f"{summary['name']}: {summary['status']}", header=False)
     table.add_column("figure")

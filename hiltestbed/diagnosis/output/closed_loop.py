@@ -105,8 +105,9 @@ def closed_loop(dataset: MeasuredDataset, played: Sequence[Played]) -> ClosedLoo
 def measured_motion(run: MeasuredRun) -> Motion:
     """Of a record."""
     record, spans = run.record, [(c.start, c.end) for c in run.survey.contacts]
-    columns = [record.column(n) if n in record.columns() else None for n in ("pose_cmd.pz", "pose_act.pz", "wrench_meas.fz")]
-    return Motion(record.t, *columns, _first(spans, record.ticks))
+    names = ("pose_cmd.pz", "pose_act.pz", "wrench_meas.fz")
+    command, reached, force = (record.column(name) if name in record.columns() else None for name in names)
+    return Motion(record.t, command, reached, force, _first(spans, record.ticks))
 
 
 def trace_motion(trace: RunTrace | None) -> Motion | None:
@@ -114,8 +115,8 @@ def trace_motion(trace: RunTrace | None) -> Motion | None:
     if trace is None:
         return None
     edges = np.flatnonzero(np.diff(np.r_[False, trace.contact, False])).reshape(-1, 2)
-    z = (np.ascontiguousarray(trace[g][:, 2]) for g in ("pose_cmd", "pose_act", "wrench_meas"))
-    return Motion(trace.t, *z, _first([(int(a), int(b)) for a, b in edges], len(trace.t)))
+    command, reached, force = (np.ascontiguousarray(trace[g][:, 2]) for g in ("pose_cmd", "pose_act", "wrench_meas"))
+    return Motion(trace.t, command, reached, force, _first([(int(a), int(b)) for a, b in edges], len(trace.t)))
 
 
 def _first(spans: Sequence[tuple[int, int]], ticks: int) -> tuple[int, int, int] | None:
@@ -200,4 +201,4 @@ def _smoothed(z: Array, rows: np.ndarray) -> Array | None:
     length = max(5, len(rows) // SMOOTH) | 1
     if len(rows) < 2 * length or len(known) < len(rows) // 2:
         return None
-    return savgol_filter(np.interp(np.arange(len(z)), known, z[known]), length, 3)[rows]
+    return np.asarray(savgol_filter(np.interp(np.arange(len(z)), known, z[known]), length, 3))[rows]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from hiltestbed.diagnosis.output.closed_loop import closed_loop, play
 from hiltestbed.diagnosis.output.evidence import channel_residuals
-from hiltestbed.diagnosis.output.experiments import missing_links, next_experiment
+from hiltestbed.diagnosis.output.experiments import mass_of_either_body, missing_links, next_experiment
 from hiltestbed.diagnosis.output.extend import extended_scenario
 from hiltestbed.diagnosis.output.result import Diagnosis, Finding
 from hiltestbed.measured import MeasuredDataset
@@ -15,6 +15,8 @@ def conclude(dataset: MeasuredDataset, finding: Finding, seconds: float | None =
     causes = finding.causes if finding.extends else ()
     played = play(dataset, causes)
     notes = (*finding.notes, *(() if finding.notes else missing_links(dataset)), *(str(remark) for remark in dataset.remarks))
+    either = mass_of_either_body(finding, dataset)
+    notes = (*notes, either) if either else notes
     refused = [f"run {p.run}: the nominal simulation could not be run" for p in played if p.nominal is None]
     refused += [f"run {p.run}: the extended simulation could not be run" for p in played if p.extended is None and p.nominal is not None]
     return Diagnosis(

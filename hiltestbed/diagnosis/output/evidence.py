@@ -29,8 +29,8 @@ def link_series(link: Link, effects: Effects = (), base: Effects = ()) -> list[S
         t = np.arange(len(run.measured)) * run.scenario.tick
         for j in range(run.measured.shape[1]):
             name = link.channels[j]
-            columns = (np.ascontiguousarray(a[:, j]) for a in (run.measured, nominal, extended, run.sigma))
-            out.append(Series(name, i, t, *columns, run.touching, unit_of(name)))
+            measured, before, after, sigma = (np.ascontiguousarray(a[:, j]) for a in (run.measured, nominal, extended, run.sigma))
+            out.append(Series(name, i, t, measured, before, after, sigma, run.touching, unit_of(name)))
     return out
 
 

@@ -17,6 +17,9 @@ def next_experiment(finding: Finding, dataset: MeasuredDataset) -> Experiment | 
     if finding.verdict == "unknown":
         return for_unknown(finding, facts)
     plans = [separating(c, finding.link, facts) for c in finding.causes if c.indistinguishable_from]
+    if mass_of_either_body(finding, dataset):
+        text, runs = bodies_absolute(facts)
+        plans.append(Experiment(text, ("dynamics.mass",), runs))
     if not plans:
         return None
     if len(plans) == 1:
@@ -54,6 +57,23 @@ def for_unknown(finding: Finding, facts: Facts) -> Experiment:
     else:
         plan = BY_LINK.get(finding.link or "", speed_ladder)(facts)
     return Experiment(f"To see the shape of what is left: {plan[0][0].lower()}{plan[0][1:]}", (), plan[1])
+
+
+def mass_of_either_body(finding: Finding, dataset: MeasuredDataset) -> str | None:
+    """Where a body's mass is named: which factor of the other body's mass looks the same.
+
+    The relative pose sees 1/mu = 1/m_chaser + 1/m_target alone, about the centres of mass; a factor with 1/m > 1/mu has no counterpart.
+    """
+    for cause in finding.causes:
+        if cause.effect == "dynamics.mass":
+            entry, bodies = cause.entry(), dataset.nominal.spacecraft
+            mass = {"chaser": bodies.chaser.mass, "target": bodies.target.mass}
+            body, other = entry["body"], "target" if entry["body"] == "chaser" else "chaser"
+            rest = 1.0 / mass[other] + (1.0 / float(entry["factor"]) - 1.0) / mass[body]
+            if rest > 0.0:
+                factor = 1.0 / (rest * mass[other])
+                return f"the relative pose sees the reduced mass alone: a factor of {factor:.4g} on the {other}'s mass looks the same"
+    return None
 
 
 def missing_links(dataset: MeasuredDataset) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -38,16 +39,23 @@ def extended_yaml(scenario: Scenario, causes: Sequence[Cause]) -> str:
     return "\n".join(lines) + "\n" + dump_scenario(scenario)
 
 
-def in_words(p: Parameter, digits: int = 4) -> str:
-    """`0.0033 (0.0031 to 0.0035) s`."""
+def in_words(p: Parameter) -> str:
+    """`0.003300 (0.003294 to 0.003307) s`: digits as far as the interval bears them out."""
+    unit = "" if p.unit == "-" else f" {p.unit}"
     if isinstance(p.estimate, str):
         return p.estimate
     if isinstance(p.estimate, tuple):
-        return f"[{', '.join(f'{v:.{digits}g}' for v in p.estimate)}] {p.unit}".strip()
-    text = f"{p.estimate:.{digits}g}"
-    if p.ci95 is not None and all(isinstance(v, (int, float)) for v in p.ci95):
-        text += f" ({p.ci95[0]:.{digits}g} to {p.ci95[1]:.{digits}g})"
-    return f"{text} {'' if p.unit == '-' else p.unit}".strip()
+        ends = p.ci95 if p.ci95 is not None else (None,) * len(p.estimate)
+        return "[" + ", ".join(_with_interval(v, e) for v, e in zip(p.estimate, ends, strict=True)) + f"]{unit}"
+    return _with_interval(p.estimate, p.ci95) + unit
+
+
+def _with_interval(value: float, ends: Any) -> str:
+    if ends is None or None in ends or ends[0] == ends[1]:
+        return f"{value:.4g}"
+    size, width = max(abs(value), abs(ends[0]), abs(ends[1])), ends[1] - ends[0]
+    digits = min(8, max(2, 2 + math.floor(math.log10(size)) - math.floor(math.log10(width)))) if size > 0 and width > 0 else 4
+    return f"{value:.{digits}g} ({ends[0]:.{digits}g} to {ends[1]:.{digits}g})"
 
 
 def _described(nominal: Scenario, causes: Sequence[Cause]) -> str:

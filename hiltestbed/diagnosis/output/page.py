@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from hiltestbed.diagnosis.isolability import FEWER_IS_MORE
 from hiltestbed.diagnosis.output import pictures
 from hiltestbed.diagnosis.output.extend import in_words
 from hiltestbed.diagnosis.output.facts import rounded
@@ -18,6 +19,7 @@ TITLES = {
     "ambiguous": "one of a few causes",
     "unknown": "a departure without a name",
 }
+FITTED = "k and c: least squares over the contact. A delay that the model does not know appears as missing damping."
 
 
 def report_of(diagnosis: Diagnosis) -> Report:
@@ -113,12 +115,13 @@ def _gain(report: Report, d: Diagnosis) -> None:
     )
     report.figure(pictures.closed_loop_figures(d.closed_loop, d.finding.extends))
     sources = ("measured", "nominal", "extended") if d.finding.extends else ("measured", "nominal")
-    header = ["run", *(f"{label} {s}" for label in ("CoR", "peak [N]", "k [N/m]", "c [N s/m]") for s in sources)]
-    rows = []
-    for i, run in enumerate(d.closed_loop.runs):
-        figures: list[Figures] = [getattr(d.closed_loop, s)[i] for s in sources]
-        rows.append([str(run), *(_number(getattr(f, n), 5) for n in ("cor", "peak_force", "stiffness", "damping") for f in figures)])
-    report.table(header, rows, "k and c: least squares over the contact; a delay that the model does not know appears as missing damping.")
+    names = {"cor": "CoR", "peak_force": "peak [N]", "stiffness": "k [N/m]", "damping": "c [N s/m]"}
+    for pair, caption in ((("cor", "peak_force"), ""), (("stiffness", "damping"), FITTED)):
+        rows = []
+        for i, run in enumerate(d.closed_loop.runs):
+            figures: list[Figures] = [getattr(d.closed_loop, source)[i] for source in sources]
+            rows.append([str(run), *(_number(getattr(f, name), 5) for name in pair for f in figures)])
+        report.table(["run", *(f"{names[name]} {source}" for name in pair for source in sources)], rows, caption)
 
 
 def _next(report: Report, d: Diagnosis) -> None:
@@ -142,7 +145,7 @@ def _isolability(report: Report, table: Sequence[Isolable]) -> None:
         for i in sorted(table, key=lambda i: (i.effect.partition(".")[0], i.effect))
     ]  # fmt: skip
     report.table(
-        ("effect", "parameter", "smallest size that is found", "would look the same"),
+        ("effect", "parameter", "size that is found", "would look the same"),
         rows,
         "From the sensitivities of the replayed links to each effect, with these runs, channels and noise. Factors: departure from 1.",
     )
@@ -205,7 +208,13 @@ def _yes(value: bool | None) -> str:
 
 
 def _size(i: Isolable) -> str:
-    return "not shown" if i.smallest is None else f"{rounded(i.smallest, 3):g} {'' if i.unit == '-' else i.unit}".strip()
+    """Of a frequency, a limit or a stiffness the largest that is still found."""
+    if i.smallest is None:
+        return "not shown"
+    if not i.unit:
+        return "found"
+    sign = "up to " if i.effect in FEWER_IS_MORE else "from "
+    return f"{sign}{rounded(i.smallest, 3):g} {'' if i.unit == '-' else i.unit}".strip()
 
 
 def _yaml(value: object) -> str:

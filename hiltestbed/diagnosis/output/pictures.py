@@ -49,25 +49,28 @@ def residuals_over_time(series: Sequence[Series], extends: bool) -> Figure:
         if extends:
             axes.plot(s.t, in_sigma(s, True), color=EXTENDED, lw=0.9, label="measured less extended")
         axes.set_ylabel(f"{channel}\nrun {run} [sigma]")
-    grid[0, 0].legend(loc="upper right", fontsize=8, ncols=2, frameon=False)
+    grid[0, 0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), fontsize=8, ncols=2, frameon=False)
     grid[-1, 0].set_xlabel("time [s]")
     return figure
 
 
 def channel_over_time(series: Sequence[Series], extends: bool) -> Figure:
-    """The worst channel as it was measured and as the link makes it, around the contact, in its worst run."""
+    """The worst channel as it was measured and as the link makes it, around the contact, in its worst run; of a pose, whose departure is
+    small beside its travel, what it departs from the nominal one by."""
     channel = worst_channels(series)[0]
     s = next(x for x in series if x.channel == channel and x.run == worst_run(series, channel))
-    rows = _around_contact(s)
+    pose = channel.startswith("pose")
+    rows, less, factor = _around_contact(s), s.nominal if pose else np.zeros(len(s.t)), 1e3 if pose else 1.0
     figure, axes = new_figure(9.0, 3.2)
     _shade(axes, s)
-    axes.plot(s.t[rows], s.measured[rows], color=MEASURED, lw=2.4, alpha=0.35, label="measured")
-    axes.plot(s.t[rows], s.nominal[rows], color=NOMINAL, lw=1.2, label="nominal")
+    axes.plot(s.t[rows], factor * (s.measured - less)[rows], color=MEASURED, lw=2.4, alpha=0.35, label="measured")
+    axes.plot(s.t[rows], factor * (s.nominal - less)[rows], color=NOMINAL, lw=1.2, label="nominal")
     if extends:
-        axes.plot(s.t[rows], s.extended[rows], color=EXTENDED, lw=1.2, ls="--", label="extended")
+        axes.plot(s.t[rows], factor * (s.extended - less)[rows], color=EXTENDED, lw=1.2, ls="--", label="extended")
     axes.set_xlim(s.t[rows][0], s.t[rows][-1])
-    axes.set(xlabel="time [s]", ylabel=f"{channel}, run {s.run} [{s.unit}]")
-    axes.legend(fontsize=8, frameon=False)
+    unit = f"m{s.unit}" if pose else s.unit
+    axes.set(xlabel="time [s]", ylabel=f"{channel}{', less nominal' if pose else ''}\nrun {s.run} [{unit}]")
+    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), fontsize=8, ncols=3, frameon=False)
     return figure
 
 
@@ -126,7 +129,7 @@ def ranking_bars(ranking: Sequence[Ranked]) -> Figure:
     for p, w, r in zip(place, worse, shown, strict=True):
         held = "" if r.heldout is None else f"  left-out runs: {r.heldout:.3g} x noise"
         axes.text(1.15 * (w + 1.0), p, f"+{w:.3g}{held}", va="center", fontsize=8)
-    axes.set_xlim(0.8, 40.0 * (worse[-1] + 1.0))
+    axes.set_xlim(0.8, max(1e3, (worse[-1] + 1.0) ** 1.8))
     axes.set_xlabel("1 + what it is worse than the best by: chi-square, its parameters paid")
     return figure
 
@@ -164,7 +167,7 @@ def closed_loop_figures(loop: ClosedLoop, extends: bool) -> Figure:
 def _shade(axes: Axes, s: Series) -> None:
     edges = np.flatnonzero(np.diff(np.r_[False, s.touching, False].astype(int))).reshape(-1, 2)
     for start, end in edges:
-        axes.axvspan(s.t[start], s.t[min(end, len(s.t) - 1)], color=TOUCH, lw=0, zorder=0)
+        axes.axvspan(float(s.t[start]), float(s.t[min(end, len(s.t) - 1)]), color=TOUCH, lw=0, zorder=0)
 
 
 def _around_contact(s: Series) -> np.ndarray:

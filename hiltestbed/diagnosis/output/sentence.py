@@ -30,16 +30,22 @@ def verdict_sentence(diagnosis: Diagnosis) -> str:
         named = f" {' and '.join(c.effect for c in finding.causes)} explain a part of it." if finding.causes else ""
         left = f" {finding.left[0].upper()}{finding.left[1:].rstrip('.')}." if finding.left else ""
         return f"{where[0].upper()}{where[1:]} departs from its model, and no effect of the vocabulary leaves mere noise.{left}{named}"
-    found = " and ".join(named_cause(c) for c in finding.causes)
-    if finding.verdict == "ambiguous":
-        sets = "; ".join(" or ".join((c.effect, *c.indistinguishable_from)) for c in finding.causes)
-        return f"{where[0].upper()}{where[1:]} departs from its model; these data cannot tell which it is: {sets}. Best fit: {found}."
-    return f"{where[0].upper()}{where[1:]} departs from its model: {found}."
+    parts = []
+    for link in dict.fromkeys(_link(c) for c in finding.causes):
+        found = " and ".join(named_cause(c) for c in finding.causes if _link(c) == link)
+        parts.append(f"{WHERE.get(link, link)} departs from its model: {found}")
+    text = "; ".join(parts)
+    open_ = " These data cannot settle which of them it is." if finding.verdict == "ambiguous" else ""
+    return f"{text[0].upper()}{text[1:]}.{open_}"
+
+
+def _link(cause: Cause) -> str:
+    return EFFECTS[cause.effect].link
 
 
 def named_cause(cause: Cause) -> str:
     """`sensor.delay (delay 0.0033 (0.0031 to 0.0035) s)`, and what it cannot be told from."""
-    words = ", ".join(f"{name} {in_words(p, 3)}" for name, p in cause.parameters.items())
+    words = ", ".join(f"{name} {in_words(p)}" for name, p in cause.parameters.items())
     rivals = f", not to be told from {' or '.join(cause.indistinguishable_from)}" if cause.indistinguishable_from else ""
     return f"{cause.effect} [{words}]{rivals}" if words else f"{cause.effect}{rivals}"
 

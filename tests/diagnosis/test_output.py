@@ -1,0 +1,181 @@
+"""What follows from a named cause, with the cause written by hand: the extended model, its gain in closed loop, and the folder."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hiltestbed.diagnosis.links import WrenchLink
+from hiltestbed.diagnosis.output import Cause, Diagnosis, Finding, Heldout, Parameter, Ranked, conclude
+from hiltestbed.diagnosis.output.closed_loop import Motion, identified, restitution
+from hiltestbed.diagnosis.output.evidence import channel_residuals, link_series
+from hiltestbed.diagnosis.output.extend import effects_of_causes, in_words
+from hiltestbed.diagnosis.output.result import Isolable
+from hiltestbed.diagnosis.study import make_study, wrench_link
+from hiltestbed.errors import InputError
+from hiltestbed.measured import MeasuredDataset, load_dataset
+from hiltestbed.scenario import load_scenario, scenario_from, scenario_sha256
+
+from .recorded import NOMINAL, recorded
+
+DELAY = 0.004
+LATE = Cause("sensor.delay", {"delay": Parameter(DELAY, (0.0039, 0.0041), "s")}, 0.9, ("sensor.lag",))
+KEYS = {"verdict", "link", "causes", "residuals", "heldout", "closed_loop", "next_experiment", "extended_scenario"}
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> MeasuredDataset:
+    return load_dataset(recorded(tmp_path_factory.mktemp("late"), [{"kind": "sensor.delay", "delay": DELAY}]))
+
+
+@pytest.fixture(scope="module")
+def link(dataset: MeasuredDataset) -> WrenchLink:
+    return wrench_link(make_study(dataset), lambda i: dataset.runs[i].record.filled("pose_act")[:, :3], whole=True)
+
+
+@pytest.fixture(scope="module")
+def diagnosis(dataset: MeasuredDataset, link: WrenchLink) -> Diagnosis:
+    gain = Heldout((0, 1), 20.0, 1.0, 0.95, (0.9, 0.97), 0.1, {0: (15.0, 1.0), 1: (24.0, 1.0)})
+    ranking = (Ranked(("sensor.delay",), 0.0, "wrench", "delay 0.004", 1.0, True), Ranked(("sensor.lag",), 300.0, "wrench"))
+    table = (Isolable("sensor.delay", "delay", "s", 1e-5, ("log.skew",), 0.99), Isolable("sensor.drift", "rate", "N/s", None))
+    series = link_series(link, effects_of_causes([LATE]))
+    return conclude(dataset, Finding("ambiguous", "sensor", (LATE,), series, {}, gain, ranking, table))
+
+
+def test_a_named_delay_takes_the_residual_down_to_the_noise(link: WrenchLink):
+    before, after = (
+        {r.channel: r for r in channel_residuals(link_series(link, effects), extends=True)} for effects in ([], effects_of_causes([LATE]))
+    )
+    force = after["wrench_meas.fz"]
+    assert force.rms > 5 * force.noise_floor
+    assert not force.white
+    assert force.rms_free is not None
+    assert force.rms_contact is not None
+    assert force.rms_free < 1.2 * force.noise_floor < force.rms_contact
+    assert force.white_extended
+    assert force.rms_extended == pytest.approx(force.noise_floor, rel=0.15)
+    assert before["wrench_meas.fz"].rms_extended == before["wrench_meas.fz"].rms
+
+
+def test_the_extended_model_rebounds_as_the_rig_did(diagnosis: Diagnosis):
+    """ln e rises by (pi/2) w tau (physics, Section 1) where the delay is not known to the model."""
+    loop = diagnosis.closed_loop
+    rate = math.sqrt(1e5 / 400.0)
+    for measured, nominal, extended in zip(loop.measured, loop.nominal, loop.extended, strict=True):
+        assert measured.cor is not None
+        assert nominal.cor is not None
+        assert extended.cor == pytest.approx(measured.cor, rel=3e-3)  # the noise of 0.1 N goes round the loop
+        assert extended.peak_force == pytest.approx(measured.peak_force, rel=0.01)
+        assert math.log(measured.cor / nominal.cor) == pytest.approx(0.5 * math.pi * rate * DELAY, rel=0.15)
+
+
+def test_an_unknown_delay_is_seen_as_missing_damping(diagnosis: Diagnosis):
+    """c_app = c - k tau, k_app = k + c w^2 tau to first order; the extended model shows the same."""
+    loop = diagnosis.closed_loop
+    measured, nominal, extended = (f[1] for f in (loop.measured, loop.nominal, loop.extended))
+    assert nominal.stiffness == pytest.approx(1e5, rel=0.02)
+    assert nominal.damping == pytest.approx(400.0, rel=0.25)
+    assert measured.damping is not None
+    assert nominal.damping is not None
+    assert measured.damping - nominal.damping == pytest.approx(-1e5 * DELAY, rel=0.15)
+    assert extended.damping == pytest.approx(measured.damping, abs=15.0)
+
+
+def test_the_folder_holds_four_files_that_can_be_used(diagnosis: Diagnosis, tmp_path: Path):
+    folder = diagnosis.write(tmp_path / "out")
+    assert sorted(f.name for f in folder.iterdir()) == ["diagnosis.json", "extended.yaml", "recording.rrd", "report.html"]
+    data = json.loads((folder / "diagnosis.json").read_text())
+    assert set(data) >= KEYS
+    assert data["causes"][0]["parameters"] == {"delay": {"estimate": DELAY, "ci95": [0.0039, 0.0041], "unit": "s"}}
+    assert data["causes"][0]["indistinguishable_from"] == ["sensor.lag"]
+    assert set(data["heldout"]) >= {"runs", "rms_before", "rms_after", "reduction", "ci95", "placebo_reduction"}
+    assert set(data["residuals"][0]) >= {"channel", "rms", "noise_floor", "rms_free", "rms_contact", "white"}
+    assert len(data["closed_loop"]["cor_extended"]) == 2
+    extended = load_scenario(folder / data["extended_scenario"])
+    assert extended.effects == ({"kind": "sensor.delay", "delay": DELAY},)
+    page = (folder / "report.html").read_text()
+    assert "sensor.delay" in page
+    assert "sensor.lag" in page
+    assert "Next experiment" in page
+    assert not any(fetched in page for fetched in ("src=\"http", "href=", "<script", "<link"))  # fmt: skip
+    assert diagnosis.write(folder) == folder  # an earlier diagnosis is replaced
+
+
+def test_the_recording_has_all_three_on_one_timeline(diagnosis: Diagnosis, tmp_path: Path):
+    from rerun.chunk import RrdReader
+
+    from hiltestbed.diagnosis.output.recording import write_diagnosis_recording
+
+    write_diagnosis_recording(tmp_path / "d.rrd", diagnosis)
+    rows: dict[str, int] = {}
+    for chunk in RrdReader(str(tmp_path / "d.rrd")).stream():
+        batch = chunk.to_record_batch()
+        if "time" in batch.schema.names:
+            rows[str(chunk.entity_path)] = rows.get(str(chunk.entity_path), 0) + batch.num_rows
+    for source in ("measured", "nominal", "extended"):
+        assert rows[f"/run_1/force_z/{source}"] == 800
+    assert rows["/run_1/residual/wrench_meas_fz/extended"] == 800
+
+
+def test_a_foreign_folder_is_left_alone(diagnosis: Diagnosis, tmp_path: Path):
+    (tmp_path / "thesis.tex").write_text("mine")
+    with pytest.raises(InputError, match="other things"):
+        diagnosis.write(tmp_path)
+    assert [f.name for f in tmp_path.iterdir()] == ["thesis.tex"]
+
+
+def test_nothing_named_extends_nothing(dataset: MeasuredDataset, link: WrenchLink, tmp_path: Path):
+    healthy = conclude(dataset, Finding("no_discrepancy", None, series=link_series(link)))
+    data = healthy.to_json()
+    assert data["extended_scenario"] is None
+    assert data["next_experiment"] is None
+    assert data["heldout"] is None
+    assert data["closed_loop"]["cor_extended"] == data["closed_loop"]["cor_nominal"]
+    healthy.write(tmp_path / "out")
+    assert scenario_sha256(load_scenario(tmp_path / "out" / "extended.yaml")) == scenario_sha256(dataset.nominal)
+
+
+@pytest.mark.parametrize(("low", "placebo"), [(-0.02, 0.0), (0.01, 0.3)])
+def test_a_gain_that_is_not_significant_is_not_claimed(dataset: MeasuredDataset, low: float, placebo: float):
+    """Its interval holds zero, or a wrong effect gains as much."""
+    weak = Heldout((0, 1), 1.2, 1.0, 0.2, (low, 0.4), placebo)
+    result = conclude(dataset, Finding("named", "sensor", (LATE,), heldout=weak))
+    assert result.extended == dataset.nominal
+    assert result.to_json()["extended_scenario"] is None
+    assert result.to_json()["heldout"]["significant"] is False
+
+
+@pytest.mark.parametrize("e", [0.4, 0.95, 1.1])
+def test_restitution_of_two_straight_lines_in_noise(e: float):
+    """The slope of n samples h apart has a spread of sigma sqrt(12/n^3)/h: here 2e-5 of 0.05 m/s."""
+    t = np.arange(600) / 1000.0
+    z = np.where(t < 0.2, 0.05 * (t - 0.2), -e * 0.05 * (t - 0.3)) + np.random.default_rng(1).normal(0.0, 2e-6, 600)
+    assert restitution(Motion(t, z, None, None, (200, 300, 600)), scenario_from(NOMINAL)) == pytest.approx(e, abs=3e-3)
+
+
+def test_no_restitution_without_a_rebound():
+    t = np.arange(400) / 1000.0
+    assert restitution(Motion(t, 0.05 * (t - 0.2), None, None, (200, 400, 400)), scenario_from(NOMINAL)) is None
+
+
+def test_stiffness_and_damping_of_a_spring_and_damper_read_late():
+    """F = k x + c v of a half sine, read 5 ms late as the scenario says."""
+    t = np.arange(400) / 1000.0
+    w, start, late = math.pi / 0.2, 0.1, 0.005
+    inside = (t >= start) & (t < start + 0.2)
+    x = np.where(inside, 1e-3 * np.sin(w * (t - start)), 0.0)
+    s = t - start - late
+    force = np.where((s >= 0) & (s < 0.2), np.maximum(0.0, 1e-3 * (1e5 * np.sin(w * s) + 400.0 * w * np.cos(w * s))), 0.0)
+    k, c = identified(Motion(t, None, x, force, (100, 300, 400)), scenario_from(NOMINAL))
+    assert k == pytest.approx(1e5, rel=5e-3)
+    assert c == pytest.approx(400.0, rel=0.03)
+
+
+def test_an_estimate_is_written_as_far_as_its_interval_bears_it_out():
+    assert in_words(Parameter(0.00330045, (0.0032938, 0.0033071), "s")) == "0.0033 (0.003294 to 0.003307) s"
+    assert in_words(Parameter(9.0, (7.0, 11.0), "N")) == "9 (7 to 11) N"
+    assert in_words(Parameter("chaser", None)) == "chaser"
