@@ -368,7 +368,7 @@ MotionCompensation = Annotated[
 class Compensation(Strictly):
     """What is done against the delays of the loop."""
 
-    force: ForceCompensation = NoForceCompensation()
+    force: ForceCompensation = Resynchronised()
     motion: MotionCompensation = Feedforward()
 
 

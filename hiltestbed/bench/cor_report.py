@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from hiltestbed.campaign.boundary import closed_contact_delay
 from hiltestbed.report import Report, new_figure
 
 COLUMNS = (
@@ -98,21 +99,12 @@ def _heat_map(axis, values: np.ndarray, frequencies: Sequence[float], delays: Se
     axis.set_ylabel("frequency [Hz]", fontsize=7)
 
 
-def threshold(frequency: np.ndarray, z: float) -> np.ndarray:
-    """Delay [s] at which a closed contact of ``frequency`` [Hz] and damping ratio ``z`` becomes unstable, in closed form.
-
-    With k = mu w^2 and c = 2 z mu w: w_c^2/w^2 = 2 z^2 + sqrt(4 z^4 + 1), tau = atan(2 z w_c/w)/w_c.
-    """
-    w = 2.0 * math.pi * np.asarray(frequency)
-    ratio = math.sqrt(2.0 * z * z + math.sqrt(4.0 * z**4 + 1.0))
-    return math.atan(2.0 * z * ratio) / (ratio * w)
-
-
 def _boundary(boundary: dict[str, Any]):
     frequency, delay = np.array(boundary["frequency"]), 1e3 * np.array(boundary["delay"])
     names = [name for name in boundary if name not in ("frequency", "delay", "damping_ratio")]
     figure, axes = new_figure(13, 3.8, ncols=len(names), sharey=True)
-    limit = 1e3 * threshold(frequency, boundary["damping_ratio"])
+    w, z = 2.0 * math.pi * frequency, boundary["damping_ratio"]
+    limit = [1e3 * closed_contact_delay(w_i**2, 2.0 * z * w_i, 1.0) for w_i in w]  # for a unit mass
     for axis, name in zip(axes, names, strict=True):
         e = np.array(boundary[name])
         mesh = axis.pcolormesh(frequency, delay, np.log(e).T, cmap="RdBu_r", vmin=-1.0, vmax=1.0, shading="gouraud")

@@ -20,6 +20,7 @@ approach: {gap: 0.001, velocity: [0, 0, 0.03]}
 mechanism: {contact: {stiffness: 2.0e4, damping: 20.0}}
 rig: {platform: {tracking: ideal}}
 sensor: {noise: 0.05}
+compensation: {force: {kind: none}}
 """
 CAMPAIGN = """\
 scenario: scenario.yaml

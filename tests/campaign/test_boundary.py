@@ -54,6 +54,7 @@ def scenario(delay: float, damping: float) -> Scenario:
             "mechanism": {"contact": {"stiffness": 5.0e3, "damping": damping}},
             "rig": {"platform": {"tracking": "ideal"}},
             "sensor": {"delay": delay},
+            "compensation": {"force": {"kind": "none"}},
             "identification": {"kind": "none"},
         }
     )
