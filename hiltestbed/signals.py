@@ -47,6 +47,8 @@ GROUPS = {
         Group("damping_est", AXES, ("N s/m",) * 3 + ("N m s/rad",) * 3, "in P at P's origin", "running estimate of damping"),
         Group("slider_cmd", _SLIDERS, ("m",) * 6, "platform", "slider positions commanded"),
         Group("slider_act", _SLIDERS, ("m",) * 6, "platform", "slider positions reached"),
+        Group("upper_cmd", _SLIDERS[:3], ("m",) * 3, "upper platform", "slider positions of the upper platform commanded; 0 at home"),
+        Group("upper_act", _SLIDERS[:3], ("m",) * 3, "upper platform", "slider positions of the upper platform reached; 0 at home"),
     )
 }
 

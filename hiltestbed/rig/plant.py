@@ -50,8 +50,8 @@ class Plant:
         wrench_sub: (n, m, 6) contact wrench, what the active side exerts on the passive one, in P at P's origin, tared [N, N m],
             at t_(k-1) + (s + 1) dt, s = 0 .. m - 1; the last is at t_k.
         contact: (n,) bool, whether the mechanisms touch. captured: (n,) bool, whether they are latched to each other.
-        slider_cmd, slider_act: (n, 6) the platform's sliders [m], 0 at home. pose_W: (n, 7) pose of A in W, which is P without an
-            upper platform.
+        slider_cmd, slider_act: (n, 6) the platform's sliders [m], 0 at home. upper_cmd, upper_act: (n, 3) those of the upper one.
+        pose_W: (n, 7) pose of A in W, which is P without an upper platform.
         diverged: (n,) bool, whether a run has left the finite numbers; it is frozen from then on.
     """
 
@@ -81,6 +81,9 @@ class Plant:
         self.captured: NDArray[np.bool_] = touch.latched if touch is not None else np.zeros(len(scenarios), dtype=bool)
         self.slider_cmd: Array = self._tracking.slider_cmd
         self.slider_act: Array = self._tracking.slider_act
+        still = np.zeros((len(scenarios), 3))
+        self.upper_cmd: Array = self._tracking.upper.slider_cmd if isinstance(self._tracking, NineAxes) else still
+        self.upper_act: Array = self._tracking.upper.slider_act if isinstance(self._tracking, NineAxes) else still
         self.diverged: NDArray[np.bool_] = self._tracking.diverged
 
     @property

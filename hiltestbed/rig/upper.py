@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from hiltestbed.frames import Array, pose_step, twist_between
 from hiltestbed.rig.allocation import share
-from hiltestbed.rig.prs3 import Upper, place
+from hiltestbed.rig.prs3 import Upper, inverse, place, slider
 from hiltestbed.rig.upper_drives import UpperDrives
 
 if TYPE_CHECKING:
@@ -27,16 +27,18 @@ SETTLE = 0.15  # [s] after which a 25 Hz critically damped loop has 1e-9 of an e
 
 
 @njit(cache=True)
-def _plan(shape, pose, h, settle, diverged, x, rate, speed, still, away, was_away, xs, planned, slope, reached, twist):
+def _plan(
+    shape, legs, pose, h, settle, diverged, x, rate, speed, still, away, was_away, xs, planned, slope, sliders, reached, twist, slid
+):  # fmt: skip
     """Move on to the coordinates for the relative poses ``(n, 7)`` at the end of the tick ``h``; returns whether a run is or was away.
 
     x, rate, speed: (n, 3) coordinates, their change over the last tick, and the velocity with which the cubic leaves it. still: (n,)
     ticks at home. xs: (n, m, 3) coordinates at the ends of the substeps. planned (n, 7), slope (n, 6): P in W at the end, and its
-    slope over the tick; reached (n, 7) and twist (n, 6) become these.
+    slope over the tick; sliders: (n, 3) then. reached (n, 7), twist (n, 6) and slid (n, 3) become these.
     """
     m = xs.shape[1]
     busy = False
-    goal, before = np.empty(3), np.empty(7)
+    goal, before, arm = np.empty(3), np.empty(7), np.empty(3)
     for i in range(pose.shape[0]):
         goal[:] = x[i]
         share(pose[i], goal)
@@ -59,10 +61,14 @@ def _plan(shape, pose, h, settle, diverged, x, rate, speed, still, away, was_awa
             x[i] = goal
             place(shape, goal, planned[i])
             twist_between(before, planned[i], h, slope[i])
+            for j in range(3):
+                sliders[i, j] = slider(legs[j], planned[i], arm)
         else:
             slope[i] = 0.0
+            sliders[i] = 0.0
         reached[i] = planned[i]
         twist[i] = slope[i]
+        slid[i] = sliders[i]
     return busy
 
 
@@ -89,6 +95,7 @@ class UpperPlatform:
     Attributes:
         planned: (n, 7) pose of P in W that is to be reached at t_(k+1).
         pose, twist: (n, 7), (n, 6) of P in W as reached; while clamped exactly home.
+        slider_cmd, slider_act: (n, 3) its sliders [m], 0 at home.
         residual: (n, m, 6) what the payload leaves in the sensor's reading, at the m instants of the tick, in P [N, N m].
         away: (n,) bool, not clamped. x: (n, 3) coordinates, heave [m] and tilts [rad]; rate: (n, 3) their change over the last tick [1/s].
     """
@@ -97,7 +104,7 @@ class UpperPlatform:
         first, n = scenarios[0], len(scenarios)
         self.tick = first.tick
         self._settle = math.ceil(SETTLE / first.tick)
-        self._shape = Upper.load().shape
+        self._shape, self._legs = Upper.load().shape, Upper.load().legs
         self.drives = UpperDrives(scenarios, nthread) if first.rig.upper.tracking == "servo" else None
         self.x, self.rate, self._speed = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 3))
         self._still = np.zeros(n, dtype=np.int64)
@@ -106,6 +113,7 @@ class UpperPlatform:
         self._xs = np.zeros((n, first.substeps, 3))
         self.planned, self._slope = np.zeros((n, 7)), np.zeros((n, 6))
         self.pose, self.twist = np.zeros((n, 7)), np.zeros((n, 6))
+        self.slider_cmd, self.slider_act = np.zeros((n, 3)), np.zeros((n, 3))
         self.residual = self.drives.residual if self.drives else np.zeros((n, first.substeps, 6))
 
     def reset(self, pose: Array, twist: Array) -> None:
@@ -116,6 +124,8 @@ class UpperPlatform:
         self._still[:] = np.where(self.away, 0, self._settle + 1)
         self._was_away[:] = self.away
         self.pose[:], self.twist[:] = self.planned, self._slope
+        inverse(self._legs, self.planned, self.slider_cmd)
+        self.slider_act[:] = self.slider_cmd
         self.residual[:] = 0.0
         if self.drives:
             self.drives.left[:] = 0.0
@@ -125,8 +135,8 @@ class UpperPlatform:
     def advance(self, pose: Array, diverged: NDArray[np.bool_]) -> bool:
         """One tick towards the relative ``pose`` (n, 7); True where a run has just ``diverged`` (n,)."""
         busy = _plan(
-            self._shape, pose, self.tick, self._settle, diverged, self.x, self.rate, self._speed, self._still, self.away,
-            self._was_away, self._xs, self.planned, self._slope, self.pose, self.twist,
+            self._shape, self._legs, pose, self.tick, self._settle, diverged, self.x, self.rate, self._speed, self._still, self.away,
+            self._was_away, self._xs, self.planned, self._slope, self.slider_cmd, self.pose, self.twist, self.slider_act,
         )  # fmt: skip
         return self._drive(self.drives, diverged) if busy and self.drives else False
 
@@ -135,7 +145,7 @@ class UpperPlatform:
             drives.settle(int(i), np.zeros(3), np.zeros(3))
         self._was_away[:] = self.away
         drives.run(self._xs, self.away, np.flatnonzero(self.away))
-        return drives.observe(self.away, self.pose, self.twist, diverged)
+        return drives.observe(self.away, self.pose, self.twist, self.slider_act, diverged)
 
     def buffers(self) -> dict[str, NDArray[Any]]:
         """The state between two ticks."""
@@ -149,4 +159,6 @@ class UpperPlatform:
             "upper_goal": self.planned,
             "upper_pose": self.pose,
             "upper_twist": self.twist,
+            "upper_slider_cmd": self.slider_cmd,
+            "upper_slider_act": self.slider_act,
         }

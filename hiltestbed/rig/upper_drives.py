@@ -131,8 +131,8 @@ def _take_out(away, felt, sub, reading, residual, left):
 
 
 @njit(cache=True)
-def _observe(away, above, free, qpos, qvel, pose, twist, diverged):
-    """Pose and twist of P in W from the platform's free joint; returns whether a run has just left the numbers."""
+def _observe(away, above, adr, free, qpos, qvel, pose, twist, sliders, diverged):
+    """Pose and twist of P in W from the platform's free joint, and the sliders; returns whether a run has just left the numbers."""
     arm, lost = np.empty(3), False
     p, d = free[0], free[1]
     for i in range(qpos.shape[0]):
@@ -145,6 +145,8 @@ def _observe(away, above, free, qpos, qvel, pose, twist, diverged):
             diverged[i] = True
             lost = True
             continue
+        for j in range(3):
+            sliders[i, j] = qpos[i, adr[0, j]]
         pose[i, 3:6] = qpos[i, p + 4 : p + 7]
         pose[i, 6] = qpos[i, p + 3]
         arm[0] = arm[1] = 0.0
@@ -247,9 +249,11 @@ class UpperDrives:
     def _push(self, sub: int, away: NDArray[np.bool_]) -> None:
         _push(away, self._plan, sub, self.kp, self.kv, self._adr, self._qpos, self._qvel, self._ctrl)
 
-    def observe(self, away: NDArray[np.bool_], pose: Array, twist: Array, diverged: NDArray[np.bool_]) -> bool:
-        """Read pose (n, 7) and twist (n, 6) of P in W; True where a run has just diverged."""
-        return _observe(away, self.upper.shape[1], self._free, self._qpos, self._qvel, pose, twist, diverged)
+    def observe(self, away: NDArray[np.bool_], pose: Array, twist: Array, sliders: Array, diverged: NDArray[np.bool_]) -> bool:
+        """Read pose (n, 7) and twist (n, 6) of P in W, and the sliders (n, 3); True where a run has just diverged."""
+        return _observe(
+            away, self.upper.shape[1], self._adr, self._free, self._qpos, self._qvel, pose, twist, sliders, diverged
+        )  # fmt: skip
 
     def buffers(self) -> dict[str, NDArray[Any]]:
         """The state between two ticks."""
