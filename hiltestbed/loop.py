@@ -78,7 +78,7 @@ class Loop:
             self.dead_zone.update(self.sensor.reading)
         self._pose_before[:] = drive.pose
         drive.advance(self.measurement)
-        self.motion.update(drive.pose, drive.twist, plant.pose_act)
+        self.motion.update(drive.pose, drive.twist, self.measurement)
         wrench = plant.wrench_sub[:, -1]
         self.tally.update(k, (wrench, plant.pose_act, plant.twist_act, plant.contact), self._pose_before, (drive.wrench, drive.twist))
         self.outcomes.update(k, wrench, plant.contact, plant.captured)

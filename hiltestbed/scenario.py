@@ -339,6 +339,14 @@ class AdaptiveTimeSeries(Strictly):
     delay: NotNegative = Field(default=0.008, description="of the platform as believed at the start [s]")
 
 
+class Admittance(Strictly):
+    """Feed-forward, and a platform that yields along the insertion where the contact as identified would press harder than a limit."""
+
+    kind: Literal["admittance"] = "admittance"
+    limit: Positive = Field(description="of the contact force [N]")
+    time_constant: NotNegative = Field(default=0.002, description="with which the platform yields [s]")
+
+
 class ContactCorrection(Strictly):
     """The force is corrected for where the platform is not: + k (x_cmd - x_act) + c (v_cmd - v_act), k and c as identified."""
 
@@ -361,7 +369,7 @@ ForceCompensation = Annotated[
     Field(discriminator="kind"),
 ]
 MotionCompensation = Annotated[
-    NoMotionCompensation | Feedforward | InverseModel | AdaptiveTimeSeries | ContactCorrection, Field(discriminator="kind")
+    NoMotionCompensation | Feedforward | Admittance | InverseModel | AdaptiveTimeSeries | ContactCorrection, Field(discriminator="kind")
 ]
 
 

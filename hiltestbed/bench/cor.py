@@ -179,7 +179,7 @@ def cost(contender: Contender, ticks: int = COST_TICKS) -> float:
         craft.advance(loop.drive.wrench)
         end = time.perf_counter()
         craft.q[:], craft.v[:], craft.pose[:], craft.twist[:] = q, v, pose, twist
-        loop.motion.update(loop.drive.pose, loop.drive.twist, loop.plant.pose_act)
+        loop.motion.update(loop.drive.pose, loop.drive.twist, loop.measurement)
         loop.plant.advance(loop.motion.pose, loop.motion.twist, loop.motion.acceleration)
         loop.k += 1
         if k > ticks // 2:

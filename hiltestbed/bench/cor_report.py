@@ -37,7 +37,7 @@ def cor_report(records: Sequence[dict[str, Any]], summary: dict[str, Any]) -> Re
     report.heading("Where the rig becomes active")
     report.figure(_boundary(summary["boundary"]), "e over frequency and delay at a damping ratio of 0.05; black: e = 1.")
     report.text(
-        "White: the delay at which a closed contact becomes unstable, tau = atan(c w_c/k)/w_c with "
+        "Orange: the delay at which a closed contact becomes unstable, tau = atan(c w_c/k)/w_c with "
         "w_c^2 = (c^2 + sqrt(c^4 + 4 mu^2 k^2))/(2 mu^2); a bounce reaches e = 1 there to first order."
     )
     _random_rigs(report, summary["random_rigs"])
@@ -110,8 +110,8 @@ def _boundary(boundary: dict[str, Any]):
         mesh = axis.pcolormesh(frequency, delay, np.log(e).T, cmap="RdBu_r", vmin=-1.0, vmax=1.0, shading="gouraud")
         if (e > 1.0).any() and (e < 1.0).any():
             axis.contour(frequency, delay, e.T, levels=[1.0], colors="black")
-        axis.plot(frequency, limit, color="white", linestyle="--")
-        axis.set(xscale="log", yscale="log", xlabel="contact frequency [Hz]", title=name, ylim=(delay[0], delay[-1]))
+        axis.plot(frequency, limit, color="tab:orange", linestyle="--", linewidth=2)
+        axis.set(xscale="log", yscale="log", xlabel="contact frequency [Hz], of k = mu (2 pi f)^2", title=name, ylim=(delay[0], delay[-1]))
     axes[0].set_ylabel("delay [ms]")
     figure.colorbar(mesh, ax=axes, label="ln e")
     return figure

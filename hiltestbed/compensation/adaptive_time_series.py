@@ -16,6 +16,7 @@ from collections.abc import Sequence
 import numpy as np
 from numba import njit
 
+from hiltestbed.compensation.measurement import Measurement
 from hiltestbed.frames import Array, pose_step
 from hiltestbed.scenario import Scenario
 
@@ -41,9 +42,9 @@ class AdaptiveTimeSeries:
         self._sums = np.zeros((n, 3, 4))
         self._memory = np.zeros((n, 4))  # last command, last measured position and velocity, ticks
 
-    def command(self, pose: Array, derivatives: tuple[Array, Array, Array], pose_act: Array, out: Array) -> None:
+    def command(self, pose: Array, derivatives: tuple[Array, Array, Array], measurement: Measurement, out: Array) -> None:
         """Write the pose ``out`` (n, 7) to tell the platform."""
-        _adapt(pose_act, self._tick, self._fade, self._believed, self._sums, self._memory, self.coefficients)
+        _adapt(measurement.pose, self._tick, self._fade, self._believed, self._sums, self._memory, self.coefficients)
         _apply(pose, derivatives[0], derivatives[1], self.coefficients, self._memory, out)
 
     def buffers(self) -> dict[str, Array]:

@@ -15,6 +15,7 @@ from collections.abc import Sequence
 import numpy as np
 from numba import njit
 
+from hiltestbed.compensation.measurement import Measurement
 from hiltestbed.frames import Array, pose_step
 from hiltestbed.scenario import Scenario
 
@@ -25,7 +26,7 @@ class InverseModel:
     def __init__(self, scenarios: Sequence[Scenario]) -> None:
         self._coefficients = np.array([inverse_coefficients(s) for s in scenarios])
 
-    def command(self, pose: Array, derivatives: tuple[Array, Array, Array], pose_act: Array, out: Array) -> None:
+    def command(self, pose: Array, derivatives: tuple[Array, Array, Array], measurement: Measurement, out: Array) -> None:
         """Write the pose ``out`` (n, 7) to tell the platform."""
         _apply(pose, *derivatives, self._coefficients, out)
 

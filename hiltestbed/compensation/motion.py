@@ -9,21 +9,25 @@ import numpy as np
 from numba import njit
 
 from hiltestbed.compensation.adaptive_time_series import AdaptiveTimeSeries
+from hiltestbed.compensation.admittance import Admittance
 from hiltestbed.compensation.inverse_model import InverseModel
+from hiltestbed.compensation.measurement import Measurement
 from hiltestbed.frames import Array
 from hiltestbed.scenario import Scenario
+
+FED = ("feedforward", "admittance")  # kinds with which the servo is told velocity and acceleration too
 
 
 class PoseCommand(Protocol):
     """A method that changes the commanded pose."""
 
-    def command(self, pose: Array, derivatives: tuple[Array, Array, Array], pose_act: Array, out: Array) -> None:
+    def command(self, pose: Array, derivatives: tuple[Array, Array, Array], measurement: Measurement, out: Array) -> None:
         """Write the pose ``out`` (n, 7) to tell the platform.
 
         Args:
             pose: ``(n, 7)`` pose of A in P that is to be reached at t_(k+1).
             derivatives: ``(n, 6)`` each: velocity then, acceleration and jerk over the tick.
-            pose_act: ``(n, 7)`` where the platform is at t_k.
+            measurement: what is known at t_k.
         """
         ...
 
@@ -35,8 +39,8 @@ class PoseCommand(Protocol):
 class MotionCommand:
     """Pose, velocity and acceleration references of the platform for ``n`` runs.
 
-    With ``compensation.motion: feedforward`` the servo is told the velocity and the acceleration of the tick that it is to run;
-    else it is told the pose alone, changed by the method if there is one, and follows with its own lag.
+    With ``compensation.motion: feedforward`` (and with an admittance on top of it) the servo is told the velocity and the acceleration
+    of the tick that it is to run; else it is told the pose alone, changed by the method if there is one, and follows with its own lag.
 
     Attributes:
         pose: ``(n, 7)`` pose reference for the end of the tick.
@@ -47,38 +51,46 @@ class MotionCommand:
     def __init__(self, scenarios: Sequence[Scenario]) -> None:
         n = len(scenarios)
         self._rate = scenarios[0].rate
-        self._feed = np.array([[float(s.compensation.motion.kind == "feedforward")] for s in scenarios])
+        self._feed = np.array([[float(s.compensation.motion.kind in FED)] for s in scenarios])
         self._method = _method(scenarios)
         self.pose = np.zeros((n, 7))
         self.twist = np.zeros((n, 6))
         self.acceleration = np.zeros((n, 6))
         self._previous = np.zeros((n, 6))
+        self._rate_before = np.zeros((n, 6))
         self._velocity, self._accel, self._jerk = np.zeros((n, 6)), np.zeros((n, 6)), np.zeros((n, 6))
 
     def start(self, twist: Array) -> None:
         """The twist ``(n, 6)`` before the first tick."""
         self._previous[:] = twist
 
-    def update(self, pose: Array, twist: Array, pose_act: Array) -> None:
+    def update(self, pose: Array, twist: Array, measurement: Measurement) -> None:
         """Set the references from the pose ``(n, 7)`` and twist ``(n, 6)`` commanded for the coming tick."""
         if self._method is None:
             self.pose[:] = pose
         else:
             derivatives = (self._velocity, self._accel, self._jerk)
             _differentiate(twist, self._previous, self._rate, *derivatives)
-            self._method.command(pose, derivatives, pose_act, self.pose)
+            self._method.command(pose, derivatives, measurement, self.pose)
         np.subtract(twist, self._previous, out=self.acceleration)
-        self.acceleration *= self._rate * self._feed
-        np.multiply(twist, self._feed, out=self.twist)
         self._previous[:] = twist
+        np.multiply(twist, self._feed, out=self.twist)
+        if isinstance(self._method, Admittance):
+            self.acceleration += self._method.rate
+            self.acceleration -= self._rate_before
+            self._rate_before[:] = self._method.rate
+            self.twist += self._method.rate
+        self.acceleration *= self._rate * self._feed
 
     def buffers(self) -> dict[str, Array]:
         own = {"pose": self.pose, "twist": self.twist, "acceleration": self.acceleration, "previous": self._previous}
-        return own | {"accel": self._accel} | (self._method.buffers() if self._method else {})
+        return own | {"accel": self._accel, "rate_before": self._rate_before} | (self._method.buffers() if self._method else {})
 
 
 def _method(scenarios: Sequence[Scenario]) -> PoseCommand | None:
     match scenarios[0].compensation.motion.kind:
+        case "admittance":
+            return Admittance(scenarios)
         case "inverse_model":
             return InverseModel(scenarios)
         case "adaptive_time_series":

@@ -50,7 +50,7 @@ class ServoTracking:
         self.path = PlatformPath(scenarios)
         self._ticks = np.zeros(1, dtype=np.int64)
         self._goal = np.zeros((n, 7))
-        feed = np.array([s.compensation.motion.kind == "feedforward" for s in scenarios])
+        feed = np.array([s.compensation.motion.kind in ("feedforward", "admittance") for s in scenarios])
         self.servo = Servo(self.model, n, first.tick, m, feed)
         bind = self.batch.bind
         self._qpos, self._qvel, self._ctrl, self._time = bind("qpos"), bind("qvel"), bind("ctrl"), bind("time")
