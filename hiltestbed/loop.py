@@ -45,6 +45,8 @@ class Loop:
         self.plant = Plant(scenarios, nthread)
         self.sensor = Sensor(scenarios, [np.random.default_rng(s.seed) for s in scenarios])
         self.identification = make_identification(scenarios)
+        if self.identification:
+            self.identification.source.captured = self.plant.captured
         self.dead_zone = InputDeadZone(scenarios)
         self.drive = make_drive(scenarios)
         self.motion = MotionCommand(scenarios)
@@ -66,6 +68,7 @@ class Loop:
             twist=self.plant.twist_act,
             stiffness=estimate.stiffness if estimate else unknown,
             damping=estimate.damping if estimate else unknown,
+            captured=self.plant.captured,
         )
 
     def step(self, trace: Trace | None = None) -> None:
@@ -102,6 +105,8 @@ class Loop:
         data["wrench_comp"][k] = self.drive.wrench
         data["slider_cmd"][k] = self.plant.slider_cmd
         data["slider_act"][k] = self.plant.slider_act
+        data["upper_cmd"][k] = self.plant.upper_cmd
+        data["upper_act"][k] = self.plant.upper_act
         data["stiffness_est"][k] = self.measurement.stiffness
         data["damping_est"][k] = self.measurement.damping
         trace.contact[k] = self.plant.contact

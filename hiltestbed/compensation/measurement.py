@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 from hiltestbed.frames import Array
 
 
@@ -17,6 +20,7 @@ class Measurement:
         twist: ``(n, 6)`` its velocity.
         stiffness: ``(n, 6)`` stiffness identified so far, NaN before the first estimate.
         damping: ``(n, 6)`` likewise damping.
+        captured: ``(n,)`` bool, whether the latches hold.
     """
 
     wrench: Array
@@ -24,3 +28,4 @@ class Measurement:
     twist: Array
     stiffness: Array
     damping: Array
+    captured: NDArray[np.bool_]

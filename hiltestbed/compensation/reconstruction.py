@@ -16,10 +16,11 @@ from collections.abc import Sequence
 import numpy as np
 from numba import njit
 
+from hiltestbed.compensation.captured import observe
 from hiltestbed.compensation.history import History
 from hiltestbed.compensation.measurement import Measurement
 from hiltestbed.compensation.phase_lead import PhaseLead
-from hiltestbed.frames import Array, rotation_vector
+from hiltestbed.frames import Array
 from hiltestbed.scenario import Scenario
 
 
@@ -37,7 +38,7 @@ class Reconstruction:
     def compensate(self, measurement: Measurement) -> Array:
         """``(n, 6)`` the reconstructed wrench; an axis without an estimate passes the lead."""
         led = self._lead.compensate(measurement)
-        _observe(measurement.pose, measurement.twist, self._state)
+        observe(measurement.pose, measurement.twist, self._state)
         self._states.remember(self._state)
         self._states.before(self._ticks, self._late)
         _reconstruct(measurement.wrench, led, self._state, self._late, measurement.stiffness, measurement.damping, self.output)
@@ -61,7 +62,7 @@ class SmithPredictor:
         self._ticks = np.array([s.sensor.delay * s.rate for s in scenarios])
         self._model = History(6, self._ticks)
         self._now, self._late = np.zeros((n, 6)), np.zeros((n, 6))
-        self._rest = Measurement(self._late, self._late, self._late, self._late, self._late)
+        self._rest = Measurement(self._late, self._late, self._late, self._late, self._late, np.zeros(n, dtype=bool))
         self.output = np.zeros((n, 6))
 
     def compensate(self, measurement: Measurement) -> Array:
@@ -77,16 +78,6 @@ class SmithPredictor:
     def buffers(self) -> dict[str, Array]:
         lead = {} if self._lead is None else {f"lead_{name}": array for name, array in self._lead.buffers().items()}
         return {"output": self.output, "model": self._model.values, "clock": self._model.clock} | lead
-
-
-@njit(cache=True)
-def _observe(pose, twist, out):
-    for i in range(pose.shape[0]):
-        for j in range(3):
-            out[i, j] = pose[i, j]
-        rotation_vector(pose[i, 3:7], out[i, 3:6])
-        for j in range(6):
-            out[i, 6 + j] = twist[i, j]
 
 
 @njit(cache=True)

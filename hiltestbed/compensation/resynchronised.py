@@ -10,6 +10,8 @@ The delay is of the measurement, so the past is known exactly, only late. Three 
 - *commanded* is the numerical model that the rig follows. It is driven with the predicted wrench, and drawn to *ahead* like a
   critically damped spring would, so that a correction of the prediction does not kick the platform.
 
+While the latches hold, all six axes act at once and :mod:`hiltestbed.compensation.captured` takes over.
+
 No force is differentiated, and no impulse is lost or paid back. When a first contact becomes known, *behind* is run again from the
 touch on with the law: the uniform motion of the first tau, when nothing had been felt yet, leaves no trace. Worked out for this
 project; the idea that a late measurement corrects a past state, from which one predicts, is that of filters with delayed measurements
@@ -26,6 +28,7 @@ import numpy as np
 from numba import njit
 
 from hiltestbed.compensation import contact_line as cl
+from hiltestbed.compensation.captured import CapturedContact
 from hiltestbed.compensation.measurement import Measurement
 from hiltestbed.compensation.twin import SCRATCH, carry, mobility, solve, step, wrench_at_A, wrench_at_P
 from hiltestbed.frames import Array, quat_conj_mul, rotate, rotation_vector
@@ -97,6 +100,7 @@ class Resynchronised:
         self.wrench = np.zeros((n, 6))
         self.ahead_pose, self.ahead_twist = np.zeros((n, 7)), np.zeros((n, 6))
         self._predicted = np.zeros((n, 6))
+        self._captured = CapturedContact(scenarios)
         self._setup = _setup(scenarios, h)
         self._fixed = int(scenarios[0].mechanism.kind == "bumper")
         self._ideal = int(scenarios[0].rig.platform.tracking == "ideal")
@@ -118,10 +122,16 @@ class Resynchronised:
             craft.tick, self._bodies, self._setup.blend, craft.q, craft.pose, craft.twist,
             self.ahead_pose, self.ahead_twist, self._predicted, self.wrench,
         )  # fmt: skip
+        self._captured.take_over(measurement, self.wrench)
         craft.advance(self.wrench)
 
     def buffers(self) -> dict[str, Array]:
-        return {"wrench": self.wrench} | self.spacecraft.buffers() | {f"resync_{k}": v for k, v in self.state._asdict().items()}
+        return (
+            {"wrench": self.wrench}
+            | self.spacecraft.buffers()
+            | self._captured.buffers()
+            | {f"resync_{k}": v for k, v in self.state._asdict().items()}
+        )
 
 
 def _setup(scenarios: Sequence[Scenario], h: float) -> Setup:

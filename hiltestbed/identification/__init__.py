@@ -21,7 +21,10 @@ class Identification(Protocol):
     Attributes:
         stiffness, damping: ``(n, 6)`` running estimates, NaN before the first.
         samples: ``(n, 6)`` number of contact samples used.
+        source: what it takes its samples from.
     """
+
+    source: ContactSamples
 
     stiffness: Array
     damping: Array

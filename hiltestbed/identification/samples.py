@@ -36,6 +36,7 @@ class ContactSamples:
         ready: ``(n,)`` whether ``sample`` counts.
         sample: ``(n, 6, 4)`` x, v and 1 as felt, and the force.
         delay: ``(n,)`` [s] of the force, as known or as estimated.
+        captured: ``(n,)`` bool, whether the latches hold, which a rig's switches tell: then every sample counts, pulled or pushed.
     """
 
     def __init__(self, scenarios: Sequence[Scenario], aligned: bool = True, estimate: bool = False) -> None:
@@ -61,6 +62,8 @@ class ContactSamples:
         self._pending = np.zeros((n, self._margin + 1, 6, 4))
         self._gated = np.zeros(n, dtype=np.int64)
         self._peak = np.zeros(n)
+        self._held = np.zeros(n, dtype=np.int64)  # ticks since the capture
+        self.captured = np.zeros(n, dtype=bool)
         self._onset = np.full((n, 3), np.nan)  # force and speed at the first contact sample, delay as found then
         self.ready = np.zeros(n, dtype=bool)
         self.sample = np.zeros((n, 6, 4))
@@ -69,7 +72,7 @@ class ContactSamples:
         """Take in what was measured at t_k: wrench ``(n, 6)``, pose ``(n, 7)``, twist ``(n, 6)``."""
         k = int(self._clock[0])
         _remember(k, pose, twist, self._x, self._v)
-        _gate(wrench, self.threshold, self._peak, self._gated)
+        _gate(wrench, self.threshold, self.captured, self.delay / self.tick, self._held, self._peak, self._gated)
         if self._estimate:
             _find_delay(k, self.tick, self._longest, wrench, self._x, self._v, self._gated, self.delay, self._onset)
         late = (self._x, self._v, self.delay, self.tick, self._held_rate, self._gated)
@@ -90,7 +93,7 @@ class ContactSamples:
         return np.hypot(self.tick / math.sqrt(12.0), slow)
 
     def buffers(self) -> dict[str, Array]:
-        names = ("x", "v", "clock", "filter", "pending", "gated", "peak", "onset")
+        names = ("x", "v", "clock", "filter", "pending", "gated", "held", "peak", "onset")
         return {name: getattr(self, "_" + name) for name in names} | {"delay": self.delay}
 
 
@@ -136,11 +139,13 @@ def _sample(k, wrench, x, v, delay, h, held_rate, gated, smooth, leak, memory, p
 
 
 @njit(cache=True)
-def _gate(wrench, threshold, peak, gated):
+def _gate(wrench, threshold, captured, late, held, peak, gated):
     for i in range(wrench.shape[0]):
         force = wrench[i, 2]  # pushing is positive; what a high-pass leaves after the contact is negative
         peak[i] = max(peak[i], force)
-        gated[i] = gated[i] + 1 if force > threshold[i] and force > GATE_PEAK * peak[i] else 0
+        held[i] = held[i] + 1 if captured[i] else 0
+        felt = held[i] > late[i] + 1.0  # what is read now left the mechanism after the latches had closed
+        gated[i] = gated[i] + 1 if felt or (force > threshold[i] and force > GATE_PEAK * peak[i]) else 0
 
 
 @njit(cache=True)
