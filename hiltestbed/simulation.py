@@ -104,7 +104,8 @@ def simulate(
         progress(loop.k, ticks)
     if rows is not None:
         rows.length[:] = loop.k
-        stamp_late(rows, scenarios)
+        if isinstance(rows, Trace):
+            stamp_late(rows, scenarios)
         for i, (k, *_) in loop.trouble.items():
             rows.length[i] = k + 1
     return Batch(

@@ -46,10 +46,14 @@ def run_chunk(campaign: LoadedCampaign, cases: Sequence[int]) -> ChunkResult:
     return result
 
 
+def _has_rows(campaign: LoadedCampaign, scenario: Scenario) -> bool:
+    """Whether the rows of the trace are needed: to keep them, or since the record is changed when it is whole (`log.*` effects)."""
+    return campaign.spec.keep != "summary" or any(effect["kind"].startswith("log.") for effect in scenario.effects)
+
+
 def _group_size(campaign: LoadedCampaign, scenarios: list[tuple[int, Scenario]]) -> int:
-    if campaign.spec.keep == "summary" or not scenarios:
-        return max(len(scenarios), 1)
-    return max(1, ROWS_LIMIT // max(scenario.ticks for _, scenario in scenarios))
+    longest = max((scenario.ticks for _, scenario in scenarios if _has_rows(campaign, scenario)), default=0)
+    return max(1, ROWS_LIMIT // longest) if longest else max(len(scenarios), 1)
 
 
 def _run_group(campaign: LoadedCampaign, group: list[tuple[int, Scenario]], values: dict[int, dict], result: ChunkResult) -> None:
@@ -64,7 +68,7 @@ def _run_group(campaign: LoadedCampaign, group: list[tuple[int, Scenario]], valu
 
     keep = campaign.spec.keep
     try:
-        runs = run_batch([scenario for _, scenario in group], trace=digest if keep == "summary" else True)
+        runs = run_batch([scenario for _, scenario in group], trace=True if _has_rows(campaign, group[0][1]) else digest)
     except HiltestbedError as error:  # a scenario that the rig refuses: the others of the group run without it
         if len(group) == 1:
             case = group[0][0]
