@@ -20,7 +20,7 @@ from hiltestbed.yaml_source import Source, describe, read_source
 
 WORKSPACE_TRANSLATION = 0.25  # [m] the platform's reach from home, any axis; home is at the nominal first touch
 WORKSPACE_ROTATION_DEG = 10.0
-UPPER_SPEED = 0.5  # [m/s] at which the upper platform is clamped before the touch
+UPPER_SPEED = 0.3  # [m/s] up to which the upper platform is clamped before the touch
 TICK_LIMIT = 20_000_000  # a trace of this many rows fills 16 GB
 MECHANISMS_BUILT = ("bumper", "probe_cone", "latched")  # the kinds that the rig has a model of
 
@@ -167,7 +167,7 @@ class UpperPlatform(Strictly):
     """What carries the passive side and the force sensor."""
 
     kind: Literal["fixed", "prs3"] = Field(
-        default="fixed", description="prs3: heave of 2 m and two tilts while the ports are more than 0.08 m apart, clamped below that"
+        default="fixed", description="prs3: heave of 2 m and two tilts while the ports are more than 0.19 m apart, clamped below that"
     )
     tracking: Literal["servo", "ideal"] = Field(default="servo", description="of prs3; ideal: it is where it is planned to be")
 

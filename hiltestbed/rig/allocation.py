@@ -24,8 +24,8 @@ from numba import njit
 from hiltestbed.frames import Array, quat_mul, rotate, rotation_vector
 from hiltestbed.rig.prs3 import HEAVE, TILT, Upper, place
 
-DOCKING = 0.08  # [m]
-BLEND = 0.20  # [m]
+DOCKING = 0.19  # [m] the cone's rim lies 0.155 m before P's origin; the rest is run in 0.1 s at 0.3 m/s, time to come to rest
+BLEND = 0.10  # [m] the lower platform then waits 0.24 m below home, just within its reach
 MOST_BENT = 1.875  # largest slope of the smooth step: 15/8
 LONGEST = DOCKING + HEAVE  # [m] gap up to which the upper platform follows metre for metre
 

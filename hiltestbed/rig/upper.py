@@ -23,7 +23,7 @@ from hiltestbed.rig.upper_drives import UpperDrives
 if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario
 
-SETTLE = 0.15  # [s] after which a 25 Hz critically damped loop has 1e-9 of an error left
+SETTLE = 0.1  # [s] after which a 25 Hz critically damped loop has 3e-6 of an error left
 
 
 @njit(cache=True)

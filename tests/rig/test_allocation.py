@@ -8,6 +8,8 @@ from scipy.spatial.transform import Rotation
 from hiltestbed.frames import Array, quat_from_attitude_deg
 from hiltestbed.rig.allocation import BLEND, DOCKING, LONGEST, MOST_BENT, lower_pose, upper_coordinates
 from hiltestbed.rig.prs3 import HEAVE, TILT, Upper, place
+from hiltestbed.rig.surfaces import PROBE_CONE, meet
+from hiltestbed.rig.upper import SETTLE
 
 
 def poses(gap: Array, attitude_deg: tuple[float, float, float] = (0.0, 0.0, 0.0), x: float = 0.0, y: float = 0.0) -> Array:
@@ -41,6 +43,17 @@ def test_the_lower_platform_stays_in_its_workspace_over_the_whole_approach() -> 
     assert np.abs(lower[:, :3]).max() < 0.25
     assert np.degrees(np.abs(Rotation.from_quat(lower[:, 3:]).as_euler("xyz"))).max() < 10.0
     assert (lower[:, 2] <= np.maximum(relative[:, 2], -DOCKING) + 1e-3).all()  # no touch while the upper platform is away
+
+
+def test_nothing_touches_before_the_upper_platform_is_clamped() -> None:
+    """Neither tip nor rod reaches cone, rim or its outside from as far away as it takes to come to rest at 0.3 m/s."""
+    rng = np.random.default_rng(2)
+    depth, rate, vectors = np.empty(2), np.empty(2), [np.empty((2, 3)) for _ in range(3)]
+    for _ in range(500):
+        x, y = rng.uniform(-0.25, 0.25, 2)
+        pose = poses(np.array([DOCKING - 0.3 * SETTLE]), tuple(rng.uniform(-10.0, 10.0, 3)), x, y)[0]
+        meet(PROBE_CONE.kind, PROBE_CONE.sizes, pose, np.zeros(6), depth, rate, *vectors)
+        assert depth.max() < 0.0
 
 
 def test_heave_and_tilt_keep_their_limits() -> None:
