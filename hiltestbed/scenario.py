@@ -554,7 +554,7 @@ def _nine_axis_problems(scenario: Scenario) -> Iterator[Problem]:
     from hiltestbed.frames import quat_from_attitude_deg, rotation_vectors
     from hiltestbed.rig.allocation import LONGEST, lower_pose
 
-    approach, effects = scenario.approach, [str(entry.get("kind")) for entry in scenario.effects]
+    approach = scenario.approach
     lowest = -WORKSPACE_TRANSLATION if scenario.mechanism.kind == "latched" else 0.0
     if not lowest <= approach.gap <= LONGEST:
         yield ("approach", "gap"), f"starts outside the workspace (got {approach.gap:g} m); allowed is {lowest:g} to {LONGEST:g} m"
@@ -565,12 +565,6 @@ def _nine_axis_problems(scenario: Scenario) -> Iterator[Problem]:
             f"is faster than the upper platform comes to rest before the touch (got {approach.velocity[2]:g} m/s); "
             f"allowed is -{UPPER_SPEED:g} to {UPPER_SPEED:g} m/s",
         )
-    for index, kind in enumerate(effects):
-        if kind.startswith("platform."):
-            yield (
-                ("effects", index, "kind"),
-                f"is an effect of a rig without an upper platform (got {kind}); allowed with rig.upper.kind fixed",
-            )
     pose = np.array([[*approach.offset, -approach.gap, *quat_from_attitude_deg(approach.attitude_deg)]])
     lower = lower_pose(pose)
     place, turn = np.abs(lower[0, :3]), np.degrees(np.abs(rotation_vectors(lower[:, 3:])[0]))

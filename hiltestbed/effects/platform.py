@@ -184,16 +184,19 @@ class PlatformPath:
         self._kernel = np.zeros((n, 2, 6))
         dt = self.tick / self.substeps
         for i, (p, s) in enumerate(zip(self.parameters, scenarios, strict=True)):
-            start = np.array([*s.approach.offset, -s.approach.gap])
-            velocity = np.asarray(s.approach.velocity, dtype=float)
-            for back in range(self.ring.shape[1]):
-                self.ring[i, -back % self.ring.shape[1]] = start - velocity * self.tick * back
+            self.begin(i, np.array([*s.approach.offset, -s.approach.gap]), np.asarray(s.approach.velocity, dtype=float))
             if p[LAG] > 0.0:
                 second_order(p[LAG], LAG_DAMPING, dt, 0.0, self._kernel[i, 0])
             if p[MODE] > 0.0:
                 second_order(p[MODE], p[MODE_DAMPING], dt, 1.0, self._kernel[i, 1])
-            for axis in range(3):
-                start_axis(start[axis] - velocity[axis] * p[DELAY], velocity[axis], p, self.state[i, axis])
+
+    def begin(self, i: int, start: Array, velocity: Array) -> None:
+        """Put the platform of run ``i`` on a uniform motion that is at ``start`` (3,) [m] with ``velocity`` (3,) [m/s] at t = 0."""
+        for back in range(self.ring.shape[1]):
+            self.ring[i, -back % self.ring.shape[1]] = start - velocity * self.tick * back
+        p = self.parameters[i]
+        for axis in range(3):
+            start_axis(start[axis] - velocity[axis] * p[DELAY], velocity[axis], p, self.state[i, axis])
 
     def advance(self, k: int, pose_cmd: Array) -> Array:
         """The path (n, m, 3) from t_k to t_(k+1) on the command (n, 7) to be reached at t_(k+1)."""

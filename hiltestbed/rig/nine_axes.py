@@ -103,6 +103,8 @@ class NineAxes:
             twist_between(self._pose_W[i], self._before[i], self.tick, self._slope[i])
         self._was_home[:] = ~self.upper.away
         self._slope[self._was_home] = twist[self._was_home]
+        for i in range(len(pose)):
+            self.lower.path.begin(i, self._before[i, :3], self._slope[i, :3])
         self.lower.reset(self._before, self._slope)
         relate(self.lower.pose_act, self.lower.twist_act, self.upper.pose, self.upper.twist, self.pose_act, self.twist_act)
         self.wrench_sub[:] = self.lower.wrench_sub
