@@ -2,7 +2,8 @@
 
 The upper platform goes where the allocation has it (:mod:`hiltestbed.rig.allocation`); the lower one is sent where the relative pose
 then lies in W. Ports can touch only while the upper platform is clamped at home, where W and P are one and the lower platform is told
-what it would be told without an upper one, bit for bit. The sensor's wrench is that of the contact and what the moving payload leaves.
+what it would be told without an upper one, bit for bit. The sensor's wrench is that of the contact and what the moving payload leaves:
+`payload_left` in a run's summary, some 0.05 N of 1177 N.
 """
 
 from __future__ import annotations

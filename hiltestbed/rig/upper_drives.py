@@ -3,7 +3,8 @@
 Only runs whose upper platform is away from home are stepped: at home it is clamped. A drive pushes as one of the lower platform does
 (:mod:`hiltestbed.rig.servo`), with the forces that the planned motion and gravity need fed forward. The sensor's reading loses the
 payload's weight and inertia as the planned motion would have them (:mod:`hiltestbed.rig.payload`); what is left comes from the
-difference between planned and reached acceleration.
+difference between planned and reached acceleration. The passive mechanism rides along as one rigid body: a compliant mount is taken
+as locked until the upper platform is clamped.
 """
 
 from __future__ import annotations
