@@ -344,7 +344,7 @@ class Admittance(Strictly):
 
     kind: Literal["admittance"] = "admittance"
     limit: Positive = Field(description="of the contact force [N]")
-    time_constant: NotNegative = Field(default=0.002, description="with which the platform yields [s]")
+    speed: Positive = Field(default=0.1, description="with which the platform yields at most [m/s]")
 
 
 class ContactCorrection(Strictly):

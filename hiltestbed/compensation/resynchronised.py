@@ -265,7 +265,7 @@ def _identify(i, h, fixed, ideal, substeps, bodies, setup, state, work, rows):
     s, u = _along(fixed, line, position), _along(fixed, line, rate)
     count[cl.ABOVE] += 1
     if count[cl.ABOVE] == 1:
-        _touched(i, h, ideal, substeps, s, u, bodies, setup, state, work)
+        _touched(i, h, fixed, ideal, substeps, s, u, bodies, setup, state, work)
         s = s if setup.late[i] == late and setup.part[i] == part else fit[cl.REFERENCE] + 0.5 * h * u
     if count[cl.ABOVE] > 2 + setup.skip[i]:  # the last sample of a contact is left out: it may be clipped
         cl.learn(fit, law, count, state.pending[i], setup.sigma[i, 0])
@@ -274,7 +274,7 @@ def _identify(i, h, fixed, ideal, substeps, bodies, setup, state, work, rows):
 
 
 @njit(cache=True)
-def _touched(i, h, ideal, substeps, s, u, bodies, setup, state, work):
+def _touched(i, h, fixed, ideal, substeps, s, u, bodies, setup, state, work):
     """A contact has begun: correct the delay by the instant of touch if asked to, keep *behind* as it is to run it again."""
     fit, law, count, tick = state.fit[i], state.law[i], state.count[i], state.tick[i]
     if setup.estimate[i] == 1 and count[cl.CONTACTS] == 0 and u > 0.0:
@@ -294,11 +294,29 @@ def _touched(i, h, ideal, substeps, s, u, bodies, setup, state, work):
         tick[BEHIND] -= back
         s = expected + 0.5 * h * u
     cl.touch(fit, law, count, s, u, h)
+    _rewind(i, h, fixed, s, u, bodies, state, work)
     state.q[i, 1] = state.q[i, 0]
     state.v[i, 1] = state.v[i, 0]
     state.filtered[i, 1] = state.filtered[i, 0]
     tick[ANCHOR] = tick[BEHIND]
     tick[AGAIN] = cl.MINIMUM_SAMPLES
+
+
+@njit(cache=True)
+def _rewind(i, h, fixed, s, u, bodies, state, work):
+    """A platform that lags touches later than *behind* does: take that back, in free flight, to where the rig touched."""
+    tick, pose, at = state.tick[i], np.empty(7), np.empty(6)
+    relative_motion(state.q[i, 0], state.v[i, 0], bodies.port[i], work, pose, at)
+    at[0:3] = pose[0:3]
+    rotation_vector(pose[3:7], at[3:6])
+    reached = _along(fixed, state.line[i], at)
+    ticks = int(min((reached - s) / (u * h), min(HISTORY // 4, tick[BEHIND]))) if u > 0.0 else 0
+    if ticks < 1:
+        return
+    none = state.used[i]
+    none[:] = 0.0
+    carry(state.q[i, 0], state.v[i, 0], bodies.port[i], bodies.mass[i], bodies.inverse[i], -h * ticks, none, none, work)
+    tick[BEHIND] -= ticks
 
 
 @njit(cache=True, inline="always")
