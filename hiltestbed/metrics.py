@@ -22,7 +22,7 @@ SETTLE_TICKS = 4  # and ticks on top: the sensor's interpolation, the lead's mem
 
 @dataclass(frozen=True)
 class ContactFigures:
-    """The figures of one run. ``cor`` is None when the ports did not meet, or did not part before the end."""
+    """The figures of one run. ``cor`` is None when the ports did not meet, did not part before the end, or still close afterwards."""
 
     cor: float | None
     approach_speed: float | None
@@ -118,7 +118,7 @@ class Tally:
         approach, rebound = (None if math.isnan(v) else float(v) for v in self._speeds[i])
         delay, compliance = tracking_fit(self._tracking[i])
         return ContactFigures(
-            cor=None if approach is None or rebound is None or approach <= 0.0 else -rebound / approach,
+            cor=None if approach is None or rebound is None or approach <= 0.0 or rebound > 0.0 else -rebound / approach,
             approach_speed=approach,
             rebound_speed=rebound,
             energy_generated=float(self.energy[i]),
