@@ -13,6 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from hiltestbed.bench.growth import growth, report_growth
 from hiltestbed.bench.result import BenchResult
 from hiltestbed.loop import Loop
 from hiltestbed.report import Report, new_figure
@@ -26,7 +27,7 @@ Progress = Callable[[int, int], None]
 
 
 def throughput(quick: bool = False, progress: Progress | None = None) -> BenchResult:
-    """Loop against bare steps for batches of 1 to 512 runs on one and two threads; recording; growth with ticks."""
+    """Loop against bare steps for batches of 1 to 512 runs on one and two threads; recording; growth with cases and ticks."""
     scenario = load_scenario(shipped("scenarios") / "reference-bumper.yaml")
     sizes = [(1, 1), (64, 1), (64, 2)] if quick else [(n, t) for t in (1, 2) for n in (1, 4, 16, 64, 256, 512)]
     records = []
@@ -45,6 +46,9 @@ def throughput(quick: bool = False, progress: Progress | None = None) -> BenchRe
         "docking_ratio": docking_ratio(stretches=10 if quick else 40),
     }
     blocks = {n: per_block(scenario, n) for n in (1, 64)}
+    grown = growth(quick)
+    summary["growth"] = grown
+    summary["memory"] = max(record["memory"] for record in grown)
     if progress:
         progress(len(sizes) + 1, len(sizes) + 1)
     lines = [
@@ -54,7 +58,9 @@ def throughput(quick: bool = False, progress: Progress | None = None) -> BenchRe
         ("recording of 1e5 ticks", f"{recording:.2f} s"),
         ("a tick with probe, cone and both platforms over the bumper's", f"{summary['docking_ratio']:.2f}"),
     ]
-    return BenchResult("throughput", records, summary, _report(records, summary, blocks), lines)
+    report = _report(records, summary, blocks)
+    report_growth(report, grown)
+    return BenchResult("throughput", records, summary, report, lines)
 
 
 def side_by_side(scenario: Scenario, n: int, threads: int, stretches: int) -> dict[str, Any]:
