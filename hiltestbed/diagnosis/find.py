@@ -30,23 +30,40 @@ def find(dataset: MeasuredDataset, progress: Progress | None = None) -> Finding:
     if progress:
         progress("intervals and left-out runs")
     causes = tuple(_cause(findings, c) for c in verdict.causes)
-    effects = _effects(findings, verdict)
+    nearest = _nearest(findings, verdict)
+    effects = _effects(findings, [*verdict.causes, *nearest])
     series = [
         s for name, link in full_links(findings).items() for s in link_series(link, effects, findings.base if name == "wrench" else ())
     ]
     alarmed = {name: e for name, e in findings.explanations.items() if e.alarm}
     left = "; ".join(describe(findings.residuals[n], e, LINK_NAMES[n]) for n, e in alarmed.items() if not e.adequate)
     return Finding(
-        verdict.verdict, verdict.link, causes, series, dict(findings.study.noise), _gain(findings, verdict),
+        verdict.verdict, verdict.link, causes, series, dict(findings.study.noise), _gain(findings, verdict.causes),
         tuple(r for n, e in alarmed.items() for r in _ranking(findings, n, e)), _isolability(findings, progress), left,
         tuple(f"{LINK_NAMES[name]} was not judged: {why}" for name, why in findings.missing.items()),
+        tuple(_cause(findings, c) for c in nearest), _gain(findings, nearest),
     )  # fmt: skip
 
 
-def _effects(findings: Findings, verdict: Verdict) -> list[tuple[str, dict[str, Any]]]:
-    """The named effects as the links take them, forms included."""
+def _nearest(findings: Findings, verdict: Verdict) -> list[Named]:
+    """Where a link departs without a name: the effects that come nearest on the link that is worst."""
+    if verdict.verdict != "unknown":
+        return []
+    open_ = {n: e for n, e in findings.explanations.items() if e.alarm and not e.adequate and e.chosen.causes}
+    if not open_:
+        return []
+    name = max(open_, key=lambda n: max(left.excess for left in open_[n].leftovers.values()))
+    fit, out = open_[name].chosen, []
+    for index, c in enumerate(fit.causes):
+        parameters = {k: v for k, v in c.parameters(fit.part(index)).items() if k != "form"}
+        out.append(Named(c.effect, name, fit, index, parameters, 0.0, 0.0))
+    return out
+
+
+def _effects(findings: Findings, causes: list[Named]) -> list[tuple[str, dict[str, Any]]]:
+    """The effects as the links take them, forms included."""
     base = {kind for kind, _ in findings.base}
-    return [c.fit.effects()[c.index] for c in verdict.causes if c.effect not in base]
+    return [c.fit.effects()[c.index] for c in causes if c.effect not in base]
 
 
 def _cause(findings: Findings, c: Named) -> Cause:
@@ -77,10 +94,10 @@ def _interval(ends: Any, names: tuple[str, ...], start: int, name: str, value: f
     return (float(low), float(high))
 
 
-def _gain(findings: Findings, verdict: Verdict) -> Heldout | None:
-    if not verdict.causes:
+def _gain(findings: Findings, causes: list[Named]) -> Heldout | None:
+    if not causes:
         return None
-    strongest = verdict.causes[0]
+    strongest = causes[0]
     e = findings.explanations[strongest.link]
     return heldout(findings.residuals[strongest.link], strongest.fit, placebo_of(e.singles, strongest.fit))
 

@@ -22,8 +22,9 @@ def describe(residual: Residual, explanation: Explanation, name: str) -> str:
     worst = max(phases, key=lambda p: phases[p])
     figures = ", ".join(f"{phase} {value:.2g}" for phase, value in phases.items())
     along = f"; it goes along with {shape}" if shape else "; it follows none of penetration, rate, their product, force or time"
-    words = " and ".join(c.effect for c in explanation.chosen.causes) or "the nominal model"
-    return f"{name}: {words} leaves most on {channel}, {worst} (times the noise: {figures}){along}"
+    words = " and ".join(c.effect for c in explanation.chosen.causes)
+    taken = f"with {words} taken out, " if words else ""
+    return f"{name}: {taken}most is left on {channel}, {worst} (times the noise: {figures}){along}"
 
 
 def _phases(residual: Residual, effects: Effects, column: int) -> dict[str, float]:

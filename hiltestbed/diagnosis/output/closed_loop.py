@@ -58,8 +58,7 @@ def play(dataset: MeasuredDataset, causes: Sequence[Cause]) -> tuple[Played, ...
     nominal = [r.scenario for r in dataset.runs]
     extended = [with_causes(s, causes) for s in nominal] if causes else []
     traces = traces_of(nominal)
-    late = sum(float(c.entry()["delay"]) for c in causes if c.effect == "log.skew")
-    after = [_stamped_late(trace, late) for trace in traces_of(extended)] if causes else traces
+    after = traces_of(extended) if causes else traces
     return tuple(Played(r.record.run, a, b) for r, a, b in zip(dataset.runs, traces, after, strict=True))
 
 
@@ -82,15 +81,6 @@ def traces_of(scenarios: Sequence[Scenario]) -> list[RunTrace | None]:
             for n, (i, _) in enumerate(group):
                 out[i] = batch.trace.run(n)
     return out
-
-
-def _stamped_late(trace: RunTrace | None, delay: float) -> RunTrace | None:
-    """The trace with its force record late by `delay` [s]: the loop is untouched."""
-    if trace is None or not delay:
-        return trace
-    reading, stamps = trace["wrench_meas"], trace.t - delay
-    late = np.column_stack([np.interp(stamps, trace.t, column, left=0.0) for column in reading.T])
-    return RunTrace(trace.t, trace.data | {"wrench_meas": late}, trace.contact)
 
 
 def closed_loop(dataset: MeasuredDataset, played: Sequence[Played]) -> ClosedLoop:

@@ -22,7 +22,7 @@ def conclude(dataset: MeasuredDataset, finding: Finding, seconds: float | None =
     return Diagnosis(
         name=dataset.spec.name or dataset.path.parent.resolve().name or dataset.nominal.name,
         finding=finding,
-        residuals=channel_residuals(finding.series, finding.noise, bool(causes)),
+        residuals=channel_residuals(finding.series, finding.noise, bool(causes or finding.partial)),
         closed_loop=closed_loop(dataset, played),
         experiment=next_experiment(finding, dataset),
         extended=extended_scenario(dataset.nominal, causes),

@@ -105,7 +105,9 @@ def rebound(f: Facts) -> Plan:
 
 
 def speed_ladder(f: Facts) -> Plan:
-    speeds = tuple(rounded(v) for v in (0.25 * f.slow, f.slow, f.fast, 3.0 * f.fast))
+    if f.captured:
+        return cycles(f)
+    speeds = tuple(dict.fromkeys(rounded(v) for v in (0.25 * f.slow, f.slow, f.fast, 3.0 * f.fast)))
     listed = ", ".join(f"{v:g}" for v in speeds)
     text = (
         f"Run a ladder of speeds on the present spring: {listed} m/s. The loop of force over penetration tells them: dry "
@@ -115,6 +117,18 @@ def speed_ladder(f: Facts) -> Plan:
         "a stop as a knee at one penetration."
     )
     return text, tuple(f.at_speed(v) for v in speeds)
+
+
+def cycles(f: Facts) -> Plan:
+    text = (
+        f"Cycle the captured mechanism at 0.05, 0.2, 1 and 4 Hz with amplitudes of {1e3 * f.depth:.2g} and {250 * f.depth:.2g} "
+        "mm, three cycles "
+        "each. The loop of force over displacement tells them: dry friction keeps its width in newtons at every rate and amplitude, a "
+        "damper's grows with both, a relaxing branch's is widest at one rate, play shows as a flat stretch of one width at "
+        "each reversal, a "
+        "saturation of the sensor as a flat top at one force that a weight on the sensor shows too."
+    )
+    return text, ()
 
 
 def springs_for_frame(f: Facts) -> Plan:
@@ -178,11 +192,13 @@ def air_sweep(f: Facts) -> Plan:
     top = min(0.2 / f.tick, 100.0)
     late = f.estimate("platform.delay", "delay", 2 * f.tick)
     text = (
-        f"Sweep the platform in air, no contact: z amplitude 2 mm from 0.5 to {rounded(top):g} Hz in 60 s, and read pose_act "
+        f"Sweep the platform in air, no contact: {f.axis} amplitude {1e3 * f.stroke:g} mm from 0.5 to {rounded(top):g} Hz in "
+        "60 s, and read pose_act "
         "over pose_cmd. A "
         f"pure delay of {1e3 * late:.3g} ms has gain 1 and a phase of {rounded(360 * late):g} deg a hertz; a second-order lag "
         "loses gain past "
-        "its bandwidth; a mode has a peak; a speed limit shows as a triangle that depends on the amplitude (repeat with 0.5 mm)."
+        "its bandwidth; a mode has a peak; a speed limit shows as a triangle that depends on the amplitude (repeat with "
+        f"{250 * f.stroke:g} mm)."
     )
     return text, ()
 

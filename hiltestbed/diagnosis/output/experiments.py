@@ -52,8 +52,11 @@ def for_unknown(finding: Finding, facts: Facts) -> Experiment:
         plan = bodies_absolute(facts)
     elif finding.link in ("contact", "sensor"):
         ladder, hold = speed_ladder(facts), press_and_hold(facts)
-        text = f"{ladder[0]} Then press and part at {facts.slow / 10:.2g} m/s to half and to the whole of {1e3 * facts.depth:.2g} mm: what "
-        plan = text + "remains at this speed depends on position and its history, not on rate. " + hold[0], ladder[1]
+        slow = (
+            f" Then press and part at {facts.slow / 10:.2g} m/s to half and to the whole of {1e3 * facts.depth:.2g} mm: what remains at "
+            "this speed depends on position and its history, not on rate."
+        )
+        plan = f"{ladder[0]}{'' if facts.captured else slow} {hold[0]}", ladder[1]
     else:
         plan = BY_LINK.get(finding.link or "", speed_ladder)(facts)
     return Experiment(f"To see the shape of what is left: {plan[0][0].lower()}{plan[0][1:]}", (), plan[1])

@@ -7,8 +7,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
+
 from hiltestbed.diagnosis.output.result import Cause
 from hiltestbed.measured import MeasuredDataset
+
+SWEEP = 2e-3  # [m] amplitude of a sweep, at most
 
 
 @dataclass(frozen=True)
@@ -35,6 +39,9 @@ class Facts:
     tick: float
     delay: float
     lateral: bool
+    captured: bool = False
+    axis: str = "z"
+    stroke: float = 2e-3
     estimates: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
     def estimate(self, effect: str, parameter: str, otherwise: float) -> float:
@@ -72,6 +79,7 @@ def facts_of(dataset: MeasuredDataset, causes: Sequence[Cause]) -> Facts:
     mass = bodies.chaser.mass * bodies.target.mass / (bodies.chaser.mass + bodies.target.mass)
     depth = max((c.penetration or 0.0 for c in contacts), default=0.0) or speeds[-1] * math.sqrt(mass / contact.stiffness)
     noise = [r.survey.noise["wrench_meas.fz"].white for r in runs if "wrench_meas.fz" in r.survey.noise]
+    axis, stroke = _travel(dataset)
     return Facts(
         springs=tuple(sorted({r.scenario.mechanism.contact.stiffness for r in runs})) or (contact.stiffness,),
         stiffness=contact.stiffness,
@@ -86,8 +94,23 @@ def facts_of(dataset: MeasuredDataset, causes: Sequence[Cause]) -> Facts:
         tick=nominal.tick,
         delay=nominal.sensor.delay,
         lateral=any(any(r.scenario.approach.velocity[:2]) for r in runs),
+        captured=nominal.mechanism.kind == "latched",
+        axis=axis,
+        stroke=stroke,
         estimates={c.effect: c.entry() for c in causes},
     )
+
+
+def _travel(dataset: MeasuredDataset) -> tuple[str, float]:
+    """The axis of translation with the most travel, and half of that, no more than SWEEP [m]."""
+    travel = {axis: 0.0 for axis in "zxy"}
+    for run in dataset.runs:
+        for axis in travel:
+            for column in (f"pose_cmd.p{axis}", f"pose_act.p{axis}"):
+                if run.record.has(column):
+                    travel[axis] = max(travel[axis], float(np.ptp(run.record.column(column)[run.record.measured(column)])))
+    axis = max(travel, key=lambda a: travel[a])
+    return axis, rounded(min(0.5 * travel[axis], SWEEP)) or SWEEP
 
 
 def rounded(value: float, digits: int = 2) -> float:

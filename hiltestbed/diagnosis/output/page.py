@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 from hiltestbed.diagnosis.isolability import FEWER_IS_MORE
 from hiltestbed.diagnosis.output import pictures
 from hiltestbed.diagnosis.output.extend import in_words
 from hiltestbed.diagnosis.output.facts import rounded
-from hiltestbed.diagnosis.output.result import Diagnosis, Figures, Isolable
+from hiltestbed.diagnosis.output.result import Cause, Diagnosis, Figures, Isolable
 from hiltestbed.diagnosis.output.sentence import gain_sentence, meaning, verdict_sentence
 from hiltestbed.effects.vocabulary import EFFECTS
 from hiltestbed.report import Report
@@ -52,25 +53,31 @@ def _summary(d: Diagnosis) -> str:
 
 
 def _causes(report: Report, d: Diagnosis) -> None:
-    if not d.causes:
-        return
-    report.heading("Cause" if len(d.causes) == 1 else "Causes")
-    for cause in d.causes:
+    if d.causes:
+        _cause_table(report, d.causes, "Cause" if len(d.causes) == 1 else "Causes")
+    if d.finding.partial:
+        _cause_table(report, d.finding.partial, "What comes nearest")
+        report.text("Of the vocabulary these explain most, but what they leave is not noise: they are no cause.")
+    if d.finding.extends:
+        report.text("extended.yaml in this folder is the scenario with these effects; it runs: hiltestbed run extended.yaml")
+
+
+def _cause_table(report: Report, causes: Sequence[Cause], title: str) -> None:
+    report.heading(title)
+    for cause in causes:
         report.text(f"{cause.effect}: {meaning(cause.effect)} {EFFECTS[cause.effect].equation}")
     rows = [
         (c.effect, name, in_words(p), f"{c.probability:.2f}", ", ".join(c.indistinguishable_from) or "nothing else")
-        for c in d.causes
+        for c in causes
         for name, p in (c.parameters or {"": None}).items()
         for p in ([p] if p is not None else [])
     ]
     if rows:
         report.table(("effect", "parameter", "estimate (95 % interval)", "probability", "cannot be told from"), rows)
-    if d.finding.extends:
-        report.text("extended.yaml in this folder is the scenario with these effects; it runs: hiltestbed run extended.yaml")
 
 
 def _evidence(report: Report, d: Diagnosis) -> None:
-    series, extends = d.finding.series, d.finding.extends
+    series, compared = d.finding.series, d.compared
     if not series:
         return
     report.heading("Evidence")
@@ -78,9 +85,9 @@ def _evidence(report: Report, d: Diagnosis) -> None:
         "Each link of the loop was replayed alone on what was measured at its input, so that the error of one cannot leak into another. "
         "Residuals are in units of the channel's own noise: what stays in the grey band is noise. Contact is shaded."
     )
-    report.figure(pictures.residuals_over_time(series, extends), "What the model leaves on the channels that it misses most.")
-    report.figure(pictures.channel_over_time(series, extends), "The channel that is missed most, around the contact.")
-    force = pictures.force_against_penetration(series, d.dataset, extends)
+    report.figure(pictures.residuals_over_time(series, compared), "What the model leaves on the channels that it misses most.")
+    report.figure(pictures.channel_over_time(series, compared), "The channel that is missed most, around the contact.")
+    force = pictures.force_against_penetration(series, d.dataset, compared)
     if force is not None:
         report.figure(force, "Force against penetration, read back by the sensor's nominal delay; slowest to fastest approach.")
     if d.finding.left:
@@ -88,7 +95,7 @@ def _evidence(report: Report, d: Diagnosis) -> None:
 
 
 def _ranking(report: Report, d: Diagnosis) -> None:
-    ranking = d.finding.ranking
+    ranking = [r for r in d.finding.ranking if math.isfinite(r.score)]
     if not ranking:
         return
     report.heading("Causes that were weighed")
@@ -108,12 +115,20 @@ def _ranking(report: Report, d: Diagnosis) -> None:
 def _gain(report: Report, d: Diagnosis) -> None:
     report.heading("Gain")
     report.text(gain_sentence(d.heldout, d.finding.extends))
+    if d.finding.partial_gain is not None:
+        report.text(
+            f"The best explanation, which is not good enough to extend the model with: {gain_sentence(d.finding.partial_gain, True)}"
+        )
+        report.figure(pictures.heldout_bars(d.finding.partial_gain), "The best explanation on runs that were left out of its fit.")
     if d.heldout is not None and d.heldout.per_run:
         report.figure(pictures.heldout_bars(d.heldout), "Residual of the departing link on runs that were left out of the fit.")
+    figure = pictures.closed_loop_figures(d.closed_loop, d.finding.extends)
+    if figure is None:
+        return
     report.text(
         "The same runs in closed loop, through one rule: speeds from the commanded pose, stiffness and damping from pose and force."
     )
-    report.figure(pictures.closed_loop_figures(d.closed_loop, d.finding.extends))
+    report.figure(figure)
     sources = ("measured", "nominal", "extended") if d.finding.extends else ("measured", "nominal")
     names = {"cor": "CoR", "peak_force": "peak [N]", "stiffness": "k [N/m]", "damping": "c [N s/m]"}
     for pair, caption in ((("cor", "peak_force"), ""), (("stiffness", "damping"), FITTED)):

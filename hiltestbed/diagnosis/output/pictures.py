@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
@@ -36,8 +37,11 @@ def worst_run(series: Sequence[Series], channel: str) -> int:
     return max(runs, key=lambda run: misfit([s for s in series if s.run == run], channel))
 
 
-def residuals_over_time(series: Sequence[Series], extends: bool) -> Figure:
-    """In units of the noise, for the worst channels, each in its worst run; contact shaded, the noise as a band."""
+def residuals_over_time(series: Sequence[Series], compared: str) -> Figure:
+    """In units of the noise, for the worst channels, each in its worst run; contact shaded, the noise as a band.
+
+    compared: what the series' extended prediction is called; empty where there is none.
+    """
     channels = worst_channels(series)
     figure, grid = new_figure(9.0, 2.3 * len(channels) + 0.4, nrows=len(channels), ncols=1, squeeze=False)
     for axes, channel in zip(grid[:, 0], channels, strict=True):
@@ -46,15 +50,15 @@ def residuals_over_time(series: Sequence[Series], extends: bool) -> Figure:
         _shade(axes, s)
         axes.axhspan(-BAND, BAND, color=FLOOR, alpha=0.25, lw=0)
         axes.plot(s.t, in_sigma(s), color=NOMINAL, lw=0.9, label="measured less nominal")
-        if extends:
-            axes.plot(s.t, in_sigma(s, True), color=EXTENDED, lw=0.9, label="measured less extended")
+        if compared:
+            axes.plot(s.t, in_sigma(s, True), color=EXTENDED, lw=0.9, label=f"measured less {compared}")
         axes.set_ylabel(f"{channel}\nrun {run} [sigma]")
     grid[0, 0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), fontsize=8, ncols=2, frameon=False)
     grid[-1, 0].set_xlabel("time [s]")
     return figure
 
 
-def channel_over_time(series: Sequence[Series], extends: bool) -> Figure:
+def channel_over_time(series: Sequence[Series], compared: str) -> Figure:
     """The worst channel as it was measured and as the link makes it, around the contact, in its worst run; of a pose, whose departure is
     small beside its travel, what it departs from the nominal one by."""
     channel = worst_channels(series)[0]
@@ -65,8 +69,8 @@ def channel_over_time(series: Sequence[Series], extends: bool) -> Figure:
     _shade(axes, s)
     axes.plot(s.t[rows], factor * (s.measured - less)[rows], color=MEASURED, lw=2.4, alpha=0.35, label="measured")
     axes.plot(s.t[rows], factor * (s.nominal - less)[rows], color=NOMINAL, lw=1.2, label="nominal")
-    if extends:
-        axes.plot(s.t[rows], factor * (s.extended - less)[rows], color=EXTENDED, lw=1.2, ls="--", label="extended")
+    if compared:
+        axes.plot(s.t[rows], factor * (s.extended - less)[rows], color=EXTENDED, lw=1.2, ls="--", label=compared)
     axes.set_xlim(s.t[rows][0], s.t[rows][-1])
     unit = f"m{s.unit}" if pose else s.unit
     axes.set(xlabel="time [s]", ylabel=f"{channel}{', less nominal' if pose else ''}\nrun {s.run} [{unit}]")
@@ -74,7 +78,7 @@ def channel_over_time(series: Sequence[Series], extends: bool) -> Figure:
     return figure
 
 
-def force_against_penetration(series: Sequence[Series], dataset: MeasuredDataset, extends: bool) -> Figure | None:
+def force_against_penetration(series: Sequence[Series], dataset: MeasuredDataset, compared: str) -> Figure | None:
     """Loops of the force, measured, nominal and extended, replayed on the measured pose; None without both channels."""
     forces = {s.run: s for s in series if s.channel == "wrench_meas.fz"}
     runs = _spread([i for i in forces if dataset.runs[i].survey.contacts and dataset.runs[i].record.has("pose_act.pz")], dataset)
@@ -88,8 +92,8 @@ def force_against_penetration(series: Sequence[Series], dataset: MeasuredDataset
         x = 1e3 * run.record.filled("pose_act")[np.maximum(rows - late, 0), 2]
         axes.plot(x, s.measured[rows], color=MEASURED, lw=2.6, alpha=0.35, label="measured")
         axes.plot(x, s.nominal[rows], color=NOMINAL, lw=1.1, label="nominal")
-        if extends:
-            axes.plot(x, s.extended[rows], color=EXTENDED, lw=1.1, ls="--", label="extended")
+        if compared:
+            axes.plot(x, s.extended[rows], color=EXTENDED, lw=1.1, ls="--", label=compared)
         contact = run.scenario.mechanism.contact.stiffness
         axes.set_title(f"run {i}: {abs(run.scenario.approach.velocity[2]):.3g} m/s, {contact:.3g} N/m", fontsize=9)
         axes.set_xlabel("penetration [mm]")
@@ -119,7 +123,7 @@ def channels_overview(residuals: Sequence[ChannelResidual]) -> Figure:
 
 def ranking_bars(ranking: Sequence[Ranked]) -> Figure:
     """Hypotheses by how much worse they are than the best, in chi-square with their penalty; the rms on left-out runs written beside."""
-    shown = sorted(ranking, key=lambda r: r.score)[:10]
+    shown = sorted((r for r in ranking if math.isfinite(r.score)), key=lambda r: r.score)[:10]
     figure, axes = new_figure(9.0, 0.36 * len(shown) + 1.2)
     place = np.arange(len(shown))[::-1]
     worse = [r.score - shown[0].score for r in shown]
@@ -148,8 +152,10 @@ def heldout_bars(heldout: Heldout) -> Figure:
     return figure
 
 
-def closed_loop_figures(loop: ClosedLoop, extends: bool) -> Figure:
-    """Restitution and peak force of each run: measured, nominal, extended."""
+def closed_loop_figures(loop: ClosedLoop, extends: bool) -> Figure | None:
+    """Restitution and peak force of each run: measured, nominal, extended; None where nothing was measured of either."""
+    if all(f.cor is None and f.peak_force is None for f in loop.measured):
+        return None
     figure, grid = new_figure(9.0, 3.2, nrows=1, ncols=2)
     sources = [("measured", loop.measured, "s", MEASURED, 9), ("nominal", loop.nominal, "o", NOMINAL, 6)]
     sources += [("extended", loop.extended, "D", EXTENDED, 5)] if extends else []

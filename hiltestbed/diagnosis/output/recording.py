@@ -69,10 +69,17 @@ def _residuals(rec: rr.RecordingStream, diagnosis: Diagnosis, channels: list[str
         if s.channel not in channels:
             continue
         sides = [("nominal", in_sigma(s), NOMINAL)]
-        sides += [("extended", in_sigma(s, True), EXTENDED)] if diagnosis.finding.extends else []
+        sides += [(diagnosis.compared, in_sigma(s, True), EXTENDED)] if diagnosis.compared else []
         for name, left, color in sides:
             known = np.isfinite(left)
-            _curve(rec, f"run_{s.run}/{RESIDUAL}/{_entity(s.channel)}/{name}", s.t[known], left[known], f"measured less {name}", color)
+            _curve(
+                rec,
+                f"run_{s.run}/{RESIDUAL}/{_entity(s.channel)}/{name.replace(' ', '_')}",
+                s.t[known],
+                left[known],
+                f"measured less {name}",
+                color,
+            )
 
 
 def _curve(rec: rr.RecordingStream, path: str, t: Array, values: Array, name: str, color: tuple[int, int, int], width: float = 1.5) -> None:

@@ -200,6 +200,7 @@ class Finding:
         candidates: the effects among which it stays open (verdict `ambiguous`, or the rivals of a named cause); may be empty.
         series: every channel of every link and run. noise: channel to its floor.
         left: what the best extension leaves, in a sentence (verdict `unknown`): link, phase and shape.
+        partial: the effects of the vocabulary that come nearest where none leaves noise; partial_gain: theirs on left-out runs.
     """
 
     verdict: str
@@ -212,6 +213,8 @@ class Finding:
     isolability: tuple[Isolable, ...] = ()
     left: str = ""
     notes: tuple[str, ...] = ()
+    partial: tuple[Cause, ...] = ()
+    partial_gain: Heldout | None = None
 
     @property
     def extends(self) -> bool:
@@ -258,6 +261,11 @@ class Diagnosis:
         return self.finding.heldout
 
     @property
+    def compared(self) -> str:
+        """What the `extended` of the series is: the extended model, the best explanation that is not good enough, or nothing."""
+        return "extended" if self.finding.extends else "best explanation" if self.finding.partial else ""
+
+    @property
     def next_experiment(self) -> str | None:
         return self.experiment.text if self.experiment else None
 
@@ -274,6 +282,7 @@ class Diagnosis:
                 "link": self.link,
                 "causes": [_cause(c) for c in self.causes],
                 "left": self.finding.left or None,
+                "partial": {"causes": [_cause(c) for c in self.finding.partial], "heldout": _heldout(self.finding.partial_gain)},
                 "residuals": [vars(r) for r in self.residuals],
                 "heldout": _heldout(self.heldout),
                 "closed_loop": self.closed_loop.to_json(),

@@ -27,9 +27,10 @@ def verdict_sentence(diagnosis: Diagnosis) -> str:
     if finding.verdict == "no_discrepancy":
         return "The simulation explains these data: what is left is noise on every channel, and nothing is extended."
     if finding.verdict == "unknown":
-        named = f" {' and '.join(c.effect for c in finding.causes)} explain a part of it." if finding.causes else ""
         left = f" {finding.left[0].upper()}{finding.left[1:].rstrip('.')}." if finding.left else ""
-        return f"{where[0].upper()}{where[1:]} departs from its model, and no effect of the vocabulary leaves mere noise.{left}{named}"
+        text = f"{where[0].upper()}{where[1:]} departs from its model, and no effect of the vocabulary leaves mere noise.{left}"
+        named = " and ".join(named_cause(c) for c in finding.causes)
+        return text + (f" Elsewhere: {named}." if named else "")
     parts = []
     for link in dict.fromkeys(_link(c) for c in finding.causes):
         found = " and ".join(named_cause(c) for c in finding.causes if _link(c) == link)
