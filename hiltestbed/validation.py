@@ -154,6 +154,16 @@ def _model_at(model: Any, data: Any, path: KeyPath) -> type[BaseModel] | None:
     return found if isinstance(found, type) else None
 
 
+def unit_of(model: Any, key: str) -> str:
+    """The unit of a dotted key, as the description of its field has it in brackets, or nothing."""
+    description = ""
+    for part in key.split("."):
+        found = _pick(model, {})
+        if found is not None and part in found.model_fields:
+            model, description = found.model_fields[part].annotation, found.model_fields[part].description or ""
+    return description.partition("[")[2].partition("]")[0]
+
+
 def _pick(annotation: Any, data: Any) -> Any:
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return annotation

@@ -11,29 +11,56 @@ from hiltestbed.campaign.schema import LoadedCampaign, Variation
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array
 from hiltestbed.report import new_figure
-from hiltestbed.scenario import scenario_from
+from hiltestbed.scenario import Scenario, scenario_from
+from hiltestbed.validation import unit_of
 
 HARMLESS = ("approach.gap", "approach.velocity", "sensor.noise", "sensor.torque_noise", "identification", "seed", "duration", "name")
 MESH = 24  # points a side at which the boundary is judged
 
 
-def heat_map(campaign: LoadedCampaign, keys: tuple[str, str], inputs: tuple[Array, Array], figure: Array, name: str):
-    """The mean of `figure` `(n,)` over two keys `(n,)` each, with the boundary where it applies: (matplotlib figure, boundary drawn)."""
+UNITS = {"energy_generated": "J", "peak_force": "N", "contact_duration": "s", "tracking_error": "m"}
+
+
+def heat_map(campaign: LoadedCampaign, keys: tuple[str, str], inputs: tuple[Array, Array], figures: dict[str, Array], name: str):
+    """The mean of figure `name` over two keys, `(n,)` each, with the boundary where it applies: (matplotlib figure, boundary drawn)."""
     picture, axes = new_figure(8.0, 5.2)
-    good = np.isfinite(figure)
     (x_edges, x_log), (y_edges, y_log) = (_edges(campaign.spec.vary[key], values) for key, values in zip(keys, inputs, strict=True))
-    bins = (x_edges, y_edges)
-    counts = np.histogram2d(inputs[0][good], inputs[1][good], bins=bins)[0]
-    sums = np.histogram2d(inputs[0][good], inputs[1][good], bins=bins, weights=figure[good])[0]
-    mean = np.ma.masked_invalid(np.divide(sums, counts, out=np.full_like(sums, np.nan), where=counts > 0))
-    signed = name.startswith("cor_log_error")
-    limit = float(np.quantile(np.abs(mean.compressed()), 0.98)) if mean.count() else 1.0
-    scale = {"vmin": -limit, "vmax": limit, "cmap": "RdBu_r"} if signed else {"cmap": "viridis"}
+    mean = _cell_means(inputs, (x_edges, y_edges), figures[name])
+    limit = float(np.quantile(np.abs(mean.compressed()), 0.98)) if mean.count() else 0.0
+    scale = {"vmin": -(limit or 1.0), "vmax": limit or 1.0, "cmap": "RdBu_r"} if name == "cor_log_error" else {"cmap": "viridis"}
     mesh = axes.pcolormesh(x_edges, y_edges, mean.T, **scale)
-    picture.colorbar(mesh, ax=axes, label=name)
-    axes.set(xlabel=keys[0], ylabel=keys[1], xscale="log" if x_log else "linear", yscale="log" if y_log else "linear")
+    picture.colorbar(mesh, ax=axes, label=with_unit(name))
+    axes.set(xlabel=with_unit(keys[0]), ylabel=with_unit(keys[1]))
+    axes.set(xscale="log" if x_log else "linear", yscale="log" if y_log else "linear")
     drawn = _draw_boundary(axes, campaign, keys, (x_edges, y_edges), (x_log, y_log))
+    if drawn:
+        _draw_neutral(axes, (x_edges, y_edges), _cell_means(inputs, (x_edges, y_edges), figures["cor"]))
+        axes.set(xlim=(x_edges[0], x_edges[-1]), ylim=(y_edges[0], y_edges[-1]))
+        axes.legend(loc="upper right", title="the rig gives energy beyond")
     return picture, drawn
+
+
+def with_unit(name: str) -> str:
+    """A figure or a scenario key with its unit in brackets, where it has one."""
+    unit = UNITS.get(name) or unit_of(Scenario, name)
+    return f"{name} [{unit}]" if unit else name
+
+
+def _cell_means(inputs: tuple[Array, Array], edges: tuple[Array, Array], figure: Array):
+    """Mean of the cases in each cell, masked where there is none."""
+    good = np.isfinite(figure)
+    places = [values[good] for values in inputs]
+    counts = np.histogram2d(*places, bins=edges)[0]
+    sums = np.histogram2d(*places, bins=edges, weights=figure[good])[0]
+    return np.ma.masked_invalid(np.divide(sums, counts, out=np.full_like(sums, np.nan), where=counts > 0))
+
+
+def _draw_neutral(axes: Any, edges: tuple[Array, Array], cor: Any) -> None:
+    """Where the cases themselves return the speed that they came with."""
+    x, y = (np.sqrt(e[1:] * e[:-1]) if e[0] > 0 else 0.5 * (e[1:] + e[:-1]) for e in edges)
+    if cor.count() and cor.min() < 1.0 < cor.max() and min(cor.shape) > 2:
+        axes.contour(x, y, cor.T, levels=[1.0], colors="#0a7d32", linestyles=":", linewidths=2.4)
+        axes.plot([], [], color="#0a7d32", linestyle=":", linewidth=2.4, label="e = 1 in the cases")
 
 
 def _edges(variation: Variation, values: Array) -> tuple[Array, bool]:
@@ -69,7 +96,6 @@ def _draw_boundary(axes: Any, campaign: LoadedCampaign, keys: tuple[str, str], e
     for level, style, label in zip(margins, ("-", "--"), ("contact that stays closed", "one bounce, e = 1"), strict=True):
         axes.contour(x, y, level, levels=[0.0], colors="black", linestyles=style, linewidths=1.6)
         axes.plot([], [], "k" + style, label=label)
-    axes.legend(loc="upper right", title="rig gives energy beyond")
     return True
 
 
@@ -81,7 +107,7 @@ def distributions(figures: dict[str, Array]):
         if good.size:
             low, high = np.quantile(good, [0.005, 0.995])
             axis.hist(good, bins=40, range=(low, high if high > low else low + 1e-9 + abs(low)), color="#0b6e99")
-        axis.set(xlabel=name, yticks=[])
+        axis.set(xlabel=with_unit(name), yticks=[])
     for axis in list(axes.flat)[len(figures) :]:
         axis.set_visible(False)
     return picture

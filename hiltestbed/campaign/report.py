@@ -19,7 +19,7 @@ from hiltestbed.report import Report
 REPORT = "report.html"
 SHOWN = ("cor", "cor_log_error", "energy_generated", "peak_force", "contact_duration", "tracking_error")
 WORST = 10
-_HELD = ("case", "status", "error", *SHOWN)
+_HELD = ("case", "status", "error", "outcome", *SHOWN)
 
 
 def write_report(folder: Path, campaign: LoadedCampaign) -> None:
@@ -33,11 +33,16 @@ def write_report(folder: Path, campaign: LoadedCampaign) -> None:
     statuses = Counter(cases["status"].to_pylist())
     report = Report(f"Campaign {campaign.spec.name or campaign.path.stem}")
     report.lead(_finding(statuses, figures[response], response))
-    _response(report, campaign, inputs, figures[response], response)
+    outcomes = Counter(outcome for outcome in cases["outcome"].to_pylist() if outcome is not None)
+    if outcomes:
+        report.text("Outcomes: " + ", ".join(f"{count} {outcome}" for outcome, count in outcomes.most_common()) + ".")
+    _response(report, campaign, inputs, figures, response)
     report.heading("Distributions")
     from hiltestbed.campaign.figures import distributions
 
-    report.figure(distributions(figures), "Middle 99 % of the cases that have the figure.")
+    spread = {name: figure for name, figure in figures.items() if np.isfinite(figure).any() and np.ptp(figure[np.isfinite(figure)]) > 0.0}
+    if spread:
+        report.figure(distributions(spread), "Middle 99 % of the cases that have the figure.")
     _sensitivities(report, inputs, figures)
     _worst(report, campaign, cases, figures[response], response, folder)
     partial = folder / f"{REPORT}.partial"
@@ -62,15 +67,16 @@ def _finding(statuses: Counter[str], figure: Array, name: str) -> str:
     return f"{sum(statuses.values())} cases: {ended}. {name}: median {middle:.4g}, 5 % below {low:.4g}, 5 % above {high:.4g}."
 
 
-def _response(report: Report, campaign: LoadedCampaign, inputs: dict[str, Array], figure: Array, name: str) -> None:
+def _response(report: Report, campaign: LoadedCampaign, inputs: dict[str, Array], figures: dict[str, Array], name: str) -> None:
     """The heat map over the two keys that move the figure most."""
     numeric = [key for key in inputs if is_numeric(campaign.spec.vary[key]) and np.unique(inputs[key][:1000]).size > 1]
+    figure = figures[name]
     if len(numeric) < 2 or not np.isfinite(figure).any():
         return
     from hiltestbed.campaign.figures import heat_map
 
     first, second = sorted(numeric, key=lambda key: -explained_share(inputs[key], figure))[:2]
-    picture, drawn = heat_map(campaign, (first, second), (inputs[first], inputs[second]), figure, name)
+    picture, drawn = heat_map(campaign, (first, second), (inputs[first], inputs[second]), figures, name)
     report.heading(f"{name} over {first} and {second}")
     lines = (
         " The lines are closed forms: beyond the full one a contact that stays closed grows; on the dashed one a bounce returns its "
