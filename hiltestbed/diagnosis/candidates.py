@@ -108,7 +108,6 @@ def contact_candidates(s: Scales, captured: bool, lateral: bool) -> list[Candida
         candidate("contact.relaxation", {"stiffness": [0.1 * k, 0.4 * k], "time_constant": [0.004, 0.02, 0.08, 0.4]},
                   bounds={"stiffness": (0.005 * k, 10 * k), "time_constant": (1e-3, 5.0)}),
         candidate("contact.touch_offset", {"offset": [-0.3 * x, -0.1 * x, -0.02 * x, 0.02 * x, 0.1 * x, 0.3 * x]}),
-        candidate("contact.misalignment", {"angles_deg.0": [0.0], "angles_deg.1": [0.0]}, starts=[(0.2, 0.2), (2.0, 2.0), (-2.0, -2.0)]),
         candidate("frame.compliance", {"stiffness": [2 * k, 8 * k, 40 * k]}, bounds={"stiffness": (0.3 * k, 3000 * k)}),
         candidate("frame.compliance", {"stiffness": [2 * k, 8 * k, 40 * k]}, bounds={"stiffness": (0.3 * k, 3000 * k)}, form="series"),
     ]  # fmt: skip
@@ -117,8 +116,11 @@ def contact_candidates(s: Scales, captured: bool, lateral: bool) -> list[Candida
     for form in ({}, {FORM: "reaction"}):
         modes = {"frequency": [8, 14, 22, 35, 60], "damping_ratio": [0.03], "mass": [k / 3e4, k / 2e3, k / 300]}
         out.append(candidate("frame.mode", modes, **form))
-    if lateral:
-        out.append(candidate("contact.surface_friction", {"coefficient": [0.02, 0.1, 0.3]}))
+    for lever in ({}, {FORM: 0.0}, {FORM: 1.0}):
+        tilts = [(0.2, 0.2), (2.0, 2.0), (-2.0, -2.0)]
+        out.append(candidate("contact.misalignment", {"angles_deg.0": [0.0], "angles_deg.1": [0.0]}, starts=tilts, **lever))
+        if lateral:
+            out.append(candidate("contact.surface_friction", {"coefficient": [0.02, 0.1, 0.3]}, **lever))
     out.append(candidate("contact.backlash", {"width": [0.02 * x, 0.1 * x, 0.3 * x, 0.8 * x]}, bounds={"width": (0.0, 2 * x)}) if captured
                else candidate("contact.adhesion", {"force": small}, bounds={"force": force_bounds}))  # fmt: skip
     return out
@@ -150,13 +152,17 @@ def sensor_candidates(s: Scales, tone: dict[str, tuple[float, float, float]]) ->
     return out
 
 
-def skew_candidate(h: float) -> Candidate:
-    """The record of the force alone stamped late."""
-    return candidate("log.skew", {"delay": [0.4 * h, 0.8 * h, 1.4 * h, 2.5 * h, 4.5 * h, 8 * h, 13 * h, 20 * h]})
+def skew_candidates(h: float) -> list[Candidate]:
+    """The record of the force alone stamped late: rows of the record between rows of the loop, or read anew at the later time."""
+    grid = {"delay": [0.4 * h, 0.8 * h, 1.4 * h, 2.5 * h, 4.5 * h, 8 * h, 13 * h, 20 * h]}
+    return [candidate("log.skew", grid), candidate("log.skew", grid, form="continuous")]
 
 
-def platform_candidates(s: Scales, substeps: int) -> list[Candidate]:
-    """Effects of the motion platform, for a tick of s.tick."""
+def platform_candidates(s: Scales, substeps: int, reach: tuple[float, float] | None) -> list[Candidate]:
+    """Effects of the motion platform, for a tick of s.tick; reach: between which figures the largest departure lies [m].
+
+    Stiction: each jump starts where the last one ended, so that chi-square has a narrow well; the largest departure tells where.
+    """
     h = s.tick
     out = [
         candidate("platform.delay", {"delay": [0.3 * h, h, 3 * h, 8 * h, 20 * h]}),
@@ -166,17 +172,17 @@ def platform_candidates(s: Scales, substeps: int) -> list[Candidate]:
         candidate("platform.speed_limit", {"speed": list(np.geomspace(0.3 * s.slow, 1.05 * s.fast, 8))}),
     ]
     out += [candidate("platform.scale", {"factor": [0.97, 1.03]}, 3, axis=a) for a in AXES]
-    sticks = list(np.geomspace(5e-6, 8e-4, 16))
+    sticks = list(np.geomspace(*reach, 80)) if reach else list(np.geomspace(5e-6, 8e-4, 6))
     out += [candidate("platform.friction", {"stick": sticks}, **{FORM: m}) for m in dict.fromkeys((substeps, 20))]
     return out
 
 
 def compensation_candidates(s: Scales) -> list[Candidate]:
     """What may happen between the measured wrench and the one used."""
-    widths = list(np.geomspace(0.3 * s.noise, 0.3 * s.force, 12))
+    widths = list(np.geomspace(0.3 * s.noise, 0.3 * s.force, 40))
     bounds = {"width": (0.1 * s.noise, 0.8 * s.force)}
     return [candidate("loop.deadzone", {"width": widths}, bounds=bounds, **form) for form in ({}, {FORM: "after"}, {FORM: "magnitude"})] + [
-        skew_candidate(s.tick)
+        skew_candidates(s.tick)[0]
     ]
 
 

@@ -18,12 +18,12 @@ from hiltestbed.diagnosis.candidates import (
     dynamics_candidates,
     platform_candidates,
     sensor_candidates,
-    skew_candidate,
+    skew_candidates,
 )
 from hiltestbed.diagnosis.chain import lead_record
 from hiltestbed.diagnosis.fit import Residual, fit
 from hiltestbed.diagnosis.links import Effects, WrenchLink
-from hiltestbed.diagnosis.search import Explanation, jitter_beside, search
+from hiltestbed.diagnosis.search import ALARM, Explanation, jitter_beside, null_fit, search
 from hiltestbed.diagnosis.study import CORRELATED, DYNAMICS_FLOOR, Study, make_study, wrench_link
 from hiltestbed.frames import Array
 from hiltestbed.measured import MeasuredDataset
@@ -67,11 +67,13 @@ def investigate(dataset: MeasuredDataset, progress: Progress | None = None) -> F
             out.missing[name] = f"needs {ends} in every run"
     s = study.scales
     if "platform" in study.links:
-        _explain(out, "platform", platform_candidates(s, study.runs[0].scenario.substeps), progress)
+        _explain(out, "platform", _platform_candidates(study), progress)
     if "compensation" in study.links:
         residual = Residual(study.links["compensation"])
         judge = _compensation_judge(study)
-        out.explanations["compensation"] = search(residual, compensation_candidates(s), judge, progress=_named(progress, "compensation"))
+        out.explanations["compensation"] = search(
+            residual, compensation_candidates(s), judge, progress=_named(progress, "compensation"), most=1
+        )
         out.residuals["compensation"] = residual
     _investigate_wrench(out, progress)
     if "dynamics" in study.links:
@@ -87,6 +89,17 @@ def _explain(out: Findings, name: str, candidates: list[Candidate], progress: Pr
     residual = Residual(out.study.links[name])
     out.explanations[name] = search(residual, candidates, progress=_named(progress, name))
     out.residuals[name] = residual
+
+
+def _platform_candidates(study: Study) -> list[Candidate]:
+    """A pose that holds departs by `stick` and what the command moves in a tick: the slowest run tells it best."""
+    link = study.links["platform"]
+    noise = min(study.noise.get(c, 0.0) for c in link.channels)
+    speeds = [float(np.max(np.abs(np.diff(c[:, :3], axis=0)))) for c in link.commands]
+    i = int(np.argmin(speeds))
+    away = float(np.nanmax(np.abs(link.runs[i].measured - link.predict(i, ()))[1:])) - noise
+    low = max(away - speeds[i] - 4.0 * noise, 0.6 * away)
+    return platform_candidates(study.scales, study.runs[0].scenario.substeps, (low, away + noise) if away > 6.0 * noise else None)
 
 
 def _named(progress: Progress | None, link: str) -> Progress | None:
@@ -105,10 +118,12 @@ def _investigate_wrench(out: Findings, progress: Progress | None) -> None:
     comp = out.explanations.get("compensation")
     skewed = comp is not None and any(c.effect == "log.skew" for c in comp.chosen.causes)
     if skewed:
-        found = fit(Residual(link), (skew_candidate(study.scales.tick),), skew_candidate(study.scales.tick).grid)
-        out.base = found.effects()
+        plain = Residual(link)
+        found = min((fit(plain, (c,), c.grid) for c in skew_candidates(study.scales.tick)), key=lambda f: f.chi2)
+        if null_fit(plain).chi2 - found.chi2 > ALARM:
+            out.base = found.effects()
     elif comp is None:
-        candidates.append(skew_candidate(runs[0].scenario.tick))
+        candidates += skew_candidates(runs[0].scenario.tick)
     residual = Residual(link, out.base)
     out.explanations["wrench"] = search(residual, candidates, special=[jitter_beside], progress=_named(progress, "contact and sensor"))
     out.residuals["wrench"] = residual
@@ -119,7 +134,7 @@ def candidates_of(out: Findings, name: str) -> list[Candidate]:
     s = out.study.scales
     match name:
         case "platform":
-            return platform_candidates(s, out.study.runs[0].scenario.substeps)
+            return _platform_candidates(out.study)
         case "compensation":
             return compensation_candidates(s)
         case "dynamics":

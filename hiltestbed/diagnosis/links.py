@@ -22,6 +22,7 @@ from hiltestbed.frames import Array
 from hiltestbed.scenario import Scenario
 
 Effects = Sequence[tuple[str, dict[str, Any]]]
+LATE = "late"  # a shift of the reading that is no effect of the vocabulary: to see what lateness does
 BETWEEN = 8  # instants a tick, where a reading falls between ticks: the rate of the contact jumps from one tick to the next
 NODES = np.linspace(-2.75, 2.75, 12)  # of a standard normal
 WEIGHTS = np.exp(-0.5 * NODES**2) / np.sum(np.exp(-0.5 * NODES**2))
@@ -100,7 +101,7 @@ class WrenchLink:
 
     def predict(self, i: int, effects: Effects) -> Array:
         s = self.runs[i].scenario
-        late = s.sensor.delay + sum(p["delay"] for kind, p in effects if kind in ("sensor.delay", "log.skew"))
+        late = s.sensor.delay + sum(p["delay"] for kind, p in effects if kind in ("sensor.delay", LATE) or p.get(FORM) == "continuous")
         sub = self.physical(i, effects, _instants(late / s.tick))
         sensor = s.sensor
         chain = sensor_chain(
@@ -109,22 +110,23 @@ class WrenchLink:
         )  # fmt: skip
         out = np.empty((len(sub), 6))
         sense_record(sub, late, s.tick, *chain.arrays(), out)
-        return out
+        skew = sum(p["delay"] for kind, p in effects if kind == "log.skew" and p.get(FORM) != "continuous")
+        return advanced(out, -skew / s.tick) if skew else out
 
     def slope(self, i: int, effects: Effects) -> Array:
         """(N, 6) rate of the reading [N/s, N m/s]: what a late sample is worth."""
         step = self.runs[i].scenario.tick / 2.0
         if self.runs[i].scenario.sensor.delay < step:
             return np.gradient(self.predict(i, effects), 2.0 * step, axis=0)
-        early, late = (self.predict(i, [*effects, ("log.skew", {"delay": d})]) for d in (-step, step))
+        early, late = (self.predict(i, [*effects, (LATE, {"delay": d})]) for d in (-step, step))
         return (early - late) / (2.0 * step)
 
     def shaken(self, i: int, effects: Effects, sigma: float) -> tuple[Array, Array]:
         """(N, 6) mean of the reading and its spread [N, N m] where the delay varies by sigma [s] from sample to sample."""
-        nominal = self.runs[i].scenario.sensor.delay + sum(p["delay"] for kind, p in effects if kind in ("sensor.delay", "log.skew"))
+        nominal = self.runs[i].scenario.sensor.delay + sum(p["delay"] for kind, p in effects if kind in ("sensor.delay", LATE))
         mean, square = 0.0, 0.0
         for node, weight in zip(NODES, WEIGHTS, strict=True):
-            reading = self.predict(i, [*effects, ("log.skew", {"delay": max(sigma * node, -nominal)})])
+            reading = self.predict(i, [*effects, (LATE, {"delay": max(sigma * node, -nominal)})])
             mean, square = mean + weight * reading, square + weight * reading**2
         return np.asarray(mean), np.sqrt(np.maximum(np.asarray(square) - np.asarray(mean) ** 2, 0.0))
 
@@ -134,7 +136,7 @@ class WrenchLink:
         step = s.tick / min(s.substeps, 4)
         if s.sensor.delay < step:
             return np.zeros((len(self.paths[i]), 6))
-        early, late = (self.predict(i, [*effects, ("log.skew", {"delay": d})]) for d in (-step, step))
+        early, late = (self.predict(i, [*effects, (LATE, {"delay": d})]) for d in (-step, step))
         return np.abs(early + late - 2.0 * self.predict(i, effects))
 
     def physical(self, i: int, effects: Effects, instants: int) -> Array:
@@ -160,6 +162,8 @@ def _shape(p: Array, kind: str, given: dict[str, Any]) -> None:
     form = given.get(FORM)
     if form is None:
         return
+    if isinstance(form, float):  # where the force acts, between the undeformed surface (0) and the tip (1)
+        p[LEVER] = form
     if kind == "contact.power_law" and form == "undamped":
         p[DAMPING] = 0.0
     if kind == "frame.mode" and form == "reaction":
@@ -207,10 +211,10 @@ def dead(wrench: Array, width: float) -> Array:
 
 
 def advanced(values: Array, ticks: float) -> Array:
-    """`values` (N, C) read `ticks` rows later, linearly between rows; the last row is held."""
-    rows = np.arange(len(values)) + ticks
-    low = np.minimum(np.floor(rows).astype(int), len(values) - 1)
-    part = np.clip(rows - low, 0.0, 1.0)[:, None]
+    """`values` (N, C) read `ticks` rows later (or earlier), linearly between rows; the first and the last row are held."""
+    rows = np.clip(np.arange(len(values)) + ticks, 0.0, len(values) - 1.0)
+    low = np.floor(rows).astype(int)
+    part = (rows - low)[:, None]
     return values[low] + part * (values[np.minimum(low + 1, len(values) - 1)] - values[low])
 
 

@@ -16,6 +16,8 @@ from hiltestbed.measured.noise import white_noise
 DYNAMICS_FLOOR = 2e-6  # [m], [rad]: pose_cmd is computed, not measured; integrator details below this are harmless
 COMPENSATION_FLOOR = 0.05  # of the force noise: wrench_comp is computed too
 CORRELATED = 50  # rows of a computed channel that count as one
+ENOUGH = 30  # samples from which a noise floor is read
+UNEVEN = 3.0  # the most that the noise of one axis of translation exceeds another's
 TAIL = 0.15  # [s] after the last contact that a search looks at
 PLATFORM_LEAST = 1e-9  # [m] floor of a pose that carries no noise
 
@@ -124,6 +126,7 @@ def _floors(runs: Sequence[MeasuredRun]) -> dict[str, float]:
                 continue
             values = r.record.column(name)
             outside = values[~touching(r, len(values))] if name.startswith("wrench") and r.survey.contacts else values
+            outside = outside if len(outside) > ENOUGH else values  # a latched mechanism is never free
             still += int(len(outside) > 10 and np.median(np.abs(np.diff(outside))) == 0.0)
             found.append(white_noise(outside))
         level = float(np.sqrt(np.mean(np.square(found)))) if found else 0.0
@@ -132,6 +135,9 @@ def _floors(runs: Sequence[MeasuredRun]) -> dict[str, float]:
             inside = [white_noise(r.record.column(name)[touching(r, r.record.ticks)]) for r in runs if r.survey.contacts]
             level = believed or (float(np.median(inside)) if inside else 0.0)
         floors[name] = level
+    places = [n for n in ("pose_act.px", "pose_act.py", "pose_act.pz") if floors.get(n)]
+    for name in places:  # a platform that moves in jumps looks noisy on the axis that moves most
+        floors[name] = min(floors[name], UNEVEN * min(floors[n] for n in places))
     return floors
 
 

@@ -151,20 +151,20 @@ def _at_rest(x, v, dt, p, state):
 
 @njit(cache=True)
 def _ringing(x, v, dt, p, state):
-    """The frame's mode in steps of at most MODE_STEP, semi-implicit, under the force that it feels."""
+    """The frame's mode in steps of at most MODE_STEP, drift, kick, drift (second order), under the force that it feels."""
     stiffest = math.sqrt(p[MODE] ** 2 + (p[STIFFNESS] + p[STOP_STIFFNESS] + p[BRANCH_STIFFNESS]) / p[MODE_MASS])
     steps = max(1, math.ceil(stiffest * dt / MODE_STEP))
     inner = dt / steps
-    force = 0.0
     for s in range(steps):
-        moved = x - v * (dt - (s + 1) * inner)
+        state[DEFLECTION] += 0.5 * inner * state[DEFLECTION_RATE]
+        moved = x - v * (dt - (s + 0.5) * inner)
         force = _at_rest(moved - state[DEFLECTION] - p[OFFSET], v - state[DEFLECTION_RATE], inner, p, state)
         acceleration = force / p[MODE_MASS] - p[MODE] ** 2 * state[DEFLECTION] - 2.0 * p[MODE_DAMPING] * p[MODE] * state[DEFLECTION_RATE]
         state[DEFLECTION_RATE] += acceleration * inner
-        state[DEFLECTION] += state[DEFLECTION_RATE] * inner
+        state[DEFLECTION] += 0.5 * inner * state[DEFLECTION_RATE]
     if p[REACTION] > 0.0:
         return p[MODE_MASS] * (p[MODE] ** 2 * state[DEFLECTION] + 2.0 * p[MODE_DAMPING] * p[MODE] * state[DEFLECTION_RATE])
-    return force
+    return _at_rest(x - state[DEFLECTION] - p[OFFSET], v - state[DEFLECTION_RATE], 0.0, p, state)
 
 
 @njit(cache=True)
