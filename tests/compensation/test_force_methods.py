@@ -1,0 +1,165 @@
+"""Each method does what its literature says of it."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hiltestbed import load_scenario
+from hiltestbed.bench.contacts import Contact, bounce
+from hiltestbed.bench.contenders import CONTENDERS
+from hiltestbed.compensation.cor_designed import bounce as design_bounce
+from hiltestbed.compensation.measurement import Measurement
+from hiltestbed.compensation.phase_lead import PhaseLead
+from hiltestbed.compensation.polynomial import PolynomialExtrapolation
+from hiltestbed.compensation.second_order_lead import SecondOrderLead
+from hiltestbed.scenario import Scenario
+from hiltestbed.simulation import log_error, reference_scenario, simulate
+from tests.physics.closed_forms import cor_at_zero_force
+
+HEAD_ON = Path(__file__).parents[2] / "scenarios" / "02-bumper.yaml"
+MU = 400.0  # of 500 kg against 2000 kg
+
+
+def _scenario(w: float, zeta: float, delay: float, force: dict[str, object], rate: float = 8000.0) -> Scenario:
+    k = MU * w * w
+    changes = {
+        "mechanism.contact.stiffness": k,
+        "mechanism.contact.damping": 2.0 * zeta * MU * w,
+        "sensor.delay": delay,
+        "compensation.force": force,
+        "rig.platform.tracking": "ideal",
+        "approach.gap": 60.5 * 0.03 / rate,
+        "rate": rate,
+        "physics_rate": rate,
+        "duration": 1.3 * math.pi / w + 0.05,
+    }
+    return load_scenario(HEAD_ON, set=changes)
+
+
+def _cors(scenarios: list[Scenario]) -> list[float]:
+    cors = [f.cor for f in bounce(scenarios).figures]
+    assert None not in cors
+    return [float(c) for c in cors if c is not None]
+
+
+def _filtered(method: PhaseLead | SecondOrderLead | PolynomialExtrapolation, signal: np.ndarray) -> np.ndarray:
+    nothing, out = np.zeros((1, 7)), np.empty_like(signal)
+    for k, value in enumerate(signal):
+        wrench = np.full((1, 6), value)
+        out[k] = method.compensate(Measurement(wrench, nothing, nothing, nothing, nothing, np.zeros(1, dtype=bool)))[0, 2]
+    return out
+
+
+@pytest.mark.parametrize(
+    ("frequency", "expected"), [(2.0, {1.0: 1.025, 1.1: 1.005}), (4.0, {1.0: 1.058, 1.1: 1.019}), (8.0, {1.0: 1.182, 1.1: 1.106})]
+)
+def test_the_phase_lead_leaves_what_was_published(frequency: float, expected: dict[float, float]) -> None:
+    """c = 0, 10 ms, T2 = 1 ms, T1 over the delay to e: one bounce in steps of 10 to 20 us; here 25 us."""
+    w = 2.0 * math.pi * frequency
+    scenarios = [_scenario(w, 0.0, 0.01, {"kind": "phase_lead", "lead": 0.01 * r, "lag": 0.001}, rate=40000.0) for r in expected]
+    assert _cors(scenarios) == pytest.approx(list(expected.values()), rel=3e-3)
+
+
+def test_the_lead_turns_active_at_the_published_threshold() -> None:
+    """An ideal differentiator leaves a delay w^2 tau^3/3, hence e = 1 at w tau = (6 zeta)^(1/3), to leading order; zeta = 0.01."""
+    zeta, tau = 0.01, 0.01
+    threshold = (6.0 * zeta) ** (1.0 / 3.0)
+    below, above = (_scenario(f * threshold / tau, zeta, tau, {"kind": "phase_lead", "lead": tau, "lag": 1e-6}) for f in (0.8, 1.2))
+    assert _cors([below])[0] < 1.0 < _cors([above])[0]
+
+
+@pytest.mark.parametrize(("kind", "order"), [("phase_lead", 2), ("second_order_lead", 3)])
+def test_a_lead_of_order_p_errs_by_the_power_p_plus_1(kind: str, order: int) -> None:
+    """On a late sine of half the frequency the error is 2^(p+1) times smaller."""
+    scenario = _scenario(10.0, 0.0, 0.01, {"kind": kind}, rate=20000.0)
+    method = PhaseLead if kind == "phase_lead" else SecondOrderLead
+    t, errors = np.arange(0, 2.0, 1.0 / scenario.rate), []
+    for w in (12.0, 6.0):
+        late = np.sin(w * (t - 0.01))
+        errors.append(np.abs(_filtered(method([scenario]), late) - np.sin(w * t))[len(t) // 4 :].max())
+    assert errors[0] / errors[1] == pytest.approx(2.0**order, rel=0.15)
+
+
+@pytest.mark.parametrize("order", [1, 2, 3])
+def test_a_polynomial_is_extrapolated_exactly(order: int) -> None:
+    scenario = _scenario(10.0, 0.0, 0.01, {"kind": "polynomial", "order": order}, rate=1000.0)
+    t = np.arange(0.0, 0.5, 1e-3)
+    late, now = (t - 0.01) ** order, t**order
+    assert _filtered(PolynomialExtrapolation([scenario]), late)[100:] == pytest.approx(now[100:], rel=1e-9)
+
+
+def test_the_smith_predictor_is_stable_and_slightly_convergent_past_the_leads_threshold() -> None:
+    """w tau = 1: the lead returns more than came in; a predictor whose contact is 10 % too stiff returns a little less than it should."""
+    contact = Contact(8.0, 0.02, 0.05)
+    reference = _cors([reference_scenario(contact.scenario({"kind": "none"}))])[0]
+    by_name = {c.name: _cors([contact.scenario(c.force(contact))])[0] for c in CONTENDERS if c.contact == "known" or c.name == "phase_lead"}
+    assert by_name["phase_lead"] > 1.0
+    assert abs(math.log(by_name["smith_predictor"] / reference)) < 0.003
+    assert 0.8 * reference < by_name["smith_predictor_10pct_off"] < reference
+    assert 0.9 * reference < by_name["smith_predictor_lead_10pct_off"] < reference
+
+
+def test_passivity_control_keeps_the_rebound_below_the_approach_whatever_it_should_be() -> None:
+    """It lets through what does not exceed e = 1 by much, and cannot know that e should be 0.86: without it, e is 1.3 to 3.4."""
+    contacts = [Contact(8.0, d, 0.05) for d in (0.005, 0.01, 0.02)]
+    bare = _cors([c.scenario({"kind": "none"}) for c in contacts])
+    held = _cors([c.scenario({"kind": "passivity_control"}) for c in contacts])
+    assert min(bare) > 1.2
+    assert max(held) < 1.05
+    assert min(held) > 0.95
+
+
+def test_normalised_passivity_balances_a_short_delay() -> None:
+    contact = Contact(2.0, 0.005, 0.05)  # w tau = 0.06: uncompensated +0.10
+    reference = _cors([reference_scenario(contact.scenario({"kind": "none"}))])[0]
+    assert abs(math.log(_cors([contact.scenario({"kind": "normalised_passivity"})])[0] / reference)) < 0.02
+
+
+def test_a_virtual_damper_of_k_tau_gives_back_what_the_delay_takes() -> None:
+    contact = Contact(2.0, 0.005, 0.05)
+    reference = _cors([reference_scenario(contact.scenario({"kind": "none"}))])[0]
+    force = {"kind": "virtual_contact", "damping": contact.stiffness * contact.delay}
+    assert abs(math.log(_cors([contact.scenario(force)])[0] / reference)) < 0.003
+
+
+@pytest.mark.parametrize("zeta", [0.02, 0.05, 0.2])
+def test_the_design_model_without_delay_is_the_closed_form(zeta: float) -> None:
+    assert design_bounce(zeta, 0.0, 0.0) == pytest.approx(cor_at_zero_force(1.0, 2.0 * zeta, 1.0), rel=2e-3)
+
+
+@pytest.mark.parametrize("desired", [None, 0.7])
+def test_the_designed_damper_gives_the_desired_restitution(desired: float | None) -> None:
+    contact = Contact(4.0, 0.01, 0.05)
+    force = {"kind": "cor_designed", "stiffness": contact.stiffness, "damping": contact.damping, "cor": desired}
+    cor = _cors([contact.scenario(force)])[0]
+    expected = desired or cor_at_zero_force(contact.stiffness, contact.damping, contact.mass)
+    assert cor == pytest.approx(expected, rel=0.01)
+
+
+def test_a_dead_zone_takes_small_forces_for_none_and_leaves_the_others() -> None:
+    scenario = Contact(4.0, 0.005, 0.05, noise=0.0).scenario({"kind": "dead_zone", "width": 50.0})
+    trace = simulate([scenario], trace=True).trace
+    assert trace is not None
+    measured, used = trace["wrench_meas"][:, 0, 2], trace["wrench_comp"][:, 0, 2]
+    assert np.array_equal(used, np.where(np.abs(measured) > 50.0, measured, 0.0))
+    assert measured.max() > 200.0
+
+
+def test_reconstruction_halves_the_error_of_the_bare_delay() -> None:
+    for contact in (Contact(2.0, 0.005, 0.05), Contact(4.0, 0.01, 0.05), Contact(8.0, 0.02, 0.05)):
+        bare, ours, reference = (
+            bounce([s]).figures[0].cor
+            for s in (
+                contact.scenario({"kind": "none"}),
+                contact.scenario({"kind": "reconstruction"}),
+                reference_scenario(contact.scenario({"kind": "none"})),
+            )
+        )
+        error, bare_error = log_error(ours, reference), log_error(bare, reference)
+        assert error is not None
+        assert bare_error is not None
+        assert abs(error) < 0.5 * abs(bare_error)

@@ -1,0 +1,80 @@
+"""From the numerical model's motion to the platform."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hiltestbed.bench.contacts import Contact, bounce
+from hiltestbed.scenario import Scenario
+from hiltestbed.simulation import log_error, reference_scenario
+
+BARE = {"kind": "none"}
+
+
+def _with(contact: Contact, motion: dict[str, object], force: dict[str, object] | None = None) -> Scenario:
+    return replace(contact, changes={"compensation.motion": motion}).scenario(force or BARE)
+
+
+def _error(scenario: Scenario) -> float:
+    error = log_error(bounce([scenario]).figures[0].cor, bounce([reference_scenario(scenario)]).figures[0].cor)
+    assert error is not None
+    return error
+
+
+@pytest.mark.parametrize(
+    "motion",
+    [
+        {"kind": "feedforward"},
+        {"kind": "inverse_model", "order": 1},
+        {"kind": "inverse_model", "order": 2},
+        {"kind": "adaptive_time_series"},
+    ],
+)
+def test_the_lag_of_the_platform_is_taken_out(motion: dict[str, object]) -> None:
+    """2 zeta/w of the position loop, 8 ms, would leave (pi/2) w 8 ms = 0.16 at 2 Hz."""
+    contact = Contact(2.0, 0.0, 0.05, tracking="servo")
+    bare = _error(_with(contact, {"kind": "none"}))
+    assert bare == pytest.approx(0.5 * math.pi * contact.w * 2.0 / (2.0 * math.pi * 40.0), rel=0.05)
+    assert abs(_error(_with(contact, motion))) < 0.02 * bare
+
+
+def test_correcting_the_force_makes_up_for_a_lagging_platform() -> None:
+    contact = Contact(2.0, 0.0, 0.05, tracking="servo")
+    assert abs(_error(_with(contact, {"kind": "contact_correction"}))) < 0.1 * _error(_with(contact, {"kind": "none"}))
+
+
+def test_the_adaptive_series_finds_the_platforms_response() -> None:
+    """A position loop 1/(1 + s/w)^2, w = 2 pi 40 Hz: a0 = 1, a1 = 2/w = 8.0 ms, from a start of 4 ms."""
+    contact = Contact(2.0, 0.0, 0.05, tracking="servo", changes={"compensation.motion": {"kind": "adaptive_time_series", "delay": 0.004}})
+    result = bounce([contact.scenario(BARE)])
+    found = result.loop.motion.buffers()["coefficients"][0]
+    assert found[0] == pytest.approx(1.0, abs=0.01)
+    assert found[1] == pytest.approx(2.0 / (2.0 * math.pi * 40.0), rel=0.05)
+
+
+@pytest.mark.parametrize("tracking", ["ideal", "servo"])
+@pytest.mark.parametrize("kind", ["phase_lead", "resynchronised"])
+def test_a_compliant_platform_holds_the_peak_force(tracking: str, kind: str) -> None:
+    contact = Contact(4.0, 0.005, 0.05, tracking=tracking)
+    limit = 0.6 * contact.peak
+    free = bounce([contact.scenario({"kind": kind})]).figures[0]
+    held = bounce([_with(contact, {"kind": "admittance", "limit": limit}, {"kind": kind})]).figures[0]
+    assert free.peak_force > 1.5 * limit
+    assert 0.85 * limit < held.peak_force <= limit
+
+
+def test_the_numerical_model_need_not_notice_that_the_platform_yields() -> None:
+    """The force is corrected for where the platform is: the rebound is that of the unlimited contact."""
+    contact = Contact(4.0, 0.005, 0.05)
+    assert abs(_error(_with(contact, {"kind": "admittance", "limit": 0.6 * contact.peak}, {"kind": "resynchronised"}))) < 0.003
+
+
+def test_feed_forward_tells_the_velocity_of_the_tick() -> None:
+    result = bounce([Contact(4.0, 0.0, 0.05, tracking="servo").scenario(BARE)], trace=True)
+    assert result.trace is not None
+    error = np.abs(result.trace["pose_cmd"][:-1, 0, 2] - result.trace["pose_act"][1:, 0, 2])[: result.loop.k - 1]
+    assert error.max() < 0.02 * np.abs(result.trace["pose_cmd"][: result.loop.k, 0, 2]).max()

@@ -1,0 +1,80 @@
+"""The compiled copy of the numerical model against Pinocchio's, and its shortcuts against the steps that they replace."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hiltestbed import load_scenario
+from hiltestbed.compensation.twin import SCRATCH, carry, mobility, solve, step, wrench_at_A, wrench_at_P
+from hiltestbed.spacecraft import Spacecraft
+
+SCENARIO = load_scenario(Path(__file__).parents[2] / "scenarios" / "05-off-centre.yaml")
+H = 1.0 / SCENARIO.rate
+WRENCH = np.array([30.0, -20.0, 200.0, 5.0, -8.0, 2.0])
+
+
+@pytest.fixture
+def craft() -> Spacecraft:
+    return Spacecraft([SCENARIO])
+
+
+def _bodies(craft: Spacecraft) -> tuple[np.ndarray, ...]:
+    return craft.port[0], craft.mass[0], craft.inertia[0], np.linalg.inv(craft.inertia[0])
+
+
+def test_a_step_is_pinocchios(craft: Spacecraft) -> None:
+    port, mass, inertia, inverse = _bodies(craft)
+    q, v, work = craft.q[0].copy(), craft.v[0].copy(), np.empty((SCRATCH, 7))
+    for _ in range(200):
+        step(q, v, port, mass, inertia, inverse, WRENCH, H, work)
+        craft.advance(WRENCH[None])
+    assert np.abs(v - craft.v[0]).max() < 1e-12
+    assert np.abs(q - craft.q[0]).max() < 1e-12
+
+
+def test_carrying_is_stepping_where_nothing_turns_much(craft: Spacecraft) -> None:
+    """40 ticks under a wrench: bodies turn by some 1e-4 rad, so that positions agree to 1e-4 of what the wrench moves them by."""
+    port, mass, _, inverse = _bodies(craft)
+    q, v, work = craft.q[0].copy(), craft.v[0].copy(), np.empty((SCRATCH, 7))
+    ticks = 40
+    carry(q, v, port, mass, inverse, ticks * H, ticks * H * WRENCH, H * H * ticks * (ticks + 1) / 2 * WRENCH, work)
+    start, speed = craft.q[0].copy(), craft.v[0].copy()
+    for _ in range(ticks):
+        craft.advance(WRENCH[None])
+    pushed = np.abs(craft.v[0] - speed).max()
+    assert np.abs(v - craft.v[0]).max() < 2e-3 * pushed
+    moved = np.abs(craft.q[0, :, :3] - start[:, :3] - ticks * H * speed[:, :3]).max()
+    assert np.abs(q - craft.q[0]).max() < 2e-3 * moved
+
+
+def test_mobility_is_the_change_of_the_twist_by_a_wrench_at_A(craft: Spacecraft) -> None:
+    port, mass, _, inverse = _bodies(craft)
+    work, matrix = np.empty((SCRATCH, 7)), np.empty((6, 6))
+    mobility(craft.q[0], port, craft.pose[0, :3], mass, inverse, work, matrix)
+    assert np.abs(matrix - matrix.T).max() < 1e-12 * np.abs(matrix).max()
+    assert np.linalg.eigvalsh(matrix).min() > 0.0
+    free, pushed, at_A, at_P = Spacecraft([SCENARIO]), Spacecraft([SCENARIO]), WRENCH.copy(), np.empty(6)
+    free.tick = pushed.tick = 1e-6
+    wrench_at_P(at_A, craft.pose[0, :3], at_P)
+    free.advance(np.zeros((1, 6)))
+    pushed.advance(at_P[None])
+    change = (pushed.twist[0] - free.twist[0]) / 1e-6
+    assert np.abs(change + matrix @ at_A).max() < 1e-6 * np.abs(change).max()
+
+
+def test_a_wrench_goes_there_and_back() -> None:
+    position, there, back = np.array([0.1, -0.2, 0.3]), np.empty(6), np.empty(6)
+    wrench_at_A(WRENCH, position, there)
+    assert np.allclose(there[3:], WRENCH[3:] - np.cross(position, WRENCH[:3]), rtol=0, atol=1e-12)
+    wrench_at_P(there, position, back)
+    assert np.allclose(back, WRENCH, rtol=0, atol=1e-12)
+
+
+def test_solve() -> None:
+    a = np.random.default_rng(1).normal(size=(6, 6))
+    matrix, x = a @ a.T + np.eye(6), WRENCH.copy()
+    solve(matrix, x, np.empty((6, 6)))
+    assert np.allclose(matrix @ x, WRENCH)
