@@ -170,10 +170,11 @@ def sweep(
     from hiltestbed.campaign.sweep import default_folder
     from hiltestbed.campaign.sweep import sweep as run_sweep
     from hiltestbed.progress import case_bar
+    from hiltestbed.shipped import find_scenario
 
     if workers is not None and scheduler is not None:
         raise InputError("--workers is for this machine and --scheduler for a cluster; allowed is one of the two")
-    spec = load_campaign(campaign, overrides(sets))
+    spec = load_campaign(find_scenario(campaign), overrides(sets))
     folder = out if out is not None else default_folder(spec)
     workers = workers if workers is not None else len(os.sched_getaffinity(0))
     try:

@@ -14,12 +14,16 @@ def shipped(kind: str) -> Path:
 
 
 def find_scenario(name: str | Path) -> Path:
-    """`name` itself when such a path exists, else the shipped scenario of that name (`head_on`, `scenarios/head_on.yaml`)."""
+    """`name` itself when such a path exists, else what is shipped under that name (`02-bumper`, `scenarios/02-bumper.yaml`)."""
     path = Path(name)
     if path.exists() or path.is_absolute():
         return path
-    candidate = shipped("scenarios") / (path.name if path.suffix else path.name + ".yaml")
-    return candidate if path.parent.name in ("", "scenarios") and candidate.is_file() else path
+    below = Path(*path.parts[1:]) if path.parts[:1] == ("scenarios",) else path
+    below = below if below.suffix else below.with_name(below.name + ".yaml")
+    for candidate in (shipped("scenarios") / below, shipped("scenarios") / "campaigns" / below):
+        if ".." not in below.parts and candidate.is_file():
+            return candidate
+    return path
 
 
 def scenario_names() -> list[str]:

@@ -127,6 +127,17 @@ def test_bad_input_ends_with_status_2_file_line_and_what_is_allowed(folder: Path
         ("run", "s.yaml", "--out", "."),
         ("run", "s.yaml", "--out", "s.yaml/below"),
         ("run", "c.yaml"),
+        ("run", "c.yaml", "--case", "2"),
+        ("run", "c.yaml", "--case", "-1"),
+        ("run", "s.yaml", "--case", "0"),
+        ("sweep", "s.yaml"),
+        ("sweep", "none.yaml"),
+        ("sweep", "c.yaml", "--out", "."),
+        ("sweep", "c.yaml", "--workers", "0"),
+        ("sweep", "c.yaml", "--chunk", "0"),
+        ("sweep", "c.yaml", "--workers", "2", "--scheduler", "tcp://127.0.0.1:9"),
+        ("sweep", "c.yaml", "--set", "design={kind: sobol, cases: 1000000000}"),
+        ("sweep", "c.yaml", "--set", "vary={sensor.dealy: {values: [1]}}"),
         ("run", "d.yaml"),
         ("run",),
         ("run", "s.yaml", "--bogus"),
@@ -172,6 +183,22 @@ def test_check_follows_a_campaign_and_a_dataset_into_their_scenario(folder: Path
     keys = [[fault["key"] for fault in file["faults"]] for file in told["files"]]
     assert status == 2
     assert keys == [["vary.sensor.dealy"], ["runs.0.file", "runs.0.set.sensor.delay"]]
+
+
+def test_sweep_fills_a_folder_and_one_case_repeats_in_full(folder: Path, call) -> None:
+    status, out, _ = call("sweep", "c.yaml", "--out", "swept", "--workers", "1", "--json")
+    told = json.loads(out)
+    assert (status, told["status"], told["counts"]) == (0, "complete", {"completed": 2})
+    status, out, _ = call("run", "c.yaml", "--case", "1", "--no-rerun", "--out", "one")
+    assert status == 0
+    assert load_scenario("one/scenario.yaml").sensor.delay == 0.01
+    assert "2 cases, complete" in call("sweep", "c.yaml", "--out", "swept")[1], "there is nothing left to do"
+
+
+def test_shipped_scenarios_and_campaigns_are_found_by_name(folder: Path, call) -> None:
+    names = ("02-bumper", "scenarios/02-bumper.yaml", "delay-stiffness", "scenarios/campaigns/delay-stiffness.yaml")
+    assert call("check", *names)[0] == 0
+    assert call("check", "scenarios/../../../etc/passwd")[0] == 2
 
 
 @pytest.mark.parametrize("kind", ["scenario", "campaign", "dataset"])

@@ -170,6 +170,10 @@ def load_campaign(path: str | Path, set: Mapping[str, Any] | None = None) -> Loa
 
 def campaign_from(source: Source) -> LoadedCampaign:
     """The campaign in a source that is read already. Raises InputError with every fault."""
+    if "vary" not in source.data and "design" not in source.data:
+        raise InputError(
+            source.fault((), "is no campaign (got neither vary nor design); a campaign names a scenario and what varies in it")
+        )
     spec = validate(Campaign, source)
     base = referenced_source(source)
     try:
