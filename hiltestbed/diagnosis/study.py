@@ -20,6 +20,8 @@ ENOUGH = 30  # samples from which a noise floor is read
 UNEVEN = 3.0  # the most that the noise of one axis of translation exceeds another's
 TAIL = 0.15  # [s] after the last contact that a search looks at
 PLATFORM_LEAST = 1e-9  # [m] floor of a pose that carries no noise
+FORCE_LEAST = 1e-6  # of the peak force: floor of a force that carries no noise
+ARM_LEAST = 2e-6  # [m] arm of the peak force that makes the floor of a torque: where between tip and surface the force acts is not known
 
 
 @dataclass
@@ -68,7 +70,8 @@ def make_study(dataset: MeasuredDataset) -> Study:
 def wrench_link(study: Study, paths: Callable[[int], Array], whole: bool = False, lever: float = 0.5) -> WrenchLink:
     """Contact and sensor on the paths (N, 3) that the tip took in each run."""
     rows = [r.record.ticks for r in study.runs] if whole else study.rows
-    runs = [_link_run(r, "wrench_meas", 6, study.noise, n, 1e-9) for r, n in zip(study.runs, rows, strict=True)]
+    least = study.scales.force * np.array([FORCE_LEAST] * 3 + [ARM_LEAST] * 3)
+    runs = [_link_run(r, "wrench_meas", 6, study.noise, n, least) for r, n in zip(study.runs, rows, strict=True)]
     return WrenchLink(runs, [np.ascontiguousarray(paths(i)[:n]) for i, n in enumerate(rows)], lever)
 
 
@@ -96,9 +99,9 @@ def touching(run: MeasuredRun, rows: int) -> np.ndarray:
     return out[:rows]
 
 
-def _link_run(run: MeasuredRun, group: str, parts: int, noise: dict[str, float], rows: int, least: float) -> LinkRun:
+def _link_run(run: MeasuredRun, group: str, parts: int, noise: dict[str, float], rows: int, least: Array | float) -> LinkRun:
     names = _names(group)[:parts]
-    level = np.array([max(noise.get(name, 0.0), least) for name in names])
+    level = np.maximum([noise.get(name, 0.0) for name in names], least)
     valid = run.record.valid[group][:rows, :parts]
     sigma = np.where(valid, level, np.inf)
     sigma[0] = np.inf if group == "pose_act" else sigma[0]  # the start pose stands for itself
