@@ -108,7 +108,10 @@ def test_hunt_crossley_finds_its_own_law() -> None:
 
 
 def test_instruments_take_out_the_bias_of_a_noisy_pose() -> None:
-    """Noise of 5 % of the largest x: var(x) about its mean is 0.095 of that squared, so that k comes out by 0.05^2/0.095 = 2.6 % low."""
+    """Noise of 5 % of the largest x: var(x) about its mean is 0.067 of that squared
+
+    until the force is clipped at 2.6 rad, so that k comes out by 0.05^2/0.067 = 3.7 % low, a little more as x goes with v.
+    """
     rng = np.random.default_rng(5)
     x, v = _half_sine(4000)
     force = np.where(x > 0, np.maximum(1e5 * x + 2000.0 * v, 0.0), 0.0)
@@ -120,7 +123,7 @@ def test_instruments_take_out_the_bias_of_a_noisy_pose() -> None:
         assert isinstance(estimator, InstrumentVariables | RecursiveLeastSquares)
         _feed(estimator, *noisy, force)
         errors[kind] = abs(estimator.stiffness[0, 2] / 1e5 - 1.0)
-    assert errors["rls"] == pytest.approx(0.026, rel=0.4)
+    assert errors["rls"] == pytest.approx(0.037, rel=0.3)
     assert errors["instrumental"] < 0.01
 
 
