@@ -1,0 +1,84 @@
+"""Touch, seat, capture and wear: recognised when they are there, and not when they are not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hiltestbed import load_scenario
+from hiltestbed.bench.contacts import Contact, bounce
+from hiltestbed.loop import Loop
+from hiltestbed.monitoring import ContactEstimate, ProcessMonitor, wear
+from hiltestbed.scenario import Scenario
+
+SCENARIOS = Path(__file__).parents[1] / "scenarios"
+FORCE = {"kind": "resynchronised"}
+
+
+def _watch(scenarios: list[Scenario]) -> tuple[ProcessMonitor, Loop]:
+    loop, monitor = Loop(scenarios), ProcessMonitor(scenarios)
+    for _ in range(max(s.ticks for s in scenarios)):
+        loop.step()
+        monitor.update(loop.measurement.wrench, loop.measurement.pose, loop.measurement.twist)
+    return monitor, loop
+
+
+def test_a_bounce_is_a_touch_and_no_more() -> None:
+    """Touch is said two readings after the force arrives, a delay after it was there; nothing seats, nothing is captured."""
+    contacts = [Contact(4.0, d, 0.05, seed=i) for i, d in enumerate([0.002, 0.01] * 20)]
+    monitor, loop = _watch([c.scenario(FORCE) for c in contacts])
+    truth = loop.tally.first_tick / contacts[0].scenario(FORCE).rate
+    late = monitor.touch - truth - np.array([c.delay for c in contacts])
+    assert (late >= 0.0).all()
+    assert (late <= 3.0 / 2000.0).all()
+    assert np.isnan(monitor.seat).all()
+    assert np.isnan(monitor.capture).all()
+
+
+def test_noise_alone_is_no_touch() -> None:
+    scenario = load_scenario(
+        SCENARIOS / "01-free-flight.yaml", set={"rig.platform.tracking": "ideal", "sensor.noise": 1.0, "duration": 1.0}
+    )
+    monitor, _ = _watch([scenario.model_copy(update={"seed": seed}) for seed in range(32)])
+    assert np.isnan(monitor.touch).all()
+
+
+def test_a_stop_behind_a_spring_is_a_seat() -> None:
+    """A second spring, five times as stiff, 0.5 mm in: the stiffness over 20 ms rises from k to 6 k."""
+    contact = Contact(2.0, 0.005, 0.05)
+    stop = {"kind": "contact.hard_stop", "position": 1.2e-3, "stiffness": 5.0 * contact.stiffness}
+    scenario = replace(contact, changes={"effects": [stop]}).scenario(FORCE)
+    monitor, loop = _watch([scenario])
+    assert monitor.first_stiffness[0] == pytest.approx(contact.stiffness, rel=0.1)
+    reached = loop.tally.first_tick[0] / scenario.rate + 1.2e-3 / contact.speed  # at the speed of approach; a little later in truth
+    assert reached < monitor.seat[0] < reached + 0.005 + 4.0 * 0.02  # the delay, and four memories
+    assert np.isnan(monitor.capture[0])
+
+
+def test_a_mechanism_that_pulls_has_captured() -> None:
+    scenario = load_scenario(SCENARIOS / "13-ring-down.yaml", set={"duration": 0.5, "rig.platform.tracking": "ideal"})
+    monitor, _ = _watch([scenario])
+    assert monitor.touch[0] < monitor.capture[0] < 0.3
+
+
+def _estimates(contact: Contact, seeds: range) -> list[ContactEstimate]:
+    result = bounce([replace(contact, seed=seed).scenario(FORCE) for seed in seeds])
+    e = result.loop.identification
+    assert e is not None
+    columns = (e.stiffness, e.damping, e.stiffness_sd, e.damping_sd)  # type: ignore[attr-defined]
+    return [ContactEstimate(*(float(column[i, 2]) for column in columns)) for i in range(len(seeds))]
+
+
+def test_wear_is_told_and_its_false_alarms_are_as_rare_as_promised() -> None:
+    """At 5 %, 400 healthy contacts raise 20 alarms, three standard deviations 13. A spring that is 1 % softer is always told: 20 sigma."""
+    contact = Contact(4.0, 0.01, 0.05)
+    baseline, healthy = _estimates(contact, range(1000, 1010)), _estimates(contact, range(400))
+    alarms = sum(wear(baseline, one, false_alarm_rate=0.05).alarm for one in healthy)
+    assert 7 <= alarms <= 33
+    worn = _estimates(replace(contact, frequency=contact.frequency * np.sqrt(0.99)), range(20))
+    found = [wear(baseline, one, false_alarm_rate=0.001) for one in worn]
+    assert all(f.alarm for f in found)
+    assert np.mean([f.stiffness_change for f in found]) == pytest.approx(-0.01, abs=0.001)
