@@ -1,0 +1,76 @@
+"""The benchmark of the coefficient of restitution on a corner of its grid."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from hiltestbed.bench.contacts import bounce, grid, random_rigs
+from hiltestbed.bench.contenders import CONTENDERS
+from hiltestbed.bench.cor import leaderboard, measure, measure_random, stability_boundary, statistics_of
+from hiltestbed.bench.cor_report import cor_report
+from hiltestbed.campaign.boundary import bounce_delay
+from hiltestbed.simulation import reference_scenario
+
+CONTACTS = grid((4.0,), (0.005, 0.02), damping_ratios=(0.05,))
+RECORD = {
+    "method", "frequency", "delay", "damping_ratio", "contact", "delay_knowledge", "tracking", "cor", "cor_reference", "cor_log_error",
+    "energy_generated", "peak_force_error", "stable",
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def records() -> list[dict]:
+    reference = bounce([reference_scenario(c.scenario({"kind": "none"})) for c in CONTACTS])
+    return [record for contender in CONTENDERS for record in measure(contender, CONTACTS, reference)]
+
+
+def test_every_method_is_on_record(records: list[dict]) -> None:
+    assert len(records) == len(CONTENDERS) * len(CONTACTS)
+    assert all(record.keys() >= RECORD for record in records)
+
+
+def test_the_resynchronised_prediction_wins_a_first_contact(records: list[dict]) -> None:
+    board = leaderboard(records, {(c.name, c.contact): 0.0 for c in CONTENDERS})
+    first = next(row for row in board if row["contact"] == "first")
+    assert first["method"] == "resynchronised"
+    assert first["largest_log_error"] < 0.003
+    assert first["stable"] == 1.0
+
+
+def test_energy_created_is_what_the_rebound_has_too_much(records: list[dict]) -> None:
+    """mu v^2 (e^2 - e_ref^2)/2 and, since the late force lets it in deeper, what the damper takes on top."""
+    for record, contact in zip((r for r in records if r["method"] == "none"), CONTACTS, strict=True):
+        assert record["energy_generated"] > 0.5 * contact.mass * contact.speed**2 * (record["cor"] ** 2 - record["cor_reference"] ** 2)
+
+
+def test_through_the_servo_the_tracking_is_on_record() -> None:
+    contacts = grid((2.0,), (0.005,), damping_ratios=(0.05,), tracking="servo")
+    reference = bounce([reference_scenario(c.scenario({"kind": "none"})) for c in contacts])
+    record = measure(CONTENDERS[0], contacts, reference)[0]
+    assert abs(record["J1"]) <= 0.5
+    assert 0.0 < record["J2"] < 5.0
+    assert 0.0 < record["J3"] < 5.0
+
+
+def test_the_boundary_is_where_theory_has_it() -> None:
+    """Without compensation e passes 1 at the delay of the closed form: within a step of the grid of delays, a factor of 1.5."""
+    boundary = stability_boundary(10)
+    for frequency, row in zip(boundary["frequency"], boundary["none"], strict=True):
+        w = 2.0 * math.pi * frequency
+        limit = bounce_delay(w * w, 2.0 * 0.05 * w, 1.0)
+        for delay, e in zip(boundary["delay"], row, strict=True):
+            if not 1.0 / 1.05 < delay / limit < 1.05:
+                assert (e > 1.0) == (delay > limit)
+
+
+def test_random_rigs_and_the_page(records: list[dict]) -> None:
+    best = next(c for c in CONTENDERS if c.name == "resynchronised" and c.contact == "first")
+    found = statistics_of(measure_random(best, random_rigs(4, seed=3)))
+    assert found["resynchronised"]["rebounded"] == 4
+    assert found["resynchronised"]["cor_log_error"]["max"] < 0.01
+    board = leaderboard(records, {(c.name, c.contact): 0.0 for c in CONTENDERS})
+    page = cor_report(records, {"leaderboard": board, "random_rigs": found, "boundary": stability_boundary(3)}).html()
+    assert "resynchronised" in page
+    assert "http" not in page.replace("http://www.w3.org", "")
