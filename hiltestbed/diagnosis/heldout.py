@@ -61,6 +61,7 @@ def placebo_of(fits: Sequence[Fit], found: Fit) -> Fit | None:
     own = {c.effect for c in found.causes}
     count = sum(len(c.names) for c in found.causes)
     wrong = [f for f in fits if not own & {c.effect for c in f.causes} and JITTER not in {c.effect for c in f.causes}]
+    wrong = [f for f in wrong if math.isfinite(f.score)]
     if not wrong:
         return None
     return min(wrong, key=lambda f: (abs(sum(len(c.names) for c in f.causes) - count), -f.score))

@@ -56,13 +56,13 @@ def _causes(report: Report, d: Diagnosis) -> None:
     if d.causes:
         _cause_table(report, d.causes, "Cause" if len(d.causes) == 1 else "Causes")
     if d.finding.partial:
-        _cause_table(report, d.finding.partial, "What comes nearest")
+        _cause_table(report, d.finding.partial, "What comes nearest", rivals=False)
         report.text("Of the vocabulary these explain most, but what they leave is not noise: they are no cause.")
     if d.finding.extends:
         report.text("extended.yaml in this folder is the scenario with these effects; it runs: hiltestbed run extended.yaml")
 
 
-def _cause_table(report: Report, causes: Sequence[Cause], title: str) -> None:
+def _cause_table(report: Report, causes: Sequence[Cause], title: str, rivals: bool = True) -> None:
     report.heading(title)
     for cause in causes:
         report.text(f"{cause.effect}: {meaning(cause.effect)} {EFFECTS[cause.effect].equation}")
@@ -72,8 +72,10 @@ def _cause_table(report: Report, causes: Sequence[Cause], title: str) -> None:
         for name, p in (c.parameters or {"": None}).items()
         for p in ([p] if p is not None else [])
     ]
+    header = ("effect", "parameter", "estimate (95 % interval)", "probability", "cannot be told from")
     if rows:
-        report.table(("effect", "parameter", "estimate (95 % interval)", "probability", "cannot be told from"), rows)
+        shown = len(header) if rivals else 3
+        report.table(header[:shown], [row[:shown] for row in rows])
 
 
 def _evidence(report: Report, d: Diagnosis) -> None:

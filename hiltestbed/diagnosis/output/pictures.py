@@ -95,7 +95,8 @@ def force_against_penetration(series: Sequence[Series], dataset: MeasuredDataset
         if compared:
             axes.plot(x, s.extended[rows], color=EXTENDED, lw=1.1, ls="--", label=compared)
         contact = run.scenario.mechanism.contact.stiffness
-        axes.set_title(f"run {i}: {abs(run.scenario.approach.velocity[2]):.3g} m/s, {contact:.3g} N/m", fontsize=9)
+        speed = abs(run.scenario.approach.velocity[2])
+        axes.set_title(f"run {i}: {f'{speed:.3g} m/s, ' if speed else ''}{contact:.3g} N/m", fontsize=9)
         axes.set_xlabel("penetration [mm]")
     grid[0, 0].set_ylabel("force along z [N]")
     grid[0, 0].legend(fontsize=8, frameon=False)
@@ -154,17 +155,20 @@ def heldout_bars(heldout: Heldout) -> Figure:
 
 def closed_loop_figures(loop: ClosedLoop, extends: bool) -> Figure | None:
     """Restitution and peak force of each run: measured, nominal, extended; None where nothing was measured of either."""
-    if all(f.cor is None and f.peak_force is None for f in loop.measured):
+    labels = {"cor": "coefficient of restitution", "peak_force": "peak force [N]"}
+    names = [name for name in labels if any(getattr(f, name) is not None for f in loop.measured)]
+    if not names:
         return None
-    figure, grid = new_figure(9.0, 3.2, nrows=1, ncols=2)
+    figure, axes_of = new_figure(4.5 * len(names), 3.2, nrows=1, ncols=len(names), squeeze=False)
+    grid = axes_of[0]
     sources = [("measured", loop.measured, "s", MEASURED, 9), ("nominal", loop.nominal, "o", NOMINAL, 6)]
     sources += [("extended", loop.extended, "D", EXTENDED, 5)] if extends else []
-    for axes, name, label in zip(grid, ("cor", "peak_force"), ("coefficient of restitution", "peak force [N]"), strict=True):
+    for axes, name in zip(grid, names, strict=True):
         for source, rows, marker, color, size in sources:
             known = [(r, v) for r, v in ((r, getattr(f, name)) for r, f in zip(loop.runs, rows, strict=True)) if v is not None]
             fill = "none" if source == "measured" else color
             axes.plot([r for r, _ in known], [v for _, v in known], marker, ms=size, mfc=fill, color=color, label=source)
-        axes.set(xlabel="run", ylabel=label, xticks=list(loop.runs))
+        axes.set(xlabel="run", ylabel=labels[name], xticks=list(loop.runs))
         axes.grid(alpha=0.3)
     grid[0].legend(fontsize=8, frameon=False)
     return figure
