@@ -35,6 +35,10 @@ def delay_ledger(scenario: Scenario, figures: ContactFigures) -> list[Delay]:
         delays.append(("platform.servo", figures.tracking_delay or 0.0))
     elif effects_of(scenario, "platform"):
         delays.append(("platform.effects", figures.tracking_delay or 0.0))
+    compensation = scenario.compensation
+    if compensation.force.kind == "resynchronised" or compensation.motion.kind == "contact_correction":
+        # these correct the force for where the platform is
+        delays.append(("compensation.platform", -sum(delay for source, delay in delays if source.startswith("platform."))))
     delays.append(("total", sum(delay for _, delay in delays)))
     k = scenario.mechanism.contact.stiffness
     return [Delay(source, delay, 0.0 - k * delay) for source, delay in delays]
@@ -64,11 +68,16 @@ def _compensation(scenario: Scenario) -> Iterator[tuple[str, float]]:
         case "phase_lead":
             lead, lag = lead_and_lag(scenario)
             yield "compensation.phase_lead", lag - lead
-        case "second_order_lead" | "polynomial" | "reconstruction" | "smith_predictor" | "cor_designed" | "normalised_passivity":
+        case "second_order_lead" | "polynomial" | "reconstruction" | "cor_designed" | "normalised_passivity":
             yield f"compensation.{force.kind}", -sensor.delay
+        case "smith_predictor":
+            yield "compensation.smith_predictor", -sensor.delay * force.stiffness / scenario.mechanism.contact.stiffness
         case "resynchronised":  # it plays the low-pass through as well
             lowpass = 0.0 if sensor.lowpass is None else 1.0 / (2.0 * math.pi * sensor.lowpass)
             yield "compensation.resynchronised", -sensor.delay - lowpass
+            if force.delay == "estimate":
+                late = sum(given["delay"] for kind, given in effects_of(scenario, "sensor") if kind == "sensor.delay")
+                yield "compensation.resynchronised.estimate", -late
         case "virtual_contact":  # a damper b is worth a lead of b/k
             yield "compensation.virtual_contact", -force.damping / scenario.mechanism.contact.stiffness
 

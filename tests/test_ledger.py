@@ -31,6 +31,13 @@ W = math.sqrt(1.0e5 / 400.0)
         {"sensor.delay": 0.008, "compensation.force": {"kind": "second_order_lead"}},
         {"sensor.delay": 0.008, "compensation.force": {"kind": "resynchronised"}},
         {"sensor.delay": 0.008, "compensation.force": {"kind": "virtual_contact", "damping": 500.0}},
+        {"sensor.delay": 0.008, "compensation.force": {"kind": "smith_predictor", "stiffness": 0.5e5, "damping": 200.0}},
+        {"compensation.force": {"kind": "resynchronised"}, "effects": [{"kind": "platform.delay", "delay": 0.008}]},
+        {
+            "sensor.delay": 0.004,
+            "compensation.force": {"kind": "resynchronised", "delay": "estimate"},
+            "effects": [{"kind": "sensor.delay", "delay": 0.004}],
+        },
     ],
     ids=lambda c: " ".join(str(v) for v in c.values()),
 )
