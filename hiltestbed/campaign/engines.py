@@ -6,6 +6,7 @@ None holds more than a few chunks at a time: work is handed out as results come 
 from __future__ import annotations
 
 import os
+import re
 import sys
 import threading
 import time
@@ -121,10 +122,18 @@ def dask(address: str) -> Engine:
 
 
 def _connect(address: str):
+    if not re.fullmatch(r"((tcp|tls|ws|wss|ucx)://)?(\[[0-9a-fA-F:]+\]|[^\s:/\[\]]+):\d{1,5}", address):
+        raise InputError(f"--scheduler {address}: is no address of a scheduler; write it as tcp://HOST:8786 or tls://HOST:8786")
     try:
         from distributed import Client
+        from distributed.security import Security
     except ImportError:
         raise MissingExtra("--scheduler", "cluster") from None
+    if address.startswith("tls://") and Security().get_connection_args("client").get("ssl_context") is None:
+        raise InputError(
+            f"--scheduler {address}: TLS has no certificates; give them to Dask, as DASK_DISTRIBUTED__COMM__TLS__CA_FILE, "
+            "..._TLS__CLIENT__CERT and ..._TLS__CLIENT__KEY in the environment"
+        )
     try:
         return Client(address, timeout=ANSWER, set_as_default=False)
     except (OSError, TimeoutError, ValueError, TypeError) as error:

@@ -150,6 +150,13 @@ def test_a_scheduler_that_does_not_answer_is_said_within_seconds(small: LoadedCa
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.parametrize("address", ["nonsense", "http://127.0.0.1:8786", "tcp://127.0.0.1", "tcp://a b:1"])
+def test_what_is_no_address_is_refused_at_once(small: LoadedCampaign, tmp_path: Path, address: str) -> None:
+    with pytest.raises(InputError, match="is no address of a scheduler"):
+        sweep(small, tmp_path / "out", scheduler=address)
+    assert not (tmp_path / "out").exists()
+
+
 def test_a_folder_of_another_campaign_is_refused_untouched(file: Path, small: LoadedCampaign, tmp_path: Path) -> None:
     sweep(small, tmp_path / "out")
     before = {path.name: path.read_bytes() for path in (tmp_path / "out").iterdir()}
