@@ -116,7 +116,7 @@ def test_the_recording_has_all_three_on_one_timeline(diagnosis: Diagnosis, tmp_p
         batch = chunk.to_record_batch()
         if "time" in batch.schema.names:
             rows[str(chunk.entity_path)] = rows.get(str(chunk.entity_path), 0) + batch.num_rows
-    for source in ("measured", "nominal", "extended"):
+    for source in ("data", "nominal", "extended"):
         assert rows[f"/run_1/force_z/{source}"] == 800
     assert rows["/run_1/residual/wrench_meas_fz/extended"] == 800
 

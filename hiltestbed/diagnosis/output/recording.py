@@ -28,6 +28,7 @@ SIGNALS = {  # entity: group, part, factor to the unit shown, title
 }
 IN_VIEW = ("pose_cmd_z", "pose_act_z", "force_z")
 RESIDUAL = "residual"
+DATA = "data"  # the measured curve: entities are drawn in the order of their names, and this one lies broad underneath
 
 
 def write_diagnosis_recording(path: Path, diagnosis: Diagnosis) -> None:
@@ -58,7 +59,7 @@ def _signals(rec: rr.RecordingStream, i: int, run: MeasuredRun, played: Played, 
         origin = f"run_{i}/{entity}"
         if group in record.data and record.valid[group][:, part].any():
             known = record.valid[group][:, part]
-            _curve(rec, f"{origin}/measured", record.t[known], factor * record.data[group][known, part], "measured", MEASURED, 4.0)
+            _curve(rec, f"{origin}/{DATA}", record.t[known], factor * record.data[group][known, part], "measured", MEASURED, 4.0)
         for name, trace, color in (("nominal", played.nominal, NOMINAL), ("extended", played.extended if extends else None, EXTENDED)):
             if trace is not None:
                 _curve(rec, f"{origin}/{name}", trace.t, factor * trace[group][:, part], name, color)
