@@ -121,6 +121,7 @@ def schema(kind: Annotated[str, typer.Argument(metavar="[scenario|campaign|datas
 
 BENCHES = {  # name to the module whose function of that name measures
     "cor": "hiltestbed.bench.cor",
+    "diagnosis": "hiltestbed.bench.diagnosis",
     "identification": "hiltestbed.bench.identification",
     "throughput": "hiltestbed.bench.throughput",
 }

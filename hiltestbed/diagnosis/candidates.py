@@ -108,9 +108,9 @@ def contact_candidates(s: Scales, captured: bool, lateral: bool) -> list[Candida
         candidate("contact.relaxation", {"stiffness": [0.1 * k, 0.4 * k], "time_constant": [0.004, 0.02, 0.08, 0.4]},
                   bounds={"stiffness": (0.005 * k, 10 * k), "time_constant": (1e-3, 5.0)}),
         candidate("contact.touch_offset", {"offset": [-0.3 * x, -0.1 * x, -0.02 * x, 0.02 * x, 0.1 * x, 0.3 * x]}),
-        candidate("frame.compliance", {"stiffness": [2 * k, 8 * k, 40 * k]}, bounds={"stiffness": (0.3 * k, 3000 * k)}),
-        candidate("frame.compliance", {"stiffness": [2 * k, 8 * k, 40 * k]}, bounds={"stiffness": (0.3 * k, 3000 * k)}, form="series"),
     ]  # fmt: skip
+    for form in ({}, {FORM: "series"}, {FORM: "elastic"}):
+        out.append(candidate("frame.compliance", {"stiffness": [2 * k, 8 * k, 40 * k]}, bounds={"stiffness": (0.3 * k, 3000 * k)}, **form))
     for form in ({}, {FORM: "undamped"}):
         out.append(candidate("contact.power_law", {"exponent": [], "stiffness": []}, starts=powers, **form))
     for form in ({}, {FORM: "reaction"}):
@@ -158,11 +158,8 @@ def skew_candidates(h: float) -> list[Candidate]:
     return [candidate("log.skew", grid), candidate("log.skew", grid, form="continuous")]
 
 
-def platform_candidates(s: Scales, substeps: int, reach: tuple[float, float] | None) -> list[Candidate]:
-    """Effects of the motion platform, for a tick of s.tick; reach: between which figures the largest departure lies [m].
-
-    Stiction: each jump starts where the last one ended, so that chi-square has a narrow well; the largest departure tells where.
-    """
+def platform_candidates(s: Scales, substeps: int, sticks: dict[int, list[float]]) -> list[Candidate]:
+    """Effects of the motion platform, for a tick of s.tick; sticks: instants a tick to starts for stiction [m], where there are any."""
     h = s.tick
     out = [
         candidate("platform.delay", {"delay": [0.3 * h, h, 3 * h, 8 * h, 20 * h]}),
@@ -172,8 +169,8 @@ def platform_candidates(s: Scales, substeps: int, reach: tuple[float, float] | N
         candidate("platform.speed_limit", {"speed": list(np.geomspace(0.3 * s.slow, 1.05 * s.fast, 8))}),
     ]
     out += [candidate("platform.scale", {"factor": [0.97, 1.03]}, 3, axis=a) for a in AXES]
-    sticks = list(np.geomspace(*reach, 80)) if reach else list(np.geomspace(5e-6, 8e-4, 6))
-    out += [candidate("platform.friction", {"stick": sticks}, **{FORM: m}) for m in dict.fromkeys((substeps, 20))]
+    few = list(np.geomspace(5e-6, 8e-4, 6))
+    out += [candidate("platform.friction", {"stick": sticks.get(m, few)}, **{FORM: m}) for m in dict.fromkeys((substeps, 20))]
     return out
 
 

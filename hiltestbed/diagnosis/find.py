@@ -29,7 +29,7 @@ def find(dataset: MeasuredDataset, progress: Progress | None = None) -> Finding:
     verdict = judge(findings)
     if progress:
         progress("intervals and left-out runs")
-    causes = tuple(_cause(findings, c) for c in verdict.causes)
+    causes = tuple(cause_of(findings, c) for c in verdict.causes)
     nearest = _nearest(findings, verdict)
     effects = _effects(findings, [*verdict.causes, *nearest])
     series = [
@@ -38,10 +38,10 @@ def find(dataset: MeasuredDataset, progress: Progress | None = None) -> Finding:
     alarmed = {name: e for name, e in findings.explanations.items() if e.alarm}
     left = "; ".join(describe(findings.residuals[n], e, LINK_NAMES[n]) for n, e in alarmed.items() if not e.adequate)
     return Finding(
-        verdict.verdict, verdict.link, causes, series, dict(findings.study.noise), _gain(findings, verdict.causes),
+        verdict.verdict, verdict.link, causes, series, dict(findings.study.noise), gain_of(findings, verdict.causes),
         tuple(r for n, e in alarmed.items() for r in _ranking(findings, n, e)), _isolability(findings, progress), left,
         tuple(f"{LINK_NAMES[name]} was not judged: {why}" for name, why in findings.missing.items()),
-        tuple(_cause(findings, c) for c in nearest), _gain(findings, nearest),
+        tuple(cause_of(findings, c) for c in nearest), gain_of(findings, nearest),
     )  # fmt: skip
 
 
@@ -66,7 +66,8 @@ def _effects(findings: Findings, causes: list[Named]) -> list[tuple[str, dict[st
     return [c.fit.effects()[c.index] for c in causes if c.effect not in base]
 
 
-def _cause(findings: Findings, c: Named) -> Cause:
+def cause_of(findings: Findings, c: Named) -> Cause:
+    """A cause with the 95 % intervals of its parameters."""
     ends = intervals(findings.residuals[c.link], c.fit) if c.effect not in {k for k, _ in findings.base} else None
     start = sum(len(x.names) for x in c.fit.causes[: c.index])
     names = c.fit.causes[c.index].names
@@ -94,7 +95,8 @@ def _interval(ends: Any, names: tuple[str, ...], start: int, name: str, value: f
     return (float(low), float(high))
 
 
-def _gain(findings: Findings, causes: list[Named]) -> Heldout | None:
+def gain_of(findings: Findings, causes: list[Named]) -> Heldout | None:
+    """The gain of the strongest cause's link on left-out runs; None without a cause."""
     if not causes:
         return None
     strongest = causes[0]

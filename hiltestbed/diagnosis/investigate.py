@@ -21,13 +21,14 @@ from hiltestbed.diagnosis.candidates import (
     skew_candidates,
 )
 from hiltestbed.diagnosis.chain import lead_record
-from hiltestbed.diagnosis.fit import Residual, fit
-from hiltestbed.diagnosis.links import Effects, WrenchLink
+from hiltestbed.diagnosis.fit import Residual, fit, refit, square
+from hiltestbed.diagnosis.links import FORM, Effects, WrenchLink
 from hiltestbed.diagnosis.search import ALARM, Explanation, jitter_beside, null_fit, search
 from hiltestbed.diagnosis.study import CORRELATED, DYNAMICS_FLOOR, Study, make_study, wrench_link
 from hiltestbed.frames import Array
 from hiltestbed.measured import MeasuredDataset
 
+STICKS = 250  # starts for stiction: each jump begins where the last one ended, so that the well of chi-square is narrow
 SMOOTH = 31  # rows of the Savitzky-Golay filter, order 3, where only a noisy pose is left to go by
 TONE = 30.0  # power of a line over that of the noise, from which it is tried as a hum
 RELATIVE = 0.01  # of the departure of a computed channel that an explanation may leave
@@ -92,14 +93,21 @@ def _explain(out: Findings, name: str, candidates: list[Candidate], progress: Pr
 
 
 def _platform_candidates(study: Study) -> list[Candidate]:
-    """A pose that holds departs by `stick` and what the command moves in a tick: the slowest run tells it best."""
+    """Those of the platform, with starts for stiction that the slowest run tells."""
     link = study.links["platform"]
     noise = min(study.noise.get(c, 0.0) for c in link.channels)
     speeds = [float(np.max(np.abs(np.diff(c[:, :3], axis=0)))) for c in link.commands]
     i = int(np.argmin(speeds))
     away = float(np.nanmax(np.abs(link.runs[i].measured - link.predict(i, ()))[1:])) - noise
-    low = max(away - speeds[i] - 4.0 * noise, 0.6 * away)
-    return platform_candidates(study.scales, study.runs[0].scenario.substeps, (low, away + noise) if away > 6.0 * noise else None)
+    substeps = study.runs[0].scenario.substeps
+    sticks: dict[int, list[float]] = {}
+    if away > 6.0 * noise:  # a pose that holds departs by `stick`, and by what the command moves in a tick
+        residual = Residual(link).on([i])
+        tried = np.geomspace(max(away - speeds[i] - 4.0 * noise, 0.5 * away), away + noise, STICKS)
+        for divide in dict.fromkeys((substeps, 20)):
+            costs = [square(residual([("platform.friction", {"stick": float(s), FORM: divide})])) for s in tried]
+            sticks[divide] = [float(tried[j]) for j in np.argsort(costs)[:6]]
+    return platform_candidates(study.scales, substeps, sticks)
 
 
 def _named(progress: Progress | None, link: str) -> Progress | None:
@@ -120,6 +128,8 @@ def _investigate_wrench(out: Findings, progress: Progress | None) -> None:
     if skewed:
         plain = Residual(link)
         found = min((fit(plain, (c,), c.grid) for c in skew_candidates(study.scales.tick)), key=lambda f: f.chi2)
+        plain.beware(found.effects())
+        found = refit(plain, found)
         if null_fit(plain).chi2 - found.chi2 > ALARM:
             out.base = found.effects()
     elif comp is None:
@@ -275,7 +285,8 @@ def _compensation_judge(study: Study) -> Callable:
             outside = np.concatenate([r[~residual.link.runs[i].touching, c] for i, r in zip(residual.runs, z, strict=True)])
             rms_in, rms_out = (float(np.sqrt(np.mean(x * x))) * level if len(x) else 0.0 for x in (inside, outside))
             noise = study.noise.get(name.replace("comp", "meas"), 0.0)
-            floor = max(level / math.sqrt(CORRELATED), min(rms_out, LEAD_NOISE * gain * noise))
+            apart = rms_out if len(outside) > SMOOTH else rms_in  # a latched mechanism is never free
+            floor = max(level / math.sqrt(CORRELATED), min(apart, LEAD_NOISE * gain * noise))
             out[name] = Leftover((max(rms_in, rms_out) / floor) ** 2, 0.0, 1.3, 1.0, len(inside))
         return out
 

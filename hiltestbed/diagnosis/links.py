@@ -168,6 +168,9 @@ def _shape(p: Array, kind: str, given: dict[str, Any]) -> None:
         p[DAMPING] = 0.0
     if kind == "frame.mode" and form == "reaction":
         p[REACTION] = 1.0
+    if kind == "frame.compliance" and form == "elastic":  # the spring alone gives, the damper feels the whole rate
+        p[STIFFNESS] *= given["stiffness"] / (given["stiffness"] + p[STIFFNESS])
+        p[FRAME] = 0.0
     if kind == "frame.compliance" and form == "series":
         share = given["stiffness"] / (given["stiffness"] + p[STIFFNESS])
         p[STIFFNESS] *= share

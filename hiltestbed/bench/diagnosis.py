@@ -1,0 +1,196 @@
+"""How often a hidden cause is found: sets of an independent rig with effects, sizes, rigs and seeds drawn at random.
+
+Alone and in pairs, healthy rigs, and effects that the vocabulary has no name for; then each effect ever smaller, until it is missed.
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections import Counter
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hiltestbed.bench.diagnosis_report import diagnosis_report
+from hiltestbed.bench.result import BenchResult
+from hiltestbed.effects.vocabulary import EFFECTS
+
+SEED = 20_000
+FULL = {"single": 82, "pair": 40, "healthy": 60, "foreign": 40}
+QUICK = {"single": 8, "pair": 3, "healthy": 3, "foreign": 3}
+SMALLER = (0.3, 0.1, 0.03, 0.01)  # of the drawn size, down the ladder of the smallest that is found
+MOST_TOGETHER = 3  # a set of the truth and at most two others counts as right
+
+
+@dataclass(frozen=True)
+class Task:
+    """One set to draw and diagnose."""
+
+    seed: int
+    kind: str
+    names: tuple[str, ...] | None = None
+    scale: float = 1.0
+
+
+def tasks(counts: dict[str, int], ladder: bool) -> list[Task]:
+    """The sets of the benchmark; singles go through the vocabulary in turn."""
+    out, ids = [], list(EFFECTS)
+    for kind, count in counts.items():
+        for i in range(count):
+            out.append(Task(SEED + len(out), kind, (ids[(i * 7) % len(ids)],) if kind == "single" else None))
+    if ladder:
+        out += [Task(SEED + 5000 + i, "single", (name,), scale) for scale in SMALLER for i, name in enumerate(ids) if name not in UNSCALED]
+    return out
+
+
+UNSCALED = {"dynamics.integrator", "dynamics.step_delay"}  # there is no smaller one
+
+
+def diagnosis(quick: bool = False, progress: Callable[[int, int], None] | None = None) -> BenchResult:
+    """The benchmark; `quick` draws a handful of sets and leaves out the smallest sizes."""
+    todo = tasks(QUICK if quick else FULL, not quick)
+    records: list[dict[str, Any]] = [{}] * len(todo)
+    with ProcessPoolExecutor(max(1, len(os.sched_getaffinity(0)))) as pool:
+        waiting = {pool.submit(one_set, task): i for i, task in enumerate(todo)}
+        for done, future in enumerate(as_completed(waiting), 1):
+            records[waiting[future]] = future.result()
+            if progress:
+                progress(done, len(todo))
+    summary = summarise(records)
+    lines = [
+        (name.replace("_", " "), f"{value:.3g}" if isinstance(value, float) else "-" if value is None else str(value))
+        for name, value in summary.items()
+        if not isinstance(value, (dict, list))
+    ]
+    return BenchResult("diagnosis", records, summary, diagnosis_report(records, summary), lines)
+
+
+def one_set(task: Task) -> dict[str, Any]:
+    """Draw a set, write it, diagnose it from its files, and compare."""
+    from hiltestbed.bench.independent_rig import draw_set, write_set
+    from hiltestbed.diagnosis.find import cause_of, gain_of
+    from hiltestbed.diagnosis.investigate import investigate
+    from hiltestbed.diagnosis.verdict import judge
+    from hiltestbed.measured import load_dataset
+
+    options: dict[str, Any] = {"names": task.names} if task.names else {}
+    hidden = draw_set(np.random.default_rng(task.seed), task.kind, scale=task.scale, **options)  # type: ignore[arg-type]
+    with tempfile.TemporaryDirectory() as folder:
+        write_set(folder, hidden)
+        findings = investigate(load_dataset(Path(folder) / "dataset.yaml"))
+    verdict = judge(findings)
+    causes = [cause_of(findings, c) for c in verdict.causes]
+    gain = gain_of(findings, verdict.causes)
+    truth = [e["kind"] for e in hidden.effects]
+    sets = [(c.effect, *c.indistinguishable_from) for c in causes]
+    right = judged_right(task.kind, truth, list(hidden.links), verdict.verdict, verdict.link, sets)
+    held, asked = coverage(hidden.effects, causes)
+    return {
+        "seed": task.seed, "kind": task.kind, "scale": task.scale, "hidden": hidden.effects, "strengths": list(hidden.strengths),
+        "verdict": verdict.verdict, "link": verdict.link, "right": right, "intervals_held": held, "intervals": asked,
+        "causes": [{"effect": c.effect, "indistinguishable_from": list(c.indistinguishable_from)} for c in causes],
+        "gain": gain.reduction if gain else None,
+        "gain_true": true_gain(findings, verdict, hidden.effects) if right and len(truth) == 1 else None,
+    }  # fmt: skip
+
+
+def judged_right(
+    kind: str, truth: Sequence[str], links: Sequence[str], verdict: str, link: str | None, sets: Sequence[Sequence[str]]
+) -> bool:
+    """Whether a verdict is right: healthy left alone, foreign unknown with its link, each hidden effect in a set of its own."""
+    if kind == "healthy":
+        return verdict == "no_discrepancy"
+    if kind == "foreign":  # contact and sensor are one link to the data
+        return verdict == "unknown" and (link in links or {link, *links} <= {"contact", "sensor"})
+    if verdict not in ("named", "ambiguous") or len(sets) != len(truth) or any(len(s) > MOST_TOGETHER for s in sets):
+        return False
+    return all(any(name in s for s in sets) for name in truth)
+
+
+def coverage(hidden: Sequence[dict[str, Any]], causes: Sequence[Any]) -> tuple[int, int]:
+    """How many true numbers lie in their intervals, of how many that were estimated under the right name."""
+    held = asked = 0
+    for effect in hidden:
+        for cause in causes:
+            if cause.effect != effect["kind"] or any(
+                isinstance(p.estimate, str) and p.estimate != effect.get(n) for n, p in cause.parameters.items()
+            ):
+                continue
+            for name, p in cause.parameters.items():
+                pairs = zip(effect[name], p.ci95, strict=True) if isinstance(p.estimate, tuple) else [(effect.get(name), p.ci95)]
+                for true, ends in pairs:
+                    if ends is not None and isinstance(true, (int, float)) and ends[0] != ends[1]:
+                        asked += 1
+                        held += ends[0] <= true <= ends[1]
+    return held, asked
+
+
+def true_gain(findings: Any, verdict: Any, hidden: Sequence[dict[str, Any]]) -> float | None:
+    """The gain of the hidden effect itself, at its true size, in the form in which it was found."""
+    cause = verdict.causes[0]
+    if cause.effect != hidden[0]["kind"] or cause.effect == "log.skew":
+        return None
+    residual = findings.residuals[cause.link]
+    fitted = cause.fit.effects()[cause.index][1]
+    if any(isinstance(fitted.get(name), str) and fitted[name] != value for name, value in hidden[0].items() if name != "kind"):
+        return None
+    effects = [(cause.effect, fitted | {name: value for name, value in hidden[0].items() if name != "kind"})]
+    squares = {"before": 0.0, "after": 0.0}
+    for i in residual.runs:
+        counts = residual.weight[i] > 0
+        inside = counts & residual.link.runs[i].touching[:, None]
+        use = inside if inside.any() else counts
+        squares["before"] += float(np.mean(residual.of_run(i, ())[use] ** 2))
+        squares["after"] += float(np.mean(residual.of_run(i, effects)[use] ** 2))
+    return 1.0 - float(np.sqrt(squares["after"] / squares["before"])) if squares["before"] > 0 else None
+
+
+def summarise(records: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """The rates, the confusion of names, the smallest size of each effect that was found."""
+    moderate = [r for r in records if r["scale"] == 1.0]
+    by_kind = {kind: [r for r in moderate if r["kind"] == kind] for kind in FULL}
+    hidden = by_kind["single"] + by_kind["pair"]
+    asked = sum(r["intervals"] for r in hidden)
+    ratios = [r["gain"] / r["gain_true"] for r in hidden if r["gain"] is not None and r["gain_true"]]
+    return {
+        "named_rate": _rate(by_kind["single"]),
+        "pair_rate": _rate(by_kind["pair"]),
+        "false_alarm_rate": 1.0 - _rate(by_kind["healthy"]),
+        "foreign_unknown_rate": _rate(by_kind["foreign"]),
+        "abstention_rate": sum(r["verdict"] == "unknown" for r in hidden) / max(1, len(hidden)),
+        "interval_coverage": sum(r["intervals_held"] for r in hidden) / asked if asked else None,
+        "gain_ratio": float(np.median(ratios)) if ratios else None,
+        "sets": {kind: len(part) for kind, part in by_kind.items()},
+        "confusion": confusion(by_kind["single"]),
+        "smallest_found": smallest(records),
+    }
+
+
+def _rate(records: Sequence[dict[str, Any]]) -> float:
+    return sum(r["right"] for r in records) / max(1, len(records))
+
+
+def confusion(singles: Sequence[dict[str, Any]]) -> dict[str, dict[str, int]]:
+    """Hidden effect to what it was called, and how often."""
+    out: dict[str, Counter] = {}
+    for r in singles:
+        called = " + ".join(sorted(c["effect"] for c in r["causes"])) if r["verdict"] in ("named", "ambiguous") else r["verdict"]
+        out.setdefault(r["hidden"][0]["kind"], Counter())[called] += 1
+    return {name: dict(counts) for name, counts in sorted(out.items())}
+
+
+def smallest(records: Sequence[dict[str, Any]]) -> dict[str, dict[str, Any]]:
+    """Effect to its smallest size that was found, with how far that stood above the noise."""
+    out: dict[str, dict[str, Any]] = {}
+    for r in records:
+        if r["kind"] != "single" or not r["right"]:
+            continue
+        name, strength = r["hidden"][0]["kind"], r["strengths"][0]
+        if name not in out or strength < out[name]["strength"]:
+            out[name] = {"strength": strength} | {k: v for k, v in r["hidden"][0].items() if k != "kind"}
+    return dict(sorted(out.items()))

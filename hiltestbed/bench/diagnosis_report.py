@@ -1,0 +1,59 @@
+"""The page of the benchmark of diagnosis."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from hiltestbed.report import Report, new_figure
+
+RATES = {
+    "named_rate": "one hidden effect, named (alone or in a set of three)",
+    "pair_rate": "two hidden effects, both named",
+    "false_alarm_rate": "healthy rigs that were extended",
+    "foreign_unknown_rate": "effects outside the vocabulary, unknown with the right link",
+    "abstention_rate": "hidden effects on which it abstained",
+    "interval_coverage": "true parameters in their 95 % intervals",
+    "gain_ratio": "gain on left-out runs over the true model's gain (median)",
+}
+
+
+def diagnosis_report(records: Sequence[dict[str, Any]], summary: dict[str, Any]) -> Report:
+    """Rates, what was called what, how small an effect may be."""
+    report = Report("Diagnosis of hidden effects")
+    report.lead(
+        f"Of {summary['sets']['single']} sets with one hidden effect {100 * summary['named_rate']:.0f} % were named, "
+        f"of {summary['sets']['healthy']} healthy ones {100 * summary['false_alarm_rate']:.0f} % raised an alarm."
+    )
+    rows = [[text, "-" if summary[name] is None else f"{summary[name]:.3f}"] for name, text in RATES.items()]
+    report.table(["figure", "value"], rows, f"Sets: {', '.join(f'{n} {kind}' for kind, n in summary['sets'].items())}.")
+    report.figure(_strengths(records), "Single effects: how far each stood above the noise of its link, and whether it was named.")
+    called = [[hidden, name, count] for hidden, names in summary["confusion"].items() for name, count in names.items()]
+    report.table(["hidden", "called", "sets"], called, "What each hidden effect was called.")
+    small = [[name, f"{found['strength']:.2g}", _sizes(found)] for name, found in summary["smallest_found"].items()]
+    report.table(["effect", "rms over noise", "parameters"], small, "The smallest size of each effect that was named.")
+    wrong = [[r["seed"], r["kind"], _names(r["hidden"]), r["verdict"], _names(r["causes"], "effect")] for r in records if not r["right"]]
+    report.table(["seed", "kind", "hidden", "verdict", "called"], wrong, "Every set that was judged wrongly, or too small to be found.")
+    return report
+
+
+def _sizes(found: dict[str, Any]) -> str:
+    return ", ".join(f"{k} {v:.4g}" if isinstance(v, float) else f"{k} {v}" for k, v in found.items() if k != "strength")
+
+
+def _names(entries: Sequence[dict[str, Any]], key: str = "kind") -> str:
+    return " + ".join(e[key] for e in entries) or "-"
+
+
+def _strengths(records: Sequence[dict[str, Any]]):
+    figure, axes = new_figure(8.0, 3.2)
+    singles = [r for r in records if r["kind"] == "single"]
+    for right, colour, row in ((True, "tab:green", 1.0), (False, "tab:red", 0.0)):
+        x = [max(r["strengths"][0], 1e-3) for r in singles if r["right"] is right]
+        axes.semilogx(x, row + 0.25 * np.sin(np.arange(len(x)) * 2.4), "o", color=colour, alpha=0.6)
+    axes.set_yticks([0.0, 1.0], ["missed", "named"])
+    axes.set_ylim(-0.5, 1.5)
+    axes.set_xlabel("rms of the change in the records, over the noise")
+    return figure
