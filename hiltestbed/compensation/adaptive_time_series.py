@@ -17,6 +17,7 @@ import numpy as np
 from numba import njit
 
 from hiltestbed.compensation.measurement import Measurement
+from hiltestbed.compensation.sections import motion_section
 from hiltestbed.frames import Array, pose_step
 from hiltestbed.scenario import Scenario
 
@@ -34,7 +35,7 @@ class AdaptiveTimeSeries:
 
     def __init__(self, scenarios: Sequence[Scenario]) -> None:
         n = len(scenarios)
-        motion = [s.compensation.motion for s in scenarios]
+        motion = [motion_section(s) for s in scenarios]
         self._tick = 1.0 / scenarios[0].rate
         self._fade = np.array([math.exp(-self._tick / m.window) for m in motion])
         self.coefficients = np.array([[1.0, m.delay, 0.25 * m.delay**2] for m in motion])

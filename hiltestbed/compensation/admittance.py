@@ -19,6 +19,7 @@ import numpy as np
 from numba import njit
 
 from hiltestbed.compensation.measurement import Measurement
+from hiltestbed.compensation.sections import motion_section
 from hiltestbed.frames import Array
 from hiltestbed.scenario import Scenario
 
@@ -36,7 +37,7 @@ class Admittance:
 
     def __init__(self, scenarios: Sequence[Scenario]) -> None:
         n = len(scenarios)
-        motion = [s.compensation.motion for s in scenarios]
+        motion = [motion_section(s) for s in scenarios]
         self._tick = 1.0 / scenarios[0].rate
         self._limit = np.array([m.limit for m in motion])
         self._speed = np.array([m.speed for m in motion])

@@ -18,6 +18,7 @@ import numpy as np
 from numba import njit
 
 from hiltestbed.compensation.measurement import Measurement
+from hiltestbed.compensation.sections import force_section
 from hiltestbed.compensation.virtual_contact import add_virtual
 from hiltestbed.frames import Array
 from hiltestbed.scenario import Scenario
@@ -50,7 +51,7 @@ class CorDesigned:
 
 def designed_damping(scenario: Scenario) -> float:
     """The damper [N s/m] that brings the design contact's e to the desired one in spite of the sensor's delay."""
-    force, mass = scenario.compensation.force, effective_mass(scenario)
+    force, mass = force_section(scenario), effective_mass(scenario)
     w = math.sqrt(force.stiffness / mass)
     z = force.damping / (2.0 * math.sqrt(force.stiffness * mass))
     turn = w * scenario.sensor.delay

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from hiltestbed.compensation.measurement import Measurement
+from hiltestbed.compensation.sections import force_section
 from hiltestbed.frames import Array
 from hiltestbed.scenario import Scenario
 
@@ -19,7 +20,7 @@ class DeadZone:
     """The dead zone on each force axis, for ``n`` runs; the torques pass while a force does."""
 
     def __init__(self, scenarios: Sequence[Scenario]) -> None:
-        self._width = np.array([[s.compensation.force.width] for s in scenarios])
+        self._width = np.array([[force_section(s).width] for s in scenarios])
         self.output = np.zeros((len(scenarios), 6))
 
     def compensate(self, measurement: Measurement) -> Array:

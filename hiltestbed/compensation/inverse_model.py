@@ -16,6 +16,7 @@ import numpy as np
 from numba import njit
 
 from hiltestbed.compensation.measurement import Measurement
+from hiltestbed.compensation.sections import motion_section
 from hiltestbed.frames import Array, pose_step
 from hiltestbed.scenario import Scenario
 
@@ -36,7 +37,7 @@ class InverseModel:
 
 def inverse_coefficients(scenario: Scenario) -> tuple[float, float, float]:
     """a1 [s], a2 [s^2], a3 [s^3]."""
-    motion = scenario.compensation.motion
+    motion = motion_section(scenario)
     w, T = 2.0 * math.pi * motion.bandwidth, motion.time_constant
     a, b = 2.0 * motion.damping_ratio / w, 1.0 / w**2
     return T + a, (a * T + b) * (motion.order >= 2), b * T * (motion.order >= 3)

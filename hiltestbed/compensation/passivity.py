@@ -21,6 +21,7 @@ import numpy as np
 from numba import njit
 
 from hiltestbed.compensation.measurement import Measurement
+from hiltestbed.compensation.sections import force_section
 from hiltestbed.frames import Array
 from hiltestbed.scenario import Scenario
 from hiltestbed.spacecraft import Spacecraft
@@ -57,7 +58,7 @@ class NormalisedPassivity:
 
     def __init__(self, scenarios: Sequence[Scenario], spacecraft: Spacecraft) -> None:
         n, h = len(scenarios), spacecraft.tick
-        force = [s.compensation.force for s in scenarios]
+        force = [force_section(s) for s in scenarios]
         self._craft = spacecraft
         self._gain = np.array([f.gain for f in force])
         self._smooth = np.array([1.0 - math.exp(-h / f.smoothing) for f in force])

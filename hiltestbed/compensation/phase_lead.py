@@ -17,6 +17,7 @@ import numpy as np
 from numba import njit
 
 from hiltestbed.compensation.measurement import Measurement
+from hiltestbed.compensation.sections import force_section
 from hiltestbed.frames import Array
 from hiltestbed.scenario import Scenario
 
@@ -49,7 +50,7 @@ class PhaseLead:
 
 def lead_and_lag(scenario: Scenario) -> tuple[float, float]:
     """T1 and T2 [s] of the scenario's phase lead."""
-    force = scenario.compensation.force
+    force = force_section(scenario)
     return (scenario.sensor.delay + force.lag if force.lead is None else force.lead), force.lag
 
 

@@ -13,11 +13,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
 from hiltestbed.compensation.history import History
 from hiltestbed.compensation.measurement import Measurement
+from hiltestbed.compensation.sections import force_section
 from hiltestbed.frames import Array
 from hiltestbed.scenario import Scenario
 
@@ -28,7 +30,7 @@ class PolynomialExtrapolation:
     def __init__(self, scenarios: Sequence[Scenario]) -> None:
         n = len(scenarios)
         self._ticks = np.array([s.sensor.delay * s.rate for s in scenarios])
-        orders = np.array([s.compensation.force.order for s in scenarios])
+        orders = np.array([force_section(s).order for s in scenarios])
         self._weights = np.array([[(-1) ** i * math.comb(p + 1, i + 1) for i in range(int(orders.max()) + 1)] for p in orders], dtype=float)
         self._history = History(6, self._ticks * orders.max())
         self._late = np.zeros((n, 6))
@@ -42,5 +44,5 @@ class PolynomialExtrapolation:
             self.output += self._weights[:, i, None] * self._history.before(i * self._ticks, self._late)
         return self.output
 
-    def buffers(self) -> dict[str, Array]:
+    def buffers(self) -> dict[str, Any]:
         return {"output": self.output, "history": self._history.values, "clock": self._history.clock}

@@ -20,6 +20,7 @@ from hiltestbed.compensation.captured import observe
 from hiltestbed.compensation.history import History
 from hiltestbed.compensation.measurement import Measurement
 from hiltestbed.compensation.phase_lead import PhaseLead
+from hiltestbed.compensation.sections import force_section
 from hiltestbed.frames import Array
 from hiltestbed.scenario import Scenario
 
@@ -55,7 +56,7 @@ class SmithPredictor:
 
     def __init__(self, scenarios: Sequence[Scenario]) -> None:
         n = len(scenarios)
-        force = [s.compensation.force for s in scenarios]
+        force = [force_section(s) for s in scenarios]
         self._stiffness = np.array([f.stiffness for f in force])
         self._damping = np.array([f.damping for f in force])
         self._lead = PhaseLead(scenarios) if force[0].lead_rest else None

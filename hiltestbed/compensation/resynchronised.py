@@ -26,10 +26,12 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from hiltestbed.compensation import contact_line as cl
 from hiltestbed.compensation.captured import CapturedContact
 from hiltestbed.compensation.measurement import Measurement
+from hiltestbed.compensation.sections import force_section
 from hiltestbed.compensation.twin import SCRATCH, carry, mobility, solve, step, wrench_at_A, wrench_at_P
 from hiltestbed.frames import Array, quat_conj_mul, rotate, rotation_vector
 from hiltestbed.scenario import Scenario
@@ -39,6 +41,9 @@ HISTORY = 512  # ticks of a contact that can be run again
 SYNC_LIMIT = 0.5  # of a tick: the fastest blending that the semi-implicit step carries well
 # Columns of ``tick``: ticks done, index of *behind*, index of the touch, samples at the next run-again.
 DONE, BEHIND, ANCHOR, AGAIN, TICK = range(5)
+
+
+Integers = NDArray[np.int64]
 
 
 class Bodies(NamedTuple):
@@ -53,12 +58,12 @@ class Bodies(NamedTuple):
 class Setup(NamedTuple):
     """Numbers of each run, ``(n, ...)``."""
 
-    late: Array  # whole ticks after which a force is known
+    late: Integers  # whole ticks after which a force is known
     part: Array  # of a tick that it is younger than those
     weight: Array  # of the younger velocity at the time the force was felt
     smooth: Array  # gain a tick of the sensor's low-pass; 1: none
     leak: Array  # of its high-pass; 1: none
-    skip: Array  # samples after the touch that the low-pass's memory spoils
+    skip: Integers  # samples after the touch that the low-pass's memory spoils
     sigma: Array  # (n, 2) noise of forces and torques
     blend: Array  # [rad/s]
     estimate: Array  # whether the instant of touch corrects the delay
@@ -67,7 +72,7 @@ class Setup(NamedTuple):
 class State(NamedTuple):
     """What changes from tick to tick, ``(n, ...)``."""
 
-    tick: Array
+    tick: Integers
     q: Array  # (n, 2, 2, 7): behind, and behind at the touch
     v: Array
     wrench: Array  # (n, L, 6) as measured, tick j at slot j modulo L
@@ -75,7 +80,7 @@ class State(NamedTuple):
     rate: Array  # (n, L, 6) its twist
     fit: Array
     law: Array
-    count: Array
+    count: Integers
     line: Array  # (n, 3, 6)
     regressor: Array  # (n, 3, 2) x, v, 1 in the sensor's filters
     pending: Array  # (n, 4) the last sample
@@ -105,7 +110,7 @@ class Resynchronised:
         self._fixed = int(scenarios[0].mechanism.kind == "bumper")
         self._ideal = int(scenarios[0].rig.platform.tracking == "ideal")
         self._substeps = float(scenarios[0].substeps)
-        self._bodies = Bodies(spacecraft.port, spacecraft.mass, spacecraft.inertia, np.linalg.inv(spacecraft.inertia))
+        self._bodies = Bodies(spacecraft.port, spacecraft.mass, spacecraft.inertia, np.linalg.inv(spacecraft.inertia).astype(np.float64))
         self.state = _state(scenarios, spacecraft, int(self._setup.late.max()))
         law = self.state.law
         self.stiffness, self.damping, self.touch = law[:, cl.STIFFNESS], law[:, cl.DAMPING], law[:, cl.TOUCH]
@@ -138,7 +143,7 @@ def _setup(scenarios: Sequence[Scenario], h: float) -> Setup:
     n = len(scenarios)
     lowpass = np.array([0.0 if s.sensor.lowpass is None else 1.0 / (2.0 * math.pi * s.sensor.lowpass) for s in scenarios])
     leak = np.array([math.inf if s.sensor.time_constant is None else s.sensor.time_constant for s in scenarios])
-    force = [s.compensation.force for s in scenarios]
+    force = [force_section(s) for s in scenarios]
     setup = Setup(
         late=np.zeros(n, dtype=np.int64),
         part=np.zeros(n),
@@ -158,7 +163,7 @@ def _setup(scenarios: Sequence[Scenario], h: float) -> Setup:
 
 def _state(scenarios: Sequence[Scenario], spacecraft: Spacecraft, late: int) -> State:
     n = spacecraft.n
-    known = [s.compensation.force.contact for s in scenarios]
+    known = [force_section(s).contact for s in scenarios]
     rows = [cl.unknown() if c is None else cl.prior(c.stiffness, c.damping, c.touch) for c in known]
     spare = late + 64  # an estimated delay may be longer than the nominal one
     length = HISTORY + 2 * spare

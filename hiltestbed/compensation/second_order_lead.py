@@ -15,6 +15,7 @@ import numpy as np
 from numba import njit
 
 from hiltestbed.compensation.measurement import Measurement
+from hiltestbed.compensation.sections import force_section
 from hiltestbed.frames import Array
 from hiltestbed.scenario import Scenario
 
@@ -25,7 +26,7 @@ class SecondOrderLead:
     def __init__(self, scenarios: Sequence[Scenario]) -> None:
         n, h = len(scenarios), 1.0 / scenarios[0].rate
         delay = np.array([s.sensor.delay for s in scenarios])
-        lag = np.array([s.compensation.force.lag for s in scenarios])
+        lag = np.array([force_section(s).lag for s in scenarios])
         first, second = delay + 2.0 * lag, 0.5 * delay**2 + 2.0 * delay * lag + lag**2
         self._up = np.stack([1.0 + first / h + second / h**2, -first / h - 2.0 * second / h**2, second / h**2], axis=1)
         self._down = np.stack([1.0 + 2.0 * lag / h + (lag / h) ** 2, -2.0 * lag / h - 2.0 * (lag / h) ** 2, (lag / h) ** 2], axis=1)

@@ -14,6 +14,7 @@ import numpy as np
 from numba import njit
 
 from hiltestbed.compensation.measurement import Measurement
+from hiltestbed.compensation.sections import force_section
 from hiltestbed.frames import Array
 from hiltestbed.scenario import Scenario
 
@@ -22,8 +23,8 @@ class VirtualContact:
     """The virtual force along the insertion, for ``n`` runs."""
 
     def __init__(self, scenarios: Sequence[Scenario]) -> None:
-        self._stiffness = np.array([s.compensation.force.stiffness for s in scenarios])
-        self._damping = np.array([s.compensation.force.damping for s in scenarios])
+        self._stiffness = np.array([force_section(s).stiffness for s in scenarios])
+        self._damping = np.array([force_section(s).damping for s in scenarios])
         self.output = np.zeros((len(scenarios), 6))
 
     def compensate(self, measurement: Measurement) -> Array:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Protocol
 
 from hiltestbed.compensation.phase_lead import PhaseLead
+from hiltestbed.compensation.sections import identification_section
 from hiltestbed.frames import Array
 from hiltestbed.identification.hunt_crossley import HuntCrossley
 from hiltestbed.identification.instrumental import InstrumentVariables
@@ -41,7 +42,7 @@ class Identification(Protocol):
 
 def make_identification(scenarios: Sequence[Scenario]) -> Identification | None:
     """The estimator that ``identification`` names, or None; one kind for all runs of a batch."""
-    identification = scenarios[0].identification
+    identification = identification_section(scenarios[0])
     match identification.kind:
         case "none":
             return None
@@ -50,7 +51,7 @@ def make_identification(scenarios: Sequence[Scenario]) -> Identification | None:
         case "rls_raw":
             return RecursiveLeastSquares(scenarios, ContactSamples(scenarios, aligned=False))
         case "rls_lead":
-            constants = [(s.sensor.delay + s.identification.lag, s.identification.lag) for s in scenarios]
+            constants = [(s.sensor.delay + identification_section(s).lag, identification_section(s).lag) for s in scenarios]
             return RecursiveLeastSquares(scenarios, ContactSamples(scenarios, aligned=False), PhaseLead(scenarios, constants))
         case "kalman":
             return AdaptiveKalman(scenarios)

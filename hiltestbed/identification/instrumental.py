@@ -12,6 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 from numba import njit
 
+from hiltestbed.compensation.sections import identification_section
 from hiltestbed.frames import Array
 from hiltestbed.identification.samples import ContactSamples
 from hiltestbed.scenario import Scenario
@@ -26,7 +27,7 @@ class InstrumentVariables:
     def __init__(self, scenarios: Sequence[Scenario]) -> None:
         n = len(scenarios)
         self.source = ContactSamples(scenarios)
-        self._lags = np.array([s.identification.lag for s in scenarios])
+        self._lags = np.array([identification_section(s).lag for s in scenarios])
         self._past = np.zeros((n, int(self._lags.max()) + 1, 6, 3))
         self._length = np.zeros(n, dtype=np.int64)  # samples of this contact
         self._sums = np.zeros((n, 6, 3, 4))  # Z^T Phi, Z^T y

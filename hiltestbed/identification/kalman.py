@@ -14,6 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 from numba import njit
 
+from hiltestbed.compensation.sections import identification_section
 from hiltestbed.frames import Array
 from hiltestbed.identification.samples import ContactSamples
 from hiltestbed.scenario import Scenario
@@ -31,7 +32,7 @@ class AdaptiveKalman:
     def __init__(self, scenarios: Sequence[Scenario]) -> None:
         n = len(scenarios)
         self.source = ContactSamples(scenarios)
-        self._wander = np.array([s.identification.wander for s in scenarios])
+        self._wander = np.array([identification_section(s).wander for s in scenarios])
         self._state = np.zeros((n, 6, 3))
         self._covariance = np.tile(P0 * np.eye(3), (n, 6, 1, 1))
         self._noise = np.zeros((n, 6))

@@ -19,6 +19,7 @@ import numpy as np
 from numba import njit
 
 from hiltestbed.compensation.phase_lead import PhaseLead
+from hiltestbed.compensation.sections import identification_section
 from hiltestbed.frames import Array
 from hiltestbed.identification.samples import ContactSamples
 from hiltestbed.scenario import Scenario
@@ -45,7 +46,7 @@ class RecursiveLeastSquares:
         n = len(scenarios)
         self.source = ContactSamples(scenarios) if source is None else source
         self._lead = lead
-        self.forgetting = np.array([s.identification.forgetting for s in scenarios])
+        self.forgetting = np.array([identification_section(s).forgetting for s in scenarios])
         self._sums = np.zeros((n, 6, SUMS))
         self._yy = np.zeros((n, 6))
         self.stiffness = np.full((n, 6), np.nan)
