@@ -113,15 +113,15 @@ class Loop:
 
     def _end_runs(self) -> None:
         """End the runs that diverged or passed a safety limit at this tick."""
-        for i in np.flatnonzero(self.alive):
+        for i in map(int, np.flatnonzero(self.alive)):
             reason = self.safety.reason(i)
             if self.plant.diverged[i]:
-                self.trouble[int(i)] = (self.k, "diverged", self.plant.divergence(i))
+                self.trouble[i] = (self.k, "diverged", self.plant.divergence(i))
             elif not np.all(np.abs(self.drive.pose[i]) <= POSE_LIMIT):
                 where = ", ".join(f"{v:.3g}" for v in self.drive.pose[i, :3])
-                self.trouble[int(i)] = (self.k, "diverged", f"relative position px, py, pz = {where} m (limit {POSE_LIMIT:g} m)")
+                self.trouble[i] = (self.k, "diverged", f"relative position px, py, pz = {where} m (limit {POSE_LIMIT:g} m)")
             elif reason is not None:
-                self.trouble[int(i)] = (self.k, "stopped", reason)
+                self.trouble[i] = (self.k, "stopped", reason)
             else:
                 continue
             self.alive[i] = False

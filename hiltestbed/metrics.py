@@ -70,7 +70,7 @@ class Tally:
         """The numerical model's twist ``(n, 6)`` before the first tick."""
         self._twist[:] = twist
 
-    def update(self, k: int, rig: tuple[Array, Array, Array, Array], pose_before: Array, drive: tuple[Array, Array]) -> None:
+    def update(self, k: int, rig: tuple[Array, Array, Array, NDArray[np.bool_]], pose_before: Array, drive: tuple[Array, Array]) -> None:
         """Take in tick k.
 
         Args:

@@ -49,9 +49,11 @@ class SensorChain:
     limit: Array
     step: Array
 
-    def arrays(self) -> tuple[Array, ...]:
+    def arrays(self) -> tuple[Array, Array, Array, Array, Array, Array, Array, Array, Array]:
         """The fields in the order of the kernels' arguments, after the delay and its jitter."""
-        return tuple(getattr(self, key) for key in _KEYS[2:])
+        return (
+            self.calibration, self.lag, self.leak, self.offset, self.drift, self.tone, self.deadzone, self.limit, self.step,
+        )  # fmt: skip
 
 
 def sensor_chain(
@@ -109,7 +111,7 @@ def sensor_chain(
                 limit[:3] = np.minimum(limit[:3], p["limit"])
     step = np.repeat(np.asarray(quantisation, dtype=float), 3)
     return SensorChain(
-        np.float64(delay), np.float64(jitter), calibration, np.array(lag), np.array(leak), offset, ramp, np.array(tone),
+        np.array(float(delay)), np.array(float(jitter)), calibration, np.array(lag), np.array(leak), offset, ramp, np.array(tone),
         deadzone, limit, step,
     )  # fmt: skip
 
