@@ -62,11 +62,18 @@ def judge(findings: Findings) -> Verdict:
     causes = _merged(causes, findings)
     causes.sort(key=lambda c: -c.weight)
     if unexplained:
-        return Verdict("unknown", max(unexplained)[1], causes)
+        return Verdict("unknown", _record_alone(findings) or max(unexplained)[1], causes)
     if not causes:
         return Verdict("no_discrepancy", None, [])
     ambiguous = any(c.rivals for c in causes)
     return Verdict("ambiguous" if ambiguous else "named", EFFECTS[causes[0].effect].link, causes)
+
+
+def _record_alone(findings: Findings) -> str | None:
+    """`log` where the force departs from what it came from and from what became of it alike: the record, and not the loop."""
+    both = [findings.explanations.get(name) for name in ("wrench", "compensation")]
+    stamped = any(e is not None and any(c.effect == "log.skew" for c in e.chosen.causes) for e in both) or bool(findings.base)
+    return "log" if stamped and all(e is not None and e.alarm for e in both) else None
 
 
 def _causes(findings: Findings, name: str, e: Explanation) -> list[Cause]:
