@@ -33,7 +33,7 @@ class MeasuredRun(Strictly):
     """One file of measured data."""
 
     file: Annotated[str, Field(min_length=1)] = Field(
-        description="CSV, Parquet, HDF5, MAT, MDF4, TDMS or MCAP, from the dataset's folder; ${NAME} stands for a variable of the environment"
+        description="CSV, Parquet, HDF5, MAT, MDF4, TDMS or MCAP, from the dataset's folder; ${NAME}: a variable of the environment"
     )
     set: dict[str, Any] = Field(default={}, description="what was different in this run: dotted scenario key to value")
     channels: dict[str, Channel] = Field(default={}, description="channels that stand elsewhere in this file than in the others")
