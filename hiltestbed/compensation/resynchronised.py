@@ -29,20 +29,17 @@ from numba import njit
 from numpy.typing import NDArray
 
 from hiltestbed.compensation import contact_line as cl
+from hiltestbed.compensation.ahead import predict
+from hiltestbed.compensation.behind import ANCHOR, DONE, HISTORY, TICK, catch_up, identify, remember, set_delay
 from hiltestbed.compensation.captured import CapturedContact
 from hiltestbed.compensation.measurement import Measurement
 from hiltestbed.compensation.sections import force_section
-from hiltestbed.compensation.twin import SCRATCH, carry, mobility, solve, step, wrench_at_A, wrench_at_P
+from hiltestbed.compensation.twin import SCRATCH, mobility, solve, wrench_at_A, wrench_at_P
 from hiltestbed.frames import Array, quat_conj_mul, rotate, rotation_vector
 from hiltestbed.scenario import Scenario
-from hiltestbed.spacecraft import Spacecraft, relative_motion
+from hiltestbed.spacecraft import Spacecraft
 
-HISTORY = 512  # ticks of a contact that can be run again
 SYNC_LIMIT = 0.5  # of a tick: the fastest blending that the semi-implicit step carries well
-# Columns of ``tick``: ticks done, index of *behind*, index of the touch, samples at the next run-again.
-DONE, BEHIND, ANCHOR, AGAIN, TICK = range(5)
-
-
 Integers = NDArray[np.int64]
 
 
@@ -157,7 +154,7 @@ def _setup(scenarios: Sequence[Scenario], h: float) -> Setup:
     )
     ideal = scenarios[0].rig.platform.tracking == "ideal"
     for i, s in enumerate(scenarios):
-        _set_delay(i, s.sensor.delay, h, ideal, float(s.substeps), setup)
+        set_delay(i, s.sensor.delay, h, ideal, float(s.substeps), setup)
     return setup
 
 
@@ -192,17 +189,6 @@ def _state(scenarios: Sequence[Scenario], spacecraft: Spacecraft, late: int) -> 
 
 
 @njit(cache=True)
-def _set_delay(i, delay, h, ideal, substeps, setup):
-    """Ticks and parts of a tick of a delay [s]. Between two substeps the sensor's reading is interpolated, the rate with it."""
-    ticks = delay / h
-    late = math.ceil(ticks - 1e-9)
-    part = min(max(late - ticks, 0.0), 1.0)
-    setup.late[i] = late
-    setup.part[i] = part
-    setup.weight[i] = min(1.0, part * substeps) if ideal else part
-
-
-@njit(cache=True)
 def _advance(h, kind, bodies, setup, state, wrench, pose, twist, ahead_pose, ahead_twist, predicted):
     """One tick of *behind* and *ahead* for every run; ``predicted`` (n, 6) is the wrench at t_k, at P's origin."""
     fixed, ideal, substeps = kind
@@ -210,319 +196,11 @@ def _advance(h, kind, bodies, setup, state, wrench, pose, twist, ahead_pose, ahe
     rows = np.empty((8, 7))
     matrix = np.empty((6, 6))
     for i in range(pose.shape[0]):
-        _remember(i, state, wrench[i], pose[i], twist[i])
-        _identify(i, h, fixed, ideal, substeps, bodies, setup, state, work, rows)
-        _catch_up(i, h, fixed, bodies, setup, state, work, rows)
-        _predict(i, h, fixed, bodies, setup, state, work, rows, matrix, ahead_pose[i], ahead_twist[i], predicted[i])
+        remember(i, state, wrench[i], pose[i], twist[i])
+        identify(i, h, fixed, ideal, substeps, bodies, setup, state, work, rows)
+        catch_up(i, h, fixed, bodies, setup, state, work, rows)
+        predict(i, h, fixed, bodies, setup, state, work, rows, matrix, ahead_pose[i], ahead_twist[i], predicted[i])
         state.tick[i, DONE] += 1
-
-
-@njit(cache=True, inline="always")
-def _remember(i, state, wrench, pose, twist):
-    slot = state.tick[i, DONE] % state.x.shape[1]
-    for j in range(3):
-        state.x[i, slot, j] = pose[j]
-    rotation_vector(pose[3:7], state.x[i, slot, 3:6])
-    for j in range(6):
-        state.wrench[i, slot, j] = wrench[j]
-        state.rate[i, slot, j] = twist[j]
-
-
-@njit(cache=True, inline="always")
-def _along(fixed, line, x):
-    """``G.x``"""
-    if fixed:
-        return x[2]
-    return line[0, 0] * x[0] + line[0, 1] * x[1] + line[0, 2] * x[2] + line[0, 3] * x[3] + line[0, 4] * x[4] + line[0, 5] * x[5]
-
-
-@njit(cache=True, inline="always")
-def _identify(i, h, fixed, ideal, substeps, bodies, setup, state, work, rows):
-    """Take the reading of this tick beside the pose at the time it was felt."""
-    k, late, part = state.tick[i, DONE], setup.late[i], setup.part[i]
-    j = k - late
-    if j < 0:
-        return
-    length = state.x.shape[1]
-    line, fit, law, count = state.line[i], state.fit[i], state.law[i], state.count[i]
-    early, now = state.x[i, j % length], state.x[i, min(j + 1, k) % length]
-    position, rate, at_A = rows[0], rows[1], rows[2]
-    w = setup.weight[i]
-    for c in range(6):
-        position[c] = (1.0 - part) * early[c] + part * now[c]
-        rate[c] = (1.0 - w) * state.rate[i, j % length, c] + w * state.rate[i, min(j + 1, k) % length, c]
-    wrench_at_A(state.wrench[i, k % length], position, at_A)
-    y = at_A[2] if fixed else math.sqrt(at_A[0] ** 2 + at_A[1] ** 2 + at_A[2] ** 2)
-    fit[cl.PEAK] = max(fit[cl.PEAK], y)
-    filtered = setup.smooth[i] < 1.0
-    gate = cl.GATE_PEAK_FILTERED if filtered and count[cl.ABOVE] > 0 and count[cl.SAMPLES] > 0 else cl.GATE_PEAK
-    if y <= cl.GATE_SIGMA * setup.sigma[i, 0] or y <= gate * fit[cl.PEAK]:
-        if count[cl.ABOVE] > 0 and fixed == 0:
-            law[cl.ARMED] = 0.0  # the next contact may be elsewhere on the surface
-        count[cl.ABOVE] = 0
-        state.regressor[i] = 0.0
-        return
-    fade = math.exp(-h / cl.DIRECTION_MEMORY)
-    sigma = setup.sigma[i]
-    cl.direct(line, at_A, y, fixed, fade, (sigma[0] * sigma[0], sigma[1] * sigma[1]))
-    if fixed:
-        cl.rub(fit, law, line, at_A, rate, y, setup.sigma[i, 0])
-    s, u = _along(fixed, line, position), _along(fixed, line, rate)
-    count[cl.ABOVE] += 1
-    if count[cl.ABOVE] == 1:
-        _touched(i, h, fixed, ideal, substeps, s, u, bodies, setup, state, work)
-        s = s if setup.late[i] == late and setup.part[i] == part else fit[cl.REFERENCE] + 0.5 * h * u
-    if count[cl.ABOVE] > 2 + setup.skip[i]:  # the last sample of a contact is left out: it may be clipped
-        cl.learn(fit, law, count, state.pending[i], setup.sigma[i, 0])
-    _felt(s, u, setup.smooth[i], setup.leak[i], state.regressor[i], state.pending[i])
-    state.pending[i, 3] = y
-
-
-@njit(cache=True)
-def _touched(i, h, fixed, ideal, substeps, s, u, bodies, setup, state, work):
-    """A contact has begun: correct the delay by the instant of touch if asked to, keep *behind* as it is to run it again."""
-    fit, law, count, tick = state.fit[i], state.law[i], state.count[i], state.tick[i]
-    if setup.estimate[i] == 1 and count[cl.CONTACTS] == 0 and u > 0.0:
-        late = setup.late[i]
-        expected = law[cl.TOUCH] if law[cl.ARMED] == 1.0 else 0.0
-        correction = (s - expected) / u - 0.5 * h  # the force began within the tick that ended here
-        spare = (state.x.shape[1] - HISTORY) // 2
-        delay = min(max(state.delay[i] + correction, 0.0), (spare - 2) * h)
-        state.delay[i] = delay
-        _set_delay(i, delay, h, ideal, substeps, setup)
-        back = setup.late[i] - late
-        if tick[BEHIND] - back < 0:
-            back = tick[BEHIND]
-        none = state.used[i]
-        none[:] = 0.0
-        carry(state.q[i, 0], state.v[i, 0], bodies.port[i], bodies.mass[i], bodies.inverse[i], -h * back, none, none, work)
-        tick[BEHIND] -= back
-        s = expected + 0.5 * h * u
-    cl.touch(fit, law, count, s, u, h)
-    _rewind(i, h, fixed, s, u, bodies, state, work)
-    state.q[i, 1] = state.q[i, 0]
-    state.v[i, 1] = state.v[i, 0]
-    state.filtered[i, 1] = state.filtered[i, 0]
-    tick[ANCHOR] = tick[BEHIND]
-    tick[AGAIN] = cl.MINIMUM_SAMPLES
-
-
-@njit(cache=True)
-def _rewind(i, h, fixed, s, u, bodies, state, work):
-    """A platform that lags touches later than *behind* does: take that back, in free flight, to where the rig touched."""
-    tick, pose, at = state.tick[i], np.empty(7), np.empty(6)
-    relative_motion(state.q[i, 0], state.v[i, 0], bodies.port[i], work, pose, at)
-    at[0:3] = pose[0:3]
-    rotation_vector(pose[3:7], at[3:6])
-    reached = _along(fixed, state.line[i], at)
-    ticks = int(min((reached - s) / (u * h), min(HISTORY // 4, tick[BEHIND]))) if u > 0.0 else 0
-    if ticks < 1:
-        return
-    none = state.used[i]
-    none[:] = 0.0
-    carry(state.q[i, 0], state.v[i, 0], bodies.port[i], bodies.mass[i], bodies.inverse[i], -h * ticks, none, none, work)
-    tick[BEHIND] -= ticks
-
-
-@njit(cache=True, inline="always")
-def _felt(x, v, smooth, leak, memory, out):
-    """x, v and 1 as they pass the sensor's filters, from the touch on."""
-    for c in range(3):
-        u = x if c == 0 else v if c == 1 else 1.0
-        before = memory[c, 0]
-        memory[c, 0] += (u - before) * smooth
-        if leak < 1.0:
-            memory[c, 1] = leak * (memory[c, 1] + memory[c, 0] - before)
-            out[c] = memory[c, 1]
-        else:
-            out[c] = memory[c, 0]
-
-
-@njit(cache=True, inline="always")
-def _catch_up(i, h, fixed, bodies, setup, state, work, rows):
-    """Bring *behind* to where the last reading allows; from the touch on again when the law has become much better."""
-    tick, count = state.tick[i], state.count[i]
-    last = tick[DONE] - setup.late[i]
-    if tick[ANCHOR] >= 0 and count[cl.SAMPLES] >= tick[AGAIN] and state.law[i, cl.KNOWN] == 1.0:
-        tick[AGAIN] = 2 * count[cl.SAMPLES]
-        if last - tick[ANCHOR] < HISTORY:
-            state.q[i, 0] = state.q[i, 1]
-            state.v[i, 0] = state.v[i, 1]
-            state.filtered[i, 0] = state.filtered[i, 1]
-            tick[BEHIND] = tick[ANCHOR]
-    while tick[BEHIND] <= last:
-        _step_behind(i, tick[BEHIND], h, fixed, bodies, setup, state, work, rows)
-        tick[BEHIND] += 1
-
-
-@njit(cache=True, inline="always")
-def _step_behind(i, j, h, fixed, bodies, setup, state, work, rows):
-    """*Behind* from t_j to t_(j+1), under the wrench that was felt at t_j, less what the rig was elsewhere than *behind* is."""
-    length = state.x.shape[1]
-    pose, twist, used, line, law = rows[0], rows[1], rows[2], state.line[i], state.law[i]
-    known, part = j + setup.late[i], setup.part[i]
-    late, early = state.wrench[i, known % length], state.wrench[i, (known - 1) % length]
-    for c in range(6):
-        used[c] = late[c] if part == 0.0 or known == 0 else (1.0 - part) * late[c] + part * early[c]
-    x, v = state.x[i, j % length], state.rate[i, j % length]
-    relative_motion(state.q[i, 0], state.v[i, 0], bodies.port[i], work, pose, twist)
-    wrench_at_A(used, x, used)
-    rig = cl.size(law, _along(fixed, line, x), _along(fixed, line, v))
-    if law[cl.KNOWN] == 1.0:
-        felt = state.filtered[i, 0]
-        before = felt[0]
-        felt[0] += (rig - before) * setup.smooth[i]
-        felt[1] = setup.leak[i] * (felt[1] + felt[0] - before)
-        rig = felt[0] if setup.leak[i] == 1.0 else felt[1]
-    if rig == 0.0 and _silent(used, setup.sigma[i]):
-        for c in range(6):
-            used[c] = 0.0
-    at = rows[3]
-    for c in range(3):
-        at[c] = pose[c]
-    if not fixed:
-        rotation_vector(pose[3:7], at[3:6])
-    size = cl.size(law, _along(fixed, line, at), _along(fixed, line, twist))
-    for c in range(6):
-        used[c] += line[0, c] * (size - rig) if (c != 0 and c != 1) or law[cl.FRICTION] == 0.0 else 0.0
-    if law[cl.FRICTION] > 0.0:
-        _rub_behind(line, law, v, twist, rig, size, state.creep[i, 0], used)
-    wrench_at_P(used, pose, used)
-    for c in range(6):
-        state.used[i, c] = used[c]
-    step(
-        state.q[i, 0], state.v[i, 0], bodies.port[i], bodies.mass[i], bodies.inertia[i], bodies.inverse[i], state.used[i], h, work,
-    )  # fmt: skip
-
-
-@njit(cache=True, inline="always")
-def _rub_behind(line, law, rate, twist, rig, size, creep, used):
-    """Add what friction does at *behind* more than it did at the rig."""
-    sx, sy = cl.slip(line, twist)
-    fx, fy = cl.friction(law, size, sx, sy, creep)
-    sx, sy = cl.slip(line, rate)
-    gx, gy = cl.friction(law, max(rig, 0.0), sx, sy, creep)
-    fx -= gx
-    fy -= gy
-    used[0] += fx
-    used[1] += fy
-    used[5] -= line[0, 4] * fy + line[0, 3] * fx
-
-
-@njit(cache=True, inline="always")
-def _silent(wrench, sigma):
-    """Whether a wrench is its noise alone: away from the contact it is left out, so that the model does not wander."""
-    for c in range(6 if sigma[0] == 0.0 else 3):
-        if abs(wrench[c]) > cl.GATE_SIGMA * sigma[0]:
-            return False
-    return True
-
-
-@njit(cache=True, inline="always")
-def _predict(i, h, fixed, bodies, setup, state, work, rows, matrix, pose, twist, predicted):
-    """*Ahead*: from *behind* to t_(k+1), and the wrench at t_k."""
-    line, law = state.line[i], state.law[i]
-    ticks = state.tick[i, DONE] + 1 - state.tick[i, BEHIND]
-    q, v, at = np.empty((2, 7)), np.empty((2, 6)), rows[3]
-    sums = np.zeros((3, 6))  # force now, impulse, shift
-    q[:] = state.q[i, 0]
-    v[:] = state.v[i, 0]
-    relative_motion(q, v, bodies.port[i], work, pose, twist)
-    if ticks == 0:
-        for c in range(6):
-            predicted[c] = state.used[i, c]
-        return
-    for c in range(3):
-        at[c] = pose[c]
-    if not fixed:
-        rotation_vector(pose[3:7], at[3:6])
-    if law[cl.KNOWN] == 1.0:
-        mobility(q, bodies.port[i], pose[0:3], bodies.mass[i], bodies.inverse[i], work, matrix)
-        if law[cl.FRICTION] > 0.0:
-            _slide(ticks, h, line, law, at[2], twist, matrix, state.creep[i], sums)
-        else:
-            _press(ticks, h, fixed, line, law, _along(fixed, line, at), _along(fixed, line, twist), matrix, sums)
-    elif state.count[i, cl.ABOVE] > 0:  # until a handful of contact samples are in, hold the last force
-        wrench_at_A(state.used[i], pose, sums[0])
-        for c in range(6):
-            sums[1, c] = h * ticks * sums[0, c]
-            sums[2, c] = h * h * ticks * (ticks + 1) / 2 * sums[0, c]
-    for c in range(3):
-        wrench_at_P(sums[c], pose, sums[c])
-    carry(q, v, bodies.port[i], bodies.mass[i], bodies.inverse[i], h * ticks, sums[1], sums[2], work)
-    for c in range(6):
-        predicted[c] = sums[0, c]
-    relative_motion(q, v, bodies.port[i], work, pose, twist)
-
-
-@njit(cache=True)
-def _press(ticks, h, fixed, line, law, s, u, matrix, sums):
-    """Step the size of the force alone; its direction stays."""
-    gain, force, impulse, shift = 0.0, 0.0, 0.0, 0.0
-    for a in range(6):
-        for b in range(6):
-            slope = (1.0 if a == 2 else 0.0) if fixed else line[0, a]
-            gain += slope * matrix[a, b] * line[0, b]
-    stiffness, damping, touch = law[cl.STIFFNESS], law[cl.DAMPING], law[cl.TOUCH]
-    if law[cl.ARMED] == 0.0:
-        touch = np.inf
-    for _ in range(ticks):
-        x = s - touch
-        force = max(0.0, stiffness * x + damping * u) if x > 0.0 else 0.0
-        u -= h * gain * force
-        s += h * u
-        impulse += h * force
-        shift += h * impulse
-    for c in range(6):
-        sums[0, c] = force * line[0, c]
-        sums[1, c] = impulse * line[0, c]
-        sums[2, c] = shift * line[0, c]
-
-
-@njit(cache=True)
-def _slide(ticks, h, line, law, s, twist, matrix, creep, sums):
-    """Step the normal force and the friction at the touching point; r = (-D4, D3, 0) is its place beside A's origin."""
-    rx, ry = -line[0, 4], line[0, 3]
-    gain = np.empty((3, 3))  # velocity of the touching point for an impulse there
-    push = np.zeros(6)
-    for b in range(3):
-        push[:] = 0.0
-        push[b] = 1.0
-        push[3], push[4], push[5] = (ry, -rx, 0.0) if b == 2 else (0.0, 0.0, -ry if b == 0 else rx)
-        for a in range(3):
-            across = 0.0
-            for c in range(6):
-                row = matrix[a, c]
-                if a == 2:
-                    row += ry * matrix[3, c] - rx * matrix[4, c]
-                else:
-                    row += (-ry if a == 0 else rx) * matrix[5, c]
-                across += row * push[c]
-            gain[a, b] = across
-    creep[0] = min(cl.CREEP, cl.CREEP_LIMIT / (h * max(gain[0, 0], gain[1, 1])))
-    u = twist[2] + ry * twist[3] - rx * twist[4]
-    sx, sy = cl.slip(line, twist)
-    fx, fy, normal = 0.0, 0.0, 0.0
-    ix, iy, iz, jx, jy, jz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    for _ in range(ticks):
-        normal = cl.size(law, s, u)
-        fx, fy = cl.friction(law, normal, sx, sy, creep[0])
-        sx -= h * (gain[0, 0] * fx + gain[0, 1] * fy + gain[0, 2] * normal)
-        sy -= h * (gain[1, 0] * fx + gain[1, 1] * fy + gain[1, 2] * normal)
-        u -= h * (gain[2, 0] * fx + gain[2, 1] * fy + gain[2, 2] * normal)
-        s += h * u
-        ix, iy, iz = ix + h * fx, iy + h * fy, iz + h * normal
-        jx, jy, jz = jx + h * ix, jy + h * iy, jz + h * iz
-    _at_point(fx, fy, normal, rx, ry, sums[0])
-    _at_point(ix, iy, iz, rx, ry, sums[1])
-    _at_point(jx, jy, jz, rx, ry, sums[2])
-
-
-@njit(cache=True, inline="always")
-def _at_point(fx, fy, fz, rx, ry, out):
-    """A force at (rx, ry, 0) beside A's origin as a wrench there."""
-    out[0], out[1], out[2] = fx, fy, fz
-    out[3], out[4], out[5] = ry * fz, -rx * fz, rx * fy - ry * fx
 
 
 @njit(cache=True)
