@@ -22,7 +22,8 @@ from numba import njit
 from hiltestbed.frames import Array
 from hiltestbed.identification.least_squares import RecursiveLeastSquares
 from hiltestbed.identification.samples import GATE_SIGMA, ContactSamples
-from hiltestbed.scenario import Rls, Scenario
+from hiltestbed.scenario import Scenario
+from hiltestbed.scenario_methods import Rls
 
 AXIAL = 2
 CONFIRM = 5  # readings in a row

@@ -25,7 +25,8 @@ from hiltestbed.frames import (
     rotate_back,
     rotation_matrix,
 )
-from hiltestbed.scenario import Body, Scenario
+from hiltestbed.scenario import Scenario
+from hiltestbed.scenario_parts import Body
 
 RUNS_PER_MODEL = (
     6  # Pinocchio's Data holds several (nv, nv, nv) tensors: at 6 runs, nv = 72, 12 MB and 2 ms to make; at 16, 230 MB and 0.2 s

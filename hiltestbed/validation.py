@@ -24,6 +24,8 @@ class Strictly(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 
 
+Positive = Annotated[float, Field(gt=0)]
+NotNegative = Annotated[float, Field(ge=0)]
 Vector2 = Annotated[tuple[float, ...], Strict(False), Field(min_length=2, max_length=2)]  # lists in a file, tuples in memory
 Vector3 = Annotated[tuple[float, ...], Strict(False), Field(min_length=3, max_length=3)]
 

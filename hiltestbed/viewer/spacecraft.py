@@ -13,7 +13,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from hiltestbed.frames import Array, quat_mul, rotate, rotation_matrix
-from hiltestbed.scenario import Body, Scenario
+from hiltestbed.scenario import Scenario
+from hiltestbed.scenario_parts import Body
 from hiltestbed.spacecraft import CHASER, TARGET, Spacecraft, inertia_matrix, port_pose
 from hiltestbed.viewer import colors
 from hiltestbed.viewer.drawing import log_solid, send_poses
