@@ -6,6 +6,8 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
+
 from hiltestbed.diagnosis.find import find
 from hiltestbed.diagnosis.output.conclude import conclude
 from hiltestbed.diagnosis.output.result import Diagnosis
@@ -24,7 +26,8 @@ def diagnose(dataset: str | Path | MeasuredDataset, progress: Callable[[str], No
         if progress:
             progress("reading and checking the data")
         dataset = load_dataset(dataset)
-    finding = find(dataset, progress)
+    with np.errstate(all="ignore"):  # candidates far from the truth may overflow: their misfit is bounded, and they are not chosen
+        finding = find(dataset, progress)
     if progress:
         progress("nominal and extended runs in closed loop")
     return conclude(dataset, finding, time.monotonic() - start)
