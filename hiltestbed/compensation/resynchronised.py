@@ -102,9 +102,9 @@ class Resynchronised:
         self.wrench = np.zeros((n, 6))
         self.ahead_pose, self.ahead_twist = np.zeros((n, 7)), np.zeros((n, 6))
         self._predicted = np.zeros((n, 6))
-        self._captured = CapturedContact(scenarios)
         self._setup = _setup(scenarios, h)
         self._fixed = int(scenarios[0].mechanism.kind == "bumper")
+        self._captured = None if self._fixed else CapturedContact(scenarios)  # a bumper has no latches
         self._ideal = int(scenarios[0].rig.platform.tracking == "ideal")
         self._substeps = float(scenarios[0].substeps)
         self._bodies = Bodies(spacecraft.port, spacecraft.mass, spacecraft.inertia, np.linalg.inv(spacecraft.inertia).astype(np.float64))
@@ -124,14 +124,15 @@ class Resynchronised:
             craft.tick, self._bodies, self._setup.blend, craft.q, craft.pose, craft.twist,
             self.ahead_pose, self.ahead_twist, self._predicted, self.wrench,
         )  # fmt: skip
-        self._captured.take_over(measurement, self.wrench)
+        if self._captured:
+            self._captured.take_over(measurement, self.wrench)
         craft.advance(self.wrench)
 
     def buffers(self) -> dict[str, Array]:
         return (
             {"wrench": self.wrench}
             | self.spacecraft.buffers()
-            | self._captured.buffers()
+            | (self._captured.buffers() if self._captured else {})
             | {f"resync_{k}": v for k, v in self.state._asdict().items()}
         )
 
