@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import hashlib
-import io
 import json
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -18,7 +17,7 @@ from hiltestbed.effects.vocabulary import EFFECTS
 from hiltestbed.scenario_methods import Compensation, Identification, Rls
 from hiltestbed.scenario_parts import Approach, Mechanism, Rig, Safety, Sensor, Spacecraft
 from hiltestbed.validation import Positive, Problem, Strictly, nearest, refuse, validate
-from hiltestbed.yaml_source import Source, describe, read_source
+from hiltestbed.yaml_source import Source, describe, dump_yaml, read_source
 
 WORKSPACE_TRANSLATION = 0.25  # [m] the platform's reach from home, any axis; home is at the nominal first touch
 WORKSPACE_ROTATION_DEG = 10.0
@@ -213,15 +212,7 @@ def resolved(scenario: Scenario) -> dict[str, Any]:
 
 def dump_scenario(scenario: Scenario) -> str:
     """The resolved scenario as YAML text."""
-    from ruamel.yaml import YAML
-
-    yaml = YAML(typ="safe", pure=True)
-    yaml.default_flow_style = None  # lists of numbers on one line, mappings below each other
-    yaml.sort_base_mapping_type_on_output = False  # type: ignore[assignment]
-    yaml.width = 120
-    text = io.StringIO()
-    yaml.dump(resolved(scenario), text)
-    return text.getvalue()
+    return dump_yaml(resolved(scenario))
 
 
 def scenario_sha256(scenario: Scenario) -> str:

@@ -7,6 +7,7 @@ laid over it. Nothing here knows what a scenario is.
 from __future__ import annotations
 
 import copy
+import io
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -199,6 +200,19 @@ def parse_yaml(text: str, file: str) -> tuple[Any, dict[KeyPath, tuple[int, int]
     if builder.faults:
         raise InputError(builder.faults)
     return data, builder.marks
+
+
+def dump_yaml(data: Any) -> str:
+    """Plain data as YAML text that reads back to the same."""
+    from ruamel.yaml import YAML
+
+    yaml = YAML(typ="safe", pure=True)
+    yaml.default_flow_style = None  # lists of numbers on one line, mappings below each other
+    yaml.sort_base_mapping_type_on_output = False  # type: ignore[assignment]
+    yaml.width = 120
+    text = io.StringIO()
+    yaml.dump(data, text)
+    return text.getvalue()
 
 
 class _Builder:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shlex
 from collections import Counter
 from pathlib import Path
@@ -117,7 +116,7 @@ def _worst(report: Report, campaign: LoadedCampaign, cases, figure: Array, name:
     for i in dict.fromkeys([*failed[:WORST], *largest]):
         record = cases.slice(i, 1).to_pylist()[0]
         cells = [f"{record[key]:.6g}" if isinstance(record[key], float) else str(record[key]) for key in keys]
-        rows.append([record["case"], *cells, record["error"] or record["status"], _figure(record[name]), _command(campaign, i, folder)])
+        rows.append([record["case"], *cells, record["error"] or record["status"], _figure(record[name]), _command(i, folder)])
     report.table(["case", *keys, "ended", name, "to repeat it in full"], rows)
     if len(failed) > WORST:
         report.text(f"{len(failed) - WORST} more cases did not complete; cases.parquet has their reasons in the column error.")
@@ -127,6 +126,7 @@ def _figure(value: float | None) -> str:
     return "-" if value is None else f"{value:.4g}"
 
 
-def _command(campaign: LoadedCampaign, case: int, folder: Path) -> str:
-    file = os.path.relpath(campaign.path)
-    return f"hiltestbed run {shlex.quote(file)} --case {case} --out {shlex.quote(f'{folder.name}-case-{case}')}"
+def _command(case: int, folder: Path) -> str:
+    """Repeats a case from the campaign as it was run, which lies in the folder of the results."""
+    file, out = folder / "campaign.yaml", f"{folder.name}-case-{case}"
+    return f"hiltestbed run {shlex.quote(str(file))} --case {case} --out {shlex.quote(out)}"

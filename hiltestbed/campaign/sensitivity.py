@@ -9,7 +9,7 @@ import numpy as np
 from hiltestbed.errors import MissingExtra
 from hiltestbed.frames import Array
 
-ENOUGH = 64  # cases below which an index is noise
+ENOUGH = 256  # cases below which an index is noise
 MOST = 16384  # cases that are used: more tell nothing new
 RESAMPLES = 100
 

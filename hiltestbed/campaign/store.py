@@ -28,8 +28,10 @@ from hiltestbed.campaign.schema import LoadedCampaign
 from hiltestbed.errors import InputError
 from hiltestbed.scenario import resolved
 from hiltestbed.versions import versions
+from hiltestbed.yaml_source import dump_yaml
 
 ABOUT, CHUNKS, CASES, KEPT, LOCK = "campaign.json", "chunks", "cases.parquet", "cases", ".lock"
+CAMPAIGN, SCENARIO = "campaign.yaml", "scenario.yaml"
 ROW_GROUP = 16384  # rows of cases.parquet written, and held, at a time
 _WALL = b"wall"
 
@@ -67,8 +69,16 @@ class Store:
             for leftover in folder.rglob("*.partial"):
                 shutil.rmtree(leftover) if leftover.is_dir() else leftover.unlink()
             if not (folder / ABOUT).exists():
+                store.write_files()
                 store.write_about({"status": "running"})
             yield store
+
+    def write_files(self) -> None:
+        """campaign.yaml and scenario.yaml, with every override in them: what `--case` repeats, wherever the folder is taken."""
+        spec = self.campaign.spec.model_dump(mode="json", exclude_none=True)
+        spec |= {"name": spec["name"] or self.campaign.path.stem, "scenario": SCENARIO, "set": {}}
+        write_whole(self.folder / SCENARIO, dump_yaml(self.campaign.source.data).encode())
+        write_whole(self.folder / CAMPAIGN, dump_yaml(spec).encode())
 
     def write_about(self, more: dict[str, Any]) -> None:
         """campaign.json: whose folder this is, and `more`."""

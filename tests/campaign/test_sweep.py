@@ -15,8 +15,9 @@ import pytest
 from hiltestbed.campaign import store
 from hiltestbed.campaign.schema import LoadedCampaign, load_campaign
 from hiltestbed.campaign.store import Store
-from hiltestbed.campaign.sweep import read_sweep, sweep
+from hiltestbed.campaign.sweep import case_scenario, read_sweep, sweep
 from hiltestbed.errors import HiltestbedError, InputError
+from hiltestbed.scenario import scenario_sha256
 
 DEADLINE = 120.0  # [s] for what takes a few: a busy machine compiles slowly
 
@@ -201,7 +202,7 @@ def test_a_full_disk_loses_the_chunk_under_way_and_a_garbled_one_is_run_again(
     written = []
 
     def until_full(path: Path, content: bytes) -> None:
-        if path.suffix == ".parquet" and len(written) == 3:
+        if path.suffix == ".parquet" and sum(other.suffix == ".parquet" for other in written) == 2:
             path.with_name(path.name + ".partial").write_bytes(content[:100])
             raise OSError(28, "No space left on device")
         written.append(path)
@@ -210,7 +211,7 @@ def test_a_full_disk_loses_the_chunk_under_way_and_a_garbled_one_is_run_again(
     monkeypatch.setattr(store, "write_whole", until_full)
     with pytest.raises(OSError, match="No space left"):
         sweep(campaign, tmp_path / "out", chunk=8)
-    assert chunks_in(tmp_path / "out") == 2  # campaign.json was the first of the three
+    assert chunks_in(tmp_path / "out") == 2
     monkeypatch.undo()
     garbled = min((tmp_path / "out" / "chunks").glob("*.parquet"))
     garbled.write_bytes(garbled.read_bytes()[:-200])
@@ -223,6 +224,17 @@ def test_the_report_stands_alone_and_names_the_commands(in_one_go: Path) -> None
     assert "http" not in page
     for words in ("96 cases: 96 completed", "--case", "Sobol", "data:image/png"):
         assert words in page
+
+
+def test_a_case_repeats_from_the_folder_alone(file: Path, tmp_path: Path) -> None:
+    """The campaign was swept with an override; the folder is moved and its sources are gone."""
+    changed = load_campaign(file, {"design.cases": 8, "set": {"spacecraft.chaser.mass": 60.0}})
+    row = sweep(changed, tmp_path / "out").cases().to_pylist()[5]
+    (tmp_path / "out").rename(tmp_path / "moved")
+    file.unlink()
+    again = load_campaign(tmp_path / "moved" / "campaign.yaml")
+    assert scenario_sha256(case_scenario(again, 5)) == row["scenario_sha256"]
+    assert sweep(again, tmp_path / "moved").about["status"] == "complete", "the folder is its own"
 
 
 def test_what_is_read_back_is_what_was_swept(small: LoadedCampaign, tmp_path: Path) -> None:
