@@ -95,7 +95,7 @@ def one_set(task: Task) -> dict[str, Any]:
         "verdict": verdict.verdict, "link": verdict.link, "right": right, "intervals_held": held, "intervals": asked,
         "causes": [{"effect": c.effect, "indistinguishable_from": list(c.indistinguishable_from)} for c in causes],
         "gain": gain.reduction if gain else None,
-        "gain_true": true_gain(findings, verdict, hidden.effects) if right and len(truth) == 1 else None,
+        "gain_true": true_gain(findings, verdict, hidden.effects) if right and task.kind == "single" else None,
     }  # fmt: skip
 
 

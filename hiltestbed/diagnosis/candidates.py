@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -62,8 +62,8 @@ class Candidate:
         return self.effect, self.parameters(theta)
 
 
-def candidate(effect: str, grids: dict[str, Sequence[float]], choices: int = 1, starts: Sequence[Sequence[float]] | None = None,
-              bounds: dict[str, tuple[float, float]] | None = None, **fixed: Any) -> Candidate:  # fmt: skip
+def candidate(effect: str, grids: Mapping[str, Sequence[float]], choices: int = 1, starts: Sequence[Sequence[float]] | None = None,
+              bounds: Mapping[str, tuple[float, float]] | None = None, **fixed: Any) -> Candidate:  # fmt: skip
     """A candidate whose starts are all combinations of `grids` (or `starts`), within the vocabulary's fit bounds."""
     low, high, log = [], [], []
     for name in grids:
@@ -74,6 +74,11 @@ def candidate(effect: str, grids: dict[str, Sequence[float]], choices: int = 1, 
         log.append(spec.log and a > 0)
     grid = tuple(tuple(map(float, s)) for s in (starts or itertools.product(*grids.values())))
     return Candidate(effect, tuple(grids), np.array(low, float), np.array(high, float), np.array(log), grid, fixed, choices)
+
+
+def _readings(*forms: str | float) -> list[dict[str, Any]]:
+    """What is fixed in each reading of an effect's equation: nothing in the first, then each of ``forms``."""
+    return [{}, *({FORM: form} for form in forms)]
 
 
 @dataclass(frozen=True)
@@ -109,14 +114,14 @@ def contact_candidates(s: Scales, captured: bool, lateral: bool) -> list[Candida
                   bounds={"stiffness": (0.005 * k, 10 * k), "time_constant": (1e-3, 5.0)}),
         candidate("contact.touch_offset", {"offset": [-0.3 * x, -0.1 * x, -0.02 * x, 0.02 * x, 0.1 * x, 0.3 * x]}),
     ]  # fmt: skip
-    for form in ({}, {FORM: "series"}, {FORM: "elastic"}):
+    for form in _readings("series", "elastic"):
         out.append(candidate("frame.compliance", {"stiffness": [2 * k, 8 * k, 40 * k]}, bounds={"stiffness": (0.3 * k, 3000 * k)}, **form))
-    for form in ({}, {FORM: "undamped"}):
+    for form in _readings("undamped"):
         out.append(candidate("contact.power_law", {"exponent": [], "stiffness": []}, starts=powers, **form))
-    for form in ({}, {FORM: "reaction"}):
+    for form in _readings("reaction"):
         modes = {"frequency": [8, 14, 22, 35, 60], "damping_ratio": [0.03], "mass": [k / 3e4, k / 2e3, k / 300]}
         out.append(candidate("frame.mode", modes, **form))
-    for lever in ({}, {FORM: 0.0}, {FORM: 1.0}):
+    for lever in _readings(0.0, 1.0):
         tilts = [(0.2, 0.2), (2.0, 2.0), (-2.0, -2.0)]
         out.append(candidate("contact.misalignment", {"angles_deg.0": [0.0], "angles_deg.1": [0.0]}, starts=tilts, **lever))
         if lateral:
@@ -170,7 +175,7 @@ def platform_candidates(s: Scales, substeps: int, sticks: dict[int, list[float]]
     ]
     out += [candidate("platform.scale", {"factor": [0.97, 1.03]}, 3, axis=a) for a in AXES]
     few = list(np.geomspace(5e-6, 8e-4, 6))
-    out += [candidate("platform.friction", {"stick": sticks.get(m, few)}, **{FORM: m}) for m in dict.fromkeys((substeps, 20))]
+    out += [candidate("platform.friction", {"stick": sticks.get(m, few)}, form=m) for m in dict.fromkeys((substeps, 20))]
     return out
 
 
@@ -178,7 +183,7 @@ def compensation_candidates(s: Scales) -> list[Candidate]:
     """What may happen between the measured wrench and the one used."""
     widths = list(np.geomspace(0.3 * s.noise, 0.3 * s.force, 40))
     bounds = {"width": (0.1 * s.noise, 0.8 * s.force)}
-    return [candidate("loop.deadzone", {"width": widths}, bounds=bounds, **form) for form in ({}, {FORM: "after"}, {FORM: "magnitude"})] + [
+    return [candidate("loop.deadzone", {"width": widths}, bounds=bounds, **form) for form in _readings("after", "magnitude")] + [
         skew_candidates(s.tick)[0]
     ]
 

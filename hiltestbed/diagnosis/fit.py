@@ -12,6 +12,7 @@ from hiltestbed.diagnosis.candidates import Candidate
 from hiltestbed.diagnosis.links import Effects, Link
 from hiltestbed.frames import Array
 
+FAR = 1e6  # sigma
 STEP = 1e-4  # of a parameter's scale, for differences
 ITERATIONS = 25
 SETTLED = 1e-4  # change of chi-square below which a fit has settled
@@ -29,15 +30,15 @@ class Fit:
 
     Attributes:
         causes: the candidates. theta: their parameters, one after the other. chi2: sum of squares in units of the noise.
-        jacobian: (M, P) of the residual in scaled parameters, or None. scale: (P,) d theta / d scaled.
+        jacobian: (M, P) of the residual in scaled parameters. scale: (P,) d theta / d scaled.
     """
 
     causes: tuple[Candidate, ...]
     theta: Array
     chi2: float
     residual: Array
-    jacobian: Array | None = None
-    scale: Array | None = None
+    jacobian: Array
+    scale: Array
 
     @property
     def penalty(self) -> float:
@@ -100,15 +101,18 @@ class Residual:
         return out
 
     def of_run(self, i: int, effects: Effects) -> Array:
-        """(N, C) of run i."""
-        return (self.measured[i] - self.link.predict(i, [*self.base, *effects])) * self.weight[i]
+        """(N, C) of run i; FAR where a prediction has left the finite numbers, so that misfits can be put in order."""
+        r = (self.measured[i] - self.link.predict(i, [*self.base, *effects])) * self.weight[i]
+        if not np.isfinite(r).all():
+            r = np.clip(np.nan_to_num(r, nan=FAR), -FAR, FAR)
+        return r
 
     def __call__(self, effects: Effects) -> Array:
         """(M,) of all runs."""
         return np.concatenate([self.of_run(i, effects).ravel() for i in self.runs])
 
 
-def fit(residual: Residual, causes: Sequence[Candidate], starts: Sequence[Sequence[float]], tries: int = 2) -> Fit:
+def fit(residual: Residual, causes: Sequence[Candidate], starts: Sequence[Sequence[float] | Array], tries: int = 2) -> Fit:
     """The best of several descents from the best of `starts` (each for all causes, one after the other)."""
     causes = tuple(causes)
     low, high = np.concatenate([c.low for c in causes]), np.concatenate([c.high for c in causes])
@@ -173,7 +177,7 @@ def scales(theta: Array, low: Array, high: Array, log: np.ndarray) -> Array:
 def _descend(run: Callable[[Array], Array], causes: tuple[Candidate, ...], theta: Array, r: Array, chi2: float, low: Array, high: Array,
              log: np.ndarray) -> Fit:  # fmt: skip
     damping = 1e-3
-    jacobian, scale = None, scales(theta, low, high, log)
+    jacobian, scale = np.zeros((len(r), len(theta))), scales(theta, low, high, log)
     for _ in range(ITERATIONS):
         scale = scales(theta, low, high, log)
         jacobian = differences(run, theta, r, scale, low, high)

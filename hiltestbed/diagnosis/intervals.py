@@ -9,10 +9,12 @@ from __future__ import annotations
 import numpy as np
 from scipy.stats import t as student
 
-from hiltestbed.diagnosis.fit import Fit, Residual, differences, effects_at, scales
+from hiltestbed.diagnosis.fit import ROUGH, Fit, Residual, differences, effects_at, scales, square
 from hiltestbed.frames import Array
 
 LEAST = 1e-3  # of an estimate: what is left to how a rig is discretised
+RISE = 3.84  # of chi-square: 95 % of one parameter
+FLAT = 1e-14  # of the largest curvature
 WIDE_STEP = 2e-3  # of the scale, for derivatives that average over the jumps at whole ticks
 
 
@@ -36,9 +38,11 @@ def intervals(residual: Residual, found: Fit) -> Array:
         middle += np.outer(gradient, gradient)
         squares += float(np.einsum("m,m->", r, r))
         samples += int(np.count_nonzero(r))
-    ridge = 1e-12 * max(float(np.trace(normal)), 1e-300) * np.eye(count)
-    inverse = np.linalg.inv(normal + ridge)
     misfit = max(1.0, squares / max(1, samples))
+    told = np.diag(normal) > FLAT * max(1.0, float(np.max(np.diag(normal))))  # chi-square changes with it at all, nearby
+    normal[~told], normal[:, ~told], middle[~told], middle[:, ~told] = 0.0, 0.0, 0.0, 0.0
+    normal[~told, ~told] = 1.0
+    inverse = np.linalg.inv(normal + 1e-12 * np.max(np.diag(normal)) * np.eye(count))
     runs = len(residual.runs)
     plain = np.diag(inverse) * misfit
     between = np.diag(inverse @ middle @ inverse) * runs / max(1, runs - 1)
@@ -46,4 +50,23 @@ def intervals(residual: Residual, found: Fit) -> Array:
     if runs > 2:
         spread = np.maximum(spread, np.sqrt(np.maximum(between, 0.0)) * min(2.2, float(student.ppf(0.975, runs - 1))))
     half = spread * scale + LEAST * np.abs(theta)
-    return np.column_stack([np.clip(theta - half, low, high), np.clip(theta + half, low, high)])
+    ends = np.column_stack([np.clip(theta - half, low, high), np.clip(theta + half, low, high)])
+    rough = [ROUGH.get(c.effect) == name for c in causes for name in c.names]
+    for j in np.flatnonzero(np.array(rough) | ~told):
+        profile = [_rise(residual, found, int(j), sign, squares + RISE * misfit, bound) for sign, bound in ((-1.0, low[j]), (1.0, high[j]))]
+        ends[j] = (profile[0], profile[1]) if not told[j] else (min(ends[j, 0], profile[0]), max(ends[j, 1], profile[1]))
+    return ends
+
+
+def _rise(residual: Residual, found: Fit, j: int, sign: float, most: float, bound: float) -> float:
+    """Where chi-square passes `most` as parameter j moves off its estimate: of a dead zone, say, it has steps and no slope."""
+    step = LEAST
+    theta = found.theta.copy()
+    while step < 1.0:
+        theta[j] = found.theta[j] + sign * step * max(abs(found.theta[j]), 1e-12)
+        if sign * (theta[j] - bound) >= 0.0:
+            return float(bound)
+        if square(residual(effects_at(found.causes, theta))) > most:
+            return float(theta[j])
+        step *= 1.5
+    return float(theta[j])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -22,7 +22,7 @@ from hiltestbed.diagnosis.candidates import (
 )
 from hiltestbed.diagnosis.chain import lead_record
 from hiltestbed.diagnosis.fit import Residual, fit, refit, square
-from hiltestbed.diagnosis.links import FORM, Effects, WrenchLink
+from hiltestbed.diagnosis.links import FORM, Effects, Link, PlatformLink, WrenchLink
 from hiltestbed.diagnosis.search import ALARM, Explanation, jitter_beside, null_fit, search
 from hiltestbed.diagnosis.study import CORRELATED, DYNAMICS_FLOOR, Study, make_study, wrench_link
 from hiltestbed.frames import Array
@@ -94,7 +94,7 @@ def _explain(out: Findings, name: str, candidates: list[Candidate], progress: Pr
 
 def _platform_candidates(study: Study) -> list[Candidate]:
     """Those of the platform, with starts for stiction that the slowest run tells."""
-    link = study.links["platform"]
+    link = _platform(study.links)
     noise = min(study.noise.get(c, 0.0) for c in link.channels)
     speeds = [float(np.max(np.abs(np.diff(c[:, :3], axis=0)))) for c in link.commands]
     i = int(np.argmin(speeds))
@@ -108,6 +108,21 @@ def _platform_candidates(study: Study) -> list[Candidate]:
             costs = [square(residual([("platform.friction", {"stick": float(s), FORM: divide})])) for s in tried]
             sticks[divide] = [float(tried[j]) for j in np.argsort(costs)[:6]]
     return platform_candidates(study.scales, substeps, sticks)
+
+
+def _platform(links: Mapping[str, Link]) -> PlatformLink:
+    """The platform among `links`, which hold it where its two ends were measured."""
+    link = links["platform"]
+    if not isinstance(link, PlatformLink):
+        raise TypeError(f"links['platform'] is a {type(link).__name__}; allowed is a PlatformLink")
+    return link
+
+
+def _wrench(residual: Residual) -> WrenchLink:
+    """Contact and sensor, of which `residual` is."""
+    if not isinstance(residual.link, WrenchLink):
+        raise TypeError(f"a residual of the link {residual.link.name} (got {type(residual.link).__name__}); allowed is a WrenchLink")
+    return residual.link
 
 
 def _named(progress: Progress | None, link: str) -> Progress | None:
@@ -149,15 +164,16 @@ def candidates_of(out: Findings, name: str) -> list[Candidate]:
             return compensation_candidates(s)
         case "dynamics":
             return dynamics_candidates()
-    return _wrench_candidates(out.study, out.residuals["wrench"].link)
+    return _wrench_candidates(out.study, _wrench(out.residuals["wrench"]))
 
 
 def full_links(out: Findings) -> dict:
     """The links on whole runs."""
     links = {name: link for name, link in out.study.full.items() if name in out.explanations}
     if "wrench" in out.explanations:
-        links["wrench"] = make_wrench_link(out, whole=True)
-        links["wrench"].lever = out.residuals["wrench"].link.lever
+        wrench = make_wrench_link(out, whole=True)
+        wrench.lever = _wrench(out.residuals["wrench"]).lever
+        links["wrench"] = wrench
     return links
 
 
@@ -182,7 +198,7 @@ def make_wrench_link(out: Findings, whole: bool = False) -> WrenchLink:
     platform = out.explanations.get("platform")
     if platform is not None and platform.adequate:
         effects = platform.chosen.effects()
-        full = study.full["platform"]
+        full = _platform(study.full)
         return wrench_link(study, lambda i: full.path(i, effects), whole)
     clean = platform is None and not any(r.record.has("pose_act") for r in study.runs)
     link = wrench_link(study, lambda i: _smooth_path(out, i), whole)
@@ -200,9 +216,9 @@ def _smooth_path(out: Findings, i: int) -> Array:
     measured = run.record.filled("pose_act")[:, :3]
     platform = out.explanations.get("platform")
     if platform is None:
-        return savgol_filter(measured, SMOOTH, 3, axis=0)
-    near = out.study.full["platform"].path(i, platform.chosen.effects())
-    return near + savgol_filter(measured - near, SMOOTH, 3, axis=0)
+        return np.asarray(savgol_filter(measured, SMOOTH, 3, axis=0))
+    near = _platform(out.study.full).path(i, platform.chosen.effects())
+    return near + np.asarray(savgol_filter(measured - near, SMOOTH, 3, axis=0))
 
 
 def _widen(study: Study, link: WrenchLink) -> None:

@@ -66,7 +66,7 @@ class PlatformLink:
     """pose_cmd to pose_act: the three translations."""
 
     name = "platform"
-    channels = ("pose_act.px", "pose_act.py", "pose_act.pz")
+    channels: tuple[str, ...] = ("pose_act.px", "pose_act.py", "pose_act.pz")
 
     def __init__(self, runs: list[LinkRun], commands: list[Array]) -> None:
         """commands: (N, 7) pose_cmd of each run."""
@@ -225,7 +225,7 @@ class DynamicsLink:
     """wrench_comp to pose_cmd: position, and attitude as a small rotation vector."""
 
     name = "dynamics"
-    channels = ("pose_cmd.px", "pose_cmd.py", "pose_cmd.pz", "pose_cmd.rx", "pose_cmd.ry", "pose_cmd.rz")
+    channels: tuple[str, ...] = ("pose_cmd.px", "pose_cmd.py", "pose_cmd.pz", "pose_cmd.rx", "pose_cmd.ry", "pose_cmd.rz")
 
     def __init__(self, runs: list[LinkRun], wrenches: list[Array]) -> None:
         """wrenches: (N, 6) wrench_comp of each run. The runs' `measured` is (N, 6), see `flat_pose`."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -12,7 +13,7 @@ from scipy.optimize import minimize_scalar
 from hiltestbed.diagnosis.adequacy import Leftover, leftover, soften
 from hiltestbed.diagnosis.candidates import Candidate
 from hiltestbed.diagnosis.fit import Fit, Residual, differences, effects_at, fit, refit, scales, square
-from hiltestbed.diagnosis.links import Effects
+from hiltestbed.diagnosis.links import Effects, WrenchLink
 from hiltestbed.frames import Array
 
 ALARM = 30.0  # by which the best single must better the nominal link, its penalty paid
@@ -62,7 +63,7 @@ def contact_leftovers(residual: Residual, effects: Effects) -> dict[str, Leftove
         prediction = link.predict(i, [*residual.base, *effects])
         weight = residual.weight[i]
         sigma = np.where(weight > 0, 1.0 / np.where(weight > 0, weight, 1.0), np.inf)
-        if link.name == "wrench":
+        if isinstance(link, WrenchLink):
             sigma = soften(sigma, prediction)
             shake = sum(p["sigma"] for kind, p in effects if kind == "sensor.jitter")
             if shake:
@@ -139,7 +140,7 @@ def null_fit(residual: Residual) -> Fit:
 def jitter_beside(residual: Residual, base: Fit) -> Fit | None:
     """A delay that varies from sample to sample beside `base`: noise in proportion to the rate of the reading, by likelihood."""
     link, effects = residual.link, base.effects()
-    if JITTER in {c.effect for c in base.causes}:
+    if not isinstance(link, WrenchLink) or JITTER in {c.effect for c in base.causes}:
         return None
     worth = np.concatenate([(link.slope(i, [*residual.base, *effects]) * residual.weight[i]).ravel() for i in residual.runs])
     cause = Candidate(JITTER, ("sigma",), np.array([0.0]), np.array([0.02]), np.array([False]), ((0.0,),))
@@ -151,23 +152,24 @@ def jitter_beside(residual: Residual, base: Fit) -> Fit | None:
     sigmas = np.geomspace(1e-6, 0.02, 40)
     costs = [cost(s) for s in sigmas]
     at = int(np.argmin(costs))
-    found = minimize_scalar(cost, bounds=(sigmas[max(at - 1, 0)], sigmas[min(at + 1, 39)]), method="bounded", options={"xatol": 1e-9})
+    found: Any = minimize_scalar(cost, bounds=(sigmas[max(at - 1, 0)], sigmas[min(at + 1, 39)]), method="bounded", options={"xatol": 1e-9})
     if found.fun > base.chi2 - WORTH_A_FIT:
         return None
-    spread = np.sqrt(1.0 + (found.x * worth) ** 2)
+    best = float(found.x)
+    spread = np.sqrt(1.0 + (best * worth) ** 2)
     if not _independent(base.residual / spread, spread > SHAKEN, len(link.channels)):
         return None
-    tried = [(float(found.x) * f, *_likelihood(residual, effects, float(found.x) * f)) for f in (0.92, 1.0, 1.08)]
+    tried = [(best * f, *_likelihood(link, residual, effects, best * f)) for f in (0.92, 1.0, 1.08)]
     sigma, chi2, r = min(tried, key=lambda item: item[1])
     return Fit((*base.causes, cause), np.append(base.theta, sigma), chi2, r,
                np.column_stack([base.jacobian, np.zeros(len(r))]), np.append(base.scale, sigma))  # fmt: skip
 
 
-def _likelihood(residual: Residual, effects: Effects, sigma: float) -> tuple[float, Array]:
+def _likelihood(link: WrenchLink, residual: Residual, effects: Effects, sigma: float) -> tuple[float, Array]:
     """Chi-square with the cost of the spread, and the residual in units of noise and spread, for a delay that varies by sigma."""
     total, parts = 0.0, []
     for i in residual.runs:
-        mean, spread = residual.link.shaken(i, [*residual.base, *effects], sigma)
+        mean, spread = link.shaken(i, [*residual.base, *effects], sigma)
         s2 = 1.0 + (spread * residual.weight[i]) ** 2
         z = (residual.measured[i] - mean) * residual.weight[i] / np.sqrt(s2)
         total += float(np.sum(z * z) + np.sum(np.log(s2)))

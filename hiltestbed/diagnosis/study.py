@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from hiltestbed.diagnosis.candidates import Scales
-from hiltestbed.diagnosis.links import CompensationLink, DynamicsLink, Effects, LinkRun, PlatformLink, WrenchLink, flat_pose
+from hiltestbed.diagnosis.links import CompensationLink, DynamicsLink, Effects, Link, LinkRun, PlatformLink, WrenchLink, flat_pose
 from hiltestbed.frames import Array
 from hiltestbed.measured import MeasuredDataset, MeasuredRun
 from hiltestbed.measured.noise import white_noise
@@ -37,8 +37,8 @@ class Study:
     rows: list[int]
     scales: Scales
     noise: dict[str, float]
-    links: dict[str, object] = field(default_factory=dict)
-    full: dict[str, object] = field(default_factory=dict)
+    links: dict[str, Link] = field(default_factory=dict)
+    full: dict[str, Link] = field(default_factory=dict)
 
 
 def make_study(dataset: MeasuredDataset) -> Study:

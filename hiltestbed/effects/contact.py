@@ -160,7 +160,8 @@ def _ringing(x, v, dt, p, state):
         moved = x - v * (dt - (s + 0.5) * inner)
         force = _at_rest(moved - state[DEFLECTION] - p[OFFSET], v - state[DEFLECTION_RATE], inner, p, state)
         acceleration = force / p[MODE_MASS] - p[MODE] ** 2 * state[DEFLECTION] - 2.0 * p[MODE_DAMPING] * p[MODE] * state[DEFLECTION_RATE]
-        state[DEFLECTION_RATE] += acceleration * inner
+        loss = 2.0 * p[MODE_DAMPING] * p[MODE] + (p[DAMPING] / p[MODE_MASS] if force != 0.0 else 0.0)
+        state[DEFLECTION_RATE] += acceleration * inner / (1.0 + 0.5 * inner * loss)  # trapezoidal in the dampers: stable for any c/m
         state[DEFLECTION] += 0.5 * inner * state[DEFLECTION_RATE]
     if p[REACTION] > 0.0:
         return p[MODE_MASS] * (p[MODE] ** 2 * state[DEFLECTION] + 2.0 * p[MODE_DAMPING] * p[MODE] * state[DEFLECTION_RATE])

@@ -31,7 +31,7 @@ def scenario(effects=(), velocity=(0.0, 0.0, 0.03), **sensor):
 def bounce(rows=400):
     """(N, 3) a smooth approach, contact and rebound on z, and a slow slide on x."""
     t = np.arange(rows) * H
-    return np.column_stack([0.004 * t, 0.0 * t, -0.006 + 0.03 * t - 0.05 * t**2])
+    return np.asarray(np.column_stack([0.004 * t, 0.0 * t, -0.006 + 0.03 * t - 0.05 * t**2]), dtype=np.float64)
 
 
 PLATFORMS = [

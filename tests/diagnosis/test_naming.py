@@ -21,8 +21,7 @@ from hiltestbed.measured import load_dataset
 from tests.measured_data import measured_data
 
 SLOW = bool(os.environ.get("HILTESTBED_SLOW"))
-QUICK = ("sensor.drift", "sensor.crosstalk", "contact.preload", "contact.hard_stop", "contact.adhesion", "platform.lag",
-         "dynamics.mass", "dynamics.step_delay", "loop.deadzone")  # fmt: skip
+QUICK = ("sensor.drift", "contact.preload", "platform.lag", "dynamics.step_delay", "loop.deadzone")
 SETS = {1: (), 2: ("sensor.delay",), 3: ("contact.dry_friction",), 4: ("platform.lag",), 5: ("dynamics.mass",),
         6: ("sensor.crosstalk", "platform.backlash"), 7: None, 8: ()}  # fmt: skip
 
@@ -33,24 +32,24 @@ def test_a_hidden_effect_is_named(effect):
     assert record["right"], record
 
 
-@pytest.mark.parametrize("seed", [100, 104])
+@pytest.mark.parametrize("seed", [100, 104] if SLOW else [100])
 def test_two_hidden_effects_are_both_named(seed):
     assert one_set(Task(seed, "pair"))["right"]
 
 
-@pytest.mark.parametrize("seed", range(100, 104))
+@pytest.mark.parametrize("seed", range(100, 112 if SLOW else 102))
 def test_a_healthy_rig_is_left_alone(seed):
     record = one_set(Task(seed, "healthy"))
     assert record["verdict"] == "no_discrepancy"
     assert record["causes"] == []
 
 
-@pytest.mark.parametrize("seed", [102, 104, 107])
+@pytest.mark.parametrize("seed", [102, 104, 107] if SLOW else [104])
 def test_what_has_no_name_is_called_unknown_with_its_link(seed):
     assert one_set(Task(seed, "foreign"))["right"]
 
 
-@pytest.mark.parametrize("number", SETS if SLOW else (1, 2, 4, 5, 8))
+@pytest.mark.parametrize("number", SETS if SLOW else (1, 5, 6))
 def test_practice_sets(number):
     folder = measured_data("rig_practice")
     answers = yaml.safe_load((Path(folder) / "answers.yaml").read_text())[f"set_{number}"]
