@@ -103,7 +103,9 @@ def _platform_candidates(study: Study) -> list[Candidate]:
     sticks: dict[int, list[float]] = {}
     if away > 6.0 * noise:  # a pose that holds departs by `stick`, and by what the command moves in a tick
         residual = Residual(link).on([i])
-        tried = np.geomspace(max(away - speeds[i] - 4.0 * noise, 0.5 * away), away + noise, STICKS)
+        tried = np.geomspace(
+            max(away - speeds[i] - 4.0 * noise, 0.5 * away), away + noise, max(STICKS // 5, min(STICKS, STICKS * 2000 // study.rows[i]))
+        )
         for divide in dict.fromkeys((substeps, 20)):
             costs = [square(residual([("platform.friction", {"stick": float(s), FORM: divide})])) for s in tried]
             sticks[divide] = [float(tried[j]) for j in np.argsort(costs)[:6]]
