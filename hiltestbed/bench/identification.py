@@ -50,10 +50,7 @@ def identification(quick: bool = False, progress: Progress | None = None) -> Ben
         progress(len(at) + 1, len(at) + 1)
     board = leaderboard(records)
     summary = {"leaderboard": board, "intervals": intervals, "best": board[0]["method"]}
-    lines = [
-        (row["method"], f"k within {_percent(row['stiffness_error'])}, c within {_percent(row['damping_error'])} at 0.2 % noise")
-        for row in board
-    ]
+    lines = [(row["method"], f"k within {_percent(row['stiffness_error'])}, c within {_percent(row['damping_error'])}") for row in board]
     lines.append(("95 % intervals that hold k, c", f"{100 * intervals['stiffness']:.1f} %, {100 * intervals['damping']:.1f} %"))
     return BenchResult("identification", records, summary, identification_report(records, summary), lines)
 
