@@ -88,7 +88,7 @@ class Loop:
         if trace is not None:
             self.write(trace)
         passed = self.safety.passed(plant, self._pose_before, self.tally.energy)
-        if passed or _lost(drive.pose, POSE_LIMIT, self.alive) or plant.diverged.any():
+        if passed or _lost(drive.pose, POSE_LIMIT, self.alive, plant.diverged):
             self._end_runs()
         plant.advance(self.motion.pose, self.motion.twist, self.motion.acceleration)
         self.k = k + 1
@@ -143,10 +143,12 @@ class Loop:
 
 
 @njit(cache=True)
-def _lost(pose, limit, alive):
-    """Whether a run that was alive has left ``limit`` or the numbers."""
+def _lost(pose, limit, alive, diverged):
+    """Whether a run that was alive has left ``limit`` or the numbers, in the model or in the rig."""
     for i in range(pose.shape[0]):
         if alive[i]:
+            if diverged[i]:
+                return True
             for j in range(7):
                 if not abs(pose[i, j]) <= limit:
                     return True

@@ -72,13 +72,12 @@ class ContactSamples:
         """Take in what was measured at t_k: wrench ``(n, 6)``, pose ``(n, 7)``, twist ``(n, 6)``."""
         k = int(self._clock[0])
         _remember(k, pose, twist, self._x, self._v)
-        _gate(wrench, self.threshold, self.captured, self.delay / self.tick, self._held, self._peak, self._gated)
+        _gate(wrench, self.threshold, self.captured, self.delay, self.tick, self._held, self._peak, self._gated)
         if self._estimate:
             _find_delay(k, self.tick, self._longest, wrench, self._x, self._v, self._gated, self.delay, self._onset)
         late = (self._x, self._v, self.delay, self.tick, self._held_rate, self._gated)
         _sample(k, wrench, *late, self._smooth, self._leak, self._filter, self._pending)
-        np.greater_equal(self._gated, 2 * self._margin + 1, out=self.ready)
-        self.sample[:] = self._pending[:, (k - self._margin) % self._pending.shape[1]]
+        _choose(k, self._margin, self._gated, self._pending, self.ready, self.sample)
         self._clock[0] = k + 1
 
     def delay_sd(self, stiffness: Array) -> Array:
@@ -139,12 +138,20 @@ def _sample(k, wrench, x, v, delay, h, held_rate, gated, smooth, leak, memory, p
 
 
 @njit(cache=True)
-def _gate(wrench, threshold, captured, late, held, peak, gated):
+def _choose(k, margin, gated, pending, ready, sample):
+    """The sample of ``margin`` ticks ago, which counts when the contact has lasted as long before it."""
+    for i in range(gated.shape[0]):
+        ready[i] = gated[i] >= 2 * margin + 1
+        sample[i] = pending[i, (k - margin) % pending.shape[1]]
+
+
+@njit(cache=True)
+def _gate(wrench, threshold, captured, delay, tick, held, peak, gated):
     for i in range(wrench.shape[0]):
         force = wrench[i, 2]  # pushing is positive; what a high-pass leaves after the contact is negative
         peak[i] = max(peak[i], force)
         held[i] = held[i] + 1 if captured[i] else 0
-        felt = held[i] > late[i] + 1.0  # what is read now left the mechanism after the latches had closed
+        felt = held[i] > delay[i] / tick + 1.0  # what is read now left the mechanism after the latches had closed
         gated[i] = gated[i] + 1 if felt or (force > threshold[i] and force > GATE_PEAK * peak[i]) else 0
 
 

@@ -146,13 +146,15 @@ class ServoTracking:
         self._applied[:, self._passive, 2] += self.mount.balance
 
     def _observe(self) -> None:
-        self.servo.observe(self._qpos, self._qvel, SPEED_LIMIT, self.pose_act, self.twist_act, self.slider_act, self.diverged)
+        lost = self.servo.observe(self._qpos, self._qvel, SPEED_LIMIT, self.pose_act, self.twist_act, self.slider_act, self.diverged)
         if self.touch is None:
             np.greater(self._ncon, 0, out=self.contact_now)
         else:
             self.contact_now[:] = self.touch.touching
-        if self.diverged.any():
+            lost = bool(self.diverged.any())  # between two substeps, too
+        if lost:
             self._leave_out()
+        if self._going is not None:
             self.wrench_sub[self.diverged] = 0.0
 
     def _leave_out(self) -> None:
