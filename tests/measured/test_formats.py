@@ -81,9 +81,7 @@ def _tdms(path: Path, table: Table) -> None:
     nptdms = pytest.importorskip("nptdms")
     properties = {"wf_increment": 1.0 / bounce.RATE, "wf_start_offset": 0.0, "wf_samples": len(table["t"])}
     with nptdms.TdmsWriter(path) as writer:
-        writer.write_segment(
-            [nptdms.ChannelObject(*name.split("."), values, properties) for name, values in table.items() if name != "t"]
-        )
+        writer.write_segment([nptdms.ChannelObject(*name.split("."), values, properties) for name, values in table.items() if name != "t"])
 
 
 def _mcap(path: Path, table: Table) -> None:
@@ -144,9 +142,7 @@ def test_an_empty_file_is_refused(tmp_path: Path, name: str) -> None:
     ("suffix", "module", "extra"),
     [("h5", "h5py", "hdf5"), ("mf4", "asammdf", "mdf"), ("tdms", "nptdms", "tdms"), ("mcap", "mcap.reader", "mcap")],
 )
-def test_a_missing_reader_is_an_install_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, suffix: str, module: str, extra: str
-) -> None:
+def test_a_missing_reader_is_an_install_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, suffix: str, module: str, extra: str) -> None:
     path = tmp_path / f"run.{suffix}"
     path.write_bytes(b"anything")
     monkeypatch.setitem(sys.modules, module, None)
