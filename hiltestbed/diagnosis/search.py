@@ -92,7 +92,7 @@ def search(residual: Residual, candidates: Sequence[Candidate], judge: Judge = c
     adequate_null = all(left.noise for left in before.values())
     if singles and residual.beware(singles[0].effects()):
         null = null_fit(residual)
-        singles = [again(residual, f) for f in _distinct(singles)[:BEAM]]
+        singles = [again(residual, f) for f in _best_of_each(singles, "effect")[:BEAM]]
         singles.sort(key=lambda f: f.score)
         before = judge(residual, ())
     best = singles[0] if singles else null
@@ -104,10 +104,10 @@ def search(residual: Residual, candidates: Sequence[Candidate], judge: Judge = c
     adequate = all(left.noise for left in leftovers.values())
     pairs: list[Fit] = []
     if most > 1 and singles:
-        for base in _distinct(singles)[: 1 if adequate else BEAM]:
+        for base in _best_of_each(singles, "effect")[: 1 if adequate else BEAM]:
             pairs += _extend(residual, base, candidates, progress, special, PARTNERS)
         pairs.sort(key=lambda f: f.score)
-        pairs = _unique(pairs)
+        pairs = _best_of_each(pairs, "key")
         need = (PAYS if adequate else PAYS_INADEQUATE) * inflation(pairs[0]) if pairs else math.inf
         if pairs and residual.beware(pairs[0].effects()):
             pairs = sorted([again(residual, f) for f in pairs[:PARTNERS]], key=lambda f: f.score)
@@ -271,24 +271,13 @@ def _without(basis: Array, r: Array) -> Array:
     return r - np.einsum("mi,i->m", basis, np.einsum("mi,m->i", basis, r)) if basis.shape[1] else r
 
 
-def _distinct(fits: Sequence[Fit]) -> list[Fit]:
-    """The best of each set of effects."""
+def _best_of_each(fits: Sequence[Fit], name: str) -> list[Fit]:
+    """The first of each set of causes; ``name``: the attribute by which causes are the same, ``effect`` or ``key``."""
     seen, out = set(), []
     for f in fits:
-        key = tuple(sorted(c.effect for c in f.causes))
-        if key not in seen:
-            seen.add(key)
-            out.append(f)
-    return out
-
-
-def _unique(fits: Sequence[Fit]) -> list[Fit]:
-    """The best of each set of causes."""
-    seen, out = set(), []
-    for f in fits:
-        key = tuple(sorted(c.key for c in f.causes))
-        if key not in seen:
-            seen.add(key)
+        causes = tuple(sorted(getattr(c, name) for c in f.causes))
+        if causes not in seen:
+            seen.add(causes)
             out.append(f)
     return out
 
@@ -298,7 +287,7 @@ def _rivals(residual: Residual, found: Explanation, judge: Judge) -> list[list[F
     pool = found.singles if len(chosen.causes) == 1 else found.pairs
     close = [f for f in pool if f is not chosen and f.score - chosen.score < TIE * inflation(chosen)]
     rivals: list[list[Fit]] = [[] for _ in chosen.causes]
-    for f in _distinct(close):
+    for f in _best_of_each(close, "effect"):
         effects = {c.effect for c in f.causes}
         shared = [c.effect in effects for c in chosen.causes]
         if sum(shared) != len(shared) - 1:
