@@ -1,7 +1,7 @@
 """The closed loop: read this first.
 
 A tick, at t_k: read the physical wrench through the sensor; identify stiffness and damping; compensate and let the numerical model
-move on; tell the platform where to be at t_(k+1); write the row; let the rig run until then. One call a block, in the order of the
+move on; tell the platform where to be at t_(k+1) and set out; write the row; let the rig run until then. One call a block, in the order of the
 signal, on arrays whose leading axis is the run in the batch.
 """
 
@@ -42,8 +42,8 @@ class Loop:
     def __init__(self, scenarios: Sequence[Scenario], nthread: int = 1) -> None:
         n = len(scenarios)
         self.scenarios = scenarios
-        self.plant = Plant(scenarios, nthread)
         self.sensor = Sensor(scenarios, [np.random.default_rng(s.seed) for s in scenarios])
+        self.plant = Plant(scenarios, nthread, late=self.sensor.late)
         self.identification = make_identification(scenarios)
         if self.identification:
             self.identification.source.captured = self.plant.captured
@@ -82,7 +82,9 @@ class Loop:
         self._pose_before[:] = drive.pose
         drive.advance(self.measurement)
         self.motion.update(drive.pose, drive.twist, self.measurement)
+        plant.begin(self.motion.pose, self.motion.twist, self.motion.acceleration)
         wrench = plant.wrench_sub[:, -1]
+        self.sensor.feel(k, wrench)
         self.tally.update(k, (wrench, plant.pose_act, plant.twist_act, plant.contact), self._pose_before, (drive.wrench, drive.twist))
         self.outcomes.update(k, wrench, plant.contact, plant.captured)
         if trace is not None:
@@ -90,7 +92,7 @@ class Loop:
         passed = self.safety.passed(plant, self._pose_before, self.tally.energy)
         if passed or _lost(drive.pose, POSE_LIMIT, self.alive, plant.diverged):
             self._end_runs()
-        plant.advance(self.motion.pose, self.motion.twist, self.motion.acceleration)
+        plant.finish()
         self.k = k + 1
 
     def write(self, trace: Trace) -> None:

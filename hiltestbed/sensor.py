@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario
 
 BLOCK = 256  # ticks of noise drawn at a time
+WHOLE = 1e-6  # of a step: 5 ms is 20 steps of 0.25 ms, however the division was rounded
 JITTER_CLIP = 8.0  # standard deviations of delay jitter that the ring can hold
 
 
@@ -31,6 +32,7 @@ class Sensor:
     Attributes:
         reading: (n, 6) the last reading [N, N m].
         ring: (n, L, 6) the last L physical wrenches, instant j at slot j modulo L.
+        late: (n,) runs whose delay is never shorter than a physics step: their reading at t_k does not need the wrench at t_k.
     """
 
     def __init__(self, scenarios: Sequence[Scenario], rngs: Sequence[np.random.Generator]) -> None:
@@ -44,6 +46,7 @@ class Sensor:
         longest = float(np.max(self.chain.delay + JITTER_CLIP * self.chain.jitter))
         self._delay_steps = self.chain.delay / physics_step
         self._jitter_steps = self.chain.jitter / physics_step
+        self.late = self._delay_steps - JITTER_CLIP * self._jitter_steps > 1.0 - WHOLE
         self.ring = np.zeros((n, math.ceil(longest / physics_step) + self.substeps + 2, 6))
         stages = max(self.chain.lag.shape[1], self.chain.leak.shape[1])
         self._low, self._high, self._before = np.zeros((n, stages, 6)), np.zeros((n, stages, 6)), np.zeros((n, stages, 6))
@@ -60,7 +63,8 @@ class Sensor:
 
         Args:
             k: the tick; called once for each, from 0 on.
-            wrench_sub: (n, m, 6) physical wrench at the m physics instants up to t_k, the last of which is t_k.
+            wrench_sub: (n, m, 6) physical wrench at the m physics instants up to t_k, the last of which is t_k; of a run that is
+                `late` the last may be anything, if :meth:`feel` tells it before the next tick.
         """
         while k >= self._next_block:  # a loop that starts from a saved state draws what lies before it
             self._draw()
@@ -69,6 +73,10 @@ class Sensor:
             *self.chain.arrays(), self._low, self._high, self._before, self.reading,
         )  # fmt: skip
         return self.reading
+
+    def feel(self, k: int, wrench: Array) -> None:
+        """The wrench (n, 6) at t_k, where it was not known to :meth:`read`: of runs that are `late`."""
+        self.ring[:, k * self.substeps % self.ring.shape[1]] = wrench
 
     def _draw(self) -> None:
         self._next_block += BLOCK
@@ -116,7 +124,7 @@ def _read(k, h, ring, sub, delay, jitter, noise, shake, calibration, lag, leak, 
             lateness += jitter[i] * min(max(shake[i, row], -JITTER_CLIP), JITTER_CLIP)
         at = k * m - max(lateness, 0.0)
         whole = round(at)
-        if abs(at - whole) < 1e-6:  # 5 ms is 20 steps of 0.25 ms, however the division was rounded
+        if abs(at - whole) < WHOLE:
             at = whole
         first = math.floor(at)
         part = at - first

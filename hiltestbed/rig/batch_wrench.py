@@ -6,13 +6,13 @@ from numba import njit
 
 
 @njit(cache=True)
-def read_wrench(reading, tare, wrench_sub, sub):
-    """``wrench_sub[:, sub] = tare - reading``, both ``(n, 6)``.
+def read_wrench(reading, tare, runs, wrench_sub, sub):
+    """``wrench_sub[runs, sub] = tare - reading``, both ``(n, 6)``, for the ``runs`` (r,).
 
     MuJoCo's sensors give what the parent exerts on the child: weight carried reads positive, a push of the active side reads
     negative (tests/rig/test_sensor_sign.py hangs a known weight on it).
     """
-    for i in range(reading.shape[0]):
+    for i in runs:
         for j in range(6):
             wrench_sub[i, sub, j] = tare[i, j] - reading[i, j]
 

@@ -25,17 +25,20 @@ if TYPE_CHECKING:
 
 SPEED_LIMIT = 1e3  # [m/s], [rad/s] a joint faster than this has diverged
 YIELDING = 150.0  # [kg] half of what a point of the platform weighs against a push: friction may take its speed in one step
-ACC = int(mujoco.mjtStage.mjSTAGE_ACC)
+NONE, VEL, ACC = (int(stage) for stage in (mujoco.mjtStage.mjSTAGE_NONE, mujoco.mjtStage.mjSTAGE_VEL, mujoco.mjtStage.mjSTAGE_ACC))
 
 
 class ServoTracking:
     """The rigs of `n` runs under servo tracking; arrays as in :class:`hiltestbed.rig.plant.Plant`.
 
     The force at t_(k+1) is read from the forward stages at the new state, without a step's delay; the readings at the substeps in
-    between come from the sensor's history.
+    between come from the sensor's history. A run whose force may come `late` is spared those stages, a quarter of the physics: its
+    force at t_k is that of the first step of the tick which starts there.
     """
 
-    def __init__(self, scenarios: Sequence[Scenario], nthread: int, structure: model.Structure) -> None:
+    def __init__(
+        self, scenarios: Sequence[Scenario], nthread: int, structure: model.Structure, late: NDArray[np.bool_] | None = None
+    ) -> None:
         first, n = scenarios[0], len(scenarios)
         if mujoco.get_mju_user_warning() is None:  # else MuJoCo writes MUJOCO_LOG.TXT into the working folder
             mujoco.set_mju_user_warning(_said)
@@ -57,7 +60,7 @@ class ServoTracking:
         self._warmstart, self._history = bind("qacc_warmstart"), bind("history")
         self.servo.add_friction(scenarios, bind("qfrc_applied"))
         self._reading, self._ncon = bind("sensordata"), bind("ncon")
-        self._tare = np.zeros((n, 6))
+        self._tare, self._all = np.zeros((n, 6)), np.arange(n)
         self._applied = bind("xfrc_applied").reshape(n, -1, 6)
         self._active = self.model.body(model.ACTIVE + "mechanism").id
         self._passive = self.model.body(model.PASSIVE + "mechanism").id
@@ -70,6 +73,7 @@ class ServoTracking:
         self.slider_cmd = self.servo.target
         self.diverged = np.zeros(n, dtype=bool)
         self.causes = [""] * n
+        self._late = np.zeros(n, dtype=bool) if late is None else late
         self._going: NDArray[np.intp] | None = None  # the runs that are stepped; None: all
         self._weigh()
 
@@ -82,9 +86,10 @@ class ServoTracking:
 
     def reset(self, pose: Array, twist: Array) -> None:
         """Start at ``pose`` (n, 7), moving with ``twist`` (n, 6); forces start from zero."""
-        self.batch.reset(stage=int(mujoco.mjtStage.mjSTAGE_NONE))
+        self.batch.reset(stage=NONE)
         self.diverged[:] = False
         self._going = None
+        self._group()
         self.servo.settle(pose, twist, self._qpos, self._qvel)
         self._ticks[0] = 0
         if self.touch is not None:
@@ -92,20 +97,27 @@ class ServoTracking:
             self._meet()
         self.batch.forward()
         self.wrench_sub[:] = 0.0
-        read_wrench(self._reading, self._tare, self.wrench_sub, self.substeps - 1)
+        read_wrench(self._reading, self._tare, self._all, self.wrench_sub, self.substeps - 1)
         self._observe()
 
-    def advance(self, pose_cmd: Array, twist_cmd: Array, accel_cmd: Array) -> None:
-        """One tick towards ``pose_cmd`` (n, 7), with ``twist_cmd`` and ``accel_cmd`` (n, 6)."""
+    def begin(self, pose_cmd: Array, twist_cmd: Array, accel_cmd: Array) -> None:
+        """Start the tick towards ``pose_cmd`` (n, 7), with ``twist_cmd`` and ``accel_cmd`` (n, 6): its first step."""
         self._goal[:] = pose_cmd
         if self.path.active:
             self._goal[:, :3] = self.path.advance(int(self._ticks[0]), pose_cmd)[:, -1]
         self._ticks[0] += 1
         self.servo.aim(self._goal, twist_cmd, accel_cmd)
+        self._step(0)
+        if self._latecomers.size:
+            read_wrench(self._reading, self._tare, self._latecomers, self.wrench_sub, self.substeps - 1)
+
+    def finish(self) -> None:
+        """The rest of the tick."""
         if self.touch is None:
             self._run()
         else:
             self._run_touching()
+        self.servo.arrive()
         self._observe()
 
     def bare_steps(self, count: int) -> None:
@@ -113,26 +125,31 @@ class ServoTracking:
         for _ in range(count):
             self.batch.step()
 
-    def _run(self) -> None:
-        last = self.substeps - 1
-        for s in range(last):
-            self.servo.push(s, self._qpos, self._qvel, self._ctrl)
+    def _step(self, sub: int) -> None:
+        self.servo.push(sub, self._qpos, self._qvel, self._ctrl)
+        if self.touch is not None or sub < self.substeps - 1:
             self.batch.step(self._going)
-        self.servo.push(last, self._qpos, self._qvel, self._ctrl)
-        self.batch.step(self._going, stage=ACC)
+            return
+        for ids, stage in self._groups:
+            self.batch.step(ids, stage=stage)
+
+    def _run(self) -> None:
+        for s in range(1, self.substeps):
+            self._step(s)
         read_history(self._history, self._tare, self.wrench_sub)
-        read_wrench(self._reading, self._tare, self.wrench_sub, last)
+        if self._prompt.size:
+            read_wrench(self._reading, self._tare, self._prompt, self.wrench_sub, self.substeps - 1)
 
     def _run_touching(self) -> None:
         """A step's reading is that of its start; the last instant takes a forward pass of its own."""
-        for s in range(self.substeps):
-            self.servo.push(s, self._qpos, self._qvel, self._ctrl)
-            self.batch.step(self._going)
-            if s > 0:
-                read_wrench(self._reading, self._tare, self.wrench_sub, s - 1)
+        self._meet()
+        for s in range(1, self.substeps):
+            self._step(s)
+            read_wrench(self._reading, self._tare, self._all, self.wrench_sub, s - 1)
             self._meet()
-        self.batch.forward(self._going)
-        read_wrench(self._reading, self._tare, self.wrench_sub, self.substeps - 1)
+        if self._prompt.size:
+            self.batch.forward(self._groups[0][0])
+            read_wrench(self._reading, self._tare, self._prompt, self.wrench_sub, self.substeps - 1)
 
     def _meet(self) -> None:
         """Put the wrench of the state on both sides."""
@@ -163,6 +180,14 @@ class ServoTracking:
             if not self.causes[i]:
                 self.causes[i] = _cause(self.model, self._qpos[i], self._qvel[i])
         self._going = np.flatnonzero(~self.diverged)
+        self._group()
+
+    def _group(self) -> None:
+        """Part the runs that are stepped into those whose force is wanted at once and the others, with their stages."""
+        going = ~self.diverged
+        self._prompt, self._latecomers = np.flatnonzero(going & ~self._late), np.flatnonzero(going & self._late)
+        parts = [(ids, stage) for ids, stage in ((self._prompt, ACC), (self._latecomers, VEL)) if ids.size]
+        self._groups: list[tuple[NDArray[np.intp] | None, int]] = [(None if len(ids) == len(going) else ids, stage) for ids, stage in parts]
 
     def buffers(self) -> dict[str, NDArray[Any]]:
         """The state between two ticks."""

@@ -82,7 +82,8 @@ class IdealTracking:
         self._passive = self.model.body(model.PASSIVE + "mechanism").id
         free = self.model.joint("A_joint")
         self._joint = np.array([free.qposadr[0], free.dofadr[0]])
-        self._tare = np.zeros((n, 6))  # there is no gravity
+        self._tare, self._all = np.zeros((n, 6)), np.arange(n)  # there is no gravity
+        self._goal = np.zeros((n, 7))
         self._before, self._between = np.zeros((n, 7)), np.zeros((n, 7))
         self.pose_act, self.twist_act = np.zeros((n, 7)), np.zeros((n, 6))
         self.wrench_sub = np.zeros((n, self.substeps, 6))
@@ -104,15 +105,19 @@ class IdealTracking:
         self.wrench_sub[:] = 0.0
         self._place(self.substeps)
         self.batch.forward()
-        read_wrench(self._reading, self._tare, self.wrench_sub, self.substeps - 1)
+        read_wrench(self._reading, self._tare, self._all, self.wrench_sub, self.substeps - 1)
         self._conclude()
 
-    def advance(self, pose_cmd: Array, twist_cmd: Array, accel_cmd: Array) -> None:
-        """Move to ``pose_cmd`` (n, 7) over one tick; its derivatives are not needed here."""
+    def begin(self, pose_cmd: Array, twist_cmd: Array, accel_cmd: Array) -> None:
+        """Start the tick towards ``pose_cmd`` (n, 7); its derivatives are not needed here."""
+        self._goal[:] = pose_cmd
+
+    def finish(self) -> None:
+        """Move over the tick."""
         self._before[:] = self.pose_act
-        self.pose_act[:] = pose_cmd
+        self.pose_act[:] = self._goal
         if self.path.active:
-            self.path.advance(int(self._ticks[0]), pose_cmd)
+            self.path.advance(int(self._ticks[0]), self._goal)
             self.pose_act[:, :3] = self.path.path[:, -1]
         self._ticks[0] += 1
         _slope(self._before, self.pose_act, self.tick, self.twist_act)
@@ -131,18 +136,18 @@ class IdealTracking:
         for s in range(1, self.substeps + 1):
             self._place(s)
             self.batch.forward()
-            read_wrench(self._reading, self._tare, self.wrench_sub, s - 1)
+            read_wrench(self._reading, self._tare, self._all, self.wrench_sub, s - 1)
 
     def _run(self) -> None:
         """The mount is integrated: a step's reading is that of its start, the last instant takes a forward pass of its own."""
         for s in range(1, self.substeps + 1):
             self.batch.step()
             if s > 1:
-                read_wrench(self._reading, self._tare, self.wrench_sub, s - 2)
+                read_wrench(self._reading, self._tare, self._all, self.wrench_sub, s - 2)
             self.mount.observe(self._qpos, self._qvel)
             self._place(s)
         self.batch.forward()
-        read_wrench(self._reading, self._tare, self.wrench_sub, self.substeps - 1)
+        read_wrench(self._reading, self._tare, self._all, self.wrench_sub, self.substeps - 1)
 
     def _place(self, s: int) -> None:
         """Put A where it is at the sub-instant ``s`` of m, and the wrench of that state on the passive side."""

@@ -81,6 +81,7 @@ class NineAxes:
         self._before, self._slope = np.zeros((n, 7)), np.zeros((n, 6))  # of the command in W
         self._pose_W, self._twist_W, self._accel_W = np.zeros((n, 7)), np.zeros((n, 6)), np.zeros((n, 6))
         self._was_home = np.zeros(n, dtype=bool)
+        self._goal = (np.zeros((n, 7)), np.zeros((n, 6)), np.zeros((n, 6)))  # pose, twist, acceleration
 
     @property
     def model(self) -> mujoco.MjModel:
@@ -110,9 +111,15 @@ class NineAxes:
         relate(self.lower.pose_act, self.lower.twist_act, self.upper.pose, self.upper.twist, self.pose_act, self.twist_act)
         self.wrench_sub[:] = self.lower.wrench_sub
 
-    def advance(self, pose_cmd: Array, twist_cmd: Array, accel_cmd: Array) -> None:
-        """One tick towards the relative ``pose_cmd`` (n, 7), with ``twist_cmd`` and ``accel_cmd`` (n, 6)."""
+    def begin(self, pose_cmd: Array, twist_cmd: Array, accel_cmd: Array) -> None:
+        """Start the tick towards the relative ``pose_cmd`` (n, 7), with ``twist_cmd`` and ``accel_cmd`` (n, 6)."""
+        for goal, given in zip(self._goal, (pose_cmd, twist_cmd, accel_cmd), strict=True):
+            goal[:] = given
+
+    def finish(self) -> None:
+        """Move both platforms over the tick."""
         upper, lower = self.upper, self.lower
+        pose_cmd, twist_cmd, accel_cmd = self._goal
         if upper.advance(pose_cmd, self.diverged):
             for i in np.flatnonzero(self.diverged):
                 self.causes[i] = self.causes[i] or "the upper platform moves faster than 1000 m/s or rad/s"
@@ -120,7 +127,8 @@ class NineAxes:
             upper.planned, upper.x, self._was_home, pose_cmd, twist_cmd, accel_cmd, self.tick,
             self._before, self._slope, self._pose_W, self._twist_W, self._accel_W,
         )  # fmt: skip
-        lower.advance(self._pose_W, self._twist_W, self._accel_W)
+        lower.begin(self._pose_W, self._twist_W, self._accel_W)
+        lower.finish()
         _together(
             self._ideal, upper.away, self.tick, lower.pose_act, lower.twist_act, upper.pose, upper.twist, lower.wrench_sub,
             upper.residual, self.pose_act, self.twist_act, self.wrench_sub,

@@ -48,23 +48,37 @@ class Plant:
         pose_act: (n, 7) pose of A in P; twist_act: (n, 6) twist of A relative to P, in P. Ideal tracking: the slope of the pose over
             the tick that ended; servo: the velocity at t_k.
         wrench_sub: (n, m, 6) contact wrench, what the active side exerts on the passive one, in P at P's origin, tared [N, N m],
-            at t_(k-1) + (s + 1) dt, s = 0 .. m - 1; the last is at t_k.
+            at t_(k-1) + (s + 1) dt, s = 0 .. m - 1; the last, at t_k, may stand only after :meth:`begin` where a run is `late`.
         contact: (n,) bool, whether the mechanisms touch. captured: (n,) bool, whether they are latched to each other.
         slider_cmd, slider_act: (n, 6) the platform's sliders [m], 0 at home. upper_cmd, upper_act: (n, 3) those of the upper one.
         pose_W: (n, 7) pose of A in W, which is P without an upper platform.
         diverged: (n,) bool, whether a run has left the finite numbers; it is frozen from then on.
     """
 
-    def __init__(self, scenarios: Sequence[Scenario], nthread: int = 1, contact_law: ContactLaw | None = None) -> None:
-        """``contact_law``: in place of the scenarios' own contact along the normal, their effects included."""
+    def __init__(
+        self,
+        scenarios: Sequence[Scenario],
+        nthread: int = 1,
+        contact_law: ContactLaw | None = None,
+        late: NDArray[np.bool_] | None = None,
+    ) -> None:
+        """The rigs of `n` runs.
+
+        Args:
+            contact_law: in place of the scenarios' own contact along the normal, their effects included.
+            late: (n,) runs that do not need the wrench at t_k before the tick begins there, which costs less; none by default.
+        """
         if len({alike(s) for s in scenarios}) != 1:
             raise InputError(
                 "one Plant takes runs of one structure: the same rate, physics_rate, rig.platform, rig.upper and mechanism.kind; "
                 "mechanism.mount, contact.friction > 0 and effects of the contact in all or in none"
             )
-        tracking = IdealTracking if scenarios[0].rig.platform.tracking == "ideal" else ServoTracking
-        lower = tracking(scenarios, nthread, structure(scenarios[0], contact_law is not None))
-        above = scenarios[0].rig.upper.kind == "prs3"
+        above, made_of = scenarios[0].rig.upper.kind == "prs3", structure(scenarios[0], contact_law is not None)
+        lower: IdealTracking | ServoTracking
+        if scenarios[0].rig.platform.tracking == "ideal":
+            lower = IdealTracking(scenarios, nthread, made_of)
+        else:
+            lower = ServoTracking(scenarios, nthread, made_of, None if above else late)
         self._tracking = NineAxes(scenarios, lower, nthread) if above else lower
         self.pose_W: Array = lower.pose_act
         self._law: ContactForce | None = None
@@ -130,8 +144,20 @@ class Plant:
         """``count`` steps of the same physics with nothing around them, a call each: what the loop's cost is compared with."""
         self._tracking.bare_steps(count)
 
-    def advance(self, pose_cmd: Array, twist_cmd: Array, accel_cmd: Array) -> None:
-        """From t_k to t_(k+1): ``pose_cmd`` (n, 7) is to be reached then, with ``twist_cmd`` and ``accel_cmd`` (n, 6)."""
-        self._tracking.advance(pose_cmd, twist_cmd, accel_cmd)
+    def begin(self, pose_cmd: Array, twist_cmd: Array, accel_cmd: Array) -> None:
+        """Set out from t_k for t_(k+1): ``pose_cmd`` (n, 7) is to be reached then, with ``twist_cmd`` and ``accel_cmd`` (n, 6).
+
+        All attributes stay those at t_k; from here on the wrench at t_k stands for every run.
+        """
+        self._tracking.begin(pose_cmd, twist_cmd, accel_cmd)
+
+    def finish(self) -> None:
+        """Arrive at t_(k+1)."""
+        self._tracking.finish()
         if self._latch is not None and self._tracking.touch is not None:
             self._latch.close(self._tracking.touch)
+
+    def advance(self, pose_cmd: Array, twist_cmd: Array, accel_cmd: Array) -> None:
+        """A whole tick: :meth:`begin` and :meth:`finish`."""
+        self.begin(pose_cmd, twist_cmd, accel_cmd)
+        self.finish()

@@ -42,10 +42,11 @@ def _hermite(t, s0, v0, s1, v1, h):
 
 
 @njit(cache=True)
-def _aim(limbs, load, feed, h, pose_cmd, twist_cmd, accel_cmd, target, speed, velocity, plan):
-    """Write ``plan`` (n, m, 3, 6), position, velocity and force at the start of each substep of a tick, and move the references on.
+def _aim(limbs, load, feed, h, pose_cmd, twist_cmd, accel_cmd, target, speed, velocity, plan, ahead):
+    """Write ``plan`` (n, m, 3, 6), position, velocity and force at the start of each substep of a tick, and its end ``ahead``.
 
-    target: (n, 6) slider references [m]; speed: their velocity, that of the cubic; velocity: the difference at the last substep.
+    target: (n, 6) slider references [m]; speed: their velocity, that of the cubic; velocity: the difference at the last substep, moved
+    on. ahead: (2, n, 6) target and speed at the end of the tick.
     Without ``feed`` (n,) the drives are told the position alone, on a straight line.
     """
     n, m = plan.shape[0], plan.shape[1]
@@ -78,8 +79,8 @@ def _aim(limbs, load, feed, h, pose_cmd, twist_cmd, accel_cmd, target, speed, ve
                 plan[i, s, 2, j] = force[j]
                 velocity[i, j] = rate[j]
                 before[j] = now[j]
-        target[i] = goal
-        speed[i] = leave
+        ahead[0, i] = goal
+        ahead[1, i] = leave
 
 
 @njit(cache=True)
@@ -155,7 +156,7 @@ class Servo:
     """References and inputs of the drives of `n` rigs, and what the joints of the model say.
 
     Attributes:
-        target: (n, 6) slider references at the end of the tick [m].
+        target: (n, 6) slider references at t_k [m].
         kp, kv: gains of a drive [N/m], [N s/m].
     """
 
@@ -170,7 +171,7 @@ class Servo:
         self._adr = np.array([[s.qposadr[0] for s in sliders], [s.dofadr[0] for s in sliders]])
         self._free = np.array([free.qposadr[0], free.dofadr[0]])
         self.target, self.speed, self.velocity = np.zeros((n, 6)), np.zeros((n, 6)), np.zeros((n, 6))
-        self._plan = np.zeros((n, substeps, 3, 6))
+        self._plan, self._ahead = np.zeros((n, substeps, 3, 6)), np.zeros((2, n, 6))
         self._step, self._least = tick / substeps, float(self._load[14] + self._load[15])
         self._friction: DriveFriction | None = None
         self._applied = np.zeros((n, model.nv))
@@ -199,8 +200,12 @@ class Servo:
         """Plan one tick, at whose end ``pose_cmd`` (n, 7) is to be reached."""
         _aim(
             self.platform.limbs, self._load, self._feed, self.tick, pose_cmd, twist_cmd, accel_cmd,
-            self.target, self.speed, self.velocity, self._plan,
+            self.target, self.speed, self.velocity, self._plan, self._ahead,
         )  # fmt: skip
+
+    def arrive(self) -> None:
+        """The tick is over: its end is where the next one starts."""
+        self.target[:], self.speed[:] = self._ahead
 
     def push(self, sub: int, qpos: Array, qvel: Array, force: Array) -> None:
         """``force`` (n, 6) [N] of the drives for substep ``sub`` of the tick, from the joints as they stand."""

@@ -24,8 +24,9 @@ def driven(plant: Plant, i: int, ticks: int = 60) -> list[np.ndarray]:
     for k in range(ticks):
         goal = start.copy()
         goal[:, 2] += speed * (k + 1) / 2000.0
-        plant.advance(goal, twist, np.zeros((n, 6)))
+        plant.begin(goal, twist, np.zeros((n, 6)))
         out.append(np.concatenate([np.ravel(getattr(plant, name)[i]) for name in OUTPUTS]))
+        plant.finish()
     return out
 
 
@@ -37,6 +38,22 @@ def test_a_run_alone_is_the_run_in_a_batch_bit_for_bit(tracking: str, friction: 
     alone = np.array(driven(Plant([s]), 0))
     assert np.array_equal(alone, among)
     assert among[-1][:3].any()
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.1])
+@pytest.mark.parametrize("substeps", [1, 2, 5])
+def test_a_force_told_late_is_the_force_told_at_once(friction: float, substeps: int) -> None:
+    """Told once the tick has begun, from its first step, it differs by what the drives' new push adds to MuJoCo's soft contact: 1e-4 of
+    that push; and of the late and the prompt in one batch each is what it is alone."""
+    s = scenario(friction=friction, physics_rate=2000.0 * substeps)
+    told, at_once, mixed = (
+        np.array(driven(Plant([s] * 2, late=np.array(late)), 0, 200)) for late in ([True, True], [False, False], [True, False])
+    )
+    assert np.array_equal(told, mixed)
+    forces = slice(13, 13 + 6 * substeps)  # after pose and twist; before the first tick nothing was told
+    assert np.abs(at_once[:, forces]).max() > 50.0
+    assert np.abs(told - at_once)[1:, forces].max() < 2e-4 * np.abs(at_once[:, forces]).max()
+    assert np.array_equal(np.delete(told, forces, axis=1), np.delete(at_once, forces, axis=1))
 
 
 @pytest.mark.parametrize("tracking", ["ideal", "servo"])
