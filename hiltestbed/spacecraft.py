@@ -1,10 +1,10 @@
 """The numerical model: chaser and target as free-flyers, computed by Pinocchio.
 
 One Pinocchio model holds the bodies of up to :data:`RUNS_PER_MODEL` runs, so that one call of the articulated-body algorithm
-(R. Featherstone, Rigid Body Dynamics Algorithms, 2008, table 9.6) advances them all. A free-flyer is a translation joint in the
-inertial frame followed by a spherical joint at the centre of mass: its velocity is (linear in the inertial frame, angular in the
-body), so that the semi-implicit step adds ``h f/m`` to the momentum of one body and takes it from the other. Pinocchio's own
-free-flyer joint keeps its linear velocity in the body frame, where the same step loses momentum with every turn of the frame.
+(R. Featherstone, Rigid Body Dynamics Algorithms, 2008, table 9.6) accelerates them all. The linear velocity is kept in the inertial
+frame, so that the semi-implicit step adds ``h f/m`` to the momentum of one body and takes it from the other; in the body frame, that
+of Pinocchio's free-flyer joint, the same step would lose momentum with every turn of the frame. What a body is accelerated by does
+not depend on its linear velocity: Pinocchio is given each body as it is seen by an observer who moves along with it.
 """
 
 from __future__ import annotations
@@ -19,8 +19,10 @@ from hiltestbed.frames import (
     Array,
     cross,
     pose_between,
+    quat_exp,
     quat_from_attitude_deg,
     quat_mul,
+    quat_normalise,
     rotate,
     rotate_back,
     rotation_matrix,
@@ -64,7 +66,7 @@ class Spacecraft:
 
     def build(self) -> None:
         """(Re)make the Pinocchio models from ``mass`` and ``inertia``."""
-        self._blocks = pinocchio_blocks(self.mass, self.inertia)
+        self.flyers = FreeFlyers(self.mass, self.inertia)
 
     def reset(self) -> None:
         """Target at rest with P at the inertial origin; chaser where and as fast as ``approach`` says."""
@@ -74,9 +76,8 @@ class Spacecraft:
     def advance(self, wrench: Array) -> None:
         """One semi-implicit Euler step under ``wrench`` ``(n, 6)``, active on passive, in P at P's origin: twists, then poses."""
         load_wrench(self.q, self.port, wrench, self._tau)
-        for block in self._blocks:
-            block.accelerate(self.q, self.v, self._tau, self.tick)
-            block.move(self.q, self.v, self.tick)
+        self.flyers.accelerate(self.q, self.v, self._tau, self.tick)
+        move(self.q, self.v, self.tick)
         relative_states(self.q, self.v, self.port, self.pose, self.twist)
 
     def buffers(self) -> dict[str, Array]:
@@ -84,35 +85,37 @@ class Spacecraft:
         return {"q": self.q, "v": self.v, "pose": self.pose, "twist": self.twist}
 
 
-class _Block:
-    """The Pinocchio model of some runs of the batch."""
+class FreeFlyers:
+    """The Pinocchio models of bodies of ``mass`` ``(n, 2)`` [kg] and ``inertia`` ``(n, 2, 3, 3)`` [kg m^2]."""
 
-    def __init__(self, mass: Array, inertia: Array, runs: slice) -> None:
-        self.runs = runs
-        self.model = pin.Model()
-        self.model.gravity = pin.Motion.Zero()
-        for i in range(len(mass)):
-            for b in range(2):
-                base = self.model.addJoint(0, pin.JointModelTranslation(), pin.SE3.Identity(), f"position_{i}_{b}")
-                ball = self.model.addJoint(base, pin.JointModelSpherical(), pin.SE3.Identity(), f"attitude_{i}_{b}")
-                self.model.appendBodyToJoint(ball, pin.Inertia(mass[i, b], np.zeros(3), inertia[i, b]), pin.SE3.Identity())
-        self.data = self.model.createData()
+    def __init__(self, mass: Array, inertia: Array) -> None:
+        n = len(mass)
+        self._q, self._v, self._tau = np.zeros((n, 2, 7)), np.zeros((n, 2, 6)), np.zeros((n, 2, 6))
+        self._acceleration = np.zeros((n, 2, 6))
+        self._models = []
+        for start in range(0, n, RUNS_PER_MODEL):
+            runs = slice(start, start + RUNS_PER_MODEL)
+            model = _model(mass[runs], inertia[runs])
+            views = [array[runs].reshape(-1) for array in (self._q, self._v, self._tau, self._acceleration)]
+            self._models.append((model, model.createData(), *views))
 
     def accelerate(self, q: Array, v: Array, tau: Array, tick: float) -> None:
-        """Add a tick's change to the velocities."""
-        v_ = v[self.runs].reshape(-1)
-        v_ += tick * pin.aba(self.model, self.data, q[self.runs].reshape(-1), v_, tau[self.runs].reshape(-1))
-
-    def move(self, q: Array, v: Array, tick: float) -> None:
-        """Move the poses with the velocities for a tick."""
-        q_ = q[self.runs].reshape(-1)
-        q_[:] = pin.integrate(self.model, q_, tick * v[self.runs].reshape(-1))
+        """Add what ``tau`` ``(n, 2, 6)``, force in the inertial frame and torque in the body's, changes in a tick to ``v``."""
+        _as_seen(q, v, tau, self._q, self._v, self._tau)
+        for model, data, q_, v_, tau_, out in self._models:
+            out[:] = pin.aba(model, data, q_, v_, tau_)
+        _gain_speed(q, self._acceleration, tick, v)
 
 
-def pinocchio_blocks(mass: Array, inertia: Array) -> list[_Block]:
-    """The Pinocchio models of bodies of ``mass`` ``(n, 2)`` [kg] and ``inertia`` ``(n, 2, 3, 3)`` [kg m^2]."""
-    runs = [slice(i, i + RUNS_PER_MODEL) for i in range(0, len(mass), RUNS_PER_MODEL)]
-    return [_Block(mass[r], inertia[r], r) for r in runs]
+def _model(mass: Array, inertia: Array) -> pin.Model:
+    """Free-flyers of ``mass`` (r, 2) and ``inertia`` (r, 2, 3, 3) about their centres of mass, without gravity."""
+    model = pin.Model()
+    model.gravity = pin.Motion.Zero()
+    for i in range(len(mass)):
+        for b in range(2):
+            joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), f"body_{i}_{b}")
+            model.appendBodyToJoint(joint, pin.Inertia(mass[i, b], np.zeros(3), inertia[i, b]), pin.SE3.Identity())
+    return model
 
 
 def inertia_matrix(inertia: Sequence[float]) -> Array:
@@ -258,3 +261,40 @@ def load_wrench(q, port, wrench, tau):
     work = np.empty((WORK, 7))
     for i in range(q.shape[0]):
         load_bodies(q[i], port[i], wrench[i], work, tau[i])
+
+
+@njit(cache=True)
+def _as_seen(q, v, tau, q_seen, v_seen, tau_seen):
+    """Poses, velocities and forces in body axes, for an observer who moves along with each body."""
+    for i in range(q.shape[0]):
+        for b in range(2):
+            q_seen[i, b, 3:7] = q[i, b, 3:7]
+            v_seen[i, b, 3:6] = v[i, b, 3:6]
+            rotate_back(q[i, b, 3:7], tau[i, b, 0:3], tau_seen[i, b, 0:3])
+            tau_seen[i, b, 3:6] = tau[i, b, 3:6]
+
+
+@njit(cache=True)
+def _gain_speed(q, acceleration, tick, v):
+    linear = np.empty(3)
+    for i in range(q.shape[0]):
+        for b in range(2):
+            rotate(q[i, b, 3:7], acceleration[i, b, 0:3], linear)
+            for j in range(3):
+                v[i, b, j] += tick * linear[j]
+                v[i, b, 3 + j] += tick * acceleration[i, b, 3 + j]
+
+
+@njit(cache=True)
+def move(q, v, tick):
+    """Move the poses ``q`` (n, 2, 7) with the velocities ``v`` (n, 2, 6) for a tick [s]."""
+    turn, dq, before = np.empty(3), np.empty(4), np.empty(4)
+    for i in range(q.shape[0]):
+        for b in range(2):
+            for j in range(3):
+                q[i, b, j] += tick * v[i, b, j]
+                turn[j] = tick * v[i, b, 3 + j]
+            quat_exp(turn, dq)
+            before[:] = q[i, b, 3:7]
+            quat_mul(before, dq, q[i, b, 3:7])
+            quat_normalise(q[i, b, 3:7])

@@ -14,7 +14,7 @@ from hiltestbed.effects.access import effects_of
 from hiltestbed.effects.dynamics import RATIO, appendage_force, dynamics_effects, swing_on
 from hiltestbed.frames import Array, pose_step
 from hiltestbed.scenario import Scenario
-from hiltestbed.spacecraft import Spacecraft, load_wrench, pinocchio_blocks, place_at_start, relative_states
+from hiltestbed.spacecraft import FreeFlyers, Spacecraft, load_wrench, move, place_at_start, relative_states
 
 
 class DepartingSpacecraft(Spacecraft):
@@ -33,7 +33,7 @@ class DepartingSpacecraft(Spacecraft):
         self._appendage = np.array([e.appendage for e in effects])
         self._whole = self.mass * np.array([e.mass for e in effects])
         self._rigid = self._whole * (1.0 - self._appendage[..., RATIO])
-        self._blocks = pinocchio_blocks(self._rigid, self.inertia * np.array([e.inertia for e in effects])[..., None, None])
+        self.flyers = FreeFlyers(self._rigid, self.inertia * np.array([e.inertia for e in effects])[..., None, None])
         self._explicit = np.array([e.explicit for e in effects])[:, None, None]
         self._late = np.array([e.late for e in effects])
         self._swing = np.zeros((self.n, 2, 2, 3))
@@ -48,11 +48,8 @@ class DepartingSpacecraft(Spacecraft):
         load_wrench(self.q, self._real_port, wrench, self._tau)
         _swing(self._appendage, self._whole, self._rigid, self.tick, self._swing, self._tau)
         before = self.v.copy()
-        for block in self._blocks:
-            block.accelerate(self.q, self.v, self._tau, self.tick)
-        moving = np.where(self._explicit, before, self.v)
-        for block in self._blocks:
-            block.move(self.q, moving, self.tick)
+        self.flyers.accelerate(self.q, self.v, self._tau, self.tick)
+        move(self.q, np.where(self._explicit, before, self.v), self.tick)
         relative_states(self.q, self.v, self._real_port, self.pose, self.twist)
         self._clock[0] += 1
         _hand_on(int(self._clock[0]), self._late, self._handed, self.pose, self.twist)
