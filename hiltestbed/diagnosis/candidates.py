@@ -18,6 +18,10 @@ from hiltestbed.diagnosis.links import FORM
 from hiltestbed.effects.vocabulary import AXES, EFFECTS, WRENCH_AXES
 from hiltestbed.frames import Array
 
+DRIFTS = 3.0  # peak forces that the reading of a sensor may drift over a run
+HEAVY = 10.0 / (6.0 * math.pi) ** 2  # [s^2] of the contact's stiffness: a frame ten times as stiff that rings at 3 Hz
+SWINGS = 0.1  # of the rate of the loop: the fastest appendage that a numerical model of that rate can hold
+
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
@@ -37,6 +41,11 @@ class Candidate:
     grid: tuple[tuple[float, ...], ...]
     fixed: dict[str, Any] = field(default_factory=dict)
     choices: int = 1
+
+    @property
+    def vector(self) -> bool:
+        """Whether the parameters are the components of a vector, whose direction no grid covers."""
+        return any("." in name for name in self.names)
 
     @property
     def key(self) -> tuple:
@@ -84,7 +93,7 @@ def _readings(*forms: str | float) -> list[dict[str, Any]]:
 @dataclass(frozen=True)
 class Scales:
     """What the data hold, to scale starts and bounds with: peak force [N], largest penetration [m], stiffness [N/m], tick [s], noise [N],
-    lowest and highest approach speed [m/s]."""
+    lowest and highest approach speed [m/s], length of the shortest run [s], highest peaks of the force [N]."""
 
     force: float
     depth: float
@@ -93,6 +102,7 @@ class Scales:
     noise: float
     slow: float
     fast: float
+    duration: float = 1.0
     reading: tuple[float, ...] = ()
 
 
@@ -120,7 +130,7 @@ def contact_candidates(s: Scales, captured: bool, lateral: bool) -> list[Candida
         out.append(candidate("contact.power_law", {"exponent": [], "stiffness": []}, starts=powers, **form))
     for form in _readings("reaction"):
         modes = {"frequency": [8, 14, 22, 35, 60], "damping_ratio": [0.03], "mass": [k / 3e4, k / 2e3, k / 300]}
-        out.append(candidate("frame.mode", modes, **form))
+        out.append(candidate("frame.mode", modes, bounds={"mass": (1.0, max(2000.0, HEAVY * k))}, **form))
     for lever in _readings(0.0, 1.0):
         tilts = [(0.2, 0.2), (2.0, 2.0), (-2.0, -2.0)]
         out.append(candidate("contact.misalignment", {"angles_deg.0": [0.0], "angles_deg.1": [0.0]}, starts=tilts, **lever))
@@ -145,7 +155,8 @@ def sensor_candidates(s: Scales, tone: dict[str, tuple[float, float, float]]) ->
         candidate("sensor.saturation", {"limit": [q * f for q in (0.25, 0.4, 0.55, 0.7, 0.8, 0.9, 0.97)] + list(s.reading)},
                   bounds={"limit": (0.05 * f, 1.2 * f)}),
     ]  # fmt: skip
-    out += [candidate("sensor.drift", {"rate": [0.0]}, 3, axis=a) for a in AXES]
+    fastest = DRIFTS * f / s.duration
+    out += [candidate("sensor.drift", {"rate": [0.0]}, 3, bounds={"rate": (-fastest, fastest)}, axis=a) for a in AXES]
     out += [candidate("sensor.gain", {"factor": [0.9, 1.1]}, 2, axis=a) for a in WRENCH_AXES]
     pairs = [(a, b) for a in WRENCH_AXES for b in WRENCH_AXES if a != b]
     out += [candidate("sensor.crosstalk", {"ratio": [0.0]}, 6, source=a, axis=b) for a, b in pairs]
@@ -188,8 +199,8 @@ def compensation_candidates(s: Scales) -> list[Candidate]:
     ]
 
 
-def dynamics_candidates(max_ticks: int = 12) -> list[Candidate]:
-    """Effects of the numerical model."""
+def dynamics_candidates(tick: float, max_ticks: int = 12) -> list[Candidate]:
+    """Effects of the numerical model, whose step is `tick` [s]."""
     out = [Candidate("dynamics.integrator", (), np.zeros(0), np.zeros(0), np.zeros(0, bool), ((),), {"scheme": "explicit_euler"})]
     out += [Candidate("dynamics.step_delay", (), np.zeros(0), np.zeros(0), np.zeros(0, bool), ((),), {"ticks": n}, max_ticks)
             for n in range(1, max_ticks + 1)]  # fmt: skip
@@ -198,6 +209,6 @@ def dynamics_candidates(max_ticks: int = 12) -> list[Candidate]:
         out.append(candidate("dynamics.inertia", {"factor": [0.7, 1.3]}, body=body))
         offset = {f"offset.{j}": [0.0] for j in range(3)}
         out.append(candidate("dynamics.port_offset", offset, starts=[(0, 0, 0), (0.05, 0.05, 0.05)], body=body))
-        swing = {"mass_ratio": [0.05, 0.2], "frequency": [0.15, 0.4, 0.8, 1.5, 3.0, 6.0], "damping_ratio": [0.02, 0.15]}
-        out.append(candidate("dynamics.appendage", swing, body=body))
+        swing = {"mass_ratio": [0.05, 0.2], "frequency": [0.15, 0.4, 0.8, 1.5, 3.0, 6.0, 12.0, 24.0], "damping_ratio": [0.02, 0.15]}
+        out.append(candidate("dynamics.appendage", swing, bounds={"frequency": (0.05, SWINGS / tick)}, body=body))
     return out

@@ -80,7 +80,7 @@ def investigate(dataset: MeasuredDataset, progress: Progress | None = None) -> F
     if "dynamics" in study.links:
         residual = Residual(study.links["dynamics"])
         out.explanations["dynamics"] = search(
-            residual, dynamics_candidates(), _dynamics_judge(residual), progress=_named(progress, "dynamics")
+            residual, dynamics_candidates(s.tick), _dynamics_judge(residual), progress=_named(progress, "dynamics")
         )
         out.residuals["dynamics"] = residual
     return out
@@ -165,7 +165,7 @@ def candidates_of(out: Findings, name: str) -> list[Candidate]:
         case "compensation":
             return compensation_candidates(s)
         case "dynamics":
-            return dynamics_candidates()
+            return dynamics_candidates(s.tick)
     return _wrench_candidates(out.study, _wrench(out.residuals["wrench"]))
 
 

@@ -227,29 +227,29 @@ def prescreen(residual: Residual, base: Fit, basis: Array, c: Candidate) -> tupl
     """What a candidate could at most take off chi-square beside `base`, linearised at each start; and the starts worth a descent."""
     r = _without(basis, base.residual)
     known = base.effects()
-    best, rated = 0.0, []
+    rated = []
     for start in c.grid:
         theta = np.clip(np.array(start, dtype=float), c.low, c.high)
         moved = residual([*known, *effects_at((c,), theta)])
-        d = moved - base.residual
         left = square(moved)
-        gain = base.chi2 - left
-        if len(c.grid) == 1 and len(theta):
-            columns = differences(
-                lambda x: residual([*known, *effects_at((c,), x)]), theta, moved, scales(theta, c.low, c.high, c.log), c.low, c.high
-            )
-            q = _orthonormal(np.column_stack([_without(basis, column) for column in columns.T]))
-            gain = max(gain, float(np.sum(np.einsum("mi,m->i", q, r) ** 2)))
-        else:
-            d = _without(basis, d)
-            length, along = square(d), float(np.einsum("m,m->", r, d))
-            if length > 0 and along < 0:
-                gain = max(gain, along**2 / length)
-        best = max(best, gain)
-        rated.append((gain, -left, theta))
-    by_gain = max(rated, key=lambda item: item[0])[2]
+        d = _without(basis, moved - base.residual)
+        length, along = square(d), float(np.einsum("m,m->", r, d))
+        gain = along**2 / length if length > 0 and along < 0 else 0.0
+        rated.append((max(base.chi2 - left, gain), -left, theta, moved))
+    by_gain = max(rated, key=lambda item: item[0])
     by_fit = sorted(rated, key=lambda item: -item[1])[:3]
-    return best, [by_gain, *(item[2] for item in by_fit if item[2] is not by_gain)]
+    best = by_gain[0]
+    if c.vector or (len(c.grid) == 1 and len(c.names)):
+        best = max(best, _by_slopes(residual, known, basis, r, c, by_fit[0][2], by_fit[0][3]))
+    return best, [by_gain[2], *(item[2] for item in by_fit if item[2] is not by_gain[2])]
+
+
+def _by_slopes(residual: Residual, known: Effects, basis: Array, r: Array, c: Candidate, theta: Array, moved: Array) -> float:
+    """What all parameters of `c` together could take off chi-square, by the slopes of the residual at theta, where it is `moved`."""
+    scale = scales(theta, c.low, c.high, c.log)
+    columns = differences(lambda x: residual([*known, *effects_at((c,), x)]), theta, moved, scale, c.low, c.high)
+    q = _orthonormal(np.column_stack([_without(basis, column) for column in columns.T]))
+    return float(np.sum(np.einsum("mi,m->i", q, r) ** 2))
 
 
 def _orthonormal(columns: Array | None) -> Array:

@@ -153,7 +153,7 @@ def _scales(runs: Sequence[MeasuredRun], noise: dict[str, float]) -> Scales:
     peaks = sorted({round(abs(c.peak_force), 6) for c in contacts if c.peak_force}, reverse=True)
     return Scales(
         force, depth, stiffness, runs[0].scenario.tick, noise.get("wrench_meas.fz", 0.01 * force) or 1e-3 * force, min(speeds), max(speeds),
-        tuple(peaks[:3]),
+        min(r.record.ticks * r.scenario.tick for r in runs), tuple(peaks[:3]),
     )  # fmt: skip
 
 
