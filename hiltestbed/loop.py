@@ -1,8 +1,8 @@
 """The closed loop: read this first.
 
 A tick, at t_k: read the physical wrench through the sensor; identify stiffness and damping; compensate and let the numerical model
-move on; tell the platform where to be at t_(k+1) and set out; write the row; let the rig run until then. One call a block, in the order of the
-signal, on arrays whose leading axis is the run in the batch.
+move on; tell the platform where to be at t_(k+1), and let it set out; write the row; let the rig run until then. One call a block, in
+the order of the signal, on arrays whose leading axis is the run in the batch.
 """
 
 from __future__ import annotations

@@ -81,6 +81,7 @@ def _watch(h, limbs, sliders, pose_W, pose, pose_before, wrench_sub, energy, tic
     arm = np.empty(3)
     for i in range(sliders.shape[0]):
         q[i] = 0.0
+        steepest = 1.0  # cosine of the angle between the limb that leans most and its slider
         for j in range(6):
             speed = (sliders[i, j] - before[i, 0, j]) / h if ticks[i] > 0 else 0.0
             acceleration = (speed - before[i, 1, j]) / h if ticks[i] > 1 else 0.0
@@ -92,8 +93,8 @@ def _watch(h, limbs, sliders, pose_W, pose, pose_before, wrench_sub, energy, tic
             along = 0.0
             for c in range(3):
                 along += limbs[j, 3 + c] * (pose_W[i, c] + arm[c] - limbs[j, c])
-            lean = math.acos(min(max((along - s) / limbs[j, 9], -1.0), 1.0))
-            q[i, 3] = max(q[i, 3], math.degrees(lean))
+            steepest = min(steepest, (along - s) / limbs[j, 9])
+        q[i, 3] = math.degrees(math.acos(max(steepest, -1.0)))
         error = 0.0
         for c in range(3):
             error += (pose_before[i, c] - pose[i, c]) ** 2
