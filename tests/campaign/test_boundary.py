@@ -70,6 +70,23 @@ def test_the_loop_returns_the_speed_it_came_with_on_the_boundary() -> None:
         assert abs(math.log(run.summary["cor"])) < 0.004 * 0.5 * math.pi * 10.0 * delay
 
 
+@pytest.mark.parametrize("zeta", [0.03, 0.1, 0.25])
+def test_a_contact_that_stays_closed_grows_past_its_boundary_and_dies_before_it(zeta: float) -> None:
+    """Latched, so that it pulls too: 1 % of delay on either side tells, up to w tau = 0.5."""
+    damping = 2 * zeta * math.sqrt(5.0e3 * 50.0)
+    delay = closed_contact_delay(5.0e3, damping, 50.0)
+    closed = {"mechanism.kind": "latched", "approach.gap": 0.0, "duration": 8.0, "rate": 4000, "physics_rate": 4000}
+    runs = run_batch([scenario_from(scenario(f * delay, damping).model_dump(mode="json"), closed) for f in (0.99, 1.01)], trace=True)
+    growth = []
+    for run in runs:
+        assert run.trace is not None
+        force = np.abs(run.trace["wrench_true"][:, 2])
+        first, last = force[4000:12000].max(), force[-8000:].max()  # two seconds hold three periods
+        growth.append(math.log(last / first))
+    assert growth[0] < 0.0 < growth[1]
+    assert growth[0] == pytest.approx(-growth[1], rel=0.2)  # the boundary lies midway between the two
+
+
 def test_margins_are_delays_beyond_the_boundaries_and_only_where_they_apply() -> None:
     damping = 2 * 0.1 * math.sqrt(5.0e3 * 50.0)
     on_it = scenario(bounce_delay(5.0e3, damping, 50.0), damping)
