@@ -51,13 +51,13 @@ class MotionCommand:
     def __init__(self, scenarios: Sequence[Scenario]) -> None:
         n = len(scenarios)
         self._rate = scenarios[0].rate
-        self._feed = np.array([[float(s.compensation.motion.kind in FED)] for s in scenarios])
+        self._feed = np.array([float(s.compensation.motion.kind in FED) for s in scenarios])
         self._method = _method(scenarios)
         self.pose = np.zeros((n, 7))
         self.twist = np.zeros((n, 6))
         self.acceleration = np.zeros((n, 6))
         self._previous = np.zeros((n, 6))
-        self._rate_before = np.zeros((n, 6))
+        self._rate_before, self._still = np.zeros((n, 6)), np.zeros((n, 6))
         self._velocity, self._accel, self._jerk = np.zeros((n, 6)), np.zeros((n, 6)), np.zeros((n, 6))
 
     def start(self, twist: Array) -> None:
@@ -72,15 +72,8 @@ class MotionCommand:
             derivatives = (self._velocity, self._accel, self._jerk)
             _differentiate(twist, self._previous, self._rate, *derivatives)
             self._method.command(pose, derivatives, measurement, self.pose)
-        np.subtract(twist, self._previous, out=self.acceleration)
-        self._previous[:] = twist
-        np.multiply(twist, self._feed, out=self.twist)
-        if isinstance(self._method, Admittance):
-            self.acceleration += self._method.rate
-            self.acceleration -= self._rate_before
-            self._rate_before[:] = self._method.rate
-            self.twist += self._method.rate
-        self.acceleration *= self._rate * self._feed
+        yielding = self._method.rate if isinstance(self._method, Admittance) else self._still
+        _refer(twist, yielding, self._rate, self._feed, self._previous, self._rate_before, self.twist, self.acceleration)
 
     def buffers(self) -> dict[str, Array]:
         own = {"pose": self.pose, "twist": self.twist, "acceleration": self.acceleration, "previous": self._previous}
@@ -97,6 +90,17 @@ def _method(scenarios: Sequence[Scenario]) -> PoseCommand | None:
             return AdaptiveTimeSeries(scenarios)
         case _:
             return None
+
+
+@njit(cache=True)
+def _refer(twist, yielding, rate, feed, previous, rate_before, velocity, acceleration):
+    """Velocity and acceleration references of the tick, of which ``yielding`` (n, 6) is what an admittance adds to the velocity."""
+    for i in range(twist.shape[0]):
+        for j in range(6):
+            change = twist[i, j] - previous[i, j] + yielding[i, j] - rate_before[i, j]
+            acceleration[i, j] = change * rate * feed[i]
+            velocity[i, j] = twist[i, j] * feed[i] + yielding[i, j]
+            previous[i, j], rate_before[i, j] = twist[i, j], yielding[i, j]
 
 
 @njit(cache=True)

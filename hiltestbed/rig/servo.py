@@ -205,7 +205,8 @@ class Servo:
 
     def arrive(self) -> None:
         """The tick is over: its end is where the next one starts."""
-        self.target[:], self.speed[:] = self._ahead
+        self.target[:] = self._ahead[0]
+        self.speed[:] = self._ahead[1]
 
     def push(self, sub: int, qpos: Array, qvel: Array, force: Array) -> None:
         """``force`` (n, 6) [N] of the drives for substep ``sub`` of the tick, from the joints as they stand."""
