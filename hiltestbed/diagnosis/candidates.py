@@ -14,11 +14,12 @@ from typing import Any
 
 import numpy as np
 
-from hiltestbed.diagnosis.links import FORM
-from hiltestbed.effects.vocabulary import AXES, EFFECTS, WRENCH_AXES
+from hiltestbed.diagnosis.links import AHEAD, FORM
+from hiltestbed.effects.vocabulary import AXES, EFFECTS, WRENCH_AXES, ParameterSpec
 from hiltestbed.frames import Array
 
 DRIFTS = 3.0  # peak forces that the reading of a sensor may drift over a run
+PRIVATE = ParameterSpec("")  # of a parameter that the vocabulary does not have
 HEAVY = 10.0 / (6.0 * math.pi) ** 2  # [s^2] of the contact's stiffness: a frame ten times as stiff that rings at 3 Hz
 SWINGS = 0.1  # of the rate of the loop: the fastest appendage that a numerical model of that rate can hold
 
@@ -52,6 +53,10 @@ class Candidate:
         """What tells candidates apart."""
         return (self.effect, *sorted((k, str(v)) for k, v in self.fixed.items()))
 
+    def public(self, theta: Array) -> dict[str, Any]:
+        """Those parameters at theta that the vocabulary has: not the reading of the equation, nor how it is integrated."""
+        return {k: v for k, v in self.parameters(theta).items() if k in EFFECTS[self.effect].parameters}
+
     def parameters(self, theta: Array) -> dict[str, Any]:
         """The effect's parameters at theta, lists put together."""
         out = dict(self.fixed)
@@ -73,10 +78,10 @@ class Candidate:
 
 def candidate(effect: str, grids: Mapping[str, Sequence[float]], choices: int = 1, starts: Sequence[Sequence[float]] | None = None,
               bounds: Mapping[str, tuple[float, float]] | None = None, **fixed: Any) -> Candidate:  # fmt: skip
-    """A candidate whose starts are all combinations of `grids` (or `starts`), within the vocabulary's fit bounds."""
+    """A candidate whose starts are all combinations of `grids` (or `starts`), within `bounds` or the vocabulary's fit bounds."""
     low, high, log = [], [], []
     for name in grids:
-        spec = EFFECTS[effect].parameters[name.partition(".")[0]]
+        spec = EFFECTS[effect].parameters.get(name.partition(".")[0], PRIVATE)
         a, b = (bounds or {}).get(name, spec.fit)
         low.append(a)
         high.append(b)
@@ -177,11 +182,15 @@ def skew_candidates(h: float) -> list[Candidate]:
 def platform_candidates(s: Scales, substeps: int, sticks: dict[int, list[float]]) -> list[Candidate]:
     """Effects of the motion platform, for a tick of s.tick; sticks: instants a tick to starts for stiction [m], where there are any."""
     h = s.tick
+    lags, ahead = {"bandwidth": [4, 8, 15, 30, 60, 120, 250]}, {AHEAD: [0.1 * h]}
+    modes = {"frequency": [5, 8, 12, 18, 27, 40, 60, 90, 130], "damping_ratio": [0.02, 0.1]}
     out = [
         candidate("platform.delay", {"delay": [0.3 * h, h, 3 * h, 8 * h, 20 * h]}),
-        candidate("platform.lag", {"bandwidth": [4, 8, 15, 30, 60, 120, 250]}),
+        candidate("platform.lag", lags),
+        candidate("platform.lag", lags | ahead, bounds={AHEAD: (0.0, h)}, stepwise=True),
         candidate("platform.backlash", {"width": [1e-5, 4e-5, 1.5e-4, 5e-4]}),
-        candidate("platform.mode", {"frequency": [5, 8, 12, 18, 27, 40, 60, 90, 130], "damping_ratio": [0.02, 0.1]}),
+        candidate("platform.mode", modes),
+        candidate("platform.mode", modes | ahead, bounds={AHEAD: (0.0, h)}, stepwise=True),
         candidate("platform.speed_limit", {"speed": list(np.geomspace(0.3 * s.slow, 1.05 * s.fast, 8))}),
     ]
     out += [candidate("platform.scale", {"factor": [0.97, 1.03]}, 3, axis=a) for a in AXES]

@@ -55,8 +55,7 @@ def _nearest(findings: Findings, verdict: Verdict) -> list[Named]:
     name = max(open_, key=lambda n: max(left.excess for left in open_[n].leftovers.values()))
     fit, out = open_[name].chosen, []
     for index, c in enumerate(fit.causes):
-        parameters = {k: v for k, v in c.parameters(fit.part(index)).items() if k != "form"}
-        out.append(Named(c.effect, name, fit, index, parameters, 0.0, 0.0))
+        out.append(Named(c.effect, name, fit, index, c.public(fit.part(index)), 0.0, 0.0))
     return out
 
 

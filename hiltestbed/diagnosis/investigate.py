@@ -28,7 +28,10 @@ from hiltestbed.diagnosis.study import CORRELATED, DYNAMICS_FLOOR, Study, make_s
 from hiltestbed.frames import Array
 from hiltestbed.measured import MeasuredDataset
 
-STICKS = 250  # starts for stiction: each jump begins where the last one ended, so that the well of chi-square is narrow
+STICKS = 500  # starts for stiction: each jump begins where the last one ended, so that the well of chi-square is narrow
+FINER = 15  # by which the starts for stiction are refined at a time
+KEPT = 4  # of them that are refined further: chi-square is rugged
+FINEST = 1e-5  # of a stick: some hundred jumps in a row then end where they should, to a part of the noise
 SMOOTH = 31  # rows of the Savitzky-Golay filter, order 3, where only a noisy pose is left to go by
 TONE = 30.0  # power of a line over that of the noise, from which it is tried as a hum
 RELATIVE = 0.01  # of the departure of a computed channel that an explanation may leave
@@ -101,15 +104,35 @@ def _platform_candidates(study: Study) -> list[Candidate]:
     away = float(np.nanmax(np.abs(link.runs[i].measured - link.predict(i, ()))[1:])) - noise
     substeps = study.runs[0].scenario.substeps
     sticks: dict[int, list[float]] = {}
-    if away > 6.0 * noise:  # a pose that holds departs by `stick`, and by what the command moves in a tick
+    if away > 6.0 * noise:  # the largest departure is `stick`, give or take what the command moves in a tick
         residual = Residual(link).on([i])
         tried = np.geomspace(
-            max(away - speeds[i] - 4.0 * noise, 0.5 * away), away + noise, max(STICKS // 5, min(STICKS, STICKS * 2000 // study.rows[i]))
+            max(away - speeds[i] - 4.0 * noise, 0.5 * away),
+            away + speeds[i] + noise,
+            max(STICKS // 5, min(STICKS, STICKS * 2000 // study.rows[i])),
         )
         for divide in dict.fromkeys((substeps, 20)):
-            costs = [square(residual([("platform.friction", {"stick": float(s), FORM: divide})])) for s in tried]
-            sticks[divide] = [float(tried[j]) for j in np.argsort(costs)[:6]]
+            costs = [_cost_of_stick(residual, float(s), divide) for s in tried]
+            near = [float(tried[j]) for j in np.argsort(costs)[:6]]
+            sticks[divide] = _finest_sticks(Residual(link), near, float(tried[1] / tried[0]) - 1.0, divide)
     return platform_candidates(study.scales, substeps, sticks)
+
+
+def _cost_of_stick(residual: Residual, stick: float, divide: int) -> float:
+    """Chi-square of a platform that sticks for `stick` [m], a tick divided into so many instants."""
+    return square(residual([("platform.friction", {"stick": stick, FORM: divide})]))
+
+
+def _finest_sticks(residual: Residual, near: list[float], step: float, divide: int) -> list[float]:
+    """The best sticks [m] about the best of `near`, on ever finer grids; step: between neighbours of `near`, as a part."""
+    best = sorted(near, key=lambda s: _cost_of_stick(residual, s, divide))[:KEPT]
+    if _cost_of_stick(residual, best[0], divide) > square(residual(())):
+        return best
+    while step > FINEST:
+        step /= FINER
+        tried = sorted({s * (1.0 + step * j) for s in best for j in range(-FINER, FINER + 1)})
+        best = sorted(tried, key=lambda s: _cost_of_stick(residual, s, divide))[:KEPT]
+    return best
 
 
 def _platform(links: Mapping[str, Link]) -> PlatformLink:
@@ -201,12 +224,18 @@ def make_wrench_link(out: Findings, whole: bool = False) -> WrenchLink:
     if platform is not None and platform.adequate:
         effects = platform.chosen.effects()
         full = _platform(study.full)
-        return wrench_link(study, lambda i: full.path(i, effects), whole)
+        sticks = any(kind == "platform.friction" for kind, _ in effects)
+        return wrench_link(study, lambda i: full.path(i, effects), whole, (lambda i: _jumps(full.path(i, effects))) if sticks else None)
     clean = platform is None and not any(r.record.has("pose_act") for r in study.runs)
     link = wrench_link(study, lambda i: _smooth_path(out, i), whole)
     if not clean:
         _widen(study, link)
     return link
+
+
+def _jumps(path: Array) -> Array:
+    """(N,) how far a tip that sticks and jumps along path (N, 3) moved [m] in the tick that ends at each row."""
+    return np.linalg.norm(np.diff(path, axis=0, prepend=path[:1]), axis=1)
 
 
 def _smooth_path(out: Findings, i: int) -> Array:

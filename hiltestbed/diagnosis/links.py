@@ -16,7 +16,7 @@ from hiltestbed.compensation.phase_lead import lead_and_lag
 from hiltestbed.diagnosis.chain import lead_record, sense_record
 from hiltestbed.effects.contact import DAMPING, FRAME, LEVER, REACTION, STIFFNESS, contact_parameters, replay_contact
 from hiltestbed.effects.dynamics import dynamics_effects, replay_dynamics
-from hiltestbed.effects.platform import platform_parameters, replay_platform
+from hiltestbed.effects.platform import DELAY, platform_parameters, replay_platform
 from hiltestbed.effects.sensor import sensor_chain
 from hiltestbed.frames import Array
 from hiltestbed.scenario import Scenario
@@ -27,6 +27,7 @@ BETWEEN = 8  # instants a tick, where a reading falls between ticks: the rate of
 NODES = np.linspace(-2.75, 2.75, 12)  # of a standard normal
 WEIGHTS = np.exp(-0.5 * NODES**2) / np.sum(np.exp(-0.5 * NODES**2))
 FORM = "form"  # private parameter: one of several readings of an effect's equation
+AHEAD = "ahead"  # private parameter [s]: a response that is integrated step by step answers to the command at the end of its step
 
 
 @dataclass
@@ -81,7 +82,9 @@ class PlatformLink:
         position, velocity = start_of(s)
         out = np.empty((len(self.commands[i]), 3))
         divide = next((p[FORM] for _, p in effects if FORM in p), s.substeps)
-        replay_platform(self.commands[i], position, velocity, s.tick, divide, platform_parameters(effects), out)
+        parameters = platform_parameters(effects)
+        parameters[DELAY] -= sum(p.get(AHEAD, 0.0) for _, p in effects)
+        replay_platform(self.commands[i], position, velocity, s.tick, divide, parameters, out)
         return out
 
 
@@ -91,9 +94,10 @@ class WrenchLink:
     name = "wrench"
     channels = tuple(f"wrench_meas.{c}" for c in ("fx", "fy", "fz", "tx", "ty", "tz"))
 
-    def __init__(self, runs: list[LinkRun], paths: list[Array], lever: float = 0.5) -> None:
-        """paths: (N, 3) where the tip was at t_k. lever: where between tip (1) and undeformed surface (0) the force acts."""
-        self.runs, self.paths, self.lever = runs, paths, lever
+    def __init__(self, runs: list[LinkRun], paths: list[Array], lever: float = 0.5, jumps: list[Array] | None = None) -> None:
+        """paths: (N, 3) where the tip was at t_k. lever: where between tip (1) and undeformed surface (0) the force acts.
+        jumps: (N,) how far the tip jumped [m] in the tick that ends at t_k, at an instant that is not known."""
+        self.runs, self.paths, self.lever, self.jumps = runs, paths, lever, jumps
         self._before = []
         for run, path in zip(runs, paths, strict=True):
             _, velocity = start_of(run.scenario)
@@ -101,7 +105,7 @@ class WrenchLink:
 
     def predict(self, i: int, effects: Effects) -> Array:
         s = self.runs[i].scenario
-        late = s.sensor.delay + sum(p["delay"] for kind, p in effects if kind in ("sensor.delay", LATE) or p.get(FORM) == "continuous")
+        late = s.sensor.delay + _lateness(effects)
         sub = self.physical(i, effects, _instants(late / s.tick))
         sensor = s.sensor
         chain = sensor_chain(
@@ -131,13 +135,20 @@ class WrenchLink:
         return np.asarray(mean), np.sqrt(np.maximum(np.asarray(square) - np.asarray(mean) ** 2, 0.0))
 
     def doubt(self, i: int, effects: Effects) -> Array:
-        """(N, 6) how far a reading hangs on what lies between two instants of the physics: large where a touch does."""
+        """(N, 6) how far a reading hangs on what lies between two instants of the physics: large where a touch or a jump does."""
         s = self.runs[i].scenario
         step = s.tick / min(s.substeps, 4)
-        if s.sensor.delay < step:
+        late = s.sensor.delay + _lateness(effects)
+        if late < step:
             return np.zeros((len(self.paths[i]), 6))
-        early, late = (self.predict(i, [*effects, (LATE, {"delay": d})]) for d in (-step, step))
-        return np.abs(early + late - 2.0 * self.predict(i, effects))
+        early, after = (self.predict(i, [*effects, (LATE, {"delay": d})]) for d in (-step, step))
+        out = np.abs(early + after - 2.0 * self.predict(i, effects))
+        if self.jumps is not None and _instants(late / s.tick) > 1:
+            first = int(late / s.tick)
+            jump = np.concatenate([np.zeros(first), self.jumps[i]])[: len(out)]
+            touched = np.concatenate([np.zeros(first, dtype=bool), self.paths[i][:, 2] > -jump.max(initial=0.0)])[: len(out)]
+            out[:, 2] += s.mechanism.contact.stiffness * np.where(touched, jump, 0.0)
+        return out
 
     def physical(self, i: int, effects: Effects, instants: int) -> Array:
         """(N, m, 6) the wrench of the contact at so many instants a tick, up to t_k."""
@@ -150,6 +161,11 @@ class WrenchLink:
         sub = np.empty((len(self.paths[i]), instants, 6))
         replay_contact(self.paths[i], self._before[i], s.tick, instants, p, sub)
         return sub
+
+
+def _lateness(effects: Effects) -> float:
+    """[s] by which the reading is later than believed."""
+    return sum(p["delay"] for kind, p in effects if kind in ("sensor.delay", LATE) or p.get(FORM) == "continuous")
 
 
 def _instants(late: float) -> int:

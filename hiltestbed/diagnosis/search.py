@@ -22,7 +22,7 @@ PAYS_INADEQUATE = 10.0  # and one that is not
 TIE = 12.0  # hypotheses closer than this cannot be told apart
 WORTH_A_FIT = 8.0  # linearised gain below which a candidate is not fitted
 SHAKEN = 1.2  # times the noise: where a varying delay shows
-SAME_AGAIN = 0.3  # correlation of neighbouring samples, above which they are no varying delay
+SAME_AGAIN = 0.3  # correlation of neighbouring samples, or with the rate of the reading, above which they are no varying delay
 BEAM = 5
 PARTNERS = 6
 SIMILAR_EFFECTS = 3  # of the same effect (axes, forms) that are fitted
@@ -88,13 +88,14 @@ def search(residual: Residual, candidates: Sequence[Candidate], judge: Judge = c
     residual.beware(())
     null = null_fit(residual)
     before = judge(residual, ())
-    singles = _extend(residual, null, candidates, progress, special)
+    singles = _extend(residual, null, candidates, progress, ())
     adequate_null = all(left.noise for left in before.values())
     if singles and residual.beware(singles[0].effects()):
         null = null_fit(residual)
         singles = [again(residual, f) for f in _best_of_each(singles, "effect")[:BEAM]]
-        singles.sort(key=lambda f: f.score)
         before = judge(residual, ())
+    singles += [f for make in special if (f := make(residual, null)) is not None]  # under the weights that a better mean has left
+    singles.sort(key=lambda f: (round(f.score, 1), _boldness(f)))
     best = singles[0] if singles else null
     alarm = null.chi2 - best.score > ALARM * inflation(best) or not adequate_null
     if not alarm:
@@ -157,7 +158,8 @@ def jitter_beside(residual: Residual, base: Fit) -> Fit | None:
         return None
     best = float(found.x)
     spread = np.sqrt(1.0 + (best * worth) ** 2)
-    if not _independent(base.residual / spread, spread > SHAKEN, len(link.channels)):
+    z = base.residual / spread
+    if not _independent(z, spread > SHAKEN, len(link.channels)) or not _centred(z, worth / spread, spread > SHAKEN):
         return None
     tried = [(best * f, *_likelihood(link, residual, effects, best * f)) for f in (0.92, 1.0, 1.08)]
     sigma, chi2, r = min(tried, key=lambda item: item[1])
@@ -183,6 +185,12 @@ def _independent(z: Array, where: np.ndarray, channels: int) -> bool:
     pairs = where[1:] & where[:-1]
     products, squares = float(np.sum((z[1:] * z[:-1])[pairs])), float(np.sum((z[1:] ** 2)[pairs]))
     return squares > 0 and abs(products) < SAME_AGAIN * squares
+
+
+def _centred(z: Array, worth: Array, where: np.ndarray) -> bool:
+    """Whether the delay varies about the one believed: what is late throughout goes along with the rate of the reading, `worth`."""
+    z, worth = z[where], worth[where]
+    return abs(float(np.sum(z * worth))) < SAME_AGAIN * math.sqrt(square(z) * square(worth))
 
 
 def inflation(fit_: Fit) -> float:

@@ -67,12 +67,15 @@ def make_study(dataset: MeasuredDataset) -> Study:
     return study
 
 
-def wrench_link(study: Study, paths: Callable[[int], Array], whole: bool = False, lever: float = 0.5) -> WrenchLink:
-    """Contact and sensor on the paths (N, 3) that the tip took in each run."""
+def wrench_link(
+    study: Study, paths: Callable[[int], Array], whole: bool = False, jumps: Callable[[int], Array] | None = None
+) -> WrenchLink:
+    """Contact and sensor on the paths (N, 3) that the tip took in each run; jumps: (N,) [m] of it within a tick."""
     rows = [r.record.ticks for r in study.runs] if whole else study.rows
     least = study.scales.force * np.array([FORCE_LEAST] * 3 + [ARM_LEAST] * 3)
     runs = [_link_run(r, "wrench_meas", 6, study.noise, n, least) for r, n in zip(study.runs, rows, strict=True)]
-    return WrenchLink(runs, [np.ascontiguousarray(paths(i)[:n]) for i, n in enumerate(rows)], lever)
+    within = None if jumps is None else [jumps(i)[:n] for i, n in enumerate(rows)]
+    return WrenchLink(runs, [np.ascontiguousarray(paths(i)[:n]) for i, n in enumerate(rows)], jumps=within)
 
 
 def _all(runs: Sequence[MeasuredRun], *groups: str) -> bool:

@@ -83,7 +83,7 @@ def _causes(findings: Findings, name: str, e: Explanation) -> list[Cause]:
         share = inflation(e.chosen)
         odds = [math.exp(-0.5 * max(-50.0, (f.score - e.chosen.score) / share)) for f in rivals]
         rest = _without(e, index)
-        parameters = {k: v for k, v in cause.parameters(e.chosen.part(index)).items() if k != "form"}
+        parameters = cause.public(e.chosen.part(index))
         out.append(Cause(cause.effect, name, e.chosen, index, parameters, 1.0 / (1.0 + sum(odds)), rest / share, rivals))
     return out
 
