@@ -31,10 +31,8 @@ def find(dataset: MeasuredDataset, progress: Progress | None = None) -> Finding:
         progress("intervals and left-out runs")
     causes = tuple(cause_of(findings, c) for c in verdict.causes)
     nearest = _nearest(findings, verdict)
-    effects = _effects(findings, [*verdict.causes, *nearest])
-    series = [
-        s for name, link in full_links(findings).items() for s in link_series(link, effects, findings.base if name == "wrench" else ())
-    ]
+    effects = [c.fit.effects()[c.index] for c in [*verdict.causes, *nearest]]  # as the links take them, forms included
+    series = [s for link in full_links(findings).values() for s in link_series(link, effects)]
     alarmed = {name: e for name, e in findings.explanations.items() if e.alarm}
     left = "; ".join(describe(findings.residuals[n], e, LINK_NAMES[n]) for n, e in alarmed.items() if not e.adequate)
     return Finding(
@@ -59,15 +57,9 @@ def _nearest(findings: Findings, verdict: Verdict) -> list[Named]:
     return out
 
 
-def _effects(findings: Findings, causes: list[Named]) -> list[tuple[str, dict[str, Any]]]:
-    """The effects as the links take them, forms included."""
-    base = {kind for kind, _ in findings.base}
-    return [c.fit.effects()[c.index] for c in causes if c.effect not in base]
-
-
 def cause_of(findings: Findings, c: Named) -> Cause:
     """A cause with the 95 % intervals of its parameters."""
-    ends = intervals(findings.residuals[c.link], c.fit) if c.effect not in {k for k, _ in findings.base} else None
+    ends = intervals(findings.residuals[c.link], c.fit)
     start = sum(len(x.names) for x in c.fit.causes[: c.index])
     names = c.fit.causes[c.index].names
     found: dict[str, Parameter] = {}
@@ -88,8 +80,6 @@ def cause_of(findings: Findings, c: Named) -> Cause:
 def _interval(ends: Any, names: tuple[str, ...], start: int, name: str, value: float) -> Interval:
     if name not in names:
         return (float(value), float(value))
-    if ends is None:
-        return (float(value) * 0.99, float(value) * 1.01)
     low, high = ends[start + names.index(name)]
     return (float(low), float(high))
 

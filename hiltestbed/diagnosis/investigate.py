@@ -21,8 +21,8 @@ from hiltestbed.diagnosis.candidates import (
     skew_candidates,
 )
 from hiltestbed.diagnosis.chain import lead_record
-from hiltestbed.diagnosis.fit import Residual, fit, refit, square
-from hiltestbed.diagnosis.links import FORM, Effects, Link, PlatformLink, WrenchLink
+from hiltestbed.diagnosis.fit import Fit, Residual, fit, refit, square
+from hiltestbed.diagnosis.links import FORM, CompensationLink, Effects, Link, PlatformLink, WrenchLink, unstamped
 from hiltestbed.diagnosis.search import ALARM, Explanation, jitter_beside, null_fit, search
 from hiltestbed.diagnosis.study import CORRELATED, DYNAMICS_FLOOR, Study, make_study, wrench_link
 from hiltestbed.frames import Array
@@ -47,14 +47,12 @@ class Findings:
     Attributes:
         study: the data as laid out. explanations: link to its explanation. residuals: link to what was fitted.
         wrench: contact and sensor on whole runs, or None. path_effects: the platform's effects that the contact was replayed through.
-        base: effects that the wrench link was given from the compensation's (log.skew).
         missing: link to why it could not be replayed.
     """
 
     study: Study
     explanations: dict[str, Explanation] = field(default_factory=dict)
     residuals: dict[str, Residual] = field(default_factory=dict)
-    base: list = field(default_factory=list)
     missing: dict[str, str] = field(default_factory=dict)
 
 
@@ -73,12 +71,7 @@ def investigate(dataset: MeasuredDataset, progress: Progress | None = None) -> F
     if "platform" in study.links:
         _explain(out, "platform", _platform_candidates(study), progress)
     if "compensation" in study.links:
-        residual = Residual(study.links["compensation"])
-        judge = _compensation_judge(study)
-        out.explanations["compensation"] = search(
-            residual, compensation_candidates(s), judge, progress=_named(progress, "compensation"), most=1
-        )
-        out.residuals["compensation"] = residual
+        _explain_compensation(out, compensation_candidates(s), progress)
     _investigate_wrench(out, progress)
     if "dynamics" in study.links:
         residual = Residual(study.links["dynamics"])
@@ -143,6 +136,14 @@ def _platform(links: Mapping[str, Link]) -> PlatformLink:
     return link
 
 
+def _compensation(links: Mapping[str, Link]) -> CompensationLink:
+    """The compensation among `links`, which hold it where its two ends were measured."""
+    link = links["compensation"]
+    if not isinstance(link, CompensationLink):
+        raise TypeError(f"links['compensation'] is a {type(link).__name__}; allowed is a CompensationLink")
+    return link
+
+
 def _wrench(residual: Residual) -> WrenchLink:
     """Contact and sensor, of which `residual` is."""
     if not isinstance(residual.link, WrenchLink):
@@ -156,7 +157,6 @@ def _named(progress: Progress | None, link: str) -> Progress | None:
 
 def _investigate_wrench(out: Findings, progress: Progress | None) -> None:
     study = out.study
-    runs = study.runs
     reason = _no_wrench(study)
     if reason:
         out.missing["wrench"] = reason
@@ -164,19 +164,54 @@ def _investigate_wrench(out: Findings, progress: Progress | None) -> None:
     link = choose_lever(study, make_wrench_link(out))
     candidates = _wrench_candidates(study, link)
     comp = out.explanations.get("compensation")
-    skewed = comp is not None and any(c.effect == "log.skew" for c in comp.chosen.causes)
-    if skewed:
-        plain = Residual(link)
-        found = min((fit(plain, (c,), c.grid) for c in skew_candidates(study.scales.tick)), key=lambda f: f.chi2)
-        plain.beware(found.effects())
-        found = refit(plain, found)
-        if null_fit(plain).chi2 - found.chi2 > ALARM:
-            out.base = found.effects()
-    elif comp is None:
-        candidates += skew_candidates(runs[0].scenario.tick)
-    residual = Residual(link, out.base)
-    out.explanations["wrench"] = search(residual, candidates, special=[jitter_beside], progress=_named(progress, "contact and sensor"))
-    out.residuals["wrench"] = residual
+    skews = skew_candidates(study.scales.tick)
+    stamped = comp is not None and any(c.effect == "log.skew" for c in comp.chosen.causes)
+    candidates += skews if comp is None else []
+    for given in _stamped_late(link, skews) if stamped else [None]:
+        residual = Residual(link)
+        found = search(residual, candidates, special=[jitter_beside], progress=_named(progress, "contact and sensor"), given=given)
+        if "wrench" not in out.explanations or found.adequate:
+            out.explanations["wrench"], out.residuals["wrench"] = found, residual
+        if found.adequate:
+            break
+    if stamped:
+        _settle_compensation(out, progress)
+
+
+def _stamped_late(link: WrenchLink, skews: list[Candidate]) -> list[Fit | None]:
+    """A record that is stamped late, in each of its readings, the likelier one first; or nothing, where the contact shows no such thing."""
+    residual = Residual(link)
+    fits = sorted((fit(residual, (c,), c.grid) for c in skews), key=lambda f: f.chi2)
+    residual.beware(fits[0].effects())
+    fits = [refit(residual, f) for f in fits]
+    return [*fits] if null_fit(residual).chi2 - fits[0].chi2 > ALARM else [None]
+
+
+def _settle_compensation(out: Findings, progress: Progress | None) -> None:
+    """The compensation again, where the contact has told how late the record is: with the readings that the loop used."""
+    study, found = out.study, out.explanations["wrench"]
+    skew = next((p["delay"] for kind, p in found.chosen.effects() if kind == "log.skew"), None)
+    if skew is None or not found.adequate:
+        return
+    effects, ticks = found.chosen.effects(), round(skew / study.scales.tick)
+    in_time = [(kind, p) for kind, p in effects if kind != "log.skew"]
+    for links, whole in ((study.links, False), (study.full, True)):
+        wrench, link = make_wrench_link(out, whole), _compensation(links)
+        wrench.lever = _wrench(out.residuals["wrench"]).lever
+        pairs = enumerate(wrench.runs)
+        link.used = [unstamped(run, wrench.predict(i, effects), wrench.predict(i, in_time), ticks) for i, run in pairs]
+        for run in link.runs:
+            run.sigma[len(run.sigma) - ticks :] = np.inf  # what the loop read last was not stamped within the record
+    late = Candidate("log.skew", (), np.zeros(0), np.zeros(0), np.zeros(0, bool), ((),), {"delay": skew})
+    _explain_compensation(out, [c for c in compensation_candidates(study.scales) if c.effect != "log.skew"] + [late], progress)
+
+
+def _explain_compensation(out: Findings, candidates: list[Candidate], progress: Progress | None) -> None:
+    residual = Residual(out.study.links["compensation"])
+    out.explanations["compensation"] = search(
+        residual, candidates, _compensation_judge(out.study), progress=_named(progress, "compensation")
+    )
+    out.residuals["compensation"] = residual
 
 
 def candidates_of(out: Findings, name: str) -> list[Candidate]:
@@ -333,6 +368,8 @@ def _compensation_judge(study: Study) -> Callable:
             rms_in, rms_out = (float(np.sqrt(np.mean(x * x))) * level if len(x) else 0.0 for x in (inside, outside))
             noise = study.noise.get(name.replace("comp", "meas"), 0.0)
             apart = rms_out if len(outside) > SMOOTH else rms_in  # a latched mechanism is never free
+            if any(kind == "log.skew" for kind, _ in effects):  # what the loop read is known from a late record but for its noise
+                apart = gain * noise
             floor = max(level / math.sqrt(CORRELATED), min(apart, LEAD_NOISE * gain * noise))
             out[name] = Leftover((max(rms_in, rms_out) / floor) ** 2, 0.0, 1.3, 1.0, len(inside))
         return out

@@ -6,6 +6,7 @@ were not measured or that stand at a limit have weight zero.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -26,6 +27,7 @@ LATE = "late"  # a shift of the reading that is no effect of the vocabulary: to 
 BETWEEN = 8  # instants a tick, where a reading falls between ticks: the rate of the contact jumps from one tick to the next
 NODES = np.linspace(-2.75, 2.75, 12)  # of a standard normal
 WEIGHTS = np.exp(-0.5 * NODES**2) / np.sum(np.exp(-0.5 * NODES**2))
+MOST_NOISE = 4.0  # standard deviations
 FORM = "form"  # private parameter: one of several readings of an effect's equation
 AHEAD = "ahead"  # private parameter [s]: a response that is integrated step by step answers to the command at the end of its step
 
@@ -105,6 +107,7 @@ class WrenchLink:
 
     def predict(self, i: int, effects: Effects) -> Array:
         s = self.runs[i].scenario
+        effects = _read_late(effects)
         late = s.sensor.delay + _lateness(effects)
         sub = self.physical(i, effects, _instants(late / s.tick))
         sensor = s.sensor
@@ -163,6 +166,15 @@ class WrenchLink:
         return sub
 
 
+def _read_late(effects: Effects) -> list[tuple[str, dict[str, Any]]]:
+    """The effects of a record that is read anew at the later time: a tone has come that much further in it."""
+    late = sum(p["delay"] for kind, p in effects if kind == "log.skew" and p.get(FORM) == "continuous")
+    return [
+        (kind, p | {"phase": p["phase"] - 2.0 * math.pi * p["frequency"] * late} if late and kind == "sensor.hum" else p)
+        for kind, p in effects
+    ]
+
+
 def _lateness(effects: Effects) -> float:
     """[s] by which the reading is later than believed."""
     return sum(p["delay"] for kind, p in effects if kind in ("sensor.delay", LATE) or p.get(FORM) == "continuous")
@@ -200,15 +212,15 @@ class CompensationLink:
     name = "compensation"
     channels = tuple(f"wrench_comp.{c}" for c in ("fx", "fy", "fz", "tx", "ty", "tz"))
 
-    def __init__(self, runs: list[LinkRun], wrenches: list[Array]) -> None:
-        """wrenches: (N, 6) wrench_meas of each run."""
-        self.runs, self.wrenches = runs, wrenches
+    def __init__(self, runs: list[LinkRun], wrenches: list[Array], used: list[Array] | None = None) -> None:
+        """wrenches: (N, 6) wrench_meas of each run. used: the same as the loop had it, where the record is known to be stamped late."""
+        self.runs, self.wrenches, self.used = runs, wrenches, used
 
     def predict(self, i: int, effects: Effects) -> Array:
         s, wrench = self.runs[i].scenario, self.wrenches[i]
         skew = sum(p["delay"] for kind, p in effects if kind == "log.skew")
         if skew:
-            wrench = advanced(wrench, skew / s.tick)
+            wrench = self.used[i] if self.used is not None else advanced(wrench, skew / s.tick)
         width = max((p["width"] for kind, p in effects if kind == "loop.deadzone"), default=0.0)
         form = next((p.get(FORM) for kind, p in effects if kind == "loop.deadzone"), None)
         if width and form is None:
@@ -235,6 +247,16 @@ def advanced(values: Array, ticks: float) -> Array:
     low = np.floor(rows).astype(int)
     part = (rows - low)[:, None]
     return values[low] + part * (values[np.minimum(low + 1, len(values) - 1)] - values[low])
+
+
+def unstamped(run: LinkRun, modelled: Array, in_time: Array, ticks: int) -> Array:
+    """(N, 6) what the loop read, of which the record, `run.measured`, was stamped so many ticks late.
+
+    modelled: (N, 6) what the record should show. in_time: what the loop should have read. Only noise is shifted, the difference of record
+    and model: across a touch no reading can be made up from the rows beside it, and a larger difference is the model's doubt there.
+    """
+    most = MOST_NOISE * np.where(np.isfinite(run.sigma), run.sigma, 0.0)
+    return in_time + advanced(np.clip(np.nan_to_num(run.measured) - modelled, -most, most), float(ticks))
 
 
 class DynamicsLink:

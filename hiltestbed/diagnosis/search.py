@@ -33,7 +33,8 @@ class Explanation:
     """What a search found on one link.
 
     Attributes:
-        null: nothing departs. singles, pairs: fits, best first. chosen: the best that pays. adequate: it leaves noise.
+        null: nothing departs. singles, pairs: fits, best first, with one and two causes beside those that were given.
+        chosen: the best that pays. adequate: it leaves noise.
         leftovers: channel to what the chosen fit leaves. before: channel to what the null leaves.
         rivals: for each cause of the chosen fit the fits that differ from it in that cause alone and cannot be told from it.
     """
@@ -83,28 +84,29 @@ def contact_leftovers(residual: Residual, effects: Effects) -> dict[str, Leftove
 
 
 def search(residual: Residual, candidates: Sequence[Candidate], judge: Judge = contact_leftovers, special: Sequence[Callable] = (),
-           progress: Callable[[str], None] | None = None, most: int = 2) -> Explanation:  # fmt: skip
-    """The explanation of a link; `most` causes at a time."""
-    residual.beware(())
-    null = null_fit(residual)
-    before = judge(residual, ())
+           progress: Callable[[str], None] | None = None, given: Fit | None = None) -> Explanation:  # fmt: skip
+    """The explanation of a link by at most two causes; given: a fit with causes that other links have shown, which stay."""
+    residual.beware(given.effects() if given else ())
+    null = refit(residual, given) if given else null_fit(residual)
+    before = judge(residual, null.effects())
     singles = _extend(residual, null, candidates, progress, ())
     adequate_null = all(left.noise for left in before.values())
     if singles and residual.beware(singles[0].effects()):
-        null = null_fit(residual)
+        null = refit(residual, null) if given else null_fit(residual)
         singles = [again(residual, f) for f in _best_of_each(singles, "effect")[:BEAM]]
-        before = judge(residual, ())
+        before = judge(residual, null.effects())
     singles += [f for make in special if (f := make(residual, null)) is not None]  # under the weights that a better mean has left
     singles.sort(key=lambda f: (round(f.score, 1), _boldness(f)))
     best = singles[0] if singles else null
-    alarm = null.chi2 - best.score > ALARM * inflation(best) or not adequate_null
+    alarm = null.score - best.score > ALARM * inflation(best) or not adequate_null
+    nothing = null_fit(residual)
     if not alarm:
-        return Explanation(null, null, True, False, before, before, singles)
+        return Explanation(nothing, null, True, given is not None, before, before, singles)
     chosen = best if null.score - best.score > ALARM * inflation(best) else null
     leftovers = judge(residual, chosen.effects())
     adequate = all(left.noise for left in leftovers.values())
     pairs: list[Fit] = []
-    if most > 1 and singles:
+    if singles:
         for base in _best_of_each(singles, "effect")[: 1 if adequate else BEAM]:
             pairs += _extend(residual, base, candidates, progress, special, PARTNERS)
         pairs.sort(key=lambda f: f.score)
@@ -117,7 +119,7 @@ def search(residual: Residual, candidates: Sequence[Candidate], judge: Judge = c
             left = judge(residual, pairs[0].effects())
             chosen, leftovers = pairs[0], left
             adequate = all(x.noise for x in left.values())
-    found = Explanation(null, chosen, adequate, True, leftovers, before, singles, pairs)
+    found = Explanation(nothing, chosen, adequate, True, leftovers, before, singles, pairs)
     if adequate and chosen.causes:
         found.rivals = _rivals(residual, found, judge)
     return found
@@ -292,7 +294,7 @@ def _best_of_each(fits: Sequence[Fit], name: str) -> list[Fit]:
 
 def _rivals(residual: Residual, found: Explanation, judge: Judge) -> list[list[Fit]]:
     chosen = found.chosen
-    pool = found.singles if len(chosen.causes) == 1 else found.pairs
+    pool = [f for f in (*found.singles, *found.pairs) if len(f.causes) == len(chosen.causes)]
     close = [f for f in pool if f is not chosen and f.score - chosen.score < TIE * inflation(chosen)]
     rivals: list[list[Fit]] = [[] for _ in chosen.causes]
     for f in _best_of_each(close, "effect"):

@@ -57,9 +57,7 @@ def judge(findings: Findings) -> Verdict:
             unexplained.append((worst, _part(findings, e) if name == "wrench" else name))
             continue
         causes += _causes(findings, name, e)
-    if findings.base and not any(c.effect == "log.skew" for c in causes):
-        causes += _skew(findings)
-    causes = _merged(causes, findings)
+    causes = _merged(causes)
     causes.sort(key=lambda c: -c.weight)
     if unexplained:
         return Verdict("unknown", _record_alone(findings) or max(unexplained)[1], causes)
@@ -72,7 +70,7 @@ def judge(findings: Findings) -> Verdict:
 def _record_alone(findings: Findings) -> str | None:
     """`log` where the force departs from what it came from and from what became of it alike: the record, and not the loop."""
     both = [findings.explanations.get(name) for name in ("wrench", "compensation")]
-    stamped = any(e is not None and any(c.effect == "log.skew" for c in e.chosen.causes) for e in both) or bool(findings.base)
+    stamped = any(e is not None and any(c.effect == "log.skew" for c in e.chosen.causes) for e in both)
     return "log" if stamped and all(e is not None and e.alarm for e in both) else None
 
 
@@ -97,21 +95,9 @@ def _without(e: Explanation, index: int) -> float:
     return single.chi2 - e.chosen.chi2
 
 
-def _skew(findings: Findings) -> list[Cause]:
-    e = findings.explanations["compensation"]
-    index = next(i for i, c in enumerate(e.chosen.causes) if c.effect == "log.skew")
-    return [c for c in _causes(findings, "compensation", e) if c.index == index]
-
-
-def _merged(causes: list[Cause], findings: Findings) -> list[Cause]:
-    """log.skew once, with the delay that the force against the pose gives: it is the sharper one."""
-    out = []
-    for c in causes:
-        if c.effect == "log.skew" and findings.base:
-            c.parameters = {"delay": findings.base[0][1]["delay"]}
-        if c.effect not in {o.effect for o in out}:
-            out.append(c)
-    return out
+def _merged(causes: list[Cause]) -> list[Cause]:
+    """Each effect once: log.skew shows on two links, of which the force against the pose, which comes first, is the sharper one."""
+    return [c for i, c in enumerate(causes) if c.effect not in {o.effect for o in causes[:i]}]
 
 
 def _part(findings: Findings, e: Explanation) -> str:
