@@ -165,12 +165,15 @@ def sensor_candidates(s: Scales, tone: dict[str, tuple[float, float, float]]) ->
     out += [candidate("sensor.gain", {"factor": [0.9, 1.1]}, 2, axis=a) for a in WRENCH_AXES]
     pairs = [(a, b) for a in WRENCH_AXES for b in WRENCH_AXES if a != b]
     out += [candidate("sensor.crosstalk", {"ratio": [0.0]}, 6, source=a, axis=b) for a, b in pairs]
-    for axis, (frequency, amplitude, phase) in tone.items():
-        step = {"frequency": [frequency], "amplitude": [amplitude], "phase": [phase]}
-        wide = {"frequency": (max(0.5, frequency - 3.0), frequency + 3.0), "phase": (phase - math.pi, phase + math.pi),
-                "amplitude": (0.0, 20 * amplitude + 1.0)}  # fmt: skip
-        out.append(candidate("sensor.hum", step, 4, bounds=wide, axis=axis))
-    return out
+    return out + [tone_candidate(axis, *line) for axis, line in tone.items()]
+
+
+def tone_candidate(axis: str, frequency: float, amplitude: float, phase: float) -> Candidate:
+    """A hum near a line that was seen: frequency [Hz], amplitude [N], phase [rad]."""
+    start = {"frequency": [frequency], "amplitude": [amplitude], "phase": [phase]}
+    wide = {"frequency": (max(0.5, frequency - 3.0), frequency + 3.0), "phase": (phase - math.pi, phase + math.pi),
+            "amplitude": (0.0, 20 * amplitude + 1.0)}  # fmt: skip
+    return candidate("sensor.hum", start, 4, bounds=wide, axis=axis)
 
 
 def skew_candidates(h: float) -> list[Candidate]:

@@ -25,6 +25,7 @@ from hiltestbed.diagnosis.fit import Fit, Residual, fit, refit, square
 from hiltestbed.diagnosis.links import FORM, CompensationLink, Effects, Link, PlatformLink, WrenchLink, unstamped
 from hiltestbed.diagnosis.search import ALARM, Explanation, jitter_beside, null_fit, search
 from hiltestbed.diagnosis.study import CORRELATED, DYNAMICS_FLOOR, Study, make_study, wrench_link
+from hiltestbed.diagnosis.tones import tone_beside, tones
 from hiltestbed.frames import Array
 from hiltestbed.measured import MeasuredDataset
 
@@ -33,7 +34,6 @@ FINER = 15  # by which the starts for stiction are refined at a time
 KEPT = 4  # of them that are refined further: chi-square is rugged
 FINEST = 1e-5  # of a stick: some hundred jumps in a row then end where they should, to a part of the noise
 SMOOTH = 31  # rows of the Savitzky-Golay filter, order 3, where only a noisy pose is left to go by
-TONE = 30.0  # power of a line over that of the noise, from which it is tried as a hum
 RELATIVE = 0.01  # of the departure of a computed channel that an explanation may leave
 LEAD_NOISE = 1.7  # times the led noise, up to which a residual of the compensation may be noise of the record
 
@@ -169,7 +169,9 @@ def _investigate_wrench(out: Findings, progress: Progress | None) -> None:
     candidates += skews if comp is None else []
     for given in _stamped_late(link, skews) if stamped else [None]:
         residual = Residual(link)
-        found = search(residual, candidates, special=[jitter_beside], progress=_named(progress, "contact and sensor"), given=given)
+        found = search(
+            residual, candidates, special=[jitter_beside, tone_beside], progress=_named(progress, "contact and sensor"), given=given
+        )
         if "wrench" not in out.explanations or found.adequate:
             out.explanations["wrench"], out.residuals["wrench"] = found, residual
         if found.adequate:
@@ -316,35 +318,6 @@ def _wrench_candidates(study: Study, link: WrenchLink) -> list[Candidate]:
     lateral = any(any(r.scenario.approach.velocity[:2]) for r in study.runs)
     contact = contact_candidates(study.scales, first.mechanism.kind == "latched", lateral or first.mechanism.contact.friction > 0)
     return contact + sensor_candidates(study.scales, tones(link))
-
-
-def tones(link: WrenchLink) -> dict[str, tuple[float, float, float]]:
-    """Axis to the strongest line [Hz, N, rad] of the readings outside contacts, where it stands out of the noise."""
-    size = 1 << 15
-    total = np.zeros((3, size // 2 + 1), dtype=complex)
-    count, tick = 0, link.runs[0].scenario.tick
-    level = np.ones(3)
-    for i, run in enumerate(link.runs):
-        free = ~run.touching & np.isfinite(run.sigma[:, :3]).all(axis=1)
-        r = np.where(free[:, None], np.nan_to_num(run.measured[:, :3]) - link.predict(i, ())[:, :3], 0.0)
-        r -= np.where(free[:, None], r[free].mean(axis=0) if free.any() else 0.0, 0.0)
-        total += np.fft.rfft(r, size, axis=0).T
-        count += int(free.sum())
-        level = np.min(np.where(np.isfinite(run.sigma[:, :3]), run.sigma[:, :3], 1e9), axis=0)
-    if count < 50:
-        return {}
-    frequencies = np.fft.rfftfreq(size, tick)
-    total[:, frequencies < 0.7] = 0.0
-    out, sums = {}, {}
-    for j, axis in enumerate("xyz"):
-        at = int(np.argmax(np.abs(total[j])))
-        if abs(total[j, at]) ** 2 > TONE * count * level[j] ** 2:
-            line = total[j, at]
-            sums[axis] = (float(frequencies[at]), 2.0 * abs(line) / count, float(np.angle(line) + math.pi / 2.0))
-    out.update(sums)
-    if len(sums) > 1:
-        out["all"] = sums.get("z", next(iter(sums.values())))
-    return out
 
 
 def _compensation_judge(study: Study) -> Callable:

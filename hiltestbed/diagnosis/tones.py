@@ -1,0 +1,75 @@
+"""Lines in what a contact and sensor link leaves: where a hum is worth trying."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hiltestbed.diagnosis.candidates import tone_candidate
+from hiltestbed.diagnosis.fit import Fit, Residual, fit
+from hiltestbed.diagnosis.links import WrenchLink
+from hiltestbed.frames import Array
+
+TONE = 30.0  # power of a line over that of the noise, from which it is tried as a hum
+SPECTRUM = 1 << 15  # rows
+CYCLES = 4.0  # of a line within the longest contact: a slower one is the shape of the contact
+SLOWEST = 0.7  # [Hz] of a line outside contacts
+
+Line = tuple[float, float, float]  # [Hz], [N], [rad]
+
+
+def tones(link: WrenchLink) -> dict[str, Line]:
+    """Axis to the strongest line of the readings outside contacts, where it stands out of the noise."""
+    parts = []
+    for i, run in enumerate(link.runs):
+        free = ~run.touching & np.isfinite(run.sigma[:, :3]).all(axis=1)
+        r = np.where(free[:, None], np.nan_to_num(run.measured[:, :3]) - link.predict(i, ())[:, :3], 0.0)
+        r -= np.where(free[:, None], r[free].mean(axis=0) if free.any() else 0.0, 0.0)
+        parts.append((r, free))
+    out = _lines(link, parts, SLOWEST)
+    if len(out) > 1:
+        out["all"] = out.get("z", next(iter(out.values())))
+    return out
+
+
+def tone_beside(residual: Residual, base: Fit) -> Fit | None:
+    """A hum beside `base`, where what base leaves in contact holds a line: a dead zone hides it everywhere else."""
+    link, taken = residual.link, {c.effect for c in base.causes}
+    if not isinstance(link, WrenchLink) or not taken or "sensor.hum" in taken:
+        return None
+    parts = []
+    for i in residual.runs:
+        weight = residual.weight[i][:, :3]
+        counts = (weight > 0).all(axis=1) & link.runs[i].touching
+        r = np.where(counts[:, None] & (weight > 0), residual.of_run(i, base.effects())[:, :3] / np.where(weight > 0, weight, 1.0), 0.0)
+        parts.append((r, counts))
+    longest = max(int(counts.sum()) for _, counts in parts) * link.runs[0].scenario.tick
+    lines = _lines(link, parts, CYCLES / longest) if longest > 0.0 else {}
+    fits = [fit(residual, (*base.causes, c), [np.concatenate([base.theta, c.grid[0]])], tries=1)
+            for c in (tone_candidate(axis, *line) for axis, line in lines.items())]  # fmt: skip
+    return min(fits, key=lambda f: f.score, default=None)
+
+
+def _lines(link: WrenchLink, parts: list[tuple[Array, np.ndarray]], slowest: float) -> dict[str, Line]:
+    """Axis to its strongest line above `slowest` [Hz], its phase counted from the start of each run.
+
+    parts: of each run what is left (N, 3) [N], zero where it does not count, and where it counts (N,).
+    """
+    total = np.zeros((3, SPECTRUM // 2 + 1), dtype=complex)
+    for r, _ in parts:
+        total += np.fft.rfft(r, SPECTRUM, axis=0).T
+    count = sum(int(counts.sum()) for _, counts in parts)
+    if count < 50:
+        return {}
+    sigma = link.runs[-1].sigma[:, :3]
+    level = np.min(np.where(np.isfinite(sigma), sigma, 1e9), axis=0)
+    frequencies = np.fft.rfftfreq(SPECTRUM, link.runs[0].scenario.tick)
+    total[:, frequencies < slowest] = 0.0
+    out = {}
+    for j, axis in enumerate("xyz"):
+        at = int(np.argmax(np.abs(total[j])))
+        if abs(total[j, at]) ** 2 > TONE * count * level[j] ** 2:
+            line = total[j, at]
+            out[axis] = (float(frequencies[at]), 2.0 * abs(line) / count, float(np.angle(line) + math.pi / 2.0))
+    return out
