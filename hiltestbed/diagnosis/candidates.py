@@ -19,6 +19,7 @@ from hiltestbed.effects.vocabulary import AXES, EFFECTS, WRENCH_AXES, ParameterS
 from hiltestbed.frames import Array
 
 DRIFTS = 3.0  # peak forces that the reading of a sensor may drift over a run
+FINE = 20  # instants a tick of a platform that jumps when it must, in place of at the instants of the physics
 PRIVATE = ParameterSpec("")  # of a parameter that the vocabulary does not have
 HEAVY = 10.0 / (6.0 * math.pi) ** 2  # [s^2] of the contact's stiffness: a frame ten times as stiff that rings at 3 Hz
 SWINGS = 0.1  # of the rate of the loop: the fastest appendage that a numerical model of that rate can hold
@@ -198,7 +199,7 @@ def platform_candidates(s: Scales, substeps: int, sticks: dict[int, list[float]]
     ]
     out += [candidate("platform.scale", {"factor": [0.97, 1.03]}, 3, axis=a) for a in AXES]
     few = list(np.geomspace(5e-6, 8e-4, 6))
-    out += [candidate("platform.friction", {"stick": sticks.get(m, few)}, form=m) for m in dict.fromkeys((substeps, 20))]
+    out += [candidate("platform.friction", {"stick": sticks.get(m, few)}, form=m) for m in dict.fromkeys((substeps, FINE))]
     return out
 
 

@@ -76,9 +76,8 @@ class Residual:
         run: (M,) which run each entry belongs to.
     """
 
-    def __init__(self, link: Link, base: Effects = (), runs: Sequence[int] | None = None) -> None:
-        self.link, self.base = link, list(base)
-        self.runs = list(range(len(link.runs))) if runs is None else list(runs)
+    def __init__(self, link: Link) -> None:
+        self.link, self.runs = link, list(range(len(link.runs)))
         self.weight = {i: np.where(np.isfinite(link.runs[i].sigma), 1.0 / link.runs[i].sigma, 0.0) for i in self.runs}
         self.measured = {i: np.nan_to_num(link.runs[i].measured) for i in self.runs}
 
@@ -87,7 +86,7 @@ class Residual:
         doubt = getattr(self.link, "doubt", None)
         if doubt is None:
             return False
-        doubts = {i: doubt(i, [*self.base, *effects]) * self.weight[i] for i in self.runs}
+        doubts = {i: doubt(i, effects) * self.weight[i] for i in self.runs}
         if not any(np.any(u > 1.0) for u in doubts.values()):
             return False
         for i, u in doubts.items():
@@ -97,12 +96,12 @@ class Residual:
     def on(self, runs: Sequence[int]) -> Residual:
         """The same on fewer runs."""
         out = object.__new__(Residual)
-        out.link, out.base, out.runs, out.weight, out.measured = self.link, self.base, list(runs), self.weight, self.measured
+        out.link, out.runs, out.weight, out.measured = self.link, list(runs), self.weight, self.measured
         return out
 
     def of_run(self, i: int, effects: Effects) -> Array:
         """(N, C) of run i; FAR where a prediction has left the finite numbers, so that misfits can be put in order."""
-        r = (self.measured[i] - self.link.predict(i, [*self.base, *effects])) * self.weight[i]
+        r = (self.measured[i] - self.link.predict(i, effects)) * self.weight[i]
         if not np.isfinite(r).all():
             r = np.clip(np.nan_to_num(r, nan=FAR), -FAR, FAR)
         return r

@@ -21,18 +21,15 @@ from hiltestbed.diagnosis.candidates import (
     skew_candidates,
 )
 from hiltestbed.diagnosis.chain import lead_record
-from hiltestbed.diagnosis.fit import Fit, Residual, fit, refit, square
-from hiltestbed.diagnosis.links import FORM, CompensationLink, Effects, Link, PlatformLink, WrenchLink, unstamped
+from hiltestbed.diagnosis.fit import Fit, Residual, fit, refit
+from hiltestbed.diagnosis.links import CompensationLink, Effects, Link, PlatformLink, WrenchLink, unstamped
 from hiltestbed.diagnosis.search import ALARM, Explanation, jitter_beside, null_fit, search
+from hiltestbed.diagnosis.stiction import stick_starts
 from hiltestbed.diagnosis.study import CORRELATED, DYNAMICS_FLOOR, Study, make_study, wrench_link
 from hiltestbed.diagnosis.tones import tone_beside, tones
 from hiltestbed.frames import Array
 from hiltestbed.measured import MeasuredDataset
 
-STICKS = 500  # starts for stiction: each jump begins where the last one ended, so that the well of chi-square is narrow
-FINER = 15  # by which the starts for stiction are refined at a time
-KEPT = 4  # of them that are refined further: chi-square is rugged
-FINEST = 1e-5  # of a stick: some hundred jumps in a row then end where they should, to a part of the noise
 SMOOTH = 31  # rows of the Savitzky-Golay filter, order 3, where only a noisy pose is left to go by
 RELATIVE = 0.01  # of the departure of a computed channel that an explanation may leave
 LEAD_NOISE = 1.7  # times the led noise, up to which a residual of the compensation may be noise of the record
@@ -89,43 +86,10 @@ def _explain(out: Findings, name: str, candidates: list[Candidate], progress: Pr
 
 
 def _platform_candidates(study: Study) -> list[Candidate]:
-    """Those of the platform, with starts for stiction that the slowest run tells."""
-    link = _platform(study.links)
+    """Those of the platform, with starts for stiction that the data tell."""
+    link, substeps = _platform(study.links), study.runs[0].scenario.substeps
     noise = min(study.noise.get(c, 0.0) for c in link.channels)
-    speeds = [float(np.max(np.abs(np.diff(c[:, :3], axis=0)))) for c in link.commands]
-    i = int(np.argmin(speeds))
-    away = float(np.nanmax(np.abs(link.runs[i].measured - link.predict(i, ()))[1:])) - noise
-    substeps = study.runs[0].scenario.substeps
-    sticks: dict[int, list[float]] = {}
-    if away > 6.0 * noise:  # the largest departure is `stick`, give or take what the command moves in a tick
-        residual = Residual(link).on([i])
-        tried = np.geomspace(
-            max(away - speeds[i] - 4.0 * noise, 0.5 * away),
-            away + speeds[i] + noise,
-            max(STICKS // 5, min(STICKS, STICKS * 2000 // study.rows[i])),
-        )
-        for divide in dict.fromkeys((substeps, 20)):
-            costs = [_cost_of_stick(residual, float(s), divide) for s in tried]
-            near = [float(tried[j]) for j in np.argsort(costs)[:6]]
-            sticks[divide] = _finest_sticks(Residual(link), near, float(tried[1] / tried[0]) - 1.0, divide)
-    return platform_candidates(study.scales, substeps, sticks)
-
-
-def _cost_of_stick(residual: Residual, stick: float, divide: int) -> float:
-    """Chi-square of a platform that sticks for `stick` [m], a tick divided into so many instants."""
-    return square(residual([("platform.friction", {"stick": stick, FORM: divide})]))
-
-
-def _finest_sticks(residual: Residual, near: list[float], step: float, divide: int) -> list[float]:
-    """The best sticks [m] about the best of `near`, on ever finer grids; step: between neighbours of `near`, as a part."""
-    best = sorted(near, key=lambda s: _cost_of_stick(residual, s, divide))[:KEPT]
-    if _cost_of_stick(residual, best[0], divide) > square(residual(())):
-        return best
-    while step > FINEST:
-        step /= FINER
-        tried = sorted({s * (1.0 + step * j) for s in best for j in range(-FINER, FINER + 1)})
-        best = sorted(tried, key=lambda s: _cost_of_stick(residual, s, divide))[:KEPT]
-    return best
+    return platform_candidates(study.scales, substeps, stick_starts(link, noise, substeps))
 
 
 def _platform(links: Mapping[str, Link]) -> PlatformLink:

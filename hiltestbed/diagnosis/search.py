@@ -61,14 +61,14 @@ def contact_leftovers(residual: Residual, effects: Effects) -> dict[str, Leftove
     outside: list[list[Array]] = [[] for _ in link.channels]
     for i in residual.runs:
         run = link.runs[i]
-        prediction = link.predict(i, [*residual.base, *effects])
+        prediction = link.predict(i, effects)
         weight = residual.weight[i]
         sigma = np.where(weight > 0, 1.0 / np.where(weight > 0, weight, 1.0), np.inf)
         if isinstance(link, WrenchLink):
             sigma = soften(sigma, prediction)
             shake = sum(p["sigma"] for kind, p in effects if kind == "sensor.jitter")
             if shake:
-                prediction, spread = link.shaken(i, [*residual.base, *effects], shake)
+                prediction, spread = link.shaken(i, effects, shake)
                 sigma = np.hypot(sigma, spread)
         z = (residual.measured[i] - prediction) / sigma
         for c in range(len(link.channels)):
@@ -145,7 +145,7 @@ def jitter_beside(residual: Residual, base: Fit) -> Fit | None:
     link, effects = residual.link, base.effects()
     if not isinstance(link, WrenchLink) or JITTER in {c.effect for c in base.causes}:
         return None
-    worth = np.concatenate([(link.slope(i, [*residual.base, *effects]) * residual.weight[i]).ravel() for i in residual.runs])
+    worth = np.concatenate([(link.slope(i, effects) * residual.weight[i]).ravel() for i in residual.runs])
     cause = Candidate(JITTER, ("sigma",), np.array([0.0]), np.array([0.02]), np.array([False]), ((0.0,),))
 
     def cost(sigma: float) -> float:
@@ -173,7 +173,7 @@ def _likelihood(link: WrenchLink, residual: Residual, effects: Effects, sigma: f
     """Chi-square with the cost of the spread, and the residual in units of noise and spread, for a delay that varies by sigma."""
     total, parts = 0.0, []
     for i in residual.runs:
-        mean, spread = link.shaken(i, [*residual.base, *effects], sigma)
+        mean, spread = link.shaken(i, effects, sigma)
         s2 = 1.0 + (spread * residual.weight[i]) ** 2
         z = (residual.measured[i] - mean) * residual.weight[i] / np.sqrt(s2)
         total += float(np.sum(z * z) + np.sum(np.log(s2)))

@@ -15,17 +15,16 @@ FREE, CONTACT, AFTER = "free", "contact", "after"
 UNITS = {"p": "m", "q": "1", "r": "rad", "f": "N", "t": "N m"}
 
 
-def link_series(link: Link, effects: Effects = (), base: Effects = ()) -> list[Series]:
+def link_series(link: Link, effects: Effects = ()) -> list[Series]:
     """Every channel of every run of a link.
 
     Args:
         effects: named, as (id, parameters); those of other links leave the prediction as it is.
-        base: held to be true in the nominal prediction too.
     """
     out = []
     for i, run in enumerate(link.runs):
-        nominal = link.predict(i, base)
-        extended = link.predict(i, [*base, *effects]) if effects else nominal
+        nominal = link.predict(i, ())
+        extended = link.predict(i, effects) if effects else nominal
         t = np.arange(len(run.measured)) * run.scenario.tick
         for j in range(run.measured.shape[1]):
             name = link.channels[j]
