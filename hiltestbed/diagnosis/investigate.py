@@ -23,7 +23,7 @@ from hiltestbed.diagnosis.candidates import (
 from hiltestbed.diagnosis.chain import lead_record
 from hiltestbed.diagnosis.fit import Fit, Residual, fit, refit
 from hiltestbed.diagnosis.links import CompensationLink, Effects, Link, PlatformLink, WrenchLink, unstamped
-from hiltestbed.diagnosis.search import ALARM, Explanation, jitter_beside, null_fit, search
+from hiltestbed.diagnosis.search import ALARM, JITTER, Explanation, inflation, jitter_beside, null_fit, search
 from hiltestbed.diagnosis.stiction import stick_starts
 from hiltestbed.diagnosis.study import CORRELATED, DYNAMICS_FLOOR, Study, make_study, wrench_link
 from hiltestbed.diagnosis.tones import tone_beside, tones
@@ -63,7 +63,7 @@ def investigate(dataset: MeasuredDataset, progress: Progress | None = None) -> F
         ("dynamics", "wrench_comp, pose_cmd"),
     ):
         if name not in study.links:
-            out.missing[name] = f"needs {ends} in every run"
+            out.missing[name] = study.refused.get(name, f"needs {ends} in every run")
     s = study.scales
     if "platform" in study.links:
         _explain(out, "platform", _platform_candidates(study), progress)
@@ -131,26 +131,36 @@ def _investigate_wrench(out: Findings, progress: Progress | None) -> None:
     skews = skew_candidates(study.scales.tick)
     stamped = comp is not None and any(c.effect == "log.skew" for c in comp.chosen.causes)
     candidates += skews if comp is None else []
-    for given in _stamped_late(link, skews) if stamped else [None]:
+    residual, given = Residual(link), _stamped_late(link, skews) if stamped else []
+    found = _search_wrench(residual, candidates, given[0] if given else None, progress)
+    if len(given) > 1 and not found.adequate and _other_reading_betters(residual, found.chosen, given[1]):
         residual = Residual(link)
-        found = search(
-            residual, candidates, special=[jitter_beside, tone_beside], progress=_named(progress, "contact and sensor"), given=given
-        )
-        if "wrench" not in out.explanations or found.adequate:
-            out.explanations["wrench"], out.residuals["wrench"] = found, residual
-        if found.adequate:
-            break
+        found = _search_wrench(residual, candidates, given[1], progress)
+    out.explanations["wrench"], out.residuals["wrench"] = found, residual
     if stamped:
         _settle_compensation(out, progress)
 
 
-def _stamped_late(link: WrenchLink, skews: list[Candidate]) -> list[Fit | None]:
-    """A record that is stamped late, in each of its readings, the likelier one first; or nothing, where the contact shows no such thing."""
+def _search_wrench(residual: Residual, candidates: list[Candidate], given: Fit | None, progress: Progress | None) -> Explanation:
+    special = [jitter_beside, tone_beside]
+    return search(residual, candidates, special=special, progress=_named(progress, "contact and sensor"), given=given)
+
+
+def _stamped_late(link: WrenchLink, skews: list[Candidate]) -> list[Fit]:
+    """A record that is stamped late, in each of its readings, the likelier one first; none where the contact shows no such thing."""
     residual = Residual(link)
     fits = sorted((fit(residual, (c,), c.grid) for c in skews), key=lambda f: f.chi2)
     residual.beware(fits[0].effects())
     fits = [refit(residual, f) for f in fits]
-    return [*fits] if null_fit(residual).chi2 - fits[0].chi2 > ALARM else [None]
+    return fits if null_fit(residual).chi2 - fits[0].chi2 > ALARM else []
+
+
+def _other_reading_betters(residual: Residual, chosen: Fit, other: Fit) -> bool:
+    """Whether `chosen`, whose first cause is a record stamped late, fits better with the reading of `other` for it."""
+    causes = (*other.causes, *chosen.causes[1:])
+    if any(c.effect == JITTER for c in causes):
+        return False
+    return fit(residual, causes, [chosen.theta], tries=1).chi2 < chosen.chi2 - ALARM * inflation(chosen)
 
 
 def _settle_compensation(out: Findings, progress: Progress | None) -> None:

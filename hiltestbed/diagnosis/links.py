@@ -71,9 +71,9 @@ class PlatformLink:
     name = "platform"
     channels: tuple[str, ...] = ("pose_act.px", "pose_act.py", "pose_act.pz")
 
-    def __init__(self, runs: list[LinkRun], commands: list[Array]) -> None:
-        """commands: (N, 7) pose_cmd of each run."""
-        self.runs, self.commands = runs, commands
+    def __init__(self, runs: list[LinkRun], commands: list[Array], yielding: list[Array] | None = None) -> None:
+        """commands: (N, 7) pose_cmd of each run. yielding: (N, 3) how the believed drives depart from it [m]; None: not at all."""
+        self.runs, self.commands, self.yielding = runs, commands, yielding
 
     def predict(self, i: int, effects: Effects) -> Array:
         return self.path(i, effects)
@@ -87,7 +87,7 @@ class PlatformLink:
         parameters = platform_parameters(effects)
         parameters[DELAY] -= sum(p.get(AHEAD, 0.0) for _, p in effects)
         replay_platform(self.commands[i], position, velocity, s.tick, divide, parameters, out)
-        return out
+        return out if self.yielding is None else out + self.yielding[i]
 
 
 class WrenchLink:

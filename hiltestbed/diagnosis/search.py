@@ -33,7 +33,7 @@ class Explanation:
     """What a search found on one link.
 
     Attributes:
-        null: nothing departs. singles, pairs: fits, best first, with one and two causes beside those that were given.
+        null: nothing departs. singles, pairs: fits, best first; with a given cause, it and one more are singles.
         chosen: the best that pays. adequate: it leaves noise.
         leftovers: channel to what the chosen fit leaves. before: channel to what the null leaves.
         rivals: for each cause of the chosen fit the fits that differ from it in that cause alone and cannot be told from it.
@@ -85,7 +85,7 @@ def contact_leftovers(residual: Residual, effects: Effects) -> dict[str, Leftove
 
 def search(residual: Residual, candidates: Sequence[Candidate], judge: Judge = contact_leftovers, special: Sequence[Callable] = (),
            progress: Callable[[str], None] | None = None, given: Fit | None = None) -> Explanation:  # fmt: skip
-    """The explanation of a link by at most two causes; given: a fit with causes that other links have shown, which stay."""
+    """The explanation of a link by at most two causes; given: a fit with the cause that another link has shown, which is one of them."""
     residual.beware(given.effects() if given else ())
     null = refit(residual, given) if given else null_fit(residual)
     before = judge(residual, null.effects())
@@ -100,13 +100,14 @@ def search(residual: Residual, candidates: Sequence[Candidate], judge: Judge = c
     best = singles[0] if singles else null
     alarm = null.score - best.score > ALARM * inflation(best) or not adequate_null
     nothing = null_fit(residual)
+    known = [null] if given else []
     if not alarm:
-        return Explanation(nothing, null, True, given is not None, before, before, singles)
+        return Explanation(nothing, null, True, given is not None, before, before, [*singles, *known])
     chosen = best if null.score - best.score > ALARM * inflation(best) else null
     leftovers = judge(residual, chosen.effects())
     adequate = all(left.noise for left in leftovers.values())
     pairs: list[Fit] = []
-    if singles:
+    if not given:
         for base in _best_of_each(singles, "effect")[: 1 if adequate else BEAM]:
             pairs += _extend(residual, base, candidates, progress, special, PARTNERS)
         pairs.sort(key=lambda f: f.score)
@@ -119,7 +120,7 @@ def search(residual: Residual, candidates: Sequence[Candidate], judge: Judge = c
             left = judge(residual, pairs[0].effects())
             chosen, leftovers = pairs[0], left
             adequate = all(x.noise for x in left.values())
-    found = Explanation(nothing, chosen, adequate, True, leftovers, before, singles, pairs)
+    found = Explanation(nothing, chosen, adequate, True, leftovers, before, [*singles, *known], pairs)
     if adequate and chosen.causes:
         found.rivals = _rivals(residual, found, judge)
     return found

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from hiltestbed.diagnosis.candidates import Scales
+from hiltestbed.diagnosis.driven import unfollowed, yields
 from hiltestbed.diagnosis.links import CompensationLink, DynamicsLink, Effects, Link, LinkRun, PlatformLink, WrenchLink, flat_pose
 from hiltestbed.frames import Array
 from hiltestbed.measured import MeasuredDataset, MeasuredRun
@@ -31,6 +32,7 @@ class Study:
     Attributes:
         runs: as measured. rows: of each run that the search looks at. scales: what the data hold.
         noise: channel to its floor. links: by name, on the rows of the search. full: the same on whole runs.
+        refused: link to why it cannot be replayed, though its channels are there.
     """
 
     runs: tuple[MeasuredRun, ...]
@@ -39,6 +41,7 @@ class Study:
     noise: dict[str, float]
     links: dict[str, Link] = field(default_factory=dict)
     full: dict[str, Link] = field(default_factory=dict)
+    refused: dict[str, str] = field(default_factory=dict)
 
 
 def make_study(dataset: MeasuredDataset) -> Study:
@@ -46,12 +49,10 @@ def make_study(dataset: MeasuredDataset) -> Study:
     runs = dataset.runs
     noise = _floors(runs)
     study = Study(runs, [_rows(r) for r in runs], _scales(runs, noise), noise)
+    yielding = _yielding(study)
     for target, rows in ((study.links, study.rows), (study.full, [r.record.ticks for r in runs])):
-        if _all(runs, "pose_cmd", "pose_act"):
-            target["platform"] = PlatformLink(
-                [_link_run(r, "pose_act", 3, noise, n, PLATFORM_LEAST) for r, n in zip(runs, rows, strict=True)],
-                [np.ascontiguousarray(r.record.filled("pose_cmd")[:n]) for r, n in zip(runs, rows, strict=True)],
-            )
+        if _all(runs, "pose_cmd", "pose_act") and "platform" not in study.refused:
+            target["platform"] = _platform_link(study, yielding, rows)
         if _all(runs, "wrench_meas", "wrench_comp") and _computable(runs):
             level = COMPENSATION_FLOOR * max(noise.get("wrench_meas.fz", 0.0), 1e-6) * np.sqrt(CORRELATED)
             target["compensation"] = CompensationLink(
@@ -65,6 +66,30 @@ def make_study(dataset: MeasuredDataset) -> Study:
                 [np.ascontiguousarray(r.record.filled("wrench_comp")[:n]) for r, n in zip(runs, rows, strict=True)],
             )
     return study
+
+
+def _yielding(study: Study) -> list[tuple[Array, Array]]:
+    """Of each run (N, 3) how the believed drives depart from their command [m], and (N, 3) how well that is known."""
+    reason = unfollowed(study.runs)
+    if reason:
+        study.refused["platform"] = reason
+    if reason or not _all(study.runs, "pose_cmd", "pose_act"):
+        return []
+    level = study.noise.get("wrench_meas.fz", 0.0)
+    still = [np.zeros((r.record.ticks, 3)) for r in study.runs]
+    return [
+        yields(r, level) if r.scenario.rig.platform.tracking == "servo" else (none, none) for r, none in zip(study.runs, still, strict=True)
+    ]
+
+
+def _platform_link(study: Study, yielding: list[tuple[Array, Array]], rows: Sequence[int]) -> PlatformLink:
+    link_runs, commands = [], []
+    for run, (_, doubt), n in zip(study.runs, yielding, rows, strict=True):
+        link_run = _link_run(run, "pose_act", 3, study.noise, n, PLATFORM_LEAST)
+        link_run.sigma = np.hypot(link_run.sigma, doubt[:n])
+        link_runs.append(link_run)
+        commands.append(np.ascontiguousarray(run.record.filled("pose_cmd")[:n]))
+    return PlatformLink(link_runs, commands, [away[:n] for (away, _), n in zip(yielding, rows, strict=True)])
 
 
 def wrench_link(

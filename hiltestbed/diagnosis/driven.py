@@ -1,0 +1,94 @@
+"""Where the platform's drives take it: the believed servo, replayed on the recorded command under the recorded force.
+
+With `rig.platform.tracking: servo` the platform yields to the force that it bears and follows its command with the servo's own small
+errors. That is no departure from what is believed: the platform's link adds it to what its effects make of the command.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from hiltestbed.diagnosis.links import advanced
+from hiltestbed.frames import Array, twist_between
+from hiltestbed.measured import MeasuredRun
+from hiltestbed.rig.driven import ServoTracking
+from hiltestbed.rig.model import Structure
+from hiltestbed.rig.touch import Touch
+from hiltestbed.scenario import Scenario
+from hiltestbed.spacecraft import approach_state
+
+KNOWN = 0.25  # of the yield that a wrong or late reading of the force may falsify
+CORRELATED = 50  # rows of a yield that count as one: its noise is that of the force, through drives of 40 Hz
+FOLLOWED = ("none", "feedforward", "contact_correction")  # motions whose platform is told the recorded pose itself
+
+
+def unfollowed(runs: Sequence[MeasuredRun]) -> str | None:
+    """Why the platform cannot be replayed: under a servo the record must hold what it was told."""
+    for run in runs:
+        motion, upper = run.scenario.compensation.motion.kind, run.scenario.rig.upper.kind
+        if run.scenario.rig.platform.tracking == "servo" and (motion not in FOLLOWED or upper != "fixed"):
+            return (
+                f"under a servo not replayed with compensation.motion {motion} and rig.upper {upper}; allowed: {', '.join(FOLLOWED)}; fixed"
+            )
+    return None
+
+
+def yields(run: MeasuredRun, noise: float) -> tuple[Array, Array]:
+    """(N, 3) by how much the believed servo's pose departs from its command [m], and (N, 3) how well that is known.
+
+    noise: [N] of the force. The force is read as much earlier as the believed sensor is late; where none was measured, it is none.
+    """
+    scenario, command = run.scenario, np.ascontiguousarray(run.record.filled("pose_cmd"))
+    wrench = np.zeros((len(command), 6))
+    if run.record.has("wrench_meas"):
+        wrench = advanced(run.record.filled("wrench_meas"), scenario.sensor.delay / scenario.tick)
+    start = approach_state(scenario)[:7]
+    away = (followed(scenario, command, wrench) - np.vstack([start, command[:-1]]))[:, :3]
+    if noise == 0.0:
+        return away, KNOWN * np.abs(away)
+    shaken = wrench.copy()
+    shaken[:, :3] += noise * np.random.default_rng(0).standard_normal((len(wrench), 3))
+    passed = float(np.std((followed(scenario, command, shaken) - np.vstack([start, command[:-1]]))[:, :3] - away))
+    return away, np.hypot(KNOWN * away, passed * math.sqrt(CORRELATED))
+
+
+class RecordedWrench(Touch):
+    """A wrench (N, 6) on record, a row a tick, in place of a contact; past its end it holds."""
+
+    def __init__(self, scenario: Scenario, wrench: Array) -> None:
+        super().__init__([scenario], least_creep=0.0)
+        self._record, self._instant, self._substeps = wrench, 0, scenario.substeps
+
+    def reset(self) -> None:
+        super().reset()
+        self._instant = 0
+
+    def update(self, pose: Array, twist: Array, place: Array, motion: Array) -> None:
+        """The wrench of the next physics instant, between rows on a straight line."""
+        row = min(self._instant / self._substeps, len(self._record) - 1.0)
+        low = math.floor(row)
+        high = min(low + 1, len(self._record) - 1)
+        self.wrench[0] = self._record[low] + (row - low) * (self._record[high] - self._record[low])
+        self._instant += 1
+
+
+def followed(scenario: Scenario, command: Array, wrench: Array) -> Array:
+    """(N, 7) poses at t_k of a platform that was told ``command`` (N, 7) for t_(k+1) while it bore ``wrench`` (N, 6) at t_k."""
+    start = approach_state(scenario)
+    tracking = ServoTracking([scenario], 1, Structure(scenario.mechanism.kind, mounted=False, paired=False))
+    tracking.touch = RecordedWrench(scenario, wrench)
+    tracking.reset(start[None, :7], start[None, 7:])
+    out, twists = np.empty_like(command), np.empty((2, 1, 6))
+    twists[0] = start[7:]
+    before, told = start[:7], scenario.compensation.motion.kind == "feedforward"
+    for k in range(len(command)):
+        out[k] = tracking.pose_act[0]
+        twist_between(before, command[k], scenario.tick, twists[1, 0])
+        acceleration = (twists[1] - twists[0]) / scenario.tick
+        tracking.begin(command[k : k + 1], twists[1] * told, acceleration * told)
+        tracking.finish()
+        before, twists[0] = command[k], twists[1]
+    return out
