@@ -177,10 +177,14 @@ def tone_candidate(axis: str, frequency: float, amplitude: float, phase: float) 
     return candidate("sensor.hum", start, 4, bounds=wide, axis=axis)
 
 
-def skew_candidates(h: float) -> list[Candidate]:
-    """The record of the force alone stamped late: rows of the record between rows of the loop, or read anew at the later time."""
-    grid = {"delay": [0.4 * h, 0.8 * h, 1.4 * h, 2.5 * h, 4.5 * h, 8 * h, 13 * h, 20 * h]}
-    return [candidate("log.skew", grid), candidate("log.skew", grid, form="continuous")]
+def skew_candidates(h: float, about: float | None = None) -> list[Candidate]:
+    """The record of the force alone stamped late: rows of the record between rows of the loop, or read anew at the later time.
+
+    about: a delay [s] that is known to a tick `h`.
+    """
+    grid = {"delay": [0.4 * h, 0.8 * h, 1.4 * h, 2.5 * h, 4.5 * h, 8 * h, 13 * h, 20 * h] if about is None else [about]}
+    bounds = None if about is None else {"delay": (max(0.0, about - h), about + h)}
+    return [candidate("log.skew", grid, bounds=bounds), candidate("log.skew", grid, bounds=bounds, form="continuous")]
 
 
 def platform_candidates(s: Scales, substeps: int, sticks: dict[int, list[float]]) -> list[Candidate]:

@@ -20,7 +20,9 @@ from hiltestbed.rig.touch import Touch
 from hiltestbed.scenario import Scenario
 from hiltestbed.spacecraft import approach_state
 
-KNOWN = 0.25  # of the yield that a wrong or late reading of the force may falsify
+KNOWN = 0.25  # of the yield that a wrong reading of the force may falsify
+LATE = 5e-3  # [s] that the reading may be later than believed
+UNFOLLOWED = 0.01  # of a departure: what the drives leave of a jump, or of a start away from home, is not replayed
 CORRELATED = 50  # rows of a yield that count as one: its noise is that of the force, through drives of 40 Hz
 FOLLOWED = ("none", "feedforward", "contact_correction")  # motions whose platform is told the recorded pose itself
 
@@ -46,13 +48,17 @@ def yields(run: MeasuredRun, noise: float) -> tuple[Array, Array]:
     if run.record.has("wrench_meas"):
         wrench = advanced(run.record.filled("wrench_meas"), scenario.sensor.delay / scenario.tick)
     start = approach_state(scenario)[:7]
-    away = (followed(scenario, command, wrench) - np.vstack([start, command[:-1]]))[:, :3]
+    told = np.vstack([start, command[:-1]])[:, :3]
+    away = followed(scenario, command, wrench)[:, :3] - told
+    departure = np.nanmax(np.abs(run.record.data["pose_act"][:, :3] - told - away), initial=0.0)
+    later = advanced(away, -LATE / scenario.tick) - away
+    doubt = np.sqrt((KNOWN * away) ** 2 + later**2 + (UNFOLLOWED * departure) ** 2)
     if noise == 0.0:
-        return away, KNOWN * np.abs(away)
+        return away, doubt
     shaken = wrench.copy()
     shaken[:, :3] += noise * np.random.default_rng(0).standard_normal((len(wrench), 3))
-    passed = float(np.std((followed(scenario, command, shaken) - np.vstack([start, command[:-1]]))[:, :3] - away))
-    return away, np.hypot(KNOWN * away, passed * math.sqrt(CORRELATED))
+    passed = float(np.std(followed(scenario, command, shaken)[:, :3] - told - away))
+    return away, np.hypot(doubt, passed * math.sqrt(CORRELATED))
 
 
 class RecordedWrench(Touch):

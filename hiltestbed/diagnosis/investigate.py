@@ -32,6 +32,7 @@ from hiltestbed.measured import MeasuredDataset
 
 SMOOTH = 31  # rows of the Savitzky-Golay filter, order 3, where only a noisy pose is left to go by
 RELATIVE = 0.01  # of the departure of a computed channel that an explanation may leave
+UNEXPLAINED = 0.2  # of what a late record does to the compensation, that its interpolation between rows may leave
 LEAD_NOISE = 1.7  # times the led noise, up to which a residual of the compensation may be noise of the record
 
 Progress = Callable[[str], None]
@@ -127,17 +128,17 @@ def _investigate_wrench(out: Findings, progress: Progress | None) -> None:
         return
     link = choose_lever(study, make_wrench_link(out))
     candidates = _wrench_candidates(study, link)
-    comp = out.explanations.get("compensation")
-    skews = skew_candidates(study.scales.tick)
-    stamped = comp is not None and any(c.effect == "log.skew" for c in comp.chosen.causes)
-    candidates += skews if comp is None else []
-    residual, given = Residual(link), _stamped_late(link, skews) if stamped else []
+    if "compensation" not in out.explanations:
+        candidates += skew_candidates(study.scales.tick)
+    residual, given = Residual(link), _stamped_late(out, link)
+    if given:  # which the contact alone cannot tell from a late sensor
+        candidates = [c for c in candidates if c.effect != "sensor.delay"]
     found = _search_wrench(residual, candidates, given[0] if given else None, progress)
-    if len(given) > 1 and not found.adequate and _other_reading_betters(residual, found.chosen, given[1]):
+    if given and not found.adequate and _other_reading_betters(residual, found.chosen, given[1]):
         residual = Residual(link)
         found = _search_wrench(residual, candidates, given[1], progress)
     out.explanations["wrench"], out.residuals["wrench"] = found, residual
-    if stamped:
+    if given:
         _settle_compensation(out, progress)
 
 
@@ -146,13 +147,21 @@ def _search_wrench(residual: Residual, candidates: list[Candidate], given: Fit |
     return search(residual, candidates, special=special, progress=_named(progress, "contact and sensor"), given=given)
 
 
-def _stamped_late(link: WrenchLink, skews: list[Candidate]) -> list[Fit]:
-    """A record that is stamped late, in each of its readings, the likelier one first; none where the contact shows no such thing."""
+def _stamped_late(out: Findings, link: WrenchLink) -> list[Fit]:
+    """A record that is stamped late, in each of its readings, the likelier first; none where the compensation shows no such thing.
+
+    The compensation tells the delay to a tick. A contact that does not bear it out may hide it: a late reading is a damper's lack.
+    """
+    comp = out.explanations.get("compensation")
+    delay = next((p["delay"] for kind, p in comp.chosen.effects() if kind == "log.skew"), None) if comp else None
+    if comp is None or delay is None:
+        return []
     residual = Residual(link)
-    fits = sorted((fit(residual, (c,), c.grid) for c in skews), key=lambda f: f.chi2)
+    fits = sorted((fit(residual, (c,), c.grid) for c in skew_candidates(out.study.scales.tick, delay)), key=lambda f: f.chi2)
     residual.beware(fits[0].effects())
     fits = [refit(residual, f) for f in fits]
-    return fits if null_fit(residual).chi2 - fits[0].chi2 > ALARM else []
+    borne_out = null_fit(residual).chi2 - fits[0].chi2 > ALARM
+    return fits if borne_out or comp.chosen.chi2 < UNEXPLAINED * comp.null.chi2 else []
 
 
 def _other_reading_betters(residual: Residual, chosen: Fit, other: Fit) -> bool:

@@ -98,12 +98,13 @@ def search(residual: Residual, candidates: Sequence[Candidate], judge: Judge = c
     singles += [f for make in special if (f := make(residual, null)) is not None]  # under the weights that a better mean has left
     singles.sort(key=lambda f: (round(f.score, 1), _boldness(f)))
     best = singles[0] if singles else null
-    alarm = null.score - best.score > ALARM * inflation(best) or not adequate_null
+    need = (PAYS if given and adequate_null else ALARM) * inflation(best)
+    alarm = null.score - best.score > need or not adequate_null
     nothing = null_fit(residual)
     known = [null] if given else []
     if not alarm:
         return Explanation(nothing, null, True, given is not None, before, before, [*singles, *known])
-    chosen = best if null.score - best.score > ALARM * inflation(best) else null
+    chosen = best if null.score - best.score > need else null
     leftovers = judge(residual, chosen.effects())
     adequate = all(left.noise for left in leftovers.values())
     pairs: list[Fit] = []
