@@ -11,18 +11,21 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from hiltestbed.diagnosis.adequacy import BLOCK
 from hiltestbed.diagnosis.links import advanced
 from hiltestbed.frames import Array, twist_between
 from hiltestbed.measured import MeasuredRun
 from hiltestbed.rig.driven import ServoTracking
 from hiltestbed.rig.model import Structure
+from hiltestbed.rig.servo import BANDWIDTH
 from hiltestbed.rig.touch import Touch
 from hiltestbed.scenario import Scenario
 from hiltestbed.spacecraft import approach_state
 
 KNOWN = 0.25  # of the yield that a wrong reading of the force may falsify
 LATE = 5e-3  # [s] that the reading may be later than believed
-UNFOLLOWED = 0.01  # of a departure: what the drives leave of a jump, or of a start away from home, is not replayed
+UNFOLLOWED = 0.01  # of a departure: what the drives leave of a jump is not replayed
+SETTLING = 10.0 / (2.0 * math.pi * BANDWIDTH)  # [s] ten time constants: where the drives start from is not recorded
 CORRELATED = 50  # rows of a yield that count as one: its noise is that of the force, through drives of 40 Hz
 FOLLOWED = ("none", "feedforward", "contact_correction")  # motions whose platform is told the recorded pose itself
 
@@ -41,6 +44,7 @@ def unfollowed(runs: Sequence[MeasuredRun]) -> str | None:
 def yields(run: MeasuredRun, noise: float) -> tuple[Array, Array]:
     """(N, 3) by how much the believed servo's pose departs from its command [m], and (N, 3) how well that is known.
 
+    What is not known takes whole blocks of rows the same way, and is counted like noise that is the larger by their root.
     noise: [N] of the force. The force is read as much earlier as the believed sensor is late; where none was measured, it is none.
     """
     scenario, command = run.scenario, np.ascontiguousarray(run.record.filled("pose_cmd"))
@@ -52,7 +56,8 @@ def yields(run: MeasuredRun, noise: float) -> tuple[Array, Array]:
     away = followed(scenario, command, wrench)[:, :3] - told
     departure = np.nanmax(np.abs(run.record.data["pose_act"][:, :3] - told - away), initial=0.0)
     later = advanced(away, -LATE / scenario.tick) - away
-    doubt = np.sqrt((KNOWN * away) ** 2 + later**2 + (UNFOLLOWED * departure) ** 2)
+    doubt = math.sqrt(BLOCK) * np.sqrt((KNOWN * away) ** 2 + later**2 + (UNFOLLOWED * departure) ** 2)
+    doubt[: math.ceil(SETTLING / scenario.tick)] = np.inf
     if noise == 0.0:
         return away, doubt
     shaken = wrench.copy()
