@@ -2,7 +2,8 @@
 
 One run's law is a row of parameters and a row of states; the kernel serves the plant, instant by instant, and the diagnosis, over a
 record. Order: the frame gives way, the touch is shifted, play is taken out, then elastic force, damping, friction, preload, hard
-stop and relaxation add up, and the sum is kept from pulling.
+stop and relaxation add up, and the sum is kept from pulling. Dry friction that gives before it slips is a spring that drags a slider:
+play, where there is any, lies between the port and that spring, and travels with the slider.
 """
 
 from __future__ import annotations
@@ -18,10 +19,10 @@ from hiltestbed.frames import Array
 
 (
     STIFFNESS, DAMPING, POWER_STIFFNESS, EXPONENT, ALPHA, DRY, PRELOAD, STOP, STOP_STIFFNESS, BRANCH_STIFFNESS, BRANCH_TIME,
-    ADHESION, FRAME, OFFSET, CAPTURED, PLAY, MODE, MODE_DAMPING, MODE_MASS, FRICTION, TILT_X, TILT_Y, LEVER, REACTION,
-) = range(24)  # fmt: skip
-PARAMETERS = 24
-BRANCH, TOUCHING, DEFLECTION, DEFLECTION_RATE, STATES = 0, 1, 2, 3, 4
+    ADHESION, FRAME, OFFSET, CAPTURED, PLAY, MODE, MODE_DAMPING, MODE_MASS, FRICTION, TILT_X, TILT_Y, LEVER, REACTION, DRAG,
+) = range(25)  # fmt: skip
+PARAMETERS = 25
+BRANCH, TOUCHING, DEFLECTION, DEFLECTION_RATE, SLIDER, STATES = 0, 1, 2, 3, 4, 5
 SLIP_SPEED = 2e-4  # [m/s] sgn(v) is tanh(v/SLIP_SPEED)
 SLIDE_SPEED = 1e-4  # [m/s] tangential friction is regularised below it
 MODE_STEP = 0.05  # [rad] largest phase that the frame's mode advances in one inner step
@@ -45,6 +46,7 @@ def contact_parameters(stiffness: float, damping: float, friction: float, captur
                 p[ALPHA] = given["alpha"]
             case "contact.dry_friction":
                 p[DRY] += given["force"]
+                p[DRAG] = given.get("stiffness", 0.0)
             case "contact.preload":
                 p[PRELOAD] += given["force"]
             case "contact.hard_stop":
@@ -71,11 +73,11 @@ def contact_parameters(stiffness: float, damping: float, friction: float, captur
 
 @njit(cache=True)
 def _law(x, v, branch, p):
-    """Force [N] at penetration x [m] and rate v [m/s], the Maxwell branch carrying `branch` [N]; zero out of touch."""
+    """Force [N] at penetration x [m] and rate v [m/s], Maxwell branch and slider carrying `branch` [N]; zero out of touch."""
     if p[CAPTURED] > 0.0:
         half = 0.5 * p[PLAY]
         if abs(x) <= half and half > 0.0:
-            return 0.0
+            return branch if p[DRAG] > 0.0 else 0.0  # play that travels with the slider is in the branch
         x = x - half if x > 0.0 else x + half
     elif x <= 0.0:
         return 0.0
@@ -84,7 +86,7 @@ def _law(x, v, branch, p):
     if x < 0.0:
         elastic = -elastic
     force = elastic * (1.0 + p[ALPHA] * v) if p[ALPHA] >= 0.0 else elastic + p[DAMPING] * v
-    if p[DRY] != 0.0:
+    if p[DRY] != 0.0 and p[DRAG] <= 0.0:
         force += p[DRY] * math.tanh(v / SLIP_SPEED)
     if depth > p[STOP]:
         force += math.copysign(p[STOP_STIFFNESS] * (depth - p[STOP]), x)
@@ -146,7 +148,24 @@ def _at_rest(x, v, dt, p, state):
             fade = math.exp(-since / p[BRANCH_TIME])
             state[BRANCH] = state[BRANCH] * fade + p[BRANCH_STIFFNESS] * v * p[BRANCH_TIME] * (1.0 - fade)
     state[TOUCHING] = 1.0 if touching else 0.0
-    return _with_frame(x, v, state[BRANCH], p)
+    carried = state[BRANCH]
+    if p[DRAG] > 0.0:
+        carried += _dragged(x, p, state) if touching else 0.0
+        if not touching:
+            state[SLIDER] = 0.0
+    return _with_frame(x, v, carried, p)
+
+
+@njit(cache=True)
+def _dragged(x, p, state):
+    """Friction [N] of a slider that a spring drags, through the play of a captured mechanism: within the play, stuck, or slipping."""
+    half = 0.5 * p[PLAY] if p[CAPTURED] > 0.0 else 0.0
+    reach = half + p[DRY] / p[DRAG]
+    stretch = x - state[SLIDER]
+    if abs(stretch) > reach:
+        stretch = math.copysign(reach, stretch)
+        state[SLIDER] = x - stretch
+    return math.copysign(p[DRAG] * max(abs(stretch) - half, 0.0), stretch)
 
 
 @njit(cache=True)

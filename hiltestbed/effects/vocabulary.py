@@ -216,8 +216,12 @@ _TABLE = (
         "The damping grows with the penetration: no force step at touch.",
     ),
     EffectSpec(
-        "contact.dry_friction", "contact", {"force": _size("N", (0.0, 300.0))},
-        "F += force tanh(v/2e-4)", "Coulomb",
+        "contact.dry_friction", "contact",
+        {
+            "force": _size("N", (0.0, 300.0)),
+            "stiffness": ParameterSpec("N/m", low=0.0, fit=(1e2, 1e9), log=True, default=0.0, meaning="before it slips; 0: rigid"),
+        },
+        "F += force tanh(v/2e-4); with a stiffness F += f, f' = stiffness v while |f| < force", "Coulomb; Jenkins 1962 with a stiffness",
         "Dry friction in the buffer: a loop whose width depends on neither speed nor stroke.",
     ),
     EffectSpec(
@@ -253,7 +257,7 @@ _TABLE = (
     ),
     EffectSpec(
         "contact.backlash", "contact", {"width": _size("m", (0.0, 5e-3), "whole play")},
-        "x = pz outside +-width/2 less the half play, 0 within", _textbook,
+        "x = pz outside +-width/2 less the half play, 0 within; friction that gives before it slips carries its play along", _textbook,
         "Play in a captured mechanism: no force within it.",
     ),
     EffectSpec(

@@ -96,6 +96,26 @@ def test_a_maxwell_branch_relaxes_with_its_time_constant():
     assert got[-1] == pytest.approx(peak * math.exp(-0.3 / 0.05), rel=1e-9)
 
 
+def test_friction_that_gives_before_it_slips_turns_round_in_twice_its_stretch():
+    """Up to 10 mm, back to 4 mm: the spring of 1e6 N/m holds 500 N after 0.5 mm, and -500 N 1 mm after the turn."""
+    x = np.concatenate([np.linspace(0, 10e-3, 1001)[1:], np.linspace(10e-3, 4e-3, 601)[1:]])
+    friction = {"force": 500.0, "stiffness": 1e6}
+    got = law([("contact.dry_friction", friction)], x, np.full(1600, 0.1), k=0.0, captured=True)
+    expected = np.where(np.arange(1600) < 1000, np.minimum(1e6 * x, 500.0), np.maximum(500.0 - 1e6 * (10e-3 - x), -500.0))
+    assert np.allclose(got, expected, atol=1e-6)
+
+
+def test_play_before_a_slider_travels_with_it():
+    """2 mm of play: after the turn at 10 mm the force falls to nothing in 0.5 mm, stays there for 2 mm, and grows the other way."""
+    x = np.concatenate([np.linspace(0, 10e-3, 1001)[1:], np.linspace(10e-3, 4e-3, 601)[1:]])
+    effects = [("contact.dry_friction", {"force": 500.0, "stiffness": 1e6}), ("contact.backlash", {"width": 2e-3})]
+    got = law(effects, x, np.full(1600, 0.1), k=0.0, captured=True)
+    back = 10e-3 - x[1000:]
+    assert np.allclose(got[1000:], np.where(back < 2.5e-3, np.maximum(500.0 - 1e6 * back, 0.0), np.maximum(-1e6 * (back - 2.5e-3), -500.0)))
+    assert np.all(got[:90] == 0.0)
+    assert got[999] == pytest.approx(500.0)
+
+
 def test_a_slow_push_on_a_frame_with_a_mode_meets_its_static_stiffness():
     t = np.arange(1, 20001) * 1e-4
     mode = {"frequency": 20.0, "damping_ratio": 0.3, "mass": 40.0}
