@@ -57,10 +57,8 @@ def print_diagnosis(result: dict[str, Any], folder: Path) -> None:
         placebo = 100.0 * heldout["placebo_reduction"]
         gain = f"{100.0 * heldout['reduction']:.4g} % ({low:.4g} to {high:.4g} %); with a wrong effect by {placebo:.3g} %"
         console.print(f"residual on runs that were not fitted: less by {gain}", markup=False)
-    if result["extended_scenario"] is None and result["partial"]["heldout"]:
-        part = result["partial"]
-        names = " and ".join(c["effect"] for c in part["causes"])
-        console.print(f"nearest: {names}, residual on left-out runs less by {100.0 * part['heldout']['reduction']:.3g} %", markup=False)
+    if result["partial"]["sentence"]:
+        console.print(result["partial"]["sentence"], markup=False)
     cor = [", ".join(_number(v, 4) for v in loop[f"cor_{source}"]) for source in ("measured", "nominal", "extended")]
     if any(v is not None for v in loop["cor_measured"]):
         console.print("coefficient of restitution, run by run:\n  measured  " + cor[0] + "\n  nominal   " + cor[1], markup=False)

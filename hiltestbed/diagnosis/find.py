@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 from hiltestbed.diagnosis.fit import Fit
+from hiltestbed.diagnosis.grow import far_off, grow
 from hiltestbed.diagnosis.heldout import heldout, placebo_of
 from hiltestbed.diagnosis.intervals import intervals
 from hiltestbed.diagnosis.investigate import Findings, Progress, candidates_of, full_links, investigate
 from hiltestbed.diagnosis.isolability import isolability
 from hiltestbed.diagnosis.output.evidence import link_series
 from hiltestbed.diagnosis.output.result import Cause, Finding, Heldout, Interval, Isolable, Parameter, Ranked
-from hiltestbed.diagnosis.search import Explanation
+from hiltestbed.diagnosis.search import Explanation, contact_leftovers
 from hiltestbed.diagnosis.shape import describe
 from hiltestbed.diagnosis.verdict import Cause as Named
 from hiltestbed.diagnosis.verdict import Verdict, judge
@@ -20,6 +22,7 @@ from hiltestbed.measured import MeasuredDataset
 
 RANKED = 6  # hypotheses of a link that are listed
 CHECKED = 3  # of them, scored on left-out runs
+MEASURED = ("platform", "wrench")  # links whose output is measured: what they leave is judged by its noise
 LINK_NAMES = {"platform": "platform", "wrench": "contact and sensor", "compensation": "compensation", "dynamics": "numerical model"}
 
 
@@ -30,7 +33,7 @@ def find(dataset: MeasuredDataset, progress: Progress | None = None) -> Finding:
     if progress:
         progress("intervals and left-out runs")
     causes = tuple(cause_of(findings, c) for c in verdict.causes)
-    nearest = _nearest(findings, verdict)
+    nearest = _nearest(findings, verdict, progress)
     effects = [c.fit.effects()[c.index] for c in [*verdict.causes, *nearest]]  # as the links take them, forms included
     series = [s for link in full_links(findings).values() for s in link_series(link, effects)]
     alarmed = {name: e for name, e in findings.explanations.items() if e.alarm}
@@ -43,18 +46,27 @@ def find(dataset: MeasuredDataset, progress: Progress | None = None) -> Finding:
     )  # fmt: skip
 
 
-def _nearest(findings: Findings, verdict: Verdict) -> list[Named]:
-    """Where a link departs without a name: the effects that come nearest on the link that is worst."""
+def _nearest(findings: Findings, verdict: Verdict, progress: Progress | None) -> list[Named]:
+    """Where a link departs without a name: the effects that come nearest on the link that is worst, as many as pay."""
     if verdict.verdict != "unknown":
         return []
     open_ = {n: e for n, e in findings.explanations.items() if e.alarm and not e.adequate and e.chosen.causes}
     if not open_:
         return []
     name = max(open_, key=lambda n: max(left.excess for left in open_[n].leftovers.values()))
-    fit, out = open_[name].chosen, []
+    if name in MEASURED and far_off(open_[name]):
+        findings.explanations[name] = _grown(findings, name, progress)
+    fit, out = findings.explanations[name].chosen, []
     for index, c in enumerate(fit.causes):
         out.append(Named(c.effect, name, fit, index, c.public(fit.part(index)), 0.0, 0.0))
     return out
+
+
+def _grown(findings: Findings, name: str, progress: Progress | None) -> Explanation:
+    """The explanation of a link with the best that several effects do."""
+    residual, e = findings.residuals[name], findings.explanations[name]
+    best = grow(residual, e, candidates_of(findings, name), progress)
+    return replace(e, chosen=best, leftovers=contact_leftovers(residual, best.effects()))
 
 
 def cause_of(findings: Findings, c: Named) -> Cause:

@@ -21,8 +21,8 @@ def heldout(residual: Residual, found: Fit, placebo: Fit | None, seed: int = 0) 
     if len(runs) < 2 or not found.causes:
         return None
     before = {i: _square(residual, i, ()) for i in runs}
-    after = {i: _left_out(residual, i, found) for i in runs}
-    wrong = {i: _left_out(residual, i, placebo) for i in runs} if placebo is not None else dict(before)
+    after = {i: left_out(residual, i, found) for i in runs}
+    wrong = {i: left_out(residual, i, placebo) for i in runs} if placebo is not None else dict(before)
     a, b, w = (np.array([x[i] for i in runs]) for x in (before, after, wrong))
     draws = np.random.default_rng(seed).integers(0, len(runs), (RESAMPLES, len(runs)))
     gains = 1.0 - np.sqrt(b[draws].sum(axis=1) / a[draws].sum(axis=1))
@@ -37,8 +37,8 @@ def _rms(squares: np.ndarray) -> float:
     return float(np.sqrt(np.mean(squares)))
 
 
-def _left_out(residual: Residual, i: int, found: Fit) -> float:
-    """Mean square on run i of what was fitted to the others."""
+def left_out(residual: Residual, i: int, found: Fit) -> float:
+    """Mean square on run i, in units of the noise, of what was fitted to the others."""
     others = residual.on([j for j in residual.runs if j != i])
     smooth = [c for c in found.causes if c.effect != JITTER]  # the spread of a delay moves no mean
     theta = found.theta[: sum(len(c.names) for c in smooth)]

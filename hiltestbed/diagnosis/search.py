@@ -89,7 +89,7 @@ def search(residual: Residual, candidates: Sequence[Candidate], judge: Judge = c
     residual.beware(given.effects() if given else ())
     null = refit(residual, given) if given else null_fit(residual)
     before = judge(residual, null.effects())
-    singles = _extend(residual, null, candidates, progress, ())
+    singles = extend(residual, null, candidates, progress, ())
     adequate_null = all(left.noise for left in before.values())
     if singles and residual.beware(singles[0].effects()):
         null = refit(residual, null) if given else null_fit(residual)
@@ -110,7 +110,7 @@ def search(residual: Residual, candidates: Sequence[Candidate], judge: Judge = c
     pairs: list[Fit] = []
     if not given:
         for base in _best_of_each(singles, "effect")[: 1 if adequate else BEAM]:
-            pairs += _extend(residual, base, candidates, progress, special, PARTNERS)
+            pairs += extend(residual, base, candidates, progress, special, PARTNERS)
         pairs.sort(key=lambda f: f.score)
         pairs = _best_of_each(pairs, "key")
         need = (PAYS if adequate else PAYS_INADEQUATE) * inflation(pairs[0]) if pairs else math.inf
@@ -202,7 +202,7 @@ def inflation(fit_: Fit) -> float:
     return max(1.0, square(fit_.residual) / max(1, np.count_nonzero(fit_.residual)))
 
 
-def _extend(residual: Residual, base: Fit, candidates: Sequence[Candidate], progress: Callable[[str], None] | None,
+def extend(residual: Residual, base: Fit, candidates: Sequence[Candidate], progress: Callable[[str], None] | None,
             special: Sequence[Callable], most: int = 40) -> list[Fit]:  # fmt: skip
     """Fits of base with one more cause, best first."""
     taken = {c.effect for c in base.causes}

@@ -10,7 +10,7 @@ from hiltestbed.diagnosis.output import pictures
 from hiltestbed.diagnosis.output.extend import in_words
 from hiltestbed.diagnosis.output.facts import rounded
 from hiltestbed.diagnosis.output.result import Cause, Diagnosis, Figures, Isolable
-from hiltestbed.diagnosis.output.sentence import gain_sentence, meaning, verdict_sentence
+from hiltestbed.diagnosis.output.sentence import gain_sentence, meaning, partial_sentence, verdict_sentence
 from hiltestbed.effects.vocabulary import EFFECTS
 from hiltestbed.report import Report
 
@@ -57,7 +57,10 @@ def _causes(report: Report, d: Diagnosis) -> None:
         _cause_table(report, d.causes, "Cause" if len(d.causes) == 1 else "Causes")
     if d.finding.partial:
         _cause_table(report, d.finding.partial, "What comes nearest", rivals=False)
-        report.text("Of the vocabulary these explain most, but what they leave is not noise: they are no cause.")
+        report.text(
+            "Of the vocabulary these explain most, each beside the others. What they leave is not noise: they are a part of the cause "
+            "at most, and the model is not extended with them."
+        )
     if d.finding.extends:
         report.text("extended.yaml in this folder is the scenario with these effects; it runs: hiltestbed run extended.yaml")
 
@@ -118,9 +121,7 @@ def _gain(report: Report, d: Diagnosis) -> None:
     report.heading("Gain")
     report.text(gain_sentence(d.heldout, d.finding.extends))
     if d.finding.partial_gain is not None:
-        report.text(
-            f"The best explanation, which is not good enough to extend the model with: {gain_sentence(d.finding.partial_gain, True)}"
-        )
+        report.text(partial_sentence(d.finding.partial, d.finding.partial_gain))
         report.figure(pictures.heldout_bars(d.finding.partial_gain), "The best explanation on runs that were left out of its fit.")
     if d.heldout is not None and d.heldout.per_run:
         report.figure(pictures.heldout_bars(d.heldout), "Residual of the departing link on runs that were left out of the fit.")

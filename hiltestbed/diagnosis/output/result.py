@@ -271,7 +271,7 @@ class Diagnosis:
 
     def to_json(self) -> dict[str, Any]:
         """The contents of diagnosis.json; plain data without infinities."""
-        from hiltestbed.diagnosis.output.sentence import verdict_sentence
+        from hiltestbed.diagnosis.output.sentence import partial_sentence, verdict_sentence
         from hiltestbed.versions import versions
 
         return finite(
@@ -282,7 +282,11 @@ class Diagnosis:
                 "link": self.link,
                 "causes": [_cause(c) for c in self.causes],
                 "left": self.finding.left or None,
-                "partial": {"causes": [_cause(c) for c in self.finding.partial], "heldout": _heldout(self.finding.partial_gain)},
+                "partial": {
+                    "sentence": partial_sentence(self.finding.partial, self.finding.partial_gain),
+                    "causes": [_cause(c) for c in self.finding.partial],
+                    "heldout": _heldout(self.finding.partial_gain),
+                },
                 "residuals": [vars(r) for r in self.residuals],
                 "heldout": _heldout(self.heldout),
                 "closed_loop": self.closed_loop.to_json(),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from hiltestbed.diagnosis.output.extend import in_words
@@ -49,6 +50,22 @@ def named_cause(cause: Cause) -> str:
     words = ", ".join(f"{name} {in_words(p)}" for name, p in cause.parameters.items())
     rivals = f", not to be told from {' or '.join(cause.indistinguishable_from)}" if cause.indistinguishable_from else ""
     return f"{cause.effect} [{words}]{rivals}" if words else f"{cause.effect}{rivals}"
+
+
+def partial_sentence(causes: Sequence[Cause], gain: Heldout | None) -> str:
+    """How far the vocabulary goes where it does not reach the noise; empty where it goes nowhere."""
+    if not causes:
+        return ""
+    text = f"The best extension: {' and '.join(named_cause(c) for c in causes)}."
+    if gain is None:
+        return f"{text} What it leaves is not noise."
+    low, high = (100.0 * v for v in gain.ci95)
+    worth = "" if gain.significant else " That is not significant."
+    return (
+        f"{text} On {len(gain.runs)} runs, each left out of the fit in turn, the residual falls by {100.0 * gain.reduction:.1f} % "
+        f"(95 % interval {low:.1f} to {high:.1f} %), from {gain.rms_before:.3g} to {gain.rms_after:.3g} times the noise; a wrong effect "
+        f"gives {100.0 * gain.placebo_reduction:.1f} %.{worth} What it leaves is not noise, so that something else is at work."
+    )
 
 
 def meaning(effect: str) -> str:
