@@ -22,6 +22,11 @@ DRIFTS = 3.0  # peak forces that the reading of a sensor may drift over a run
 FINE = 20  # instants a tick of a platform that jumps when it must, in place of at the instants of the physics
 PRIVATE = ParameterSpec("")  # of a parameter that the vocabulary does not have
 HEAVY = 10.0 / (6.0 * math.pi) ** 2  # [s^2] of the contact's stiffness: a frame ten times as stiff that rings at 3 Hz
+LATE = 20.0  # ticks: as far as a delay is searched on a slow loop, where that is more than the vocabulary's own range
+LAGGING = 50.0  # ticks: likewise the time constant of a filter
+SLOW = 500.0  # [Hz] of the loop, below which the responses that are searched slow down with it
+DRAGGED = 1e3  # of the secant stiffness: the stiffest spring that drags a slider
+LITTLE = 0.01  # of the stiffness believed: what may be left of the spring beside a friction that was taken for it
 SWINGS = 0.1  # of the rate of the loop: the fastest appendage that a numerical model of that rate can hold
 
 
@@ -99,7 +104,8 @@ def _readings(*forms: str | float) -> list[dict[str, Any]]:
 @dataclass(frozen=True)
 class Scales:
     """What the data hold, to scale starts and bounds with: peak force [N], largest penetration [m], stiffness [N/m], tick [s], noise [N],
-    lowest and highest approach speed [m/s], length of the shortest run [s], highest peaks of the force [N]."""
+    lowest and highest approach speed [m/s], length of the shortest run [s], highest peaks of the force [N], largest travel that was
+    commanded [m]."""
 
     force: float
     depth: float
@@ -110,6 +116,7 @@ class Scales:
     fast: float
     duration: float = 1.0
     reading: tuple[float, ...] = ()
+    travel: float = 0.0
 
 
 def contact_candidates(s: Scales, captured: bool, lateral: bool) -> list[Candidate]:
@@ -117,9 +124,11 @@ def contact_candidates(s: Scales, captured: bool, lateral: bool) -> list[Candida
     k, f, x = s.stiffness, s.force, s.depth
     small = [0.01 * f, 0.04 * f, 0.15 * f]
     force_bounds = (0.0, 0.8 * f)
+    softer = {"factor": (LITTLE, 3.0)} if captured else None
+    gives = {"stiffness": ((LITTLE if captured else 0.3) * k, 3000 * k)}
     powers = [(n, k * x ** (1.0 - n) * g) for n in (1.1, 1.25, 1.5, 1.8) for g in (0.6, 1.0, 1.6)]
     out = [
-        candidate("contact.stiffness", {"factor": [0.5, 0.75, 0.92, 1.08, 1.3, 1.8]}),
+        candidate("contact.stiffness", {"factor": [0.5, 0.75, 0.92, 1.08, 1.3, 1.8]}, bounds=softer),
         candidate("contact.damping", {"factor": [0.2, 0.6, 1.5, 2.5, 4.0]}),
         candidate("contact.hunt_crossley", {"alpha": [0.2, 1.0, 3.0, 8.0]}),
         candidate("contact.dry_friction", {"force": small}, bounds={"force": force_bounds}),
@@ -131,7 +140,7 @@ def contact_candidates(s: Scales, captured: bool, lateral: bool) -> list[Candida
         candidate("contact.touch_offset", {"offset": [-0.3 * x, -0.1 * x, -0.02 * x, 0.02 * x, 0.1 * x, 0.3 * x]}),
     ]  # fmt: skip
     for form in _readings("series", "elastic"):
-        out.append(candidate("frame.compliance", {"stiffness": [2 * k, 8 * k, 40 * k]}, bounds={"stiffness": (0.3 * k, 3000 * k)}, **form))
+        out.append(candidate("frame.compliance", {"stiffness": [2 * k, 8 * k, 40 * k]}, bounds=gives, **form))
     for form in _readings("undamped"):
         out.append(candidate("contact.power_law", {"exponent": [], "stiffness": []}, starts=powers, **form))
     for form in _readings("reaction"):
@@ -142,8 +151,12 @@ def contact_candidates(s: Scales, captured: bool, lateral: bool) -> list[Candida
         out.append(candidate("contact.misalignment", {"angles_deg.0": [0.0], "angles_deg.1": [0.0]}, starts=tilts, **lever))
         if lateral:
             out.append(candidate("contact.surface_friction", {"coefficient": [0.02, 0.1, 0.3]}, **lever))
-    out.append(candidate("contact.backlash", {"width": [0.02 * x, 0.1 * x, 0.3 * x, 0.8 * x]}, bounds={"width": (0.0, 2 * x)}) if captured
-               else candidate("contact.adhesion", {"force": small}, bounds={"force": force_bounds}))  # fmt: skip
+    if not captured:
+        return [*out, candidate("contact.adhesion", {"force": small}, bounds={"force": force_bounds})]
+    drag = {"force": [0.3 * f, 0.8 * f], "stiffness": [q * f / x for q in (2, 8, 30)]}
+    slip = {"force": (0.0, f), "stiffness": (0.1 * f / x, DRAGGED * f / x)}
+    out.append(candidate("contact.dry_friction", drag, bounds=slip))
+    out.append(candidate("contact.backlash", {"width": [0.02 * x, 0.1 * x, 0.3 * x, 0.8 * x]}, bounds={"width": (0.0, 2 * x)}))
     return out
 
 
@@ -152,11 +165,13 @@ def sensor_candidates(s: Scales, tone: dict[str, tuple[float, float, float]]) ->
     f, h = s.force, s.tick
     delays = [0.4 * h, 0.8 * h, 1.4 * h, 2.5 * h, 4.5 * h, 8 * h, 13 * h, 20 * h]
     bias = {f"{kind}.{j}": [0.0] for kind in ("force", "torque") for j in range(3)}
+    slow = {"time_constant": (1e-4, max(0.05, LAGGING * h))}
+    tare = {f"force.{j}": (-max(50.0, 0.3 * f), max(50.0, 0.3 * f)) for j in range(3)}
     out = [
-        candidate("sensor.delay", {"delay": delays}),
-        candidate("sensor.lag", {"time_constant": [0.3 * h, h, 3 * h, 8 * h, 25 * h]}),
+        candidate("sensor.delay", {"delay": delays}, bounds=_late("sensor.delay", h)),
+        candidate("sensor.lag", {"time_constant": [0.3 * h, h, 3 * h, 8 * h, 25 * h]}, bounds=slow),
         candidate("sensor.highpass", {"time_constant": [0.05, 0.2, 1.0, 5.0, 25.0]}),
-        candidate("sensor.bias", bias),
+        candidate("sensor.bias", bias, bounds=tare),
         candidate("sensor.deadzone", {"width": list(np.geomspace(s.noise, 0.5 * f, 16))}, bounds={"width": (0.5 * s.noise, 0.7 * f)}),
         candidate("sensor.saturation", {"limit": [q * f for q in (0.25, 0.4, 0.55, 0.7, 0.8, 0.9, 0.97)] + list(s.reading)},
                   bounds={"limit": (0.05 * f, 1.2 * f)}),
@@ -177,28 +192,37 @@ def tone_candidate(axis: str, frequency: float, amplitude: float, phase: float) 
     return candidate("sensor.hum", start, 4, bounds=wide, axis=axis)
 
 
+def _late(effect: str, h: float) -> dict[str, tuple[float, float]]:
+    """Bounds of a delay [s] at a tick of h [s]."""
+    low, high = EFFECTS[effect].parameters["delay"].fit
+    return {"delay": (low, max(high, LATE * h))}
+
+
 def skew_candidates(h: float, about: float | None = None) -> list[Candidate]:
     """The record of the force alone stamped late: rows of the record between rows of the loop, or read anew at the later time.
 
     about: a delay [s] that is known to a tick `h`.
     """
     grid = {"delay": [0.4 * h, 0.8 * h, 1.4 * h, 2.5 * h, 4.5 * h, 8 * h, 13 * h, 20 * h] if about is None else [about]}
-    bounds = None if about is None else {"delay": (max(0.0, about - h), about + h)}
+    bounds = _late("log.skew", h) if about is None else {"delay": (max(0.0, about - h), about + h)}
     return [candidate("log.skew", grid, bounds=bounds), candidate("log.skew", grid, bounds=bounds, form="continuous")]
 
 
 def platform_candidates(s: Scales, substeps: int, sticks: dict[int, list[float]]) -> list[Candidate]:
     """Effects of the motion platform, for a tick of s.tick; sticks: instants a tick to starts for stiction [m], where there are any."""
     h = s.tick
-    lags, ahead = {"bandwidth": [4, 8, 15, 30, 60, 120, 250]}, {AHEAD: [0.1 * h]}
-    modes = {"frequency": [5, 8, 12, 18, 27, 40, 60, 90, 130], "damping_ratio": [0.02, 0.1]}
+    pace = min(1.0, 1.0 / (SLOW * h))
+    lags, ahead = {"bandwidth": [pace * f for f in (4, 8, 15, 30, 60, 120, 250)]}, {AHEAD: [0.1 * h]}
+    modes = {"frequency": [pace * f for f in (5, 8, 12, 18, 27, 40, 60, 90, 130)], "damping_ratio": [0.02, 0.1]}
+    slow = {"bandwidth": (2.0 * pace, 400.0), "frequency": (2.0 * pace, min(400.0, 0.5 / h)), AHEAD: (0.0, h)}
+    play = {"width": (0.0, max(2e-3, s.travel))}
     out = [
-        candidate("platform.delay", {"delay": [0.3 * h, h, 3 * h, 8 * h, 20 * h]}),
-        candidate("platform.lag", lags),
-        candidate("platform.lag", lags | ahead, bounds={AHEAD: (0.0, h)}, stepwise=True),
-        candidate("platform.backlash", {"width": [1e-5, 4e-5, 1.5e-4, 5e-4]}),
-        candidate("platform.mode", modes),
-        candidate("platform.mode", modes | ahead, bounds={AHEAD: (0.0, h)}, stepwise=True),
+        candidate("platform.delay", {"delay": [0.3 * h, h, 3 * h, 8 * h, 20 * h]}, bounds=_late("platform.delay", h)),
+        candidate("platform.lag", lags, bounds=slow),
+        candidate("platform.lag", lags | ahead, bounds=slow, stepwise=True),
+        candidate("platform.backlash", {"width": [1e-5, 4e-5, 1.5e-4, 5e-4]}, bounds=play),
+        candidate("platform.mode", modes, bounds=slow),
+        candidate("platform.mode", modes | ahead, bounds=slow, stepwise=True),
         candidate("platform.speed_limit", {"speed": list(np.geomspace(0.3 * s.slow, 1.05 * s.fast, 8))}),
     ]
     out += [candidate("platform.scale", {"factor": [0.97, 1.03]}, 3, axis=a) for a in AXES]

@@ -20,6 +20,9 @@ def sense_record(sub, delay, h, calibration, lag, leak, offset, drift, tone, dea
         out: (N, 6).
     """
     ticks, m = sub.shape[0], sub.shape[1]
+    if delay == 0.0 and _passes(calibration, lag, leak, offset, drift, tone, deadzone, limit, step):
+        out[:] = sub[:, m - 1]
+        return
     stages = max(lag.shape[0], leak.shape[0])
     low, high, before = np.zeros((stages, 6)), np.zeros((stages, 6)), np.zeros((stages, 6))
     late, quiet = np.zeros(6), np.zeros(6)
@@ -37,6 +40,14 @@ def sense_record(sub, delay, h, calibration, lag, leak, offset, drift, tone, dea
                 a += part * (b - a)
             late[j] = a
         condition(late, k * h, quiet, calibration, lag, leak, offset, drift, tone, deadzone, limit, step, low, high, before, out[k])
+
+
+@njit(cache=True)
+def _passes(calibration, lag, leak, offset, drift, tone, deadzone, limit, step):
+    """Whether a sensor shows what it feels."""
+    linear = np.all(calibration == np.eye(6)) and np.all(lag == 1.0) and np.all(leak < 0.0)
+    added = np.any(tone[:, :3] != 0.0) or np.any(offset != 0.0) or np.any(drift != 0.0)
+    return linear and not added and np.all(deadzone == 0.0) and np.all(limit == np.inf) and np.all(step == 0.0)
 
 
 @njit(cache=True)

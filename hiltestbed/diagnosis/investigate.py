@@ -276,7 +276,7 @@ def _widen(study: Study, link: WrenchLink) -> None:
     """Add what the noise of a smoothed pose makes of k x + c v to the noise of the readings in contact."""
     noise = study.noise.get("pose_act.pz", 0.0)
     for run in link.runs:
-        contact, tick = run.scenario.mechanism.contact, run.scenario.tick
+        contact, tick = run.scenario.mechanism.contact, study.scales.tick
         place = float(np.linalg.norm(savgol_coeffs(SMOOTH, 3))) * noise
         rate = float(np.linalg.norm(savgol_coeffs(SMOOTH, 3, deriv=1))) * noise / tick
         extra = 2.0 * math.hypot(contact.stiffness * place, contact.damping * rate)

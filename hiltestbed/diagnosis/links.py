@@ -74,19 +74,21 @@ class PlatformLink:
     def __init__(self, runs: list[LinkRun], commands: list[Array], yielding: list[Array] | None = None) -> None:
         """commands: (N, 7) pose_cmd of each run. yielding: (N, 3) how the believed drives depart from it [m]; None: not at all."""
         self.runs, self.commands, self.yielding = runs, commands, yielding
+        x, y, z = np.any([np.isfinite(r.sigma).any(axis=0) for r in runs], axis=0)
+        self._measured = (bool(x), bool(y), bool(z))
 
     def predict(self, i: int, effects: Effects) -> Array:
-        return self.path(i, effects)
+        return self.path(i, effects, self._measured)
 
-    def path(self, i: int, effects: Effects) -> Array:
-        """(N, 3) positions that the platform reaches."""
+    def path(self, i: int, effects: Effects, wanted: tuple[bool, bool, bool] = (True, True, True)) -> Array:
+        """(N, 3) positions that the platform reaches on the axes that are wanted."""
         s = self.runs[i].scenario
         position, velocity = start_of(s)
         out = np.empty((len(self.commands[i]), 3))
         divide = next((p[FORM] for _, p in effects if FORM in p), s.substeps)
         parameters = platform_parameters(effects)
         parameters[DELAY] -= sum(p.get(AHEAD, 0.0) for _, p in effects)
-        replay_platform(self.commands[i], position, velocity, s.tick, divide, parameters, out)
+        replay_platform(self.commands[i], position, velocity, s.tick, divide, parameters, out, wanted)
         return out if self.yielding is None else out + self.yielding[i]
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
@@ -10,6 +11,7 @@ import numpy as np
 from hiltestbed.diagnosis.candidates import Scales
 from hiltestbed.diagnosis.driven import unfollowed, yields
 from hiltestbed.diagnosis.links import CompensationLink, DynamicsLink, Effects, Link, LinkRun, PlatformLink, WrenchLink, flat_pose
+from hiltestbed.diagnosis.thin import thinned
 from hiltestbed.frames import Array
 from hiltestbed.measured import MeasuredDataset, MeasuredRun
 from hiltestbed.measured.noise import white_noise
@@ -100,7 +102,9 @@ def wrench_link(
     least = study.scales.force * np.array([FORCE_LEAST] * 3 + [ARM_LEAST] * 3)
     runs = [_link_run(r, "wrench_meas", 6, study.noise, n, least) for r, n in zip(study.runs, rows, strict=True)]
     within = None if jumps is None else [jumps(i)[:n] for i, n in enumerate(rows)]
-    return WrenchLink(runs, [np.ascontiguousarray(paths(i)[:n]) for i, n in enumerate(rows)], jumps=within)
+    link = WrenchLink(runs, [np.ascontiguousarray(paths(i)[:n]) for i, n in enumerate(rows)], jumps=within)
+    row_by_row = whole or jumps is not None or "compensation" in study.links  # which goes on from the contact's rows
+    return link if row_by_row else thinned(link)
 
 
 def _all(runs: Sequence[MeasuredRun], *groups: str) -> bool:
@@ -159,7 +163,7 @@ def _floors(runs: Sequence[MeasuredRun]) -> dict[str, float]:
             outside = values[~touching(r, len(values))] if name.startswith("wrench") and r.survey.contacts else values
             outside = outside if len(outside) > ENOUGH else values  # a latched mechanism is never free
             still += int(len(outside) > 10 and np.median(np.abs(np.diff(outside))) == 0.0)
-            found.append(white_noise(outside))
+            found.append(max(white_noise(outside), r.record.steps.get(name, 0.0) / math.sqrt(12.0)))
         level = float(np.sqrt(np.mean(np.square(found)))) if found else 0.0
         if name.startswith("wrench_meas") and still * 2 > len(runs):  # a dead zone, or a sensor that is off between contacts
             believed = runs[0].scenario.sensor.noise if ".f" in name else runs[0].scenario.sensor.torque_noise
@@ -177,12 +181,19 @@ def _scales(runs: Sequence[MeasuredRun], noise: dict[str, float]) -> Scales:
     stiffness = float(np.median([r.scenario.mechanism.contact.stiffness for r in runs]))
     depth = max([c.penetration or 0.0 for c in contacts], default=1e-3) or 1e-3
     force = max([abs(c.peak_force or 0.0) for c in contacts], default=0.0) or stiffness * depth
-    speeds = [abs(v) for r in runs for v in r.scenario.approach.velocity if v] or [0.01]
+    speeds = [abs(v) for r in runs for v in r.scenario.approach.velocity if v] or _commanded_speeds(runs) or [0.01]
     peaks = sorted({round(abs(c.peak_force), 6) for c in contacts if c.peak_force}, reverse=True)
     return Scales(
         force, depth, stiffness, runs[0].scenario.tick, noise.get("wrench_meas.fz", 0.01 * force) or 1e-3 * force, min(speeds), max(speeds),
         min(r.record.ticks * r.scenario.tick for r in runs), tuple(peaks[:3]),
+        max((float(np.max(np.ptp(r.record.filled("pose_cmd")[:, :3], axis=0))) for r in runs if r.record.has("pose_cmd")), default=0.0),
     )  # fmt: skip
+
+
+def _commanded_speeds(runs: Sequence[MeasuredRun]) -> list[float]:
+    """The largest speed [m/s] that each run commands on any axis."""
+    rates = [np.diff(r.record.filled("pose_cmd")[:, :3], axis=0) / r.scenario.tick for r in runs if r.record.has("pose_cmd")]
+    return [float(np.max(np.abs(v))) for v in rates if v.any()]
 
 
 def joint(*effects: Effects) -> list:

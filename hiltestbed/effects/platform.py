@@ -130,13 +130,13 @@ def commanded(command, start, velocity, axis, k, part, h):
 
 
 @njit(cache=True)
-def replay_platform(command, start, velocity, h, substeps, p, out):
+def replay_platform(command, start, velocity, h, substeps, p, out, wanted=(True, True, True)):
     """The positions that a platform reaches on a recorded command.
 
     Args:
         command: (N, >= 3) pose_cmd; row k is to be reached at t_(k+1). start: (3,) at t = 0. velocity: (3,) approach [m/s].
         h: tick [s]. substeps: instants a tick. p: (PARAMETERS,).
-        out: (N, 3) position at t_k.
+        out: (N, 3) position at t_k. wanted: whether each axis is asked for; one that is not stays at its start.
     """
     n = command.shape[0]
     dt = h / substeps
@@ -148,6 +148,9 @@ def replay_platform(command, start, velocity, h, substeps, p, out):
     late = p[DELAY] / h
     state = np.empty(STATES)
     for axis in range(3):
+        if not wanted[axis]:
+            out[:, axis] = start[axis]
+            continue
         start_axis(start[axis], velocity[axis], p, state)
         out[0, axis] = start[axis]
         before = commanded(command, start, velocity, axis, 0, -late, h)
