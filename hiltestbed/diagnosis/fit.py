@@ -16,6 +16,7 @@ FAR = 1e6  # sigma
 STEP = 1e-4  # of a parameter's scale, for differences
 ITERATIONS = 25
 SETTLED = 1e-4  # change of chi-square below which a fit has settled
+SCANNED = 21  # places within a tenth of a parameter in which chi-square has jumps
 ROUGH = {
     "sensor.deadzone": "width", "sensor.saturation": "limit", "contact.hard_stop": "position", "platform.friction": "stick",
     "loop.deadzone": "width", "platform.speed_limit": "speed", "sensor.delay": "delay", "log.skew": "delay",
@@ -139,11 +140,17 @@ def fit(residual: Residual, causes: Sequence[Candidate], starts: Sequence[Sequen
 
 
 def _polish(run: Callable[[Array], Array], found: Fit, low: Array, high: Array) -> Fit:
-    """Pattern search on the parameters in which chi-square has jumps, where a gradient is no guide."""
+    """Scan and pattern search on the parameters in which chi-square has jumps, where a gradient is no guide."""
     rough = [ROUGH.get(c.effect) == name for c in found.causes for name in c.names]
     theta, chi2, r = found.theta, found.chi2, found.residual
     for j in np.flatnonzero(rough):
         step = 0.1
+        for part in np.linspace(-step, step, SCANNED):  # a valley between two jumps may be narrower than a step
+            moved = theta.copy()
+            moved[j] = np.clip(found.theta[j] * (1.0 + part), low[j], high[j])
+            r_new = run(moved)
+            if square(r_new) < chi2 - SETTLED:
+                theta, r, chi2 = moved, r_new, square(r_new)
         while step > 1e-3:
             better = False
             for sign in (1.0, -1.0):

@@ -9,7 +9,6 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.signal import savgol_coeffs, savgol_filter
 
-from hiltestbed.compensation.phase_lead import lead_and_lag
 from hiltestbed.diagnosis.adequacy import Leftover
 from hiltestbed.diagnosis.candidates import (
     Candidate,
@@ -20,7 +19,7 @@ from hiltestbed.diagnosis.candidates import (
     sensor_candidates,
     skew_candidates,
 )
-from hiltestbed.diagnosis.chain import lead_record
+from hiltestbed.diagnosis.compensated import noise_gain
 from hiltestbed.diagnosis.fit import Fit, Residual, fit, refit
 from hiltestbed.diagnosis.links import CompensationLink, Effects, Link, PlatformLink, WrenchLink, unstamped
 from hiltestbed.diagnosis.search import ALARM, JITTER, Explanation, inflation, jitter_beside, null_fit, search
@@ -306,13 +305,7 @@ def _wrench_candidates(study: Study, link: WrenchLink) -> list[Candidate]:
 def _compensation_judge(study: Study) -> Callable:
     """Computed, not measured: the residual is nothing, or led noise of the record, no larger in contact than out of it."""
     run = study.runs[0].scenario
-    impulse = np.zeros((400, 6))
-    impulse[0] = 1.0
-    led = np.empty_like(impulse)
-    gain = 1.0
-    if run.compensation.force.kind == "phase_lead":
-        lead_record(impulse, *lead_and_lag(run), run.tick, led)
-        gain = float(np.linalg.norm(led[:, 0]))
+    gain = noise_gain(run)
 
     def judge(residual: Residual, effects: Effects) -> dict[str, Leftover]:
         out = {}

@@ -13,8 +13,8 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from hiltestbed.compensation.phase_lead import lead_and_lag
-from hiltestbed.diagnosis.chain import lead_record, sense_record
+from hiltestbed.diagnosis.chain import sense_record
+from hiltestbed.diagnosis.compensated import compensated
 from hiltestbed.effects.contact import DAMPING, FRAME, LEVER, REACTION, STIFFNESS, contact_parameters, replay_contact
 from hiltestbed.effects.dynamics import dynamics_effects, replay_dynamics
 from hiltestbed.effects.platform import DELAY, platform_parameters, replay_platform
@@ -229,10 +229,7 @@ class CompensationLink:
             wrench = dead(wrench, width)
         elif width and form == "magnitude":
             wrench = np.where(np.linalg.norm(wrench[:, :3], axis=1, keepdims=True) < width, 0.0, wrench)
-        if s.compensation.force.kind == "phase_lead":
-            out = np.empty_like(wrench)
-            lead_record(wrench, *lead_and_lag(s), s.tick, out)
-            wrench = out
+        wrench = compensated(s, wrench)
         return dead(wrench, width) if width and form == "after" else wrench
 
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from hiltestbed.diagnosis.candidates import Scales
+from hiltestbed.diagnosis.compensated import uncomputed
 from hiltestbed.diagnosis.driven import unfollowed, yields
 from hiltestbed.diagnosis.links import CompensationLink, DynamicsLink, Effects, Link, LinkRun, PlatformLink, WrenchLink, flat_pose
 from hiltestbed.diagnosis.thin import thinned
@@ -51,11 +52,14 @@ def make_study(dataset: MeasuredDataset) -> Study:
     runs = dataset.runs
     noise = _floors(runs)
     study = Study(runs, [_rows(r) for r in runs], _scales(runs, noise), noise)
+    reason = uncomputed([r.scenario for r in runs])
+    if reason:
+        study.refused["compensation"] = reason
     yielding = _yielding(study)
     for target, rows in ((study.links, study.rows), (study.full, [r.record.ticks for r in runs])):
         if _all(runs, "pose_cmd", "pose_act") and "platform" not in study.refused:
             target["platform"] = _platform_link(study, yielding, rows)
-        if _all(runs, "wrench_meas", "wrench_comp") and _computable(runs):
+        if _all(runs, "wrench_meas", "wrench_comp") and "compensation" not in study.refused:
             level = COMPENSATION_FLOOR * max(noise.get("wrench_meas.fz", 0.0), 1e-6) * np.sqrt(CORRELATED)
             target["compensation"] = CompensationLink(
                 [_flat_run(r, r.record.data["wrench_comp"], level, n) for r, n in zip(runs, rows, strict=True)],
@@ -109,10 +113,6 @@ def wrench_link(
 
 def _all(runs: Sequence[MeasuredRun], *groups: str) -> bool:
     return all(r.record.has(g) for r in runs for g in groups)
-
-
-def _computable(runs: Sequence[MeasuredRun]) -> bool:
-    return all(r.scenario.compensation.force.kind in ("none", "phase_lead") for r in runs)
 
 
 def _rows(run: MeasuredRun) -> int:
