@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from hiltestbed.diagnosis.candidates import tone_candidate
-from hiltestbed.diagnosis.fit import Fit, Residual, fit
+from hiltestbed.diagnosis.fit import ROUGH, Fit, Residual, fit
 from hiltestbed.diagnosis.links import WrenchLink
 from hiltestbed.frames import Array
 
@@ -46,9 +46,17 @@ def tone_beside(residual: Residual, base: Fit) -> Fit | None:
         parts.append((r, counts))
     longest = max(int(counts.sum()) for _, counts in parts) * link.runs[0].scenario.tick
     lines = _lines(link, parts, CYCLES / longest) if longest > 0.0 else {}
-    fits = [fit(residual, (*base.causes, c), [np.concatenate([base.theta, c.grid[0]])], tries=1)
+    fits = [fit(residual, (*base.causes, c), [np.concatenate([t, c.grid[0]]) for t in _starts(base)])
             for c in (tone_candidate(axis, *line) for axis, line in lines.items())]  # fmt: skip
     return min(fits, key=lambda f: f.score, default=None)
+
+
+def _starts(base: Fit) -> list[Array]:
+    """Theta of `base`, and with the grid of a lone threshold: without the tone, chi-square had its well elsewhere."""
+    out, only = [base.theta], base.causes[0]
+    if len(base.causes) == len(only.names) == 1 and ROUGH.get(only.effect) == only.names[0]:
+        out += [np.array(start) for start in only.grid]
+    return out
 
 
 def _lines(link: WrenchLink, parts: list[tuple[Array, np.ndarray]], slowest: float) -> dict[str, Line]:
