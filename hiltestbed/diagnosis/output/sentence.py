@@ -47,7 +47,8 @@ def _link(cause: Cause) -> str:
 
 def named_cause(cause: Cause) -> str:
     """`sensor.delay (delay 0.0033 (0.0031 to 0.0035) s)`, and what it cannot be told from."""
-    words = ", ".join(f"{name} {in_words(p)}" for name, p in cause.parameters.items())
+    idle = {name for name, spec in EFFECTS[cause.effect].parameters.items() if spec.kind == "number" and spec.default is not None}
+    words = ", ".join(f"{name} {in_words(p)}" for name, p in cause.parameters.items() if name not in idle or p.estimate)
     rivals = f", not to be told from {' or '.join(cause.indistinguishable_from)}" if cause.indistinguishable_from else ""
     return f"{cause.effect} [{words}]{rivals}" if words else f"{cause.effect}{rivals}"
 
@@ -61,10 +62,11 @@ def partial_sentence(causes: Sequence[Cause], gain: Heldout | None) -> str:
         return f"{text} What it leaves is not noise."
     low, high = (100.0 * v for v in gain.ci95)
     worth = "" if gain.significant else " That is not significant."
+    placebo = round(100.0 * gain.placebo_reduction, 1) + 0.0  # no -0.0
     return (
         f"{text} On {len(gain.runs)} runs, each left out of the fit in turn, the residual falls by {100.0 * gain.reduction:.1f} % "
         f"(95 % interval {low:.1f} to {high:.1f} %), from {gain.rms_before:.3g} to {gain.rms_after:.3g} times the noise; a wrong effect "
-        f"gives {100.0 * gain.placebo_reduction:.1f} %.{worth} What it leaves is not noise, so that something else is at work."
+        f"gives {placebo:.1f} %.{worth} What it leaves is not noise, so that something else is at work."
     )
 
 
