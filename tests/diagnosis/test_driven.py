@@ -48,8 +48,9 @@ def test_of_a_driven_platform_only_what_is_hidden_is_named(tmp_path: Path, hidde
     else:
         assert finding.verdict == "named"
         assert [c.effect for c in finding.causes] == [hidden["kind"]]
-        low, high = finding.causes[0].parameters["width"].ci95
-        assert low <= hidden["width"] <= high
+        ends = finding.causes[0].parameters["width"].ci95
+        assert ends is not None
+        assert ends[0] <= hidden["width"] <= ends[1]
 
 
 def test_a_command_that_the_record_does_not_hold_is_not_guessed() -> None:
