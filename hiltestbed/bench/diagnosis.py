@@ -20,8 +20,8 @@ from hiltestbed.bench.diagnosis_report import diagnosis_report
 from hiltestbed.bench.result import BenchResult
 from hiltestbed.effects.vocabulary import EFFECTS
 
-SEED = 20_000
-FULL = {"single": 82, "pair": 40, "healthy": 60, "foreign": 40}
+SEED = 400_000
+FULL = {"single": 82, "pair": 40, "healthy": 120, "foreign": 40}
 QUICK = {"single": 8, "pair": 3, "healthy": 3, "foreign": 3}
 SMALLER = (0.3, 0.1, 0.03, 0.01)  # of the drawn size, down the ladder of the smallest that is found
 MOST_TOGETHER = 3  # a set of the truth and at most two others counts as right
@@ -94,9 +94,20 @@ def one_set(task: Task) -> dict[str, Any]:
         "seed": task.seed, "kind": task.kind, "scale": task.scale, "hidden": hidden.effects, "strengths": list(hidden.strengths),
         "verdict": verdict.verdict, "link": verdict.link, "right": right, "intervals_held": held, "intervals": asked,
         "causes": [{"effect": c.effect, "indistinguishable_from": list(c.indistinguishable_from)} for c in causes],
+        "alarm": alarm_figures(findings),
         "gain": gain.reduction if gain else None,
         "gain_true": true_gain(findings, verdict, hidden.effects) if right and task.kind == "single" else None,
     }  # fmt: skip
+
+
+def alarm_figures(findings: Any) -> dict[str, float]:
+    """How near the links come to an alarm: chi-square that the best single takes off, its penalty paid, and the excess over noise."""
+    from hiltestbed.diagnosis.search import inflation
+
+    found = list(findings.explanations.values())
+    best = [(e.null.chi2 - e.singles[0].score) / inflation(e.singles[0]) for e in found if e.singles]
+    excess = [left.excess for e in found for left in e.before.values()]
+    return {"taken_off": max(best, default=0.0), "excess": max(excess, default=0.0)}
 
 
 def judged_right(
@@ -162,6 +173,8 @@ def summarise(records: Sequence[dict[str, Any]]) -> dict[str, Any]:
         "pair_rate": _rate(by_kind["pair"]),
         "false_alarm_rate": 1.0 - _rate(by_kind["healthy"]),
         "foreign_unknown_rate": _rate(by_kind["foreign"]),
+        "healthy_taken_off": max((r["alarm"]["taken_off"] for r in by_kind["healthy"]), default=None),
+        "healthy_excess": max((r["alarm"]["excess"] for r in by_kind["healthy"]), default=None),
         "abstention_rate": sum(r["verdict"] == "unknown" for r in hidden) / max(1, len(hidden)),
         "interval_coverage": sum(r["intervals_held"] for r in hidden) / asked if asked else None,
         "gain_ratio": float(np.median(ratios)) if ratios else None,
