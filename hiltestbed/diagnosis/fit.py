@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -96,8 +97,14 @@ class Residual:
 
     def on(self, runs: Sequence[int]) -> Residual:
         """The same on fewer runs."""
-        out = object.__new__(Residual)
-        out.link, out.runs, out.weight, out.measured = self.link, list(runs), self.weight, self.measured
+        out = copy(self)
+        out.runs = list(runs)
+        return out
+
+    def through(self, link: Link) -> Residual:
+        """The same, under the same weights, of another reading of the link."""
+        out = copy(self)
+        out.link = link
         return out
 
     def of_run(self, i: int, effects: Effects) -> Array:

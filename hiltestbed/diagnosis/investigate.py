@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from copy import copy
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -136,9 +137,24 @@ def _investigate_wrench(out: Findings, progress: Progress | None) -> None:
     if given and not found.adequate and _other_reading_betters(residual, found.chosen, given[1]):
         residual = Residual(link)
         found = _search_wrench(residual, candidates, given[1], progress)
+    elif not given and (other := _on_a_grid(residual, found)):
+        residual = Residual(other)
+        found = _search_wrench(residual, candidates, None, progress)
     out.explanations["wrench"], out.residuals["wrench"] = found, residual
     if given:
         _settle_compensation(out, progress)
+
+
+def _on_a_grid(residual: Residual, found: Explanation) -> WrenchLink | None:
+    """The link where readings lie between the instants of the believed physics, if what was found, or nothing, fits better there."""
+    link = _wrench(residual)
+    if not found.alarm or JITTER in {c.effect for c in found.chosen.causes}:
+        return None
+    other = copy(link)
+    other.grid = link.runs[0].scenario.substeps
+    there = residual.through(other)
+    fits = [null_fit(there), *([refit(there, found.chosen)] if found.chosen.causes else [])]
+    return other if min(f.score for f in fits) < found.chosen.score else None
 
 
 def _search_wrench(residual: Residual, candidates: list[Candidate], given: Fit | None, progress: Progress | None) -> Explanation:
@@ -181,7 +197,8 @@ def _settle_compensation(out: Findings, progress: Progress | None) -> None:
     in_time = [(kind, p) for kind, p in effects if kind != "log.skew"]
     for links, whole in ((study.links, False), (study.full, True)):
         wrench, link = make_wrench_link(out, whole), _compensation(links)
-        wrench.lever = _wrench(out.residuals["wrench"]).lever
+        found_link = _wrench(out.residuals["wrench"])
+        wrench.lever, wrench.grid = found_link.lever, found_link.grid
         pairs = enumerate(wrench.runs)
         link.used = [unstamped(run, wrench.predict(i, effects), wrench.predict(i, in_time), ticks) for i, run in pairs]
         for run in link.runs:
@@ -216,7 +233,8 @@ def full_links(out: Findings) -> dict:
     links = {name: link for name, link in out.study.full.items() if name in out.explanations}
     if "wrench" in out.explanations:
         wrench = make_wrench_link(out, whole=True)
-        wrench.lever = _wrench(out.residuals["wrench"]).lever
+        found = _wrench(out.residuals["wrench"])
+        wrench.lever, wrench.grid = found.lever, found.grid
         links["wrench"] = wrench
     return links
 

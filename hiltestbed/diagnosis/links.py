@@ -24,7 +24,7 @@ from hiltestbed.scenario import Scenario
 
 Effects = Sequence[tuple[str, dict[str, Any]]]
 LATE = "late"  # a shift of the reading that is no effect of the vocabulary: to see what lateness does
-BETWEEN = 8  # instants a tick, where a reading falls between ticks: the rate of the contact jumps from one tick to the next
+WHOLE = 1e-6  # ticks that a delay may be off a whole number
 NODES = np.linspace(-2.75, 2.75, 12)  # of a standard normal
 WEIGHTS = np.exp(-0.5 * NODES**2) / np.sum(np.exp(-0.5 * NODES**2))
 MOST_NOISE = 4.0  # standard deviations
@@ -93,7 +93,12 @@ class PlatformLink:
 
 
 class WrenchLink:
-    """The pose through contact and sensor to wrench_meas."""
+    """The pose through contact and sensor to wrench_meas.
+
+    A reading that falls between ticks is that of the instant it left the contact; or, with ``grid`` instants a tick, it lies on a
+    straight line between two of them, as a facility has it that computes its contact step by step. The rate of a contact jumps from
+    one tick to the next, so that the two differ.
+    """
 
     name = "wrench"
     channels = tuple(f"wrench_meas.{c}" for c in ("fx", "fy", "fz", "tx", "ty", "tz"))
@@ -102,6 +107,7 @@ class WrenchLink:
         """paths: (N, 3) where the tip was at t_k. lever: where between tip (1) and undeformed surface (0) the force acts.
         jumps: (N,) how far the tip jumped [m] in the tick that ends at t_k, at an instant that is not known."""
         self.runs, self.paths, self.lever, self.jumps = runs, paths, lever, jumps
+        self.grid: int | None = None
         self._before = []
         for run, path in zip(runs, paths, strict=True):
             _, velocity = start_of(run.scenario)
@@ -111,7 +117,7 @@ class WrenchLink:
         s = self.runs[i].scenario
         effects = _read_late(effects)
         late = s.sensor.delay + _lateness(effects)
-        sub = self.physical(i, effects, _instants(late / s.tick))
+        sub, late = self.felt(i, effects, late)
         sensor = s.sensor
         chain = sensor_chain(
             effects, s.tick, sensor.delay, sensor.lowpass, sensor.time_constant, sensor.drift,
@@ -148,23 +154,35 @@ class WrenchLink:
             return np.zeros((len(self.paths[i]), 6))
         early, after = (self.predict(i, [*effects, (LATE, {"delay": d})]) for d in (-step, step))
         out = np.abs(early + after - 2.0 * self.predict(i, effects))
-        if self.jumps is not None and _instants(late / s.tick) > 1:
+        if self.jumps is not None and not _whole(late / s.tick):
             first = int(late / s.tick)
             jump = np.concatenate([np.zeros(first), self.jumps[i]])[: len(out)]
             touched = np.concatenate([np.zeros(first, dtype=bool), self.paths[i][:, 2] > -jump.max(initial=0.0)])[: len(out)]
             out[:, 2] += s.mechanism.contact.stiffness * np.where(touched, jump, 0.0)
         return out
 
-    def physical(self, i: int, effects: Effects, instants: int) -> Array:
-        """(N, m, 6) the wrench of the contact at so many instants a tick, up to t_k."""
+    def felt(self, i: int, effects: Effects, late: float) -> tuple[Array, float]:
+        """(N, m, 6) the wrench that arrives so late [s], and how much of that is still to come."""
+        ticks = late / self.runs[i].scenario.tick
+        if self.grid is not None and not _whole(ticks):
+            return self.physical(i, effects, np.arange(1, self.grid + 1) / self.grid), late
+        rows = round(ticks) if _whole(ticks) else math.floor(ticks)
+        parts = np.array([1.0]) if _whole(ticks) else np.array([1.0 - (ticks - rows), 1.0])
+        sub = self.physical(i, effects, parts)
+        out = np.zeros((len(sub), 1, 6))
+        out[rows:, 0] = sub[: max(len(sub) - rows, 0), 0]
+        return out, 0.0
+
+    def physical(self, i: int, effects: Effects, parts: Array) -> Array:
+        """(N, m, 6) the wrench of the contact at the instants ``parts`` (m,) of each tick, up to t_k."""
         s = self.runs[i].scenario
         contact = s.mechanism.contact
         p = contact_parameters(contact.stiffness, contact.damping, contact.friction, s.mechanism.kind == "latched", effects)
         p[LEVER] = self.lever
         for kind, given in effects:
             _shape(p, kind, given)
-        sub = np.empty((len(self.paths[i]), instants, 6))
-        replay_contact(self.paths[i], self._before[i], s.tick, instants, p, sub)
+        sub = np.empty((len(self.paths[i]), len(parts), 6))
+        replay_contact(self.paths[i], self._before[i], s.tick, parts, p, sub)
         return sub
 
 
@@ -182,9 +200,8 @@ def _lateness(effects: Effects) -> float:
     return sum(p["delay"] for kind, p in effects if kind in ("sensor.delay", LATE) or p.get(FORM) == "continuous")
 
 
-def _instants(late: float) -> int:
-    """Instants a tick that a reading so many ticks late needs: whole ticks need the ticks alone."""
-    return 1 if abs(late - round(late)) < 1e-6 else BETWEEN
+def _whole(ticks: float) -> bool:
+    return abs(ticks - round(ticks)) < WHOLE
 
 
 def _shape(p: Array, kind: str, given: dict[str, Any]) -> None:

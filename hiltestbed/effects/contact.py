@@ -222,17 +222,17 @@ def plane_wrench(position, velocity, dt, p, normal, state, out):
 
 
 @njit(cache=True)
-def replay_contact(position, before, h, substeps, p, out):
+def replay_contact(position, before, h, parts, p, out):
     """The wrench of a recorded motion: linear between rows, its rate the slope of the row interval that ends there.
 
     Args:
-        position: (N, 3) of the tip in P at t_k. before: (3,) at t_(-1). h: tick [s]. substeps: instants a tick.
-        out: (N, m, 6) at the instants up to t_k, the last of which is t_k.
+        position: (N, 3) of the tip in P at t_k. before: (3,) at t_(-1). h: tick [s].
+        parts: (m,) rising, the instants within a tick as parts of it; the last is 1, which is t_k.
+        out: (N, m, 6) at these instants.
     """
     state = np.zeros(STATES)
     normal, at, rate = np.empty(3), np.empty(3), np.empty(3)
     contact_normal(p, normal)
-    dt = h / substeps
     may_skip = p[CAPTURED] == 0.0 and p[MODE] == 0.0
     x_now = before[0] * normal[0] + before[1] * normal[1] + before[2] * normal[2] - p[OFFSET]
     for k in range(position.shape[0]):
@@ -245,11 +245,12 @@ def replay_contact(position, before, h, substeps, p, out):
             continue
         for j in range(3):
             rate[j] = (position[k, j] - last[j]) / h
-        for s in range(substeps):
-            part = (s + 1.0) / substeps
+        passed = 0.0
+        for s in range(len(parts)):
             for j in range(3):
-                at[j] = last[j] + part * (position[k, j] - last[j]) if s + 1 < substeps else position[k, j]
-            plane_wrench(at, rate, dt, p, normal, state, out[k, s])
+                at[j] = last[j] + parts[s] * (position[k, j] - last[j]) if parts[s] < 1.0 else position[k, j]
+            plane_wrench(at, rate, h * (parts[s] - passed), p, normal, state, out[k, s])
+            passed = parts[s]
 
 
 class ContactForce:

@@ -55,7 +55,7 @@ def test_the_plant_feels_what_the_record_of_the_effect_says(effect: dict[str, An
     position, before, felt = press(Plant([s]), 700)
     parameters = contact_parameters(K, C, 0.0, False, effects_of(s, "contact"))
     replayed = np.zeros_like(felt)
-    replay_contact(position, before, s.tick, s.substeps, parameters, replayed)
+    replay_contact(position, before, s.tick, np.arange(1, s.substeps + 1) / s.substeps, parameters, replayed)
     assert np.abs(replayed).max() > 50.0
     np.testing.assert_allclose(felt[1:], replayed[1:], atol=1e-6 * np.abs(replayed).max())
 
@@ -65,7 +65,7 @@ def test_without_the_effect_the_record_is_another() -> None:
     s = with_effect({"kind": "contact.stiffness", "factor": 1.3})
     position, before, felt = press(Plant([s]), 700)
     nominal = np.zeros_like(felt)
-    replay_contact(position, before, s.tick, s.substeps, contact_parameters(K, C, 0.0, False, []), nominal)
+    replay_contact(position, before, s.tick, np.arange(1, s.substeps + 1) / s.substeps, contact_parameters(K, C, 0.0, False, []), nominal)
     assert np.abs(felt - nominal).max() > 0.2 * np.abs(nominal).max()
 
 
