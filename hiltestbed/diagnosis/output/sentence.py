@@ -26,7 +26,8 @@ def verdict_sentence(diagnosis: Diagnosis) -> str:
     finding = diagnosis.finding
     where = WHERE.get(finding.link or "", "the loop")
     if finding.verdict == "no_discrepancy":
-        return "The simulation explains these data: what is left is noise on every channel, and nothing is extended."
+        text = "The simulation explains these data: what is left is noise on every channel, and nothing is extended."
+        return " ".join([text, *(f"But {note}." for note in finding.notes if " was not judged: " in note)])
     if finding.verdict == "unknown":
         left = f" {finding.left[0].upper()}{finding.left[1:].rstrip('.')}." if finding.left else ""
         text = f"{where[0].upper()}{where[1:]} departs from its model, and no effect of the vocabulary leaves mere noise.{left}"
