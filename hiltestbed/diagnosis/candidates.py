@@ -36,7 +36,7 @@ class Candidate:
 
     Attributes:
         effect: id. fixed: parameters that are chosen, not fitted. names: free parameters, "force.0" for an item of a list.
-        low, high: bounds. log: which are searched by ratio. grid: starts. null: parameters at which the effect vanishes.
+        low, high: bounds. log: which are searched by ratio. grid: starts.
         choices: number of siblings that differ in what is fixed: a search among them costs 2 ln(choices).
     """
 
@@ -57,7 +57,7 @@ class Candidate:
     @property
     def key(self) -> tuple:
         """What tells candidates apart."""
-        return (self.effect, *sorted((k, str(v)) for k, v in self.fixed.items()))
+        return (self.effect, *self.names, *sorted((k, str(v)) for k, v in self.fixed.items()))
 
     def public(self, theta: Array) -> dict[str, Any]:
         """Those parameters at theta that the vocabulary has: not the reading of the equation, nor how it is integrated."""

@@ -28,6 +28,8 @@ MEMORY = 400  # rows, within which the answer to an impulse has passed
 
 def uncomputed(scenarios: Sequence[Scenario]) -> str | None:
     """Why the compensation cannot be replayed: the other methods know more than the record tells, or drive the model themselves."""
+    if any(s.compensation.motion.kind == "contact_correction" for s in scenarios):
+        return "not replayed with compensation.motion contact_correction, which adds to the wrench what the platform lacks"
     kinds = sorted({s.compensation.force.kind for s in scenarios} - set(REPLAYED))
     return f"not replayed with compensation.force {', '.join(kinds)}; allowed: {', '.join(REPLAYED)}" if kinds else None
 

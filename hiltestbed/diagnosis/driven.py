@@ -23,10 +23,10 @@ from hiltestbed.scenario import Scenario
 from hiltestbed.spacecraft import approach_state
 
 KNOWN = 0.25  # of the yield that a wrong reading of the force may falsify
-LATE = 5e-3  # [s] that the reading may be later than believed
+LATER = 5e-3  # [s] that the reading may be later than believed
 UNFOLLOWED = 0.01  # of a departure: what the drives leave of a jump is not replayed
 SETTLING = 10.0 / (2.0 * math.pi * BANDWIDTH)  # [s] ten time constants: where the drives start from is not recorded
-CORRELATED = 50  # rows of a yield that count as one: its noise is that of the force, through drives of 40 Hz
+ALIKE = 1.0 / BANDWIDTH  # [s] of a yield that count as one: its noise is that of the force, through the drives
 FOLLOWED = ("none", "feedforward", "contact_correction")  # motions whose platform is told the recorded pose itself
 
 
@@ -34,18 +34,23 @@ def unfollowed(runs: Sequence[MeasuredRun]) -> str | None:
     """Why the platform cannot be replayed: under a servo the record must hold what it was told."""
     for run in runs:
         motion, upper = run.scenario.compensation.motion.kind, run.scenario.rig.upper.kind
-        if run.scenario.rig.platform.tracking == "servo" and (motion not in FOLLOWED or upper != "fixed"):
+        if run.scenario.rig.platform.tracking != "servo":
+            continue
+        if run.scenario.mechanism.mount is not None:
+            return "under a servo, and the force of a compliant mount is not replayed"
+        if motion not in FOLLOWED or upper != "fixed":
             return (
                 f"under a servo not replayed with compensation.motion {motion} and rig.upper {upper}; allowed: {', '.join(FOLLOWED)}; fixed"
             )
     return None
 
 
-def yields(run: MeasuredRun, noise: float) -> tuple[Array, Array]:
-    """(N, 3) by how much the believed servo's pose departs from its command [m], and (N, 3) how well that is known.
+def yields(run: MeasuredRun, noise: float) -> tuple[Array, Array] | None:
+    """(N, 3) by how much the believed servo's pose departs from its command [m], and (N, 3) how well that is known; None: it diverges.
 
     What is not known takes whole blocks of rows the same way, and is counted like noise that is the larger by their root.
-    noise: [N] of the force. The force is read as much earlier as the believed sensor is late; where none was measured, it is none.
+    noise: [N] of the force. The force is read as much earlier as the believed sensor is late; where none was
+    measured, the pose tells nothing once A has reached P.
     """
     scenario, command = run.scenario, np.ascontiguousarray(run.record.filled("pose_cmd"))
     wrench = np.zeros((len(command), 6))
@@ -53,17 +58,23 @@ def yields(run: MeasuredRun, noise: float) -> tuple[Array, Array]:
         wrench = advanced(run.record.filled("wrench_meas"), scenario.sensor.delay / scenario.tick)
     start = approach_state(scenario)[:7]
     told = np.vstack([start, command[:-1]])[:, :3]
-    away = followed(scenario, command, wrench)[:, :3] - told
+    path = followed(scenario, command, wrench)
+    if path is None:
+        return None
+    away = path[:, :3] - told
     departure = np.nanmax(np.abs(run.record.data["pose_act"][:, :3] - told - away), initial=0.0)
-    later = advanced(away, -LATE / scenario.tick) - away
+    later = advanced(away, -LATER / scenario.tick) - away
     doubt = math.sqrt(BLOCK) * np.sqrt((KNOWN * away) ** 2 + later**2 + (UNFOLLOWED * departure) ** 2)
     doubt[: math.ceil(SETTLING / scenario.tick)] = np.inf
+    if not run.record.has("wrench_meas"):
+        doubt[np.maximum.accumulate(told[:, 2] > -departure)] = np.inf
     if noise == 0.0:
         return away, doubt
     shaken = wrench.copy()
     shaken[:, :3] += noise * np.random.default_rng(0).standard_normal((len(wrench), 3))
-    passed = float(np.std(followed(scenario, command, shaken)[:, :3] - told - away))
-    return away, np.hypot(doubt, passed * math.sqrt(CORRELATED))
+    noisy = followed(scenario, command, shaken)
+    passed = float(np.std(noisy[:, :3] - path[:, :3])) if noisy is not None else 0.0
+    return away, np.hypot(doubt, passed * math.sqrt(max(1.0, ALIKE / scenario.tick)))
 
 
 class RecordedWrench(Touch):
@@ -86,8 +97,11 @@ class RecordedWrench(Touch):
         self._instant += 1
 
 
-def followed(scenario: Scenario, command: Array, wrench: Array) -> Array:
-    """(N, 7) poses at t_k of a platform that was told ``command`` (N, 7) for t_(k+1) while it bore ``wrench`` (N, 6) at t_k."""
+def followed(scenario: Scenario, command: Array, wrench: Array) -> Array | None:
+    """(N, 7) poses at t_k of a platform that was told ``command`` (N, 7) for t_(k+1) while it bore ``wrench`` (N, 6) at t_k.
+
+    None where it diverges: a record of few rows a second, or a command that it cannot reach.
+    """
     start = approach_state(scenario)
     tracking = ServoTracking([scenario], 1, Structure(scenario.mechanism.kind, mounted=False, paired=False))
     tracking.touch = RecordedWrench(scenario, wrench)
@@ -101,5 +115,7 @@ def followed(scenario: Scenario, command: Array, wrench: Array) -> Array:
         acceleration = (twists[1] - twists[0]) / scenario.tick
         tracking.begin(command[k : k + 1], twists[1] * told, acceleration * told)
         tracking.finish()
+        if tracking.diverged[0]:
+            return None
         before, twists[0] = command[k], twists[1]
     return out

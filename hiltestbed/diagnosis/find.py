@@ -9,7 +9,7 @@ from hiltestbed.diagnosis.fit import Fit
 from hiltestbed.diagnosis.grow import far_off, grow
 from hiltestbed.diagnosis.heldout import heldout, placebo_of
 from hiltestbed.diagnosis.intervals import intervals
-from hiltestbed.diagnosis.investigate import Findings, Progress, candidates_of, full_links, investigate
+from hiltestbed.diagnosis.investigate import Findings, Progress, full_links, investigate
 from hiltestbed.diagnosis.isolability import isolability
 from hiltestbed.diagnosis.output.evidence import link_series
 from hiltestbed.diagnosis.output.result import Cause, Finding, Heldout, Interval, Isolable, Parameter, Ranked
@@ -34,7 +34,8 @@ def find(dataset: MeasuredDataset, progress: Progress | None = None) -> Finding:
         progress("intervals and left-out runs")
     causes = tuple(cause_of(findings, c) for c in verdict.causes)
     nearest = _nearest(findings, verdict, progress)
-    effects = [c.fit.effects()[c.index] for c in [*verdict.causes, *nearest]]  # as the links take them, forms included
+    once = {c.effect: c for c in [*nearest, *verdict.causes]}  # a record stamped late shows on two links
+    effects = [c.fit.effects()[c.index] for c in once.values()]  # as the links take them, forms included
     series = [s for link in full_links(findings).values() for s in link_series(link, effects)]
     alarmed = {name: e for name, e in findings.explanations.items() if e.alarm}
     left = "; ".join(describe(findings.residuals[n], e, LINK_NAMES[n]) for n, e in alarmed.items() if not e.adequate)
@@ -65,7 +66,7 @@ def _nearest(findings: Findings, verdict: Verdict, progress: Progress | None) ->
 def _grown(findings: Findings, name: str, progress: Progress | None) -> Explanation:
     """The explanation of a link with the best that several effects do."""
     residual, e = findings.residuals[name], findings.explanations[name]
-    best = grow(residual, e, candidates_of(findings, name), progress)
+    best = grow(residual, e, findings.weighed[name], progress)
     return replace(e, chosen=best, leftovers=contact_leftovers(residual, best.effects()))
 
 
@@ -135,5 +136,5 @@ def _isolability(findings: Findings, progress: Progress | None) -> tuple[Isolabl
     out: list[Isolable] = []
     for name, residual in findings.residuals.items():
         if findings.explanations[name].adequate:
-            out += isolability(residual, candidates_of(findings, name))
+            out += isolability(residual, findings.weighed[name])
     return tuple(out)

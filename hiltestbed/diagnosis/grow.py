@@ -28,7 +28,7 @@ def far_off(found: Explanation) -> bool:
 
 
 def grow(residual: Residual, found: Explanation, candidates: Sequence[Candidate], progress: Callable[[str], None] | None = None) -> Fit:
-    """The best that up to MOST causes do; `found.chosen` where nothing further pays."""
+    """The best that up to MOST causes do, beside the best that was found."""
     best = min([found.chosen, *found.singles, *found.pairs], key=lambda f: f.score)
     if JITTER in {c.effect for c in best.causes}:  # noise, beside which nothing is weighed
         return best

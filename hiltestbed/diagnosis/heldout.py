@@ -7,7 +7,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hiltestbed.diagnosis.candidates import Candidate
 from hiltestbed.diagnosis.fit import Fit, Residual, fit
 from hiltestbed.diagnosis.output.result import Heldout
 from hiltestbed.diagnosis.search import JITTER
@@ -65,8 +64,3 @@ def placebo_of(fits: Sequence[Fit], found: Fit) -> Fit | None:
     if not wrong:
         return None
     return min(wrong, key=lambda f: (abs(sum(len(c.names) for c in f.causes) - count), -f.score))
-
-
-def parameters_of(found: Fit) -> list[tuple[Candidate, np.ndarray]]:
-    """Each cause with its part of theta."""
-    return [(c, found.part(i)) for i, c in enumerate(found.causes)]

@@ -31,6 +31,7 @@ from hiltestbed.frames import Array
 from hiltestbed.measured import MeasuredDataset
 
 SMOOTH = 31  # rows of the Savitzky-Golay filter, order 3, where only a noisy pose is left to go by
+CHOICE = 2.0 * math.log(2.0)  # of chi-square: the price of one of two readings
 RELATIVE = 0.01  # of the departure of a computed channel that an explanation may leave
 UNEXPLAINED = 0.2  # of what a late record does to the compensation, that its interpolation between rows may leave
 LEAD_NOISE = 1.7  # times the led noise, up to which a residual of the compensation may be noise of the record
@@ -44,13 +45,14 @@ class Findings:
 
     Attributes:
         study: the data as laid out. explanations: link to its explanation. residuals: link to what was fitted.
-        wrench: contact and sensor on whole runs, or None. path_effects: the platform's effects that the contact was replayed through.
+        weighed: link to the candidates that were searched.
         missing: link to why it could not be replayed.
     """
 
     study: Study
     explanations: dict[str, Explanation] = field(default_factory=dict)
     residuals: dict[str, Residual] = field(default_factory=dict)
+    weighed: dict[str, list[Candidate]] = field(default_factory=dict)
     missing: dict[str, str] = field(default_factory=dict)
 
 
@@ -72,24 +74,23 @@ def investigate(dataset: MeasuredDataset, progress: Progress | None = None) -> F
         _explain_compensation(out, compensation_candidates(s), progress)
     _investigate_wrench(out, progress)
     if "dynamics" in study.links:
-        residual = Residual(study.links["dynamics"])
-        out.explanations["dynamics"] = search(
-            residual, dynamics_candidates(s.tick), _dynamics_judge(residual), progress=_named(progress, "dynamics")
-        )
-        out.residuals["dynamics"] = residual
+        residual, candidates = Residual(study.links["dynamics"]), dynamics_candidates(s.tick)
+        judge, told = _dynamics_judge(residual), _named(progress, "dynamics")
+        out.explanations["dynamics"] = search(residual, candidates, judge, progress=told)
+        out.residuals["dynamics"], out.weighed["dynamics"] = residual, candidates
     return out
 
 
 def _explain(out: Findings, name: str, candidates: list[Candidate], progress: Progress | None) -> None:
     residual = Residual(out.study.links[name])
     out.explanations[name] = search(residual, candidates, progress=_named(progress, name))
-    out.residuals[name] = residual
+    out.residuals[name], out.weighed[name] = residual, candidates
 
 
 def _platform_candidates(study: Study) -> list[Candidate]:
     """Those of the platform, with starts for stiction that the data tell."""
     link, substeps = _platform(study.links), study.runs[0].scenario.substeps
-    noise = min(study.noise.get(c, 0.0) for c in link.channels)
+    noise = min((level for c in link.channels if (level := study.noise.get(c))), default=0.0)
     return platform_candidates(study.scales, substeps, stick_starts(link, noise, substeps))
 
 
@@ -141,6 +142,7 @@ def _investigate_wrench(out: Findings, progress: Progress | None) -> None:
         residual = Residual(other)
         found = _search_wrench(residual, candidates, None, progress)
     out.explanations["wrench"], out.residuals["wrench"] = found, residual
+    out.weighed["wrench"] = [*candidates, *(given[0].causes if given else ())]
     if given:
         _settle_compensation(out, progress)
 
@@ -154,7 +156,7 @@ def _on_a_grid(residual: Residual, found: Explanation) -> WrenchLink | None:
     other.grid = link.runs[0].scenario.substeps
     there = residual.through(other)
     fits = [null_fit(there), *([refit(there, found.chosen)] if found.chosen.causes else [])]
-    return other if min(f.score for f in fits) < found.chosen.score else None
+    return other if min(f.score for f in fits) < found.chosen.score - CHOICE else None
 
 
 def _search_wrench(residual: Residual, candidates: list[Candidate], given: Fit | None, progress: Progress | None) -> Explanation:
@@ -212,20 +214,7 @@ def _explain_compensation(out: Findings, candidates: list[Candidate], progress: 
     out.explanations["compensation"] = search(
         residual, candidates, _compensation_judge(out.study), progress=_named(progress, "compensation")
     )
-    out.residuals["compensation"] = residual
-
-
-def candidates_of(out: Findings, name: str) -> list[Candidate]:
-    """What was weighed on a link."""
-    s = out.study.scales
-    match name:
-        case "platform":
-            return _platform_candidates(out.study)
-        case "compensation":
-            return compensation_candidates(s)
-        case "dynamics":
-            return dynamics_candidates(s.tick)
-    return _wrench_candidates(out.study, _wrench(out.residuals["wrench"]))
+    out.residuals["compensation"], out.weighed["compensation"] = residual, candidates
 
 
 def full_links(out: Findings) -> dict:

@@ -85,9 +85,9 @@ class PlatformLink:
         s = self.runs[i].scenario
         position, velocity = start_of(s)
         out = np.empty((len(self.commands[i]), 3))
-        divide = next((p[FORM] for _, p in effects if FORM in p), s.substeps)
+        divide = next((p[FORM] for kind, p in effects if kind == "platform.friction" and FORM in p), s.substeps)
         parameters = platform_parameters(effects)
-        parameters[DELAY] -= sum(p.get(AHEAD, 0.0) for _, p in effects)
+        parameters[DELAY] -= min(sum(p.get(AHEAD, 0.0) for _, p in effects), s.tick)
         replay_platform(self.commands[i], position, velocity, s.tick, divide, parameters, out, wanted)
         return out if self.yielding is None else out + self.yielding[i]
 

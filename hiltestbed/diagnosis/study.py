@@ -11,7 +11,7 @@ import numpy as np
 from hiltestbed.diagnosis.candidates import Scales
 from hiltestbed.diagnosis.compensated import uncomputed
 from hiltestbed.diagnosis.driven import unfollowed, yields
-from hiltestbed.diagnosis.links import CompensationLink, DynamicsLink, Effects, Link, LinkRun, PlatformLink, WrenchLink, flat_pose
+from hiltestbed.diagnosis.links import CompensationLink, DynamicsLink, Link, LinkRun, PlatformLink, WrenchLink, flat_pose
 from hiltestbed.diagnosis.thin import thinned
 from hiltestbed.frames import Array
 from hiltestbed.measured import MeasuredDataset, MeasuredRun
@@ -53,7 +53,7 @@ def make_study(dataset: MeasuredDataset) -> Study:
     noise = _floors(runs)
     study = Study(runs, [_rows(r) for r in runs], _scales(runs, noise), noise)
     reason = uncomputed([r.scenario for r in runs])
-    if reason:
+    if reason and _all(runs, "wrench_meas", "wrench_comp"):
         study.refused["compensation"] = reason
     yielding = _yielding(study)
     for target, rows in ((study.links, study.rows), (study.full, [r.record.ticks for r in runs])):
@@ -76,16 +76,21 @@ def make_study(dataset: MeasuredDataset) -> Study:
 
 def _yielding(study: Study) -> list[tuple[Array, Array]]:
     """Of each run (N, 3) how the believed drives depart from their command [m], and (N, 3) how well that is known."""
+    if not _all(study.runs, "pose_cmd", "pose_act"):
+        return []
     reason = unfollowed(study.runs)
     if reason:
         study.refused["platform"] = reason
-    if reason or not _all(study.runs, "pose_cmd", "pose_act"):
         return []
-    level = study.noise.get("wrench_meas.fz", 0.0)
-    still = [np.zeros((r.record.ticks, 3)) for r in study.runs]
-    return [
-        yields(r, level) if r.scenario.rig.platform.tracking == "servo" else (none, none) for r, none in zip(study.runs, still, strict=True)
-    ]
+    level, out = study.noise.get("wrench_meas.fz", 0.0), []
+    for i, run in enumerate(study.runs):
+        none = np.zeros((run.record.ticks, 3))
+        found = yields(run, level) if run.scenario.rig.platform.tracking == "servo" else (none, none)
+        if found is None:
+            study.refused["platform"] = f"the believed servo cannot follow the command on record in run {i}"
+            return []
+        out.append(found)
+    return out
 
 
 def _platform_link(study: Study, yielding: list[tuple[Array, Array]], rows: Sequence[int]) -> PlatformLink:
@@ -194,8 +199,3 @@ def _commanded_speeds(runs: Sequence[MeasuredRun]) -> list[float]:
     """The largest speed [m/s] that each run commands on any axis."""
     rates = [np.diff(r.record.filled("pose_cmd")[:, :3], axis=0) / r.scenario.tick for r in runs if r.record.has("pose_cmd")]
     return [float(np.max(np.abs(v))) for v in rates if v.any()]
-
-
-def joint(*effects: Effects) -> list:
-    """One list of several."""
-    return [e for part in effects for e in part]

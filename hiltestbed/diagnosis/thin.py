@@ -38,7 +38,7 @@ def _rms(link: WrenchLink, modelled: list[Array]) -> float:
 
 
 def _means(values: Array, count: int) -> Array:
-    """(N // count, C) means of blocks of rows."""
+    """(N // count, C) means of blocks of rows; NaN where a row of the block is."""
     whole = len(values) // count
     return np.ascontiguousarray(values[: whole * count].reshape(whole, count, -1).mean(axis=1))
 
@@ -47,7 +47,9 @@ def _between(values: Array, count: int) -> Array:
     """(N, C) straight lines between the means of blocks."""
     means = _means(values, count)
     centres = np.arange(len(means)) * count + 0.5 * (count - 1)
-    return np.column_stack([np.interp(np.arange(len(values)), centres, column) for column in means.T])
+    rows, known = np.arange(len(values)), np.isfinite(means)
+    lines = [np.interp(rows, centres[k], c[k]) if k.any() else np.zeros(len(rows)) for c, k in zip(means.T, known.T, strict=True)]
+    return np.column_stack(lines)
 
 
 def _run(run: LinkRun, count: int) -> LinkRun:

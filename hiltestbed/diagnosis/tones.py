@@ -12,8 +12,8 @@ from hiltestbed.diagnosis.links import WrenchLink
 from hiltestbed.frames import Array
 
 TONE = 30.0  # power of a line over that of the noise, from which it is tried as a hum
-SPECTRUM = 1 << 15  # rows
-CYCLES = 4.0  # of a line within the longest contact: a slower one is the shape of the contact
+SPECTRUM = 1 << 15  # rows, at least
+CYCLES = 4.0  # of a line within what a run holds of contact: a slower one is the shape of the contact
 SLOWEST = 0.7  # [Hz] of a line outside contacts
 
 Line = tuple[float, float, float]  # [Hz], [N], [rad]
@@ -64,15 +64,16 @@ def _lines(link: WrenchLink, parts: list[tuple[Array, np.ndarray]], slowest: flo
 
     parts: of each run what is left (N, 3) [N], zero where it does not count, and where it counts (N,).
     """
-    total = np.zeros((3, SPECTRUM // 2 + 1), dtype=complex)
+    size = max(SPECTRUM, *(1 << (len(r) - 1).bit_length() for r, _ in parts))
+    total = np.zeros((3, size // 2 + 1), dtype=complex)
     for r, _ in parts:
-        total += np.fft.rfft(r, SPECTRUM, axis=0).T
+        total += np.fft.rfft(r, size, axis=0).T
     count = sum(int(counts.sum()) for _, counts in parts)
     if count < 50:
         return {}
-    sigma = link.runs[-1].sigma[:, :3]
-    level = np.min(np.where(np.isfinite(sigma), sigma, 1e9), axis=0)
-    frequencies = np.fft.rfftfreq(SPECTRUM, link.runs[0].scenario.tick)
+    levels = [np.min(np.where(np.isfinite(run.sigma[:, :3]), run.sigma[:, :3], 1e9), axis=0) for run in link.runs]
+    level = np.median(levels, axis=0)
+    frequencies = np.fft.rfftfreq(size, link.runs[0].scenario.tick)
     total[:, frequencies < slowest] = 0.0
     out = {}
     for j, axis in enumerate("xyz"):

@@ -3,7 +3,7 @@
 One run's law is a row of parameters and a row of states; the kernel serves the plant, instant by instant, and the diagnosis, over a
 record. Order: the frame gives way, the touch is shifted, play is taken out, then elastic force, damping, friction, preload, hard
 stop and relaxation add up, and the sum is kept from pulling. Dry friction that gives before it slips is a spring that drags a slider:
-play, where there is any, lies between the port and that spring, and travels with the slider.
+play, where there is any, lies between the port and that spring, and travels with the slider; the frame's give is not felt by it.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The compensation link is the loop's own compensation: run over the readings on record it gives the record's wrench, to the last bit."""
+"""The compensation link is the loop's own compensation: run over the readings on record it gives the record's wrench."""
 
 from __future__ import annotations
 

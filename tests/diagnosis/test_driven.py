@@ -25,6 +25,7 @@ def test_the_replayed_drives_go_where_the_drives_went() -> None:
     command, pose = result.trace["pose_cmd"], result.trace["pose_act"]
     ticks = result.scenario.sensor.delay * result.scenario.rate
     path = followed(result.scenario, command, advanced(result.trace["wrench_meas"], ticks))
+    assert path is not None
     yielded = np.abs(pose[1:, 2] - command[:-1, 2]).max()
     assert yielded > 4e-6
     assert np.abs(path[:, 2] - pose[:, 2]).max() < 2e-3 * yielded
@@ -60,3 +61,14 @@ def test_a_command_that_the_record_does_not_hold_is_not_guessed() -> None:
     reason = unfollowed([Run()])  # type: ignore[list-item]
     assert reason is not None
     assert "inverse_model" in reason
+    Run.scenario = load_scenario(SCENARIO.parent / "13-ring-down.yaml")
+    reason = unfollowed([Run()])  # type: ignore[list-item]
+    assert reason is not None
+    assert "mount" in reason
+
+
+def test_a_command_that_the_drives_cannot_follow_is_not_taken_for_their_yield() -> None:
+    scenario = load_scenario(SCENARIO)
+    command = np.tile([0.0, 0.0, -0.01, 0.0, 0.0, 0.0, 1.0], (50, 1))
+    command[10:, 2] = 1e6  # [m]
+    assert followed(scenario, command, np.zeros((50, 6))) is None

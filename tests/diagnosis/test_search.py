@@ -91,6 +91,7 @@ def test_a_vector_is_weighed_in_whichever_direction_it_points(direction: tuple[i
 def test_a_drift_is_found_up_to_the_size_of_the_contact():
     scales = Scales(force=300.0, depth=3e-3, stiffness=1e5, tick=H, noise=0.1, slow=0.02, fast=0.1, duration=0.5)
     drifts = [c for c in sensor_candidates(scales, {}) if c.effect == "sensor.drift"]
+    assert len(drifts) == 3  # an axis each
     assert all(c.low[0] <= -300.0 / 0.5 and c.high[0] >= 300.0 / 0.5 for c in drifts)
 
 
@@ -176,3 +177,33 @@ def test_what_the_loop_read_is_had_from_a_late_record_across_a_touch():
     assert used[:-3] == pytest.approx((in_time + noise)[:-3], abs=4.0 * NOISE)  # beyond which nothing is taken for noise
     kept = np.abs(noise[:-3]) < 4.0 * NOISE
     assert used[:-3][kept] == pytest.approx((in_time + noise)[:-3][kept], abs=1e-9)
+
+
+@pytest.mark.parametrize("form", ["elastic", 0.0, "continuous"])
+def test_the_platform_does_not_mind_how_an_effect_of_the_contact_is_read(form: str | float):
+    link = platform_link([])
+    contact = [("frame.compliance", {"stiffness": 1e6, FORM: form}), ("contact.misalignment", {"angles_deg": [1.0, 1.0], FORM: form})]
+    assert np.array_equal(link.path(0, contact), link.path(0, ()))
+
+
+def test_responses_that_are_integrated_step_by_step_look_no_further_than_the_command():
+    link = platform_link([])
+    lag, mode = ("platform.lag", {"bandwidth": 50.0}), ("platform.mode", {"frequency": 30.0, "damping_ratio": 0.1})
+    one = link.path(0, [(lag[0], lag[1] | {AHEAD: H}), mode])
+    both = link.path(0, [(lag[0], lag[1] | {AHEAD: H}), (mode[0], mode[1] | {AHEAD: H})])
+    assert np.array_equal(one, both)
+
+
+def test_where_a_reading_lies_on_the_steps_of_the_facility_the_data_bear_it_out():
+    """A damper's force jumps from tick to tick: between two instants a reading is on neither side of the jump, or on the line across."""
+    delay, grid = 2.7 * H, 2  # in the first half of a tick, whose start the line crosses
+    link = contact_link([])
+    for own, other in ((None, grid), (grid, None)):
+        link.grid = own
+        link.runs[0].measured = link.predict(0, [("sensor.delay", {"delay": delay})])
+        found = {}
+        for tried in (own, other):
+            link.grid = tried
+            found[tried] = fit(Residual(link), (candidate("sensor.delay", {"delay": [2.0 * H, 2.8 * H]}),), [[2.0 * H], [2.8 * H]])
+        assert found[own].theta[0] == pytest.approx(delay, rel=1e-4)
+        assert found[own].chi2 < 1e-3 * found[other].chi2
