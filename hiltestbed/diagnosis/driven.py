@@ -24,7 +24,8 @@ from hiltestbed.spacecraft import approach_state
 
 KNOWN = 0.25  # of the yield that a wrong reading of the force may falsify
 LATER = 5e-3  # [s] that the reading may be later than believed
-UNFOLLOWED = 0.01  # of a departure: what the drives leave of a jump is not replayed
+UNLOST = 0.05  # [m] from its command: the sensor's 50 kN overload makes these drives yield 1.2 mm
+FOLLOWED = 0.01  # of a departure: what the drives leave of a jump is not replayed
 SETTLING = 10.0 / (2.0 * math.pi * BANDWIDTH)  # [s] ten time constants: where the drives start from is not recorded
 ALIKE = 1.0 / BANDWIDTH  # [s] of a yield that count as one: its noise is that of the force, through the drives
 FOLLOWED = ("none", "feedforward", "contact_correction")  # motions whose platform is told the recorded pose itself
@@ -46,7 +47,7 @@ def unfollowed(runs: Sequence[MeasuredRun]) -> str | None:
 
 
 def yields(run: MeasuredRun, noise: float) -> tuple[Array, Array] | None:
-    """(N, 3) by how much the believed servo's pose departs from its command [m], and (N, 3) how well that is known; None: it diverges.
+    """(N, 3) by how much the believed servo's pose departs from its command [m], and (N, 3) how well that is known; None: it loses the command.
 
     What is not known takes whole blocks of rows the same way, and is counted like noise that is the larger by their root.
     noise: [N] of the force. The force is read as much earlier as the believed sensor is late; where none was
@@ -100,7 +101,7 @@ class RecordedWrench(Touch):
 def followed(scenario: Scenario, command: Array, wrench: Array) -> Array | None:
     """(N, 7) poses at t_k of a platform that was told ``command`` (N, 7) for t_(k+1) while it bore ``wrench`` (N, 6) at t_k.
 
-    None where it diverges: a record of few rows a second, or a command that it cannot reach.
+    None where it diverges or is left behind: a record of few rows a second, or a command that it cannot reach.
     """
     start = approach_state(scenario)
     tracking = ServoTracking([scenario], 1, Structure(scenario.mechanism.kind, mounted=False, paired=False))
@@ -115,7 +116,7 @@ def followed(scenario: Scenario, command: Array, wrench: Array) -> Array | None:
         acceleration = (twists[1] - twists[0]) / scenario.tick
         tracking.begin(command[k : k + 1], twists[1] * told, acceleration * told)
         tracking.finish()
-        if tracking.diverged[0]:
+        if tracking.diverged[0] or np.abs(tracking.pose_act[0, :3] - command[k, :3]).max() > LOST:
             return None
         before, twists[0] = command[k], twists[1]
     return out
