@@ -24,10 +24,10 @@ from hiltestbed.spacecraft import approach_state
 
 KNOWN = 0.25  # of the yield that a wrong reading of the force may falsify
 LATER = 5e-3  # [s] that the reading may be later than believed
-UNLOST = 0.05  # [m] from its command: the sensor's 50 kN overload makes these drives yield 1.2 mm
-FOLLOWED = 0.01  # of a departure: what the drives leave of a jump is not replayed
+UNFOLLOWED = 0.01  # of a departure: what the drives leave of a jump is not replayed
 SETTLING = 10.0 / (2.0 * math.pi * BANDWIDTH)  # [s] ten time constants: where the drives start from is not recorded
 ALIKE = 1.0 / BANDWIDTH  # [s] of a yield that count as one: its noise is that of the force, through the drives
+LOST = 0.05  # [m] from its command: under the 50 kN at which the sensor overloads these drives yield 1.2 mm
 FOLLOWED = ("none", "feedforward", "contact_correction")  # motions whose platform is told the recorded pose itself
 
 
@@ -47,7 +47,7 @@ def unfollowed(runs: Sequence[MeasuredRun]) -> str | None:
 
 
 def yields(run: MeasuredRun, noise: float) -> tuple[Array, Array] | None:
-    """(N, 3) by how much the believed servo's pose departs from its command [m], and (N, 3) how well that is known; None: it loses the command.
+    """(N, 3) by how much the believed servo's pose departs from its command [m], and (N, 3) how well that is known; None where it is lost.
 
     What is not known takes whole blocks of rows the same way, and is counted like noise that is the larger by their root.
     noise: [N] of the force. The force is read as much earlier as the believed sensor is late; where none was
