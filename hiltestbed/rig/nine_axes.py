@@ -81,7 +81,8 @@ class NineAxes:
         self._before, self._slope = np.zeros((n, 7)), np.zeros((n, 6))  # of the command in W
         self._pose_W, self._twist_W, self._accel_W = np.zeros((n, 7)), np.zeros((n, 6)), np.zeros((n, 6))
         self._was_home = np.zeros(n, dtype=bool)
-        self._goal = (np.zeros((n, 7)), np.zeros((n, 6)), np.zeros((n, 6)))  # pose, twist, acceleration
+        self._left = np.zeros((n, 6))  # what the payload left in the reading at t_k
+        self.upper_cmd, self.upper_act = np.zeros((n, 3)), np.zeros((n, 3))
 
     @property
     def model(self) -> mujoco.MjModel:
@@ -110,16 +111,15 @@ class NineAxes:
         self.lower.reset(self._before, self._slope)
         relate(self.lower.pose_act, self.lower.twist_act, self.upper.pose, self.upper.twist, self.pose_act, self.twist_act)
         self.wrench_sub[:] = self.lower.wrench_sub
+        self.upper_cmd[:], self.upper_act[:] = self.upper.slider_cmd, self.upper.slider_act
 
     def begin(self, pose_cmd: Array, twist_cmd: Array, accel_cmd: Array) -> None:
-        """Start the tick towards the relative ``pose_cmd`` (n, 7), with ``twist_cmd`` and ``accel_cmd`` (n, 6)."""
-        for goal, given in zip(self._goal, (pose_cmd, twist_cmd, accel_cmd), strict=True):
-            goal[:] = given
+        """Start the tick towards the relative ``pose_cmd`` (n, 7), with ``twist_cmd`` and ``accel_cmd`` (n, 6).
 
-    def finish(self) -> None:
-        """Move both platforms over the tick."""
+        The upper platform's tick is computed at once; what is told of it stays that of t_k until :meth:`finish`.
+        """
         upper, lower = self.upper, self.lower
-        pose_cmd, twist_cmd, accel_cmd = self._goal
+        self._left[:] = upper.residual[:, -1]
         if upper.advance(pose_cmd, self.diverged):
             for i in np.flatnonzero(self.diverged):
                 self.causes[i] = self.causes[i] or "the upper platform moves faster than 1000 m/s or rad/s"
@@ -128,11 +128,17 @@ class NineAxes:
             self._before, self._slope, self._pose_W, self._twist_W, self._accel_W,
         )  # fmt: skip
         lower.begin(self._pose_W, self._twist_W, self._accel_W)
+        np.add(lower.wrench_sub[:, -1], self._left, out=self.wrench_sub[:, -1])
+
+    def finish(self) -> None:
+        """The rest of the tick."""
+        upper, lower = self.upper, self.lower
         lower.finish()
         _together(
             self._ideal, upper.away, self.tick, lower.pose_act, lower.twist_act, upper.pose, upper.twist, lower.wrench_sub,
             upper.residual, self.pose_act, self.twist_act, self.wrench_sub,
         )  # fmt: skip
+        self.upper_cmd[:], self.upper_act[:] = upper.slider_cmd, upper.slider_act
 
     def payload_left(self, i: int) -> dict[str, float] | None:
         """What weight and inertia of the passive side have left in the sensor's reading of run ``i``, at most; None: not simulated."""
@@ -152,6 +158,8 @@ class NineAxes:
                 "pose_act": self.pose_act,
                 "twist_act": self.twist_act,
                 "wrench_sub": self.wrench_sub,
+                "upper_cmd": self.upper_cmd,
+                "upper_act": self.upper_act,
                 "command": self._before,
                 "slope": self._slope,
                 "was_home": self._was_home,

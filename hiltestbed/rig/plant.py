@@ -78,7 +78,7 @@ class Plant:
         if scenarios[0].rig.platform.tracking == "ideal":
             lower = IdealTracking(scenarios, nthread, made_of)
         else:
-            lower = ServoTracking(scenarios, nthread, made_of, None if above else late)
+            lower = ServoTracking(scenarios, nthread, made_of, late)
         self._tracking = NineAxes(scenarios, lower, nthread) if above else lower
         self.pose_W: Array = lower.pose_act
         self._law: ContactForce | None = None
@@ -96,8 +96,8 @@ class Plant:
         self.slider_cmd: Array = self._tracking.slider_cmd
         self.slider_act: Array = self._tracking.slider_act
         still = np.zeros((len(scenarios), 3))
-        self.upper_cmd: Array = self._tracking.upper.slider_cmd if isinstance(self._tracking, NineAxes) else still
-        self.upper_act: Array = self._tracking.upper.slider_act if isinstance(self._tracking, NineAxes) else still
+        self.upper_cmd: Array = self._tracking.upper_cmd if isinstance(self._tracking, NineAxes) else still
+        self.upper_act: Array = self._tracking.upper_act if isinstance(self._tracking, NineAxes) else still
         self.diverged: NDArray[np.bool_] = self._tracking.diverged
 
     @property
