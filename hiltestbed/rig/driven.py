@@ -32,8 +32,8 @@ class ServoTracking:
     """The rigs of `n` runs under servo tracking; arrays as in :class:`hiltestbed.rig.plant.Plant`.
 
     The force at t_(k+1) is read from the forward stages at the new state, without a step's delay; the readings at the substeps in
-    between come from the sensor's history. A run whose force may come `late` is spared those stages, a quarter of the physics: its
-    force at t_k is that of the first step of the tick which starts there.
+    between come from the sensor's history. A run whose force may come `late` is spared those stages, a fifth of the physics of two
+    steps a tick: its force at t_k is that of the first step of the tick which starts there.
     """
 
     def __init__(
