@@ -199,7 +199,7 @@ def diagnose(
 ) -> None:
     """Measured data against the simulation: what departs, why, and what is gained."""
     from hiltestbed.diagnosis.diagnose import diagnose as run_diagnosis
-    from hiltestbed.diagnosis.output.folder import DIAGNOSIS
+    from hiltestbed.diagnosis.report.folder import DIAGNOSIS
     from hiltestbed.progress import step_line
     from hiltestbed.recording import refuse_foreign
 

@@ -28,7 +28,7 @@ def replay(folder: str | Path) -> tuple[Loop, tuple[int, str, str]]:
             f"{folder}: holds no {FAILURE}, its status is {failed.summary['status']!r}; only a run that failed can be replayed"
         )
     loop = Loop([failed.scenario])
-    restore(loop, failed.failure)
+    restore(loop, failed.failure)  # or from its start
     while loop.k < failed.scenario.ticks and not loop.trouble:
         loop.step()
     if not loop.trouble:

@@ -8,22 +8,23 @@ the order of the signal, on arrays whose leading axis is the run in the batch.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numba import njit
 
-from hiltestbed.compensation import make_drive
+from hiltestbed.compensation.blocks import make_drive
+from hiltestbed.compensation.input import InputDeadZone
 from hiltestbed.compensation.measurement import Measurement
 from hiltestbed.compensation.motion import MotionCommand
-from hiltestbed.effects.record import InputDeadZone
-from hiltestbed.frames import Array
-from hiltestbed.identification import make_identification
+from hiltestbed.identification.settings import IDENTIFIERS
 from hiltestbed.metrics import Tally
+from hiltestbed.numerical_model.model import NumericalModel
 from hiltestbed.outcome import Outcomes
-from hiltestbed.rig.plant import Plant
+from hiltestbed.platform.plant import Plant
 from hiltestbed.safety import Safety
 from hiltestbed.scenario import Scenario
-from hiltestbed.sensor import Sensor
+from hiltestbed.sensor.sensor import Sensor
 from hiltestbed.signals import Trace
 
 POSE_LIMIT = 10.0  # [m] a commanded position beyond it is a divergence: forty times the platform's reach
@@ -44,11 +45,12 @@ class Loop:
         self.scenarios = scenarios
         self.sensor = Sensor(scenarios, [np.random.default_rng(s.seed) for s in scenarios])
         self.plant = Plant(scenarios, nthread, late=self.sensor.late)
-        self.identification = make_identification(scenarios)
+        self.identification = IDENTIFIERS[scenarios[0].identification.kind].start(scenarios)
         if self.identification:
             self.identification.source.captured = self.plant.captured
         self.dead_zone = InputDeadZone(scenarios)
-        self.drive = make_drive(scenarios)
+        self.model = NumericalModel(scenarios)
+        self.drive = make_drive(scenarios, self.model)
         self.motion = MotionCommand(scenarios)
         self.tally = Tally(scenarios)
         self.outcomes = Outcomes(scenarios)
@@ -113,6 +115,12 @@ class Loop:
         data["damping_est"][k] = self.measurement.damping
         trace.contact[k] = self.plant.contact
 
+    @property
+    def blocks(self) -> dict[str, Any]:
+        """The blocks whose arrays are the state of the loop between two ticks."""
+        names = ("sensor", "plant", "identification", "dead_zone", "drive", "motion", "tally", "outcomes", "safety")
+        return {name: getattr(self, name) for name in names}
+
     def _end_runs(self) -> None:
         """End the runs that diverged or passed a safety limit at this tick."""
         for i in map(int, np.flatnonzero(self.alive)):
@@ -127,21 +135,6 @@ class Loop:
             else:
                 continue
             self.alive[i] = False
-
-    def buffers(self) -> dict[str, dict[str, Array]]:
-        """The arrays of every block: the state of the loop between two ticks."""
-        blocks = {
-            "plant": self.plant,
-            "sensor": self.sensor,
-            "drive": self.drive,
-            "motion": self.motion,
-            "tally": self.tally,
-            "outcomes": self.outcomes,
-            "safety": self.safety,
-        }
-        if self.identification:
-            blocks["identification"] = self.identification
-        return {name: block.buffers() for name, block in blocks.items()}
 
 
 @njit(cache=True)

@@ -132,15 +132,12 @@ class Tally:
             tracking_error=float(self.peak_error[i]),
         )
 
-    def buffers(self) -> dict[str, Array]:
-        return {name.lstrip("_"): value for name, value in vars(self).items() if isinstance(value, np.ndarray)}
-
 
 def settle_ticks(scenario: Scenario) -> int:
     """Ticks after the ports have parted until the last of the force has reached the numerical model."""
     sensor, force = scenario.sensor, scenario.compensation.force
     lowpass = 0.0 if sensor.lowpass is None else SETTLE_TIME_CONSTANTS / (2.0 * math.pi * sensor.lowpass)
-    lag = SETTLE_TIME_CONSTANTS * getattr(force, "lag", getattr(force, "blending", 0.0))
+    lag = SETTLE_TIME_CONSTANTS * force.memory()
     return SETTLE_TICKS + math.ceil((sensor.delay + lowpass + lag) * scenario.rate)
 
 

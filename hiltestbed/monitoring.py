@@ -23,7 +23,6 @@ from hiltestbed.frames import Array
 from hiltestbed.identification.least_squares import RecursiveLeastSquares
 from hiltestbed.identification.samples import GATE_SIGMA, ContactSamples
 from hiltestbed.scenario import Scenario
-from hiltestbed.scenario_methods import Rls
 
 AXIAL = 2
 CONFIRM = 5  # readings in a row
@@ -43,9 +42,7 @@ class ProcessMonitor:
     def __init__(self, scenarios: Sequence[Scenario]) -> None:
         n = len(scenarios)
         self.tick = 1.0 / scenarios[0].rate
-        forgetting = Rls(forgetting=math.exp(-self.tick / WINDOW))
-        windowed = [s.model_copy(update={"identification": forgetting}) for s in scenarios]
-        self._local = RecursiveLeastSquares(windowed, ContactSamples(windowed))
+        self._local = RecursiveLeastSquares(ContactSamples(scenarios), [math.exp(-self.tick / WINDOW)] * n)
         self._threshold = np.array([GATE_SIGMA * s.sensor.noise for s in scenarios])
         self.touch, self.seat, self.capture = np.full(n, np.nan), np.full(n, np.nan), np.full(n, np.nan)
         self.first_stiffness = np.full(n, np.nan)
@@ -62,12 +59,6 @@ class ProcessMonitor:
             self.first_stiffness, self._runs, self.touch, self.seat, self.capture,
         )  # fmt: skip
         self._clock[0] += 1
-
-    def buffers(self) -> dict[str, Array]:
-        """The arrays that make up the state."""
-        names = ("touch", "seat", "capture", "first_stiffness")
-        own = {name: getattr(self, name) for name in names} | {"runs": self._runs, "ticks": self._clock}
-        return own | self._local.buffers()
 
 
 @njit(cache=True)

@@ -61,10 +61,6 @@ class Outcomes:
             return "miss"
         return "in_contact" if self.touching[i] else "rebound"
 
-    def buffers(self) -> dict[str, NDArray[Any]]:
-        """The state between two ticks."""
-        return {"events": self.events, "count": self.count, "captured_tick": self.captured_tick, "touching": self.touching}
-
 
 @njit(cache=True)
 def _update(k, h, wrench, contact, captured, events, count, captured_tick, touching):

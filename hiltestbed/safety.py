@@ -10,15 +10,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from hiltestbed.frames import Array
-from hiltestbed.rig.kinematics import Platform, slider
-from hiltestbed.rig.plant import Plant
+from hiltestbed.platform.plant import Plant
+from hiltestbed.platform.pss33.kinematics import Platform, slider
 from hiltestbed.scenario import Scenario
 
 LIMITS = ("stroke", "speed", "acceleration", "limb_angle_deg", "tracking_error", "force", "torque", "energy")
@@ -70,9 +68,6 @@ class Safety:
             if value > limit:
                 return f"{_SAID[j].format(value=value)}; safety.{name} is {limit:g} {_UNITS[j]}"
         return None
-
-    def buffers(self) -> dict[str, NDArray[Any]]:
-        return {"quantities": self.quantities, "sliders": self._sliders, "ticks": self._ticks}
 
 
 @njit(cache=True)

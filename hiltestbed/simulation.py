@@ -8,11 +8,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from hiltestbed.effects.record import stamp_late
+from hiltestbed.contact.truth import axis_truth
 from hiltestbed.ledger import delay_ledger, predicted_log_error
+from hiltestbed.log import stamp_late
 from hiltestbed.loop import Loop
 from hiltestbed.metrics import ContactFigures
-from hiltestbed.rig.truth import axis_truth
 from hiltestbed.scenario import Scenario, scenario_from, scenario_sha256
 from hiltestbed.signals import AXES, RunTrace, Trace
 from hiltestbed.snapshot import Snapshot, Snapshots

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hiltestbed.frames import Array
+from hiltestbed.state import arrays_of
 
 if TYPE_CHECKING:
     from hiltestbed.loop import Loop
@@ -17,10 +18,10 @@ INTERVAL = 512  # ticks between two snapshots: copying the state costs some ten 
 
 @dataclass
 class Snapshot:
-    """The state of one run before tick ``k``: block name to buffer name to that run's part of the array."""
+    """The state of one run before tick ``k``: name of each array that has changed since the start to that run's part of it."""
 
     k: int
-    blocks: dict[str, dict[str, Array]]
+    arrays: dict[str, Array]
 
 
 class Snapshots:
@@ -28,21 +29,23 @@ class Snapshots:
 
     def __init__(self, loop: Loop) -> None:
         self._loop = loop
-        self._kept: list[tuple[int, dict[str, dict[str, Array]]]] = []
+        self._live = arrays_of(loop.blocks)
+        self._initial = {name: array.copy() for name, array in self._live.items()}
+        self._kept: list[tuple[int, dict[str, Array]]] = []
         self._failures: dict[int, Snapshot] = {}
 
     def keep(self) -> None:
         """Keep the state when one is due; call before every tick."""
         if self._loop.k % INTERVAL == 0:
-            state = {block: {name: array.copy() for name, array in arrays.items()} for block, arrays in self._loop.buffers().items()}
-            self._kept = [*self._kept[-1:], (self._loop.k, state)]
+            changed = {n: a.copy() for n, a in self._live.items() if not np.array_equal(a, self._initial[n], equal_nan=a.dtype.kind == "f")}
+            self._kept = [*self._kept[-1:], (self._loop.k, changed)]
 
     def failures(self) -> dict[int, Snapshot]:
         """For each run that has failed, a state from which its failure follows; call after every tick."""
         for i in self._loop.trouble.keys() - self._failures.keys():
-            k, blocks = self._kept[0]
+            k, arrays = self._kept[0]
             runs = len(self._loop.scenarios)
-            self._failures[i] = Snapshot(k, {b: {name: _part(a, i, runs) for name, a in arrays.items()} for b, arrays in blocks.items()})
+            self._failures[i] = Snapshot(k, {name: _part(array, i, runs) for name, array in arrays.items()})
         return self._failures
 
 
@@ -51,25 +54,26 @@ def _part(array: Array, i: int, runs: int) -> Array:
     return array[i : i + 1].copy() if array.shape[:1] == (runs,) else array.copy()
 
 
-def restore(loop: Loop, snapshot: Snapshot) -> None:
-    """Put a loop of one run into the state of ``snapshot``."""
-    for block, arrays in loop.buffers().items():
-        for name, array in arrays.items():
-            array[...] = snapshot.blocks[block][name]
+def restore(loop: Loop, snapshot: Snapshot) -> bool:
+    """Put a new loop of one run into the state of ``snapshot``.
+
+    False, and nothing done, where the shapes differ: the run was one of a batch whose buffers were longer. From its start it fails the
+    same.
+    """
+    live = arrays_of(loop.blocks)
+    if any(name not in live or live[name].shape != array.shape for name, array in snapshot.arrays.items()):
+        return False
+    for name, array in snapshot.arrays.items():
+        live[name][...] = array
     loop.k = snapshot.k
+    return True
 
 
 def flatten(snapshot: Snapshot) -> dict[str, Array]:
     """The snapshot as named arrays, for a file."""
-    out = {f"{block}/{name}": array for block, arrays in snapshot.blocks.items() for name, array in arrays.items()}
-    return {"k": np.array(snapshot.k)} | out
+    return {"k": np.array(snapshot.k)} | snapshot.arrays
 
 
 def unflatten(arrays: dict[str, Array]) -> Snapshot:
     """The inverse of :func:`flatten`."""
-    blocks: dict[str, dict[str, Array]] = {}
-    for key, array in arrays.items():
-        if key != "k":
-            block, name = key.split("/")
-            blocks.setdefault(block, {})[name] = array
-    return Snapshot(int(arrays["k"]), blocks)
+    return Snapshot(int(arrays["k"]), {name: array for name, array in arrays.items() if name != "k"})

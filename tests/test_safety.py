@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hiltestbed import load_scenario, run
-from hiltestbed.rig.kinematics import Platform, inverse
+from hiltestbed.platform.pss33.kinematics import Platform, inverse
 from hiltestbed.safety import LIMITS
 from hiltestbed.scenario import Scenario
 

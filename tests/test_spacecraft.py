@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 from hiltestbed import load_scenario
-from hiltestbed.spacecraft import CHASER, TARGET, Spacecraft, inertia_matrix, pair_momentum
+from hiltestbed.numerical_model.bodies import CHASER, TARGET, Spacecraft, inertia_matrix, pair_momentum
 
 SCENARIO = Path(__file__).parents[1] / "scenarios" / "05-off-centre.yaml"
 

@@ -11,9 +11,9 @@ import numpy as np
 from hiltestbed.frames import Array
 from hiltestbed.loop import Loop
 from hiltestbed.metrics import ContactFigures
+from hiltestbed.numerical_model.bodies import effective_mass
 from hiltestbed.scenario import Scenario, scenario_from
 from hiltestbed.signals import Trace
-from hiltestbed.spacecraft import effective_mass
 
 FREQUENCIES = (1.0, 2.0, 4.0, 8.0)  # [Hz]
 DELAYS = (0.002, 0.005, 0.010, 0.020)  # [s]

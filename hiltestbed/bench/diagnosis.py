@@ -18,7 +18,7 @@ import numpy as np
 
 from hiltestbed.bench.diagnosis_report import diagnosis_report
 from hiltestbed.bench.result import BenchResult
-from hiltestbed.effects.vocabulary import EFFECTS
+from hiltestbed.effects.table import EFFECTS
 
 SEED = 400_000
 FULL = {"single": 82, "pair": 40, "healthy": 120, "foreign": 40}
@@ -75,7 +75,7 @@ def one_set(task: Task) -> dict[str, Any]:
     from hiltestbed.bench.independent_rig import draw_set, write_set
     from hiltestbed.diagnosis.find import cause_of, gain_of
     from hiltestbed.diagnosis.investigate import investigate
-    from hiltestbed.diagnosis.verdict import judge
+    from hiltestbed.diagnosis.verdict import decide
     from hiltestbed.measured import load_dataset
 
     options: dict[str, Any] = {"names": task.names} if task.names else {}
@@ -83,7 +83,7 @@ def one_set(task: Task) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder:
         write_set(folder, hidden)
         findings = investigate(load_dataset(Path(folder) / "dataset.yaml"))
-    verdict = judge(findings)
+    verdict = decide(findings)
     causes = [cause_of(findings, c) for c in verdict.causes]
     gain = gain_of(findings, verdict.causes)
     truth = [e["kind"] for e in hidden.effects]
@@ -102,7 +102,7 @@ def one_set(task: Task) -> dict[str, Any]:
 
 def alarm_figures(findings: Any) -> dict[str, float]:
     """How near the links come to an alarm: chi-square that the best single takes off, its penalty paid, and the excess over noise."""
-    from hiltestbed.diagnosis.search import inflation
+    from hiltestbed.diagnosis.fit import inflation
 
     found = list(findings.explanations.values())
     best = [(e.null.chi2 - e.singles[0].score) / inflation(e.singles[0]) for e in found if e.singles]
@@ -142,23 +142,20 @@ def coverage(hidden: Sequence[dict[str, Any]], causes: Sequence[Any]) -> tuple[i
 
 
 def true_gain(findings: Any, verdict: Any, hidden: Sequence[dict[str, Any]]) -> float | None:
-    """The gain of the hidden effect itself, at its true size, in the form in which it was found."""
+    """The gain of the hidden effect itself, at its true size, in the variant in which it was found."""
+    from hiltestbed.diagnosis import heldout
+
     cause = verdict.causes[0]
     if cause.effect != hidden[0]["kind"] or cause.effect == "log.skew":
         return None
-    residual = findings.residuals[cause.link]
-    fitted = cause.fit.effects()[cause.index][1]
-    if any(isinstance(fitted.get(name), str) and fitted[name] != value for name, value in hidden[0].items() if name != "kind"):
+    residual, fitted = findings.explanations[cause.link].residual, cause.fit.effects()[cause.index]
+    true = {name: value for name, value in hidden[0].items() if name != "kind"}
+    if any(isinstance(value, str) and value != true.get(name) for name, value in fitted.parameters().items()):
         return None
-    effects = [(cause.effect, fitted | {name: value for name, value in hidden[0].items() if name != "kind"})]
-    squares = {"before": 0.0, "after": 0.0}
-    for i in residual.runs:
-        counts = residual.weight[i] > 0
-        inside = counts & residual.link.runs[i].touching[:, None]
-        use = inside if inside.any() else counts
-        squares["before"] += float(np.mean(residual.of_run(i, ())[use] ** 2))
-        squares["after"] += float(np.mean(residual.of_run(i, effects)[use] ** 2))
-    return 1.0 - float(np.sqrt(squares["after"] / squares["before"])) if squares["before"] > 0 else None
+    values = {name: tuple(value) if isinstance(value, list) else value for name, value in (fitted.parameters() | true).items()}
+    effect = type(fitted).hypothesis(fitted.variant, **values)
+    before, after = ([heldout.mean_square(residual, i, effects) for i in residual.runs] for effects in ((), (effect,)))
+    return 1.0 - float(np.sqrt(sum(after) / sum(before))) if sum(before) > 0 else None
 
 
 def summarise(records: Sequence[dict[str, Any]]) -> dict[str, Any]:

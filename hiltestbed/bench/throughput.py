@@ -22,6 +22,7 @@ from hiltestbed.scenario import Scenario, load_scenario
 from hiltestbed.shipped import shipped
 from hiltestbed.signals import Trace
 from hiltestbed.simulation import run
+from hiltestbed.state import arrays_of
 
 STRETCH = 0.05  # [s] about what a stretch should last
 Progress = Callable[[int, int], None]
@@ -79,8 +80,9 @@ def side_by_side(scenario: Scenario, n: int, threads: int, stretches: int) -> di
     for s in range(stretches):
         while n <= 16 and loop.k < skip + s * ticks:
             loop.step(trace)
-        for block, arrays in bare.plant.buffers().items():
-            arrays[...] = loop.plant.buffers()[block]
+        ours, theirs = arrays_of(bare.plant), arrays_of(loop.plant)
+        for name, array in ours.items():
+            array[...] = theirs[name]
         a = time.perf_counter()
         for _ in range(ticks):
             loop.step(trace)

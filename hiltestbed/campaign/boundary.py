@@ -16,9 +16,11 @@ from functools import cache
 
 import numpy as np
 
+from hiltestbed.contact.parameters import ContactParameters
 from hiltestbed.frames import Array
 from hiltestbed.ledger import effective_mass
 from hiltestbed.scenario import Scenario
+from hiltestbed.sensor.parameters import SensorParameters
 
 TERMS = 28  # of the sum over n: the rest is below 1e-16 for t <= 6
 LONGEST = 6.0  # in units of 1/w; an undamped bounce takes pi
@@ -102,26 +104,19 @@ def applies(scenario: Scenario) -> bool:
     """Whether the closed forms describe the scenario: a linear contact, felt with a pure delay, not compensated, followed ideally."""
     sensor = scenario.sensor
     return (
-        scenario.mechanism.kind == "bumper"
+        scenario.mechanism.flat
         and scenario.rig.platform.tracking == "ideal"
         and scenario.compensation.force.kind == "none"
         and sensor.lowpass is None
         and sensor.time_constant is None
         and not any(scenario.approach.offset)
-        and all(effect["kind"] in ("sensor.delay", "contact.stiffness", "contact.damping") for effect in scenario.effects)
+        and all(effect.kind in ("sensor.delay", "contact.stiffness", "contact.damping") for effect in scenario.effects)
     )
 
 
 def margin(scenario: Scenario) -> tuple[float, float]:
     """The scenario's delay less that of the closed contact, and less that of the bounce [s]; positive: the rig gives energy."""
-    contact = scenario.mechanism.contact
-    stiffness, damping, delay = contact.stiffness, contact.damping, scenario.sensor.delay
-    for effect in scenario.effects:
-        if effect["kind"] == "sensor.delay":
-            delay += effect["delay"]
-        elif effect["kind"] == "contact.stiffness":
-            stiffness *= effect["factor"]
-        else:
-            damping *= effect["factor"]
-    mass = effective_mass(scenario)
-    return delay - closed_contact_delay(stiffness, damping, mass), delay - bounce_delay(stiffness, damping, mass)
+    contact = ContactParameters.believed(scenario.mechanism).with_effects(scenario.effects)
+    delay = SensorParameters.believed(scenario.sensor, scenario.tick).with_effects(scenario.effects).delay
+    law = (contact.stiffness, contact.damping, effective_mass(scenario))
+    return delay - closed_contact_delay(*law), delay - bounce_delay(*law)

@@ -48,7 +48,7 @@ def run_chunk(campaign: LoadedCampaign, cases: Sequence[int]) -> ChunkResult:
 
 def _has_rows(campaign: LoadedCampaign, scenario: Scenario) -> bool:
     """Whether the rows of the trace are needed: to keep them, or since the record is changed when it is whole (`log.*` effects)."""
-    return campaign.spec.keep != "summary" or any(effect["kind"].startswith("log.") for effect in scenario.effects)
+    return campaign.spec.keep != "summary" or any(effect.link == "log" for effect in scenario.effects)
 
 
 def _group_size(campaign: LoadedCampaign, scenarios: list[tuple[int, Scenario]]) -> int:

@@ -3,37 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numba import njit
 
-from hiltestbed.compensation.adaptive_time_series import AdaptiveTimeSeries
-from hiltestbed.compensation.admittance import Admittance
-from hiltestbed.compensation.inverse_model import InverseModel
 from hiltestbed.compensation.measurement import Measurement
+from hiltestbed.compensation.settings import MOTION_METHODS
 from hiltestbed.frames import Array
-from hiltestbed.scenario import Scenario
 
-FED = ("feedforward", "admittance")  # kinds with which the servo is told velocity and acceleration too
-
-
-class PoseCommand(Protocol):
-    """A method that changes the commanded pose."""
-
-    def command(self, pose: Array, derivatives: tuple[Array, Array, Array], measurement: Measurement, out: Array) -> None:
-        """Write the pose ``out`` (n, 7) to tell the platform.
-
-        Args:
-            pose: ``(n, 7)`` pose of A in P that is to be reached at t_(k+1).
-            derivatives: ``(n, 6)`` each: velocity then, acceleration and jerk over the tick.
-            measurement: what is known at t_k.
-        """
-        ...
-
-    def buffers(self) -> dict[str, Array]:
-        """The arrays that make up the state."""
-        ...
+if TYPE_CHECKING:
+    from hiltestbed.scenario import Scenario
 
 
 class MotionCommand:
@@ -51,8 +31,8 @@ class MotionCommand:
     def __init__(self, scenarios: Sequence[Scenario]) -> None:
         n = len(scenarios)
         self._rate = scenarios[0].rate
-        self._feed = np.array([float(s.compensation.motion.kind in FED) for s in scenarios])
-        self._method = _method(scenarios)
+        self._feed = np.array([float(s.compensation.motion.feeds) for s in scenarios])
+        self._method = MOTION_METHODS[scenarios[0].compensation.motion.kind].start(scenarios)
         self.pose = np.zeros((n, 7))
         self.twist = np.zeros((n, 6))
         self.acceleration = np.zeros((n, 6))
@@ -72,24 +52,9 @@ class MotionCommand:
             derivatives = (self._velocity, self._accel, self._jerk)
             _differentiate(twist, self._previous, self._rate, *derivatives)
             self._method.command(pose, derivatives, measurement, self.pose)
-        yielding = self._method.rate if isinstance(self._method, Admittance) else self._still
+        rate = self._method.rate if self._method is not None else None
+        yielding = self._still if rate is None else rate
         _refer(twist, yielding, self._rate, self._feed, self._previous, self._rate_before, self.twist, self.acceleration)
-
-    def buffers(self) -> dict[str, Array]:
-        own = {"pose": self.pose, "twist": self.twist, "acceleration": self.acceleration, "previous": self._previous}
-        return own | {"accel": self._accel, "rate_before": self._rate_before} | (self._method.buffers() if self._method else {})
-
-
-def _method(scenarios: Sequence[Scenario]) -> PoseCommand | None:
-    match scenarios[0].compensation.motion.kind:
-        case "admittance":
-            return Admittance(scenarios)
-        case "inverse_model":
-            return InverseModel(scenarios)
-        case "adaptive_time_series":
-            return AdaptiveTimeSeries(scenarios)
-        case _:
-            return None
 
 
 @njit(cache=True)

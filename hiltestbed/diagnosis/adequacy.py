@@ -11,12 +11,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hiltestbed.diagnosis.fit import predicted
+from hiltestbed.diagnosis.links import WrenchLink
+from hiltestbed.diagnosis.links.base import Effects
+from hiltestbed.diagnosis.residual import Residual
+from hiltestbed.diagnosis.settings import BLOCK, FLOOR_ERROR, MODEL_ERROR, SPREAD
+from hiltestbed.effects.base import Effect
 from hiltestbed.frames import Array
 
-BLOCK = 8  # samples
-SPREAD = 4.5  # standard deviations that a figure may lie off: some 30 figures are looked at
-FLOOR_ERROR = 0.08  # a noise floor is known to some percent
-MODEL_ERROR = 1e-3  # of the signal: another sub-stepping, another interpolation
+JITTER = "sensor.jitter"
 
 
 @dataclass(frozen=True)
@@ -62,3 +65,39 @@ def leftover(residuals: list[Array]) -> Leftover:
 def soften(sigma: Array, signal: Array) -> Array:
     """The noise with a model error in proportion to the signal, both (N, C)."""
     return np.sqrt(sigma**2 + (MODEL_ERROR * signal) ** 2)
+
+
+def shake(effects: Effects) -> float:
+    """Standard deviation [s] with which the delay varies under ``effects``."""
+    return math.sqrt(sum(_sigma(e) ** 2 for e in effects if e.kind == JITTER))
+
+
+def _sigma(effect: Effect) -> float:
+    return float(effect.parameters()["sigma"])
+
+
+def contact_leftovers(residual: Residual, effects: Effects) -> dict[str, Leftover]:
+    """Channel to leftover in contact, and over the free rest, of the worse of the two."""
+    link = residual.link
+    inside: list[list[Array]] = [[] for _ in link.channels]
+    outside: list[list[Array]] = [[] for _ in link.channels]
+    varies = shake(effects)
+    for i, prediction in zip(residual.runs, predicted(residual, effects), strict=True):
+        run, weight = link.runs[i], residual.weight[i]
+        sigma = np.where(weight > 0, 1.0 / np.where(weight > 0, weight, 1.0), np.inf)
+        if isinstance(link, WrenchLink):
+            sigma = soften(sigma, prediction)
+            if varies:
+                prediction, spread = link.shaken(i, effects, varies)
+                sigma = np.hypot(sigma, spread)
+        z = (run.measured - prediction) / sigma
+        for c in range(len(link.channels)):
+            counted = weight[:, c] > 0
+            inside[c].append(z[run.touching & counted, c])
+            outside[c].append(z[~run.touching & counted, c])
+    out = {}
+    for name, a, b in zip(link.channels, inside, outside, strict=True):
+        both = [leftover(part) for part in (a, b) if sum(map(len, part)) > 0]
+        if both:
+            out[name] = max(both, key=lambda left: left.excess)
+    return out

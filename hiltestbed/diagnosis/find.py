@@ -1,24 +1,25 @@
-"""From a measured dataset to a `Finding`: verdict, causes with intervals, gain on left-out runs, ranking, what could be told apart."""
+"""From the findings on the links to a `Finding`: verdict, causes with intervals, gain on left-out runs, ranking, what can be told apart."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 from typing import Any
 
+from hiltestbed.diagnosis import judges
+from hiltestbed.diagnosis.adequacy import contact_leftovers
+from hiltestbed.diagnosis.describe import describe
 from hiltestbed.diagnosis.fit import Fit
 from hiltestbed.diagnosis.grow import far_off, grow
 from hiltestbed.diagnosis.heldout import heldout, placebo_of
 from hiltestbed.diagnosis.intervals import intervals
-from hiltestbed.diagnosis.investigate import Findings, Progress, full_links, investigate
+from hiltestbed.diagnosis.investigate import Findings
 from hiltestbed.diagnosis.isolability import isolability
-from hiltestbed.diagnosis.output.evidence import link_series
-from hiltestbed.diagnosis.output.result import Cause, Finding, Heldout, Interval, Isolable, Parameter, Ranked
-from hiltestbed.diagnosis.search import Explanation, contact_leftovers
-from hiltestbed.diagnosis.shape import describe
-from hiltestbed.diagnosis.verdict import Cause as Named
-from hiltestbed.diagnosis.verdict import Verdict, judge
-from hiltestbed.effects.vocabulary import EFFECTS
-from hiltestbed.measured import MeasuredDataset
+from hiltestbed.diagnosis.report.evidence import link_series
+from hiltestbed.diagnosis.result import Cause, Finding, Heldout, Interval, Isolable, Parameter, Ranked
+from hiltestbed.diagnosis.search import Explanation, Progress, Search
+from hiltestbed.diagnosis.verdict import Named, Verdict, decide
+from hiltestbed.effects.base import Effect
+from hiltestbed.effects.table import EFFECTS
 
 RANKED = 6  # hypotheses of a link that are listed
 CHECKED = 3  # of them, scored on left-out runs
@@ -26,67 +27,71 @@ MEASURED = ("platform", "wrench")  # links whose output is measured: what they l
 LINK_NAMES = {"platform": "platform", "wrench": "contact and sensor", "compensation": "compensation", "dynamics": "numerical model"}
 
 
-def find(dataset: MeasuredDataset, progress: Progress | None = None) -> Finding:
+def find(findings: Findings, progress: Progress | None = None) -> Finding:
     """What is wrong with the simulation of these data."""
-    findings = investigate(dataset, progress)
-    verdict = judge(findings)
+    verdict = decide(findings)
     if progress:
         progress("intervals and left-out runs")
+    findings, nearest = _nearest(findings, verdict, progress)
     causes = tuple(cause_of(findings, c) for c in verdict.causes)
-    nearest = _nearest(findings, verdict, progress)
     once = {c.effect: c for c in [*nearest, *verdict.causes]}  # a record stamped late shows on two links
-    effects = [c.fit.effects()[c.index] for c in once.values()]  # as the links take them, forms included
-    series = [s for link in full_links(findings).values() for s in link_series(link, effects)]
-    alarmed = {name: e for name, e in findings.explanations.items() if e.alarm}
-    left = "; ".join(describe(findings.residuals[n], e, LINK_NAMES[n]) for n, e in alarmed.items() if not e.adequate)
+    effects = [c.fit.effects()[c.index] for c in once.values()]  # as the links take them, variants included
+    series = [s for link in findings.whole.values() for s in link_series(link, effects)]
+    departed = {name: e for name, e in findings.explanations.items() if e.departs}
+    left = "; ".join(describe(e, LINK_NAMES[n]) for n, e in departed.items() if not e.adequate)
     return Finding(
-        verdict.verdict, verdict.link, causes, series, dict(findings.study.noise), gain_of(findings, verdict.causes),
-        tuple(r for n, e in alarmed.items() for r in _ranking(findings, n, e)), _isolability(findings, progress), left,
-        tuple(f"{LINK_NAMES[name]} was not judged: {why}" for name, why in findings.missing.items()),
-        tuple(cause_of(findings, c) for c in nearest), gain_of(findings, nearest),
-    )  # fmt: skip
+        verdict=verdict.verdict,
+        link=verdict.link,
+        causes=causes,
+        series=series,
+        noise=findings.noise,
+        heldout=gain_of(findings, verdict.causes),
+        ranking=tuple(r for n, e in departed.items() for r in _ranking(n, e)),
+        isolability=_isolability(findings, progress),
+        left=left,
+        not_judged={LINK_NAMES[name]: why for name, why in verdict.not_judged.items()},
+        partial=tuple(cause_of(findings, c) for c in nearest),
+        partial_gain=gain_of(findings, nearest),
+    )
 
 
-def _nearest(findings: Findings, verdict: Verdict, progress: Progress | None) -> list[Named]:
+def _nearest(findings: Findings, verdict: Verdict, progress: Progress | None) -> tuple[Findings, tuple[Named, ...]]:
     """Where a link departs without a name: the effects that come nearest on the link that is worst, as many as pay."""
     if verdict.verdict != "unknown":
-        return []
-    open_ = {n: e for n, e in findings.explanations.items() if e.alarm and not e.adequate and e.chosen.causes}
+        return findings, ()
+    open_ = {n: e for n, e in findings.explanations.items() if e.departs and not e.adequate and e.chosen.causes}
     if not open_:
-        return []
-    name = max(open_, key=lambda n: max(left.excess for left in open_[n].leftovers.values()))
+        return findings, ()
+    name = max(open_, key=lambda n: open_[n].worst)
     if name in MEASURED and far_off(open_[name]):
-        findings.explanations[name] = _grown(findings, name, progress)
-    fit, out = findings.explanations[name].chosen, []
-    for index, c in enumerate(fit.causes):
-        out.append(Named(c.effect, name, fit, index, c.public(fit.part(index)), 0.0, 0.0))
-    return out
+        grown = _grown(open_[name], progress)
+        findings = replace(findings, explanations={**findings.explanations, name: grown})
+    fit = findings.explanations[name].chosen
+    return findings, tuple(Named(kind, name, fit, index) for index, kind in enumerate(fit.kinds))
 
 
-def _grown(findings: Findings, name: str, progress: Progress | None) -> Explanation:
+def _grown(e: Explanation, progress: Progress | None) -> Explanation:
     """The explanation of a link with the best that several effects do."""
-    residual, e = findings.residuals[name], findings.explanations[name]
-    best = grow(residual, e, findings.weighed[name], progress)
-    return replace(e, chosen=best, leftovers=contact_leftovers(residual, best.effects()))
+    best = grow(e, Search(e.candidates, progress=progress))
+    return replace(e, chosen=best, leftovers=contact_leftovers(e.residual, best.effects()))
 
 
 def cause_of(findings: Findings, c: Named) -> Cause:
     """A cause with the 95 % intervals of its parameters."""
-    ends = intervals(findings.residuals[c.link], c.fit)
+    ends = intervals(findings.explanations[c.link].residual, c.fit)
     start = sum(len(x.names) for x in c.fit.causes[: c.index])
     names = c.fit.causes[c.index].names
+    effect = c.fit.effects()[c.index]
     found: dict[str, Parameter] = {}
-    for name, value in c.parameters.items():
-        spec = EFFECTS[c.effect].parameters.get(name)
-        if spec is None:
-            continue
+    for name, value in effect.parameters().items():
+        unit = effect.unit(name)
         if isinstance(value, str):
             found[name] = Parameter(value, None, "")
-        elif isinstance(value, list):
+        elif isinstance(value, tuple):
             ci = tuple(_interval(ends, names, start, f"{name}.{j}", v) for j, v in enumerate(value))
-            found[name] = Parameter(tuple(float(v) for v in value), ci, spec.unit)
+            found[name] = Parameter(tuple(float(v) for v in value), ci, unit)
         else:
-            found[name] = Parameter(value, _interval(ends, names, start, name, value), spec.unit)
+            found[name] = Parameter(value, _interval(ends, names, start, name, value), unit)
     return Cause(c.effect, found, c.probability, tuple(c.indistinguishable_from))
 
 
@@ -97,44 +102,45 @@ def _interval(ends: Any, names: tuple[str, ...], start: int, name: str, value: f
     return (float(low), float(high))
 
 
-def gain_of(findings: Findings, causes: list[Named]) -> Heldout | None:
+def gain_of(findings: Findings, causes: tuple[Named, ...]) -> Heldout | None:
     """The gain of the strongest cause's link on left-out runs; None without a cause."""
     if not causes:
         return None
     strongest = causes[0]
     e = findings.explanations[strongest.link]
-    return heldout(findings.residuals[strongest.link], strongest.fit, placebo_of(e.singles, strongest.fit))
+    return heldout(e.residual, strongest.fit, placebo_of(e.singles, strongest.fit))
 
 
-def _ranking(findings: Findings, name: str, e: Explanation) -> list[Ranked]:
-    pool: list[Fit] = sorted([*e.singles, *e.pairs], key=lambda f: f.score)
+def _ranking(name: str, e: Explanation) -> list[Ranked]:
+    pool: list[Fit] = sorted([*e.singles, *e.more], key=lambda f: f.score)
     seen, out = set(), []
     for f in [e.chosen, *pool]:
-        key = tuple(sorted(c.effect for c in f.causes))
+        key = tuple(sorted(f.kinds))
         if not key or key in seen or len(out) >= RANKED:
             continue
         seen.add(key)
-        gain = heldout(findings.residuals[name], f, None) if len(out) < CHECKED else None
-        words = "; ".join(_words(kind, p) for kind, p in f.effects())
-        adequate = e.adequate if f is e.chosen else None
-        out.append(
-            Ranked(tuple(c.effect for c in f.causes), f.score - e.chosen.score, name, words, gain.rms_after if gain else None, adequate)
-        )
+        gain = heldout(e.residual, f, None) if len(out) < CHECKED else None
+        words = "; ".join(_words(effect) for effect in f.effects())
+        after, adequate = gain.rms_after if gain else None, e.adequate if f is e.chosen else None
+        out.append(Ranked(f.kinds, f.score - e.chosen.score, name, words, after, adequate))
     return out
 
 
-def _words(kind: str, parameters: dict[str, Any]) -> str:
+def _words(effect: Effect) -> str:
     def text(v: Any) -> str:
-        return f"{v:.4g}" if isinstance(v, float) else "[" + ", ".join(f"{x:.3g}" for x in v) + "]" if isinstance(v, list) else str(v)
+        return f"{v:.4g}" if isinstance(v, float) else "[" + ", ".join(f"{x:.3g}" for x in v) + "]" if isinstance(v, tuple) else str(v)
 
-    return ", ".join(f"{name} {text(v)}" for name, v in parameters.items() if name in EFFECTS[kind].parameters)
+    return ", ".join(f"{name} {text(v)}" for name, v in effect.parameters().items())
 
 
 def _isolability(findings: Findings, progress: Progress | None) -> tuple[Isolable, ...]:
     if progress:
         progress("what these data can tell apart")
     out: list[Isolable] = []
-    for name, residual in findings.residuals.items():
-        if findings.explanations[name].adequate:
-            out += isolability(residual, findings.weighed[name])
+    for e in findings.explanations.values():
+        if e.adequate:
+            out += isolability(e.residual, e.candidates)
     return tuple(out)
+
+
+__all__ = ["EFFECTS", "cause_of", "find", "gain_of", "judges"]

@@ -1,40 +1,39 @@
-"""Where no one or two effects come near the noise: how far the vocabulary goes, cause by cause.
+"""Where no few effects come near the noise: how far the vocabulary goes, cause by cause.
 
-What is found here names nothing: the verdict is given before. It says how much of a departure known physics carries, and what that
-leaves. A further cause has to pay in chi-square and on runs that were left out, where what is fitted to leftovers does not carry over.
+It says how much of a departure known physics carries, and what that leaves. A further cause has to pay in chi-square and on runs that were
+left out, where what is fitted to leftovers does not carry over.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from hiltestbed.diagnosis.candidates import Candidate
-from hiltestbed.diagnosis.fit import Fit, Residual, fit
+from hiltestbed.diagnosis.adequacy import JITTER
+from hiltestbed.diagnosis.fit import Fit, fit, inflation
 from hiltestbed.diagnosis.heldout import left_out
-from hiltestbed.diagnosis.search import JITTER, PAYS_INADEQUATE, Explanation, extend, inflation
+from hiltestbed.diagnosis.residual import Residual
+from hiltestbed.diagnosis.search import Explanation, Search
+from hiltestbed.diagnosis.settings import FAR_OFF, MOST_CAUSES_IN_PART, SELECTION_INADEQUATE, WORTH
 
-MOST = 5  # causes
 TRIED = 3  # further causes that are fitted beside those found
-WORTH = 0.02  # of the residual on left-out runs, geometric mean over them, by which a further cause has to lower it
-FAR_OFF = 10.0  # times the limit of what passes for noise: nearer to it, a further cause would go into what is not known of the noise
 
 
 def far_off(found: Explanation) -> bool:
     """Whether the best that was found leaves so much more than noise that there is something to grow into."""
-    return not found.adequate and max(left.excess for left in found.leftovers.values()) > FAR_OFF
+    return not found.adequate and found.worst > FAR_OFF
 
 
-def grow(residual: Residual, found: Explanation, candidates: Sequence[Candidate], progress: Callable[[str], None] | None = None) -> Fit:
-    """The best that up to MOST causes do, beside the best that was found."""
-    best = min([found.chosen, *found.singles, *found.pairs], key=lambda f: f.score)
-    if JITTER in {c.effect for c in best.causes}:  # noise, beside which nothing is weighed
+def grow(found: Explanation, search: Search) -> Fit:
+    """The best that several causes do, beside the best that was found."""
+    residual = found.residual
+    best = min([found.chosen, *found.singles, *found.more], key=lambda f: f.score)
+    if JITTER in best.kinds:  # noise, beside which nothing is weighed
         return best
     before = _carried(residual, best)
-    while len(best.causes) < MOST:
-        for more in extend(residual, best, candidates, progress, (), TRIED):
+    while len(best.causes) < MOST_CAUSES_IN_PART:
+        for more in search.extend(residual, best, TRIED):
             after = _carried(residual, more) if _pays(more, best) else math.inf
             if after < before + math.log(1.0 - WORTH):
                 best, before = more, after
@@ -45,7 +44,7 @@ def grow(residual: Residual, found: Explanation, candidates: Sequence[Candidate]
 
 
 def _pays(more: Fit, fewer: Fit) -> bool:
-    return fewer.score - more.score > PAYS_INADEQUATE * inflation(more)
+    return fewer.score - more.score > SELECTION_INADEQUATE * inflation(more)
 
 
 def _carried(residual: Residual, found: Fit) -> float:
@@ -58,10 +57,11 @@ def _carried(residual: Residual, found: Fit) -> float:
 def _needed(residual: Residual, found: Fit) -> Fit:
     """Without the causes that the others have made needless."""
     for c in found.causes:
-        rest = [i for i, other in enumerate(found.causes) if other is not c]
-        if not rest:
+        index = next((i for i, other in enumerate(found.causes) if other is c), None)
+        if index is None or len(found.causes) == 1:
             continue
-        fewer = fit(residual, [found.causes[i] for i in rest], [np.concatenate([found.part(i) for i in rest])], tries=1)
+        causes, theta = found.without(index)
+        fewer = fit(residual, causes, [theta], tries=1)
         if not _pays(found, fewer) or _carried(residual, fewer) < _carried(residual, found):
             found = fewer
     return found

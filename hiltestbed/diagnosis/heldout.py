@@ -7,11 +7,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hiltestbed.diagnosis.fit import Fit, Residual, fit
-from hiltestbed.diagnosis.output.result import Heldout
-from hiltestbed.diagnosis.search import JITTER
-
-RESAMPLES = 2000
+from hiltestbed.diagnosis.adequacy import JITTER
+from hiltestbed.diagnosis.fit import Fit, fit
+from hiltestbed.diagnosis.links.base import Effects
+from hiltestbed.diagnosis.residual import Residual
+from hiltestbed.diagnosis.result import Heldout
+from hiltestbed.diagnosis.settings import RESAMPLES
 
 
 def heldout(residual: Residual, found: Fit, placebo: Fit | None, seed: int = 0) -> Heldout | None:
@@ -19,7 +20,7 @@ def heldout(residual: Residual, found: Fit, placebo: Fit | None, seed: int = 0) 
     runs = residual.runs
     if len(runs) < 2 or not found.causes:
         return None
-    before = {i: _square(residual, i, ()) for i in runs}
+    before = {i: mean_square(residual, i, ()) for i in runs}
     after = {i: left_out(residual, i, found) for i in runs}
     wrong = {i: left_out(residual, i, placebo) for i in runs} if placebo is not None else dict(before)
     a, b, w = (np.array([x[i] for i in runs]) for x in (before, after, wrong))
@@ -27,7 +28,7 @@ def heldout(residual: Residual, found: Fit, placebo: Fit | None, seed: int = 0) 
     gains = 1.0 - np.sqrt(b[draws].sum(axis=1) / a[draws].sum(axis=1))
     low, high = np.percentile(gains, [2.5, 97.5])
     return Heldout(
-        tuple(runs), _rms(a), _rms(b), 1.0 - _rms(b) / _rms(a), (float(low), float(high)), 1.0 - _rms(w) / _rms(a),
+        runs, _rms(a), _rms(b), 1.0 - _rms(b) / _rms(a), (float(low), float(high)), 1.0 - _rms(w) / _rms(a),
         {i: (math.sqrt(before[i]), math.sqrt(after[i])) for i in runs},
     )  # fmt: skip
 
@@ -39,28 +40,27 @@ def _rms(squares: np.ndarray) -> float:
 def left_out(residual: Residual, i: int, found: Fit) -> float:
     """Mean square on run i, in units of the noise, of what was fitted to the others."""
     others = residual.on([j for j in residual.runs if j != i])
-    smooth = [c for c in found.causes if c.effect != JITTER]  # the spread of a delay moves no mean
+    smooth = [c for c in found.causes if c.kind != JITTER]  # the spread of a delay moves no mean
     theta = found.theta[: sum(len(c.names) for c in smooth)]
     if not smooth:
-        return _square(residual, i, ())
-    return _square(residual, i, fit(others, smooth, [theta], tries=1).effects())
+        return mean_square(residual, i, ())
+    return mean_square(residual, i, fit(others, smooth, [theta], tries=1).effects())
 
 
-def _square(residual: Residual, i: int, effects: Sequence) -> float:
-    """Mean square of run i where it counts: in contact, where there is one."""
+def mean_square(residual: Residual, i: int, effects: Effects) -> float:
+    """Mean square of run i in units of the noise, where it counts: in contact, where there is one."""
     z = residual.of_run(i, effects)
     counts = residual.weight[i] > 0
     inside = counts & residual.link.runs[i].touching[:, None]
     use = inside if inside.any() else counts
-    return float(np.mean(z[use] ** 2))
+    return float(np.mean(z[use] ** 2)) if use.any() else 0.0
 
 
 def placebo_of(fits: Sequence[Fit], found: Fit) -> Fit | None:
     """A wrong effect with as many parameters, as nearly as there is one: the worst that was fitted, not the next best."""
-    own = {c.effect for c in found.causes}
+    own = set(found.kinds)
     count = sum(len(c.names) for c in found.causes)
-    wrong = [f for f in fits if not own & {c.effect for c in f.causes} and JITTER not in {c.effect for c in f.causes}]
-    wrong = [f for f in wrong if math.isfinite(f.score)]
+    wrong = [f for f in fits if f.causes and not own & set(f.kinds) and JITTER not in f.kinds and math.isfinite(f.score)]
     if not wrong:
         return None
     return min(wrong, key=lambda f: (abs(sum(len(c.names) for c in f.causes) - count), -f.score))

@@ -6,10 +6,13 @@ each contact, is one independent witness) where that is wider, and a floor stand
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy.stats import t as student
 
-from hiltestbed.diagnosis.fit import ROUGH, Fit, Residual, differences, effects_at, scales, square
+from hiltestbed.diagnosis.fit import Fit, bounds_of, differences, effects_at, scales
+from hiltestbed.diagnosis.residual import Residual, square
 from hiltestbed.frames import Array
 
 LEAST = 1e-3  # of an estimate: what is left to how a rig is discretised
@@ -23,8 +26,7 @@ def intervals(residual: Residual, found: Fit) -> Array:
     causes, theta = found.causes, found.theta
     if len(theta) == 0:
         return np.zeros((0, 2))
-    low, high = np.concatenate([c.low for c in causes]), np.concatenate([c.high for c in causes])
-    log = np.concatenate([c.log for c in causes]).astype(bool)
+    low, high, log = bounds_of(causes)
     scale = scales(theta, low, high, log)
     count = len(theta)
     normal, middle = np.zeros((count, count)), np.zeros((count, count))
@@ -32,7 +34,11 @@ def intervals(residual: Residual, found: Fit) -> Array:
     for i in residual.runs:
         one = residual.on([i])
         r = one(effects_at(causes, theta))
-        jacobian = differences(lambda x, one=one: one(effects_at(causes, x)), theta, r, scale, low, high, WIDE_STEP)
+
+        def moved(thetas: Sequence[Array] | Array, one: Residual = one) -> Array:
+            return one.many([effects_at(causes, x) for x in thetas])
+
+        jacobian = differences(moved, theta, r, scale, low, high, WIDE_STEP)
         normal += np.einsum("mi,mj->ij", jacobian, jacobian)
         gradient = np.einsum("mi,m->i", jacobian, r)
         middle += np.outer(gradient, gradient)
@@ -51,7 +57,7 @@ def intervals(residual: Residual, found: Fit) -> Array:
         spread = np.maximum(spread, np.sqrt(np.maximum(between, 0.0)) * min(2.2, float(student.ppf(0.975, runs - 1))))
     half = spread * scale + LEAST * np.abs(theta)
     ends = np.column_stack([np.clip(theta - half, low, high), np.clip(theta + half, low, high)])
-    rough = [ROUGH.get(c.effect) == name for c in causes for name in c.names]
+    rough = [c.effect.jumps == name for c in causes for name in c.names]
     for j in np.flatnonzero(np.array(rough) | ~told):
         profile = [_rise(residual, found, int(j), sign, squares + RISE * misfit, bound) for sign, bound in ((-1.0, low[j]), (1.0, high[j]))]
         ends[j] = (profile[0], profile[1]) if not told[j] else (min(ends[j, 0], profile[0]), max(ends[j, 1], profile[1]))

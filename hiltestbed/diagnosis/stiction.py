@@ -6,11 +6,13 @@ hundred-thousandth, and chi-square is rugged around it. So a scan of the slowest
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from hiltestbed.diagnosis.candidates import FINE
-from hiltestbed.diagnosis.fit import Residual, square
-from hiltestbed.diagnosis.links import FORM, PlatformLink
+from hiltestbed.diagnosis.links import PlatformLink
+from hiltestbed.diagnosis.residual import Residual, square
+from hiltestbed.platform.effects.tracking import FINE, PlatformFriction
 
 SCANNED = 500  # sticks, on the slowest run
 LONGEST = 2000  # rows of it, above which fewer are scanned
@@ -24,32 +26,40 @@ def stick_starts(link: PlatformLink, noise: float, substeps: int) -> dict[int, l
     """Instants a tick to starts for stiction [m], none where the platform departs too little; noise: of the pose [m]."""
     speeds = [float(np.max(np.abs(np.diff(c[:, :3], axis=0)))) for c in link.commands]
     i = int(np.argmin(speeds))
-    away = float(np.nanmax(np.abs(link.runs[i].measured - link.predict(i, ()))[1:])) - noise
+    counted = np.isfinite(link.runs[i].sigma[1:, :3])
+    departed = np.abs(link.runs[i].measured - link.shown(i))[1:, :3]
+    away = float(np.max(departed[counted], initial=0.0)) - noise
     if away <= CLEAR * noise:
         return {}
-    rows = len(link.runs[i].measured)
+    rows = link.runs[i].rows
     count = max(SCANNED // 5, min(SCANNED, SCANNED * LONGEST // rows))
     # The largest departure is the stick, give or take what the command moves in a tick.
     tried = np.geomspace(max(away - speeds[i] - 4.0 * noise, 0.5 * away), away + speeds[i] + noise, count)
-    slowest, starts = Residual(link).on([i]), {}
-    for divide in dict.fromkeys((substeps, FINE)):
-        costs = [_cost(slowest, float(s), divide) for s in tried]
+    slowest, starts = Residual(link, [i]), {}
+    for instants in dict.fromkeys((substeps, FINE)):
+        costs = _costs(slowest, tried, instants)
         near = [float(tried[j]) for j in np.argsort(costs)[:6]]
-        starts[divide] = finest_sticks(Residual(link), near, float(tried[1] / tried[0]) - 1.0, divide)
+        starts[instants] = finest_sticks(Residual(link), near, float(tried[1] / tried[0]) - 1.0, instants)
     return starts
 
 
-def finest_sticks(residual: Residual, near: list[float], step: float, divide: int) -> list[float]:
+def finest_sticks(residual: Residual, near: Sequence[float], step: float, instants: int) -> list[float]:
     """The best sticks [m] about the best of `near`, which lie apart by `step`, a part of them; where they better no stick at all."""
-    best = sorted(near, key=lambda s: _cost(residual, s, divide))[:KEPT]
-    if _cost(residual, best[0], divide) > square(residual(())):
+    costs = _costs(residual, near, instants)
+    best = [near[j] for j in np.argsort(costs)[:KEPT]]
+    if min(costs) > square(residual(())):
         return best
     while step > FINEST:
         step /= FINER
         tried = sorted({s * (1.0 + step * j) for s in best for j in range(-FINER, FINER + 1)})
-        best = sorted(tried, key=lambda s: _cost(residual, s, divide))[:KEPT]
+        costs = _costs(residual, tried, instants)
+        best = [tried[j] for j in np.argsort(costs)[:KEPT]]
     return best
 
 
-def _cost(residual: Residual, stick: float, divide: int) -> float:
-    return square(residual([("platform.friction", {"stick": stick, FORM: divide})]))
+def _costs(residual: Residual, sticks: Sequence[float] | np.ndarray, instants: int) -> list[float]:
+    out: list[float] = []
+    for start in range(0, len(sticks), 64):
+        effects = [[PlatformFriction.hypothesis({"instants": instants}, stick=float(s))] for s in sticks[start : start + 64]]
+        out += [square(r) for r in residual.many(effects)]
+    return out

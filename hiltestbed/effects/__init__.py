@@ -1,5 +1,6 @@
-"""Effects: what a rig may do that its nominal model does not, one module a link of the loop."""
+"""Effects: how a rig may depart from what is believed of it. One class an effect, in the package of the link that it acts on."""
 
-from .vocabulary import EFFECTS, EffectSpec, ParameterSpec
+from hiltestbed.effects.base import Effect, quantity
+from hiltestbed.effects.table import EFFECTS, AnyEffect, by_link
 
-__all__ = ["EFFECTS", "EffectSpec", "ParameterSpec"]
+__all__ = ["EFFECTS", "AnyEffect", "Effect", "by_link", "quantity"]

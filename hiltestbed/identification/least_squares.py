@@ -18,11 +18,9 @@ from collections.abc import Sequence
 import numpy as np
 from numba import njit
 
-from hiltestbed.compensation.phase_lead import PhaseLead
-from hiltestbed.compensation.sections import identification_section
+from hiltestbed.compensation.force_methods.phase_lead import PhaseLeadBlock
 from hiltestbed.frames import Array
 from hiltestbed.identification.samples import ContactSamples
-from hiltestbed.scenario import Scenario
 
 MINIMUM_SAMPLES = 8
 MINIMUM_TRAVEL = 1e-6  # [m, rad] standard deviation of x below which an axis is not excited
@@ -41,12 +39,12 @@ class RecursiveLeastSquares:
         samples: ``(n, 6)`` contact samples used.
     """
 
-    def __init__(self, scenarios: Sequence[Scenario], source: ContactSamples | None = None, lead: PhaseLead | None = None) -> None:
-        """``source`` gives the samples, by default aligned; with ``lead`` the force passes a phase lead first."""
-        n = len(scenarios)
-        self.source = ContactSamples(scenarios) if source is None else source
+    def __init__(self, source: ContactSamples, forgetting: Sequence[float], lead: PhaseLeadBlock | None = None) -> None:
+        """``source`` gives the samples; ``forgetting`` factor of each run a tick; with ``lead`` the force passes a phase lead first."""
+        n = len(forgetting)
+        self.source = source
         self._lead = lead
-        self.forgetting = np.array([identification_section(s).forgetting for s in scenarios])
+        self.forgetting = np.array(forgetting)
         self._sums = np.zeros((n, 6, SUMS))
         self._yy = np.zeros((n, 6))
         self.stiffness = np.full((n, 6), np.nan)
@@ -63,12 +61,6 @@ class RecursiveLeastSquares:
         ready, sample = self.source.ready, self.source.sample
         _accumulate(ready, sample, self.forgetting, self._sums, self._yy, self.samples)
         _solve(ready, self._sums, self._yy, self.stiffness, self.damping, self.stiffness_sd, self.damping_sd)
-
-    def buffers(self) -> dict[str, Array]:
-        outputs = ("stiffness", "damping", "stiffness_sd", "damping_sd", "samples")
-        own = {"sums": self._sums, "yy": self._yy} | {name: getattr(self, name) for name in outputs}
-        lead = {f"lead_{name}": array for name, array in self._lead.buffers().items()} if self._lead else {}
-        return own | self.source.buffers() | lead
 
 
 @njit(cache=True)

@@ -14,12 +14,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numba import njit
 
 from hiltestbed.frames import Array, rotation_vector
-from hiltestbed.scenario import Scenario
+
+if TYPE_CHECKING:
+    from hiltestbed.scenario import Scenario
 
 GATE_SIGMA = 5.0  # contact is where the force exceeds this many standard deviations of its noise
 GATE_PEAK = 0.02  # and this part of the peak so far
@@ -90,10 +93,6 @@ class ContactSamples:
         hidden = force - stiffness * speed * self.tick <= self.threshold
         slow = np.where(hidden, self.threshold / (stiffness * speed), 0.0)
         return np.hypot(self.tick / math.sqrt(12.0), slow)
-
-    def buffers(self) -> dict[str, Array]:
-        names = ("x", "v", "clock", "filter", "pending", "gated", "held", "peak", "onset")
-        return {name: getattr(self, "_" + name) for name in names} | {"delay": self.delay}
 
 
 @njit(cache=True)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hiltestbed.dataset import Dataset
+from hiltestbed.dataset import Dataset, LoadedDataset
 from hiltestbed.dataset import load_dataset as load_specification
 from hiltestbed.errors import Fault, InputError
 from hiltestbed.measured.checks import check_dataset, check_run
@@ -57,8 +57,8 @@ class MeasuredDataset:
         return tuple(link for link, ends in LINKS.items() if any(all(run.record.has(end) for end in ends) for run in self.runs))
 
 
-def load_dataset(path: str | Path, set: Mapping[str, Any] | None = None) -> MeasuredDataset:
-    """The measured runs of a dataset file, on the loop's ticks and checked; ``set`` overrides keys of the file.
+def load_dataset(path: str | Path | LoadedDataset, set: Mapping[str, Any] | None = None) -> MeasuredDataset:
+    """The measured runs of a dataset, or of a dataset file, on the loop's ticks and checked; ``set`` overrides keys of the file.
 
     Raises InputError with every fault when a file cannot be read or a finding of the check forbids a diagnosis (wrong unit, sign,
     quaternion order ...); MissingExtra when a format's reader is not installed.
@@ -70,12 +70,12 @@ def load_dataset(path: str | Path, set: Mapping[str, Any] | None = None) -> Meas
     return dataset
 
 
-def examine(path: str | Path, set: Mapping[str, Any] | None = None) -> MeasuredDataset:
+def examine(path: str | Path | LoadedDataset, set: Mapping[str, Any] | None = None) -> MeasuredDataset:
     """Like :func:`load_dataset`, but findings that forbid a diagnosis stand in ``remarks``, and runs that hold no record are left out.
 
     Raises InputError when the dataset file has a fault or a data file cannot be read.
     """
-    loaded = load_specification(path, set)
+    loaded = path if isinstance(path, LoadedDataset) else load_specification(path, set)
     runs, remarks, faults = [], [], []
     for index, (file, scenario) in enumerate(zip(loaded.files, loaded.scenarios, strict=True)):
         channels = dict(loaded.spec.channels or {}) | loaded.spec.runs[index].channels

@@ -53,7 +53,7 @@ def _error(record: Record, channel: str, text: str, fix: str, **evidence: float)
 
 def _poses(record: Record, found: Survey, scenario: Scenario) -> Iterator[Remark]:
     """Start and speed of each translation before the first touch, against gap, offset and approach velocity."""
-    if scenario.mechanism.kind == "latched":
+    if scenario.mechanism.captured:
         return
     start = (*scenario.approach.offset, -scenario.approach.gap)
     for group in ("pose_cmd", "pose_act"):
@@ -157,13 +157,13 @@ def _measured_force(record: Record, found: Survey, scenario: Scenario) -> Iterat
 def _pulls(record: Record, force: Array, peak: float, low: float, scenario: Scenario) -> bool:
     """Whether the force has the wrong sign: by its strongest excursion (not for a latched mechanism, which may pull) and its course."""
     poses = [name for name in ("pose_act.pz", "pose_cmd.pz") if name in record.columns()]
-    latched = scenario.mechanism.kind == "latched"
+    latched = scenario.mechanism.captured
     if not latched and -low < 3 * peak:
         return False
     if not poses:
         return not latched
     depth = record.column(poses[0])
-    if scenario.mechanism.kind == "probe_cone" and not np.nanmax(depth) > 0:
+    if not scenario.mechanism.flat and not scenario.mechanism.captured and not np.nanmax(depth) > 0:
         return True  # on the wall of a cone the probe touches before pz = 0
     depth = depth if latched else np.maximum(depth, 0.0)
     late = min(round(scenario.sensor.delay * scenario.rate), len(force) - 2)
@@ -183,7 +183,7 @@ def correlation(a: Array, b: Array) -> float:
 def _expected_force(found: Survey, scenario: Scenario) -> float | None:
     """The peak that the scenario leads to [N]: v sqrt(k mu) for two free bodies, k x for a latched mechanism; None without motion."""
     k = scenario.mechanism.contact.stiffness
-    if scenario.mechanism.kind == "latched":
+    if scenario.mechanism.captured:
         deepest = max((abs(c.penetration or 0.0) for c in found.contacts), default=0.0)
         return k * deepest or None
     chaser, target = scenario.spacecraft.chaser.mass, scenario.spacecraft.target.mass

@@ -50,11 +50,11 @@ class Survey:
 
 def look(record: Record, scenario: Scenario) -> Survey:
     """Noise, contacts and excitation of a record."""
-    latched = scenario.mechanism.kind == "latched"
+    latched = scenario.mechanism.captured
     depth = penetration(record)
     free = 0 if latched else _free_ticks(record, depth)
     noise = {n: noise_of(record.column(n), free, record.steps.get(n, 0.0), n.startswith("pose")) for n in record.columns()}
-    flat = scenario.mechanism.kind == "bumper"
+    flat = scenario.mechanism.flat
     spans = [(0, record.ticks)] if latched else _spans(record, depth if flat else None, noise) or _spans(record, depth, noise)
     contacts = tuple(_contact(record, span, depth, scenario) for span in spans)
     excited = tuple(name for name in record.columns() if _range(record.column(name)) > MOVED * max(noise[name].white, 1e-300))
@@ -74,7 +74,7 @@ def penetration(record: Record) -> Array | None:
 def remarks_on(record: Record, found: Survey, scenario: Scenario) -> list[Remark]:
     """Runs without contact, and contacts that pose and force do not agree on."""
     run, depth, force = record.run, penetration(record), "wrench_meas.fz" in record.columns()
-    if scenario.mechanism.kind == "latched" or (depth is None and not force):
+    if scenario.mechanism.captured or (depth is None and not force):
         return []
     if not found.contacts:
         deepest = "" if depth is None else f" (pz reaches {np.nanmax(depth):.4g} m)"

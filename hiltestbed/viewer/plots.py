@@ -12,10 +12,10 @@ import rerun as rr
 from numba import njit
 
 from hiltestbed.frames import Array, rotation_vectors, twist_between
+from hiltestbed.numerical_model.bodies import approach_state
 from hiltestbed.scenario import Scenario
 from hiltestbed.signals import AXES, RunTrace
 from hiltestbed.simulation import Run
-from hiltestbed.spacecraft import approach_state
 from hiltestbed.viewer import colors
 
 ROOT = "signals"

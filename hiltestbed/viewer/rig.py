@@ -14,10 +14,10 @@ from numba import njit
 from numpy.typing import NDArray
 
 from hiltestbed.frames import Array, quat_from_mujoco, quat_to_mujoco, rotation_matrix
-from hiltestbed.rig.allocation import compose, upper_coordinates
-from hiltestbed.rig.kinematics import Platform, joints
-from hiltestbed.rig.model import ACTIVE, PASSIVE, nine_axis_scene, rig_scene
-from hiltestbed.rig.prs3 import Upper, place, revolute, slider
+from hiltestbed.platform.model import ACTIVE, PASSIVE, nine_axis_scene, rig_scene
+from hiltestbed.platform.prs3.allocation import compose, upper_coordinates
+from hiltestbed.platform.prs3.geometry import Upper, place, revolute, slider
+from hiltestbed.platform.pss33.kinematics import Platform, joints
 from hiltestbed.scenario import Scenario
 from hiltestbed.viewer import colors
 from hiltestbed.viewer.drawing import log_solid, send_poses
@@ -37,9 +37,8 @@ class RigScene:
     """The drawn model of a rig, and the joints that the poses of its ports need."""
 
     def __init__(self, scenario: Scenario) -> None:
-        kind = scenario.mechanism.kind
         self.nine_axes = scenario.rig.upper.kind != "fixed"
-        self.model = nine_axis_scene(kind) if self.nine_axes else rig_scene(kind)
+        self.model = nine_axis_scene(scenario.mechanism) if self.nine_axes else rig_scene(scenario.mechanism)
         self.data = mujoco.MjData(self.model)
         mujoco.mj_kinematics(self.model, self.data)
         self._home = self.data.qpos.copy()

@@ -13,9 +13,11 @@ from numba import njit
 from numpy.typing import NDArray
 
 from hiltestbed.frames import Array, quat_mul, rotate, rotation_matrix
+from hiltestbed.numerical_model.bodies import inertia_matrix, port_pose
+from hiltestbed.numerical_model.kernels import CHASER, TARGET
+from hiltestbed.numerical_model.model import NumericalModel
 from hiltestbed.scenario import Scenario
-from hiltestbed.scenario_parts import Body
-from hiltestbed.spacecraft import CHASER, TARGET, Spacecraft, inertia_matrix, port_pose
+from hiltestbed.scenario.spacecraft import Body
 from hiltestbed.viewer import colors
 from hiltestbed.viewer.drawing import log_solid, send_poses
 from hiltestbed.viewer.solids import Solid, box, cylinder
@@ -33,7 +35,7 @@ def body_poses(scenario: Scenario, rows: NDArray[np.intp], pose_cmd: Array, wren
 
     ``pose_cmd`` (ticks, 7) and ``wrench`` (ticks, 6), which drove the numerical model. Row k holds the state after the wrench of row k.
     """
-    model = Spacecraft([scenario])
+    model = NumericalModel([scenario])
     total = np.concatenate([np.zeros((1, 6)), np.cumsum(wrench, axis=0)])
     out, done = np.empty((2, len(rows), 7)), 0
     for f, row in enumerate(rows):

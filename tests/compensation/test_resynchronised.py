@@ -12,7 +12,7 @@ from hiltestbed import load_scenario
 from hiltestbed.bench.contacts import Contact, bounce, grid
 from hiltestbed.scenario import Scenario
 from hiltestbed.simulation import log_error, reference_scenario, simulate
-from hiltestbed.spacecraft import Spacecraft
+from hiltestbed.numerical_model.bodies import Spacecraft
 
 SCENARIOS = Path(__file__).parents[2] / "scenarios"
 

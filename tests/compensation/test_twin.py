@@ -9,7 +9,7 @@ import pytest
 
 from hiltestbed import load_scenario
 from hiltestbed.compensation.twin import SCRATCH, carry, mobility, solve, step, wrench_at_A, wrench_at_P
-from hiltestbed.spacecraft import Spacecraft
+from hiltestbed.numerical_model.bodies import Spacecraft
 
 SCENARIO = load_scenario(Path(__file__).parents[2] / "scenarios" / "05-off-centre.yaml")
 H = 1.0 / SCENARIO.rate

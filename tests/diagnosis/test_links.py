@@ -9,11 +9,11 @@ import pytest
 
 from hiltestbed.diagnosis.chain import lead_record, sense_record
 from hiltestbed.diagnosis.links import DynamicsLink, LinkRun, WrenchLink, advanced, flat_pose
-from hiltestbed.effects.contact import PARAMETERS, STATES, contact_force, contact_parameters
-from hiltestbed.effects.platform import PlatformPath, platform_parameters, replay_platform
+from hiltestbed.contact.law import PARAMETERS, STATES, contact_force, contact_parameters
+from hiltestbed.platform.response import PlatformPath, platform_parameters, replay_platform
 from hiltestbed.effects.sensor import sensor_chain
 from hiltestbed.scenario import scenario_from
-from hiltestbed.spacecraft import Spacecraft
+from hiltestbed.numerical_model.bodies import Spacecraft
 
 H = 1e-3
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hiltestbed.measured import load_dataset
-from hiltestbed.scenario_parts import MECHANISMS_BUILT
+from hiltestbed.scenario.spacecraft import MECHANISMS_BUILT
 
 ROOT = Path(__file__).parents[2]
 DATA = Path(os.environ.get("HILTESTBED_DATA", ROOT.parent / "shared" / "data"))

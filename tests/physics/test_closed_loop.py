@@ -12,7 +12,7 @@ from hiltestbed.ledger import delay_ledger, predicted_log_error
 from hiltestbed.loop import Loop
 from hiltestbed.scenario import Scenario, load_scenario
 from hiltestbed.simulation import run_batch, simulate
-from hiltestbed.spacecraft import pair_momentum
+from hiltestbed.numerical_model.bodies import pair_momentum
 from tests.physics.closed_forms import cor_at_zero_force, cor_pure_delay
 
 SCENARIOS = Path(__file__).parents[2] / "scenarios"

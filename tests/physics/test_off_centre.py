@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from hiltestbed import load_scenario
 from hiltestbed.loop import Loop
 from hiltestbed.scenario import Scenario
-from hiltestbed.spacecraft import CHASER, TARGET, approach_state, inertia_matrix
+from hiltestbed.numerical_model.bodies import CHASER, TARGET, approach_state, inertia_matrix
 
 SCENARIO = Path(__file__).parents[2] / "scenarios" / "05-off-centre.yaml"
 TIP = 0.02  # [m] radius of the bumper's tip, models/bumper

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from hiltestbed.frames import Array
-from hiltestbed.rig import Plant
+from hiltestbed.platform.plant import Plant
 from hiltestbed.scenario import Scenario, scenario_from
 
 K, C = 1.0e5, 300.0

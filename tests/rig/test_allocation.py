@@ -6,10 +6,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from hiltestbed.frames import Array, quat_from_attitude_deg
-from hiltestbed.rig.allocation import BLEND, DOCKING, LONGEST, MOST_BENT, lower_pose, upper_coordinates
-from hiltestbed.rig.prs3 import HEAVE, TILT, Upper, place
-from hiltestbed.rig.surfaces import PROBE_CONE, meet
-from hiltestbed.rig.upper import SETTLE
+from hiltestbed.platform.prs3.allocation import BLEND, DOCKING, LONGEST, MOST_BENT, lower_pose, upper_coordinates
+from hiltestbed.platform.prs3.geometry import HEAVE, TILT, Upper, place
+from hiltestbed.contact.cone import PROBE_CONE, meet
+from hiltestbed.platform.prs3.upper import SETTLE
 
 
 def poses(gap: Array, attitude_deg: tuple[float, float, float] = (0.0, 0.0, 0.0), x: float = 0.0, y: float = 0.0) -> Array:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hiltestbed.frames import Array
-from hiltestbed.rig import Plant
+from hiltestbed.platform.plant import Plant
 from tests.rig.rigs import K, Press, fitted, pose, scenario
 
 

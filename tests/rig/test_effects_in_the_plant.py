@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from hiltestbed.effects.access import effects_of
-from hiltestbed.effects.contact import contact_parameters, replay_contact
-from hiltestbed.rig import Plant
+from hiltestbed.contact.law import contact_parameters, replay_contact
+from hiltestbed.platform.plant import Plant
 from hiltestbed.scenario import Scenario, scenario_from
 from tests.rig.rigs import C, K, scenario
 

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from hiltestbed.rig import Plant, model
+from hiltestbed.platform.plant import Plant, model
 from tests.rig.rigs import pose, scenario
 
 GRAVITY = 9.81

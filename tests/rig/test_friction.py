@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from hiltestbed.frames import Array
-from hiltestbed.rig import Plant
-from hiltestbed.rig.friction import DriveFriction
+from hiltestbed.platform.plant import Plant
+from hiltestbed.platform.friction import DriveFriction
 from hiltestbed.scenario import Scenario, scenario_from
 from hiltestbed.simulation import run
 from tests.rig.rigs import pose, scenario

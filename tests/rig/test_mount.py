@@ -7,8 +7,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from hiltestbed.frames import Array
-from hiltestbed.rig import Plant
-from hiltestbed.rig.touch import LATCH_RADIUS
+from hiltestbed.platform.plant import Plant
+from hiltestbed.contact.touch import LATCH_RADIUS
 from hiltestbed.scenario import Scenario
 from tests.rig.rigs import scenario
 

@@ -10,11 +10,11 @@ from scipy.spatial.transform import Rotation
 
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array
-from hiltestbed.rig import Plant
-from hiltestbed.rig.allocation import BLEND, DOCKING
-from hiltestbed.rig.dynamics import GRAVITY
-from hiltestbed.rig.nine_axes import NineAxes
-from hiltestbed.rig.payload import carry
+from hiltestbed.platform.plant import Plant
+from hiltestbed.platform.prs3.allocation import BLEND, DOCKING
+from hiltestbed.platform.pss33.dynamics import GRAVITY
+from hiltestbed.platform.prs3.nine_axes import NineAxes
+from hiltestbed.platform.prs3.payload import carry
 from hiltestbed.scenario import Scenario, scenario_from
 from hiltestbed.simulation import run
 from tests.rig.rigs import scenario

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from hiltestbed.errors import InputError
-from hiltestbed.rig import Plant
-from hiltestbed.rig.servo import Servo
+from hiltestbed.platform.plant import Plant
+from hiltestbed.platform.pss33.servo import Servo
 from tests.rig.rigs import Press, pose, scenario
 
 OUTPUTS = ("pose_act", "twist_act", "wrench_sub", "slider_cmd", "slider_act", "contact")

@@ -9,8 +9,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from hiltestbed.frames import Array
-from hiltestbed.rig import Plant
-from hiltestbed.rig.surfaces import GENERATOR, HALF_ANGLE, PROBE_CONE, ROD_RADIUS, SHELL, SOCKET_RADIUS, TIP_RADIUS
+from hiltestbed.platform.plant import Plant
+from hiltestbed.contact.cone import GENERATOR, HALF_ANGLE, PROBE_CONE, ROD_RADIUS, SHELL, SOCKET_RADIUS, TIP_RADIUS
 from hiltestbed.scenario import Scenario
 from tests.rig.rigs import pose, scenario
 

@@ -10,8 +10,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from hiltestbed.frames import Array
-from hiltestbed.rig.model import load
-from hiltestbed.rig.prs3 import HEAVE, TILT, Upper, inverse, jacobian, motion, place, revolute
+from hiltestbed.platform.model import load
+from hiltestbed.platform.prs3.geometry import HEAVE, TILT, Upper, inverse, jacobian, motion, place, revolute
 
 UPPER = Upper.load()
 

@@ -1,0 +1,96 @@
+"""What a compensation is in the loop: between the measured wrench and the motion that the rig is told to make.
+
+A *drive* turns what the rig measured at t_k into the motion that the rig is to reach at t_(k+1). Most methods correct the wrench and
+drive the numerical model with it: they are a :class:`ForceBlock` behind :class:`ForceDrive`. A method that drives the model in another
+way (a delayed copy of it, a prediction) is a drive of its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
+
+import numpy as np
+
+from hiltestbed.compensation.measurement import Measurement
+from hiltestbed.compensation.motion_methods.contact_correction import correct_for_platform
+from hiltestbed.compensation.settings import FORCE_METHODS, MOTION_METHODS
+from hiltestbed.frames import Array
+
+if TYPE_CHECKING:
+    from hiltestbed.numerical_model.model import NumericalModel
+    from hiltestbed.scenario import Scenario
+
+
+class ForceBlock(Protocol):
+    """A method that corrects the wrench."""
+
+    def compensate(self, measurement: Measurement) -> Array:
+        """``(n, 6)`` the wrench to drive the numerical model with."""
+        ...
+
+
+@runtime_checkable
+class Drive(Protocol):
+    """From what was measured at t_k to the motion commanded for t_(k+1).
+
+    Attributes:
+        pose: ``(n, 7)`` pose of A in P, commanded.
+        twist: ``(n, 6)`` its velocity.
+        wrench: ``(n, 6)`` the wrench that explains the numerical model's motion over the tick.
+    """
+
+    pose: Array
+    twist: Array
+    wrench: Array
+
+    def advance(self, measurement: Measurement) -> None:
+        """Move on by one tick."""
+        ...
+
+
+class PoseBlock(Protocol):
+    """A method that changes the commanded pose.
+
+    Attributes:
+        rate: ``(n, 6)`` velocity that it adds to the command, or None.
+    """
+
+    rate: Array | None
+
+    def command(self, pose: Array, derivatives: tuple[Array, Array, Array], measurement: Measurement, out: Array) -> None:
+        """Write the pose ``out`` (n, 7) to tell the platform.
+
+        Args:
+            pose: ``(n, 7)`` pose of A in P that is to be reached at t_(k+1).
+            derivatives: ``(n, 6)`` each: velocity then, acceleration and jerk over the tick.
+            measurement: what is known at t_k.
+        """
+        ...
+
+
+class ForceDrive:
+    """Correct the wrench, drive the numerical model with it, command where it goes."""
+
+    def __init__(self, model: NumericalModel, method: ForceBlock, corrects_force: bool = False) -> None:
+        self.model = model
+        self.method = method
+        self._corrects = corrects_force
+        self.pose = model.pose
+        self.twist = model.twist
+        self.wrench = np.zeros_like(model.twist)
+
+    def advance(self, measurement: Measurement) -> None:
+        self.wrench[:] = self.method.compensate(measurement)
+        if self._corrects:
+            correct_for_platform(measurement, self.pose, self.twist, self.wrench)
+        self.model.advance(self.wrench)
+
+
+def make_drive(scenarios: Sequence[Scenario], model: NumericalModel) -> Drive:
+    """The drive that ``compensation`` names; one kind for all runs of a batch."""
+    compensation = scenarios[0].compensation
+    method = FORCE_METHODS[compensation.force.kind].start(scenarios, model)
+    if isinstance(method, Drive):
+        return method
+    return ForceDrive(model, method, MOTION_METHODS[compensation.motion.kind].corrects_force)

@@ -1,0 +1,1 @@
+"""Methods that correct the measured wrench, one a module."""

@@ -1,0 +1,52 @@
+"""A dead zone, as rigs have it against the drift of the velocity under noise and bias: a force below the width is taken as none.
+
+It is no compensation of the delay; it distorts by itself, towards divergence or convergence (Li et al., hybrid Smith predictor with
+dead-zone disturbance observer).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, ClassVar, Literal
+
+import numpy as np
+from pydantic import Field
+
+from hiltestbed.compensation.measurement import Measurement
+from hiltestbed.compensation.settings import ForceMethod, Input, force_of
+from hiltestbed.frames import Array
+from hiltestbed.plugins import register
+from hiltestbed.validation import NotNegative
+
+if TYPE_CHECKING:
+    from hiltestbed.numerical_model.model import NumericalModel
+    from hiltestbed.scenario import Scenario
+
+
+@register
+class DeadZone(ForceMethod):
+    """A force below the width is taken as none."""
+
+    kind: Literal["dead_zone"] = "dead_zone"
+    width: NotNegative = Field(description="[N]")
+    reads: ClassVar[frozenset[Input]] = frozenset({"wrench"})
+
+    @classmethod
+    def start(cls, scenarios: Sequence[Scenario], model: NumericalModel) -> DeadZoneBlock:
+        return DeadZoneBlock(scenarios)
+
+
+class DeadZoneBlock:
+    """The dead zone on each force axis, for ``n`` runs; the torques pass while a force does."""
+
+    def __init__(self, scenarios: Sequence[Scenario]) -> None:
+        self._width = np.array([[force.width] for force in force_of(scenarios, DeadZone)])
+        self.output = np.zeros((len(scenarios), 6))
+
+    def compensate(self, measurement: Measurement) -> Array:
+        """``(n, 6)`` the wrench without what lies within the dead zone."""
+        force = measurement.wrench[:, :3]
+        outside = np.abs(force) > self._width
+        np.multiply(force, outside, out=self.output[:, :3])
+        np.multiply(measurement.wrench[:, 3:], outside.any(axis=1, keepdims=True), out=self.output[:, 3:])
+        return self.output

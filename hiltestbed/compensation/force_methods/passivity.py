@@ -1,0 +1,139 @@
+"""Passivity: damping injected when the contact would give back more energy than it took.
+
+:class:`PassivityControlBlock` is the time-domain observer and controller (B. Hannaford, J.-H. Ryu, "Time-domain passivity control of haptic
+interfaces", IEEE T-RA 18, 2002; for contact on such rigs M. De Stefano, J. Artigas, C. Secchi et al., EPOS and OOS-SIM, T-RO 2020):
+``E_k = sum of h F_used . v``, the energy that the contact as simulated has taken from the relative motion, must not be negative; when
+it is, ``alpha = -E/(h v^2)`` makes it zero. A safety net: it acts when the excess is there, and cannot tell a restitution below 1
+from one that is right.
+
+:class:`NormalisedPassivityBlock` acts before that (C. Insam, L. D. H. Peiris, D. J. Rixen, "Normalized passivity control for hardware-in-
+the-loop with contact", Int. J. Dynamics and Control 9, 2021): the power that the transfer system creates, divided by the size of its
+signals and smoothed, sets a damping force. The transfer system here is the sensor's delay, its power to first order
+``(F(t) - F_meas) v ~ tau F_meas' v``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, ClassVar, Literal
+
+import numpy as np
+from numba import njit
+from pydantic import Field
+
+from hiltestbed.compensation.measurement import Measurement
+from hiltestbed.compensation.settings import ForceMethod, Input, force_of
+from hiltestbed.frames import Array
+from hiltestbed.numerical_model.model import NumericalModel
+from hiltestbed.plugins import register
+from hiltestbed.validation import NotNegative, Positive
+
+if TYPE_CHECKING:
+    from hiltestbed.numerical_model.model import NumericalModel
+    from hiltestbed.scenario import Scenario
+
+DAMPING_LIMIT = 0.5  # of what one tick can carry without turning the velocity round
+
+
+@register
+class PassivityControl(ForceMethod):
+    """Time-domain passivity observer and controller."""
+
+    kind: Literal["passivity_control"] = "passivity_control"
+    reads: ClassVar[frozenset[Input]] = frozenset({"wrench", "model"})
+
+    @classmethod
+    def start(cls, scenarios: Sequence[Scenario], model: NumericalModel) -> PassivityControlBlock:
+        return PassivityControlBlock(scenarios, model)
+
+
+@register
+class NormalisedPassivity(ForceMethod):
+    """Damping by the normalised power that the delay creates."""
+
+    kind: Literal["normalised_passivity"] = "normalised_passivity"
+    gain: NotNegative = Field(default=1.0, description="of the damping force; 1 balances the delay to first order")
+    smoothing: Positive = Field(default=0.005, description="time constant of the power's low-pass [s]")
+    reads: ClassVar[frozenset[Input]] = frozenset({"wrench", "pose", "model"})
+
+    @classmethod
+    def start(cls, scenarios: Sequence[Scenario], model: NumericalModel) -> NormalisedPassivityBlock:
+        return NormalisedPassivityBlock(scenarios, model)
+
+    def removes(self, scenario: Scenario) -> Mapping[str, float]:
+        return {self.kind: scenario.sensor.delay}
+
+
+class PassivityControlBlock:
+    """Observer and controller on the relative translation, for ``n`` runs.
+
+    Attributes:
+        energy: ``(n,)`` [J] taken from the relative motion so far, what was injected included.
+    """
+
+    def __init__(self, scenarios: Sequence[Scenario], model: NumericalModel) -> None:
+        n = len(scenarios)
+        self._model = model
+        self._tick = model.tick
+        self._limit = DAMPING_LIMIT / (model.tick * (1.0 / model.mass).sum(axis=1))
+        self.energy = np.zeros(n)
+        self.output = np.zeros((n, 6))
+
+    def compensate(self, measurement: Measurement) -> Array:
+        """``(n, 6)`` the measured wrench and the injected damping."""
+        _observe_and_control(measurement.wrench, self._model.twist, self._tick, self._limit, self.energy, self.output)
+        return self.output
+
+
+class NormalisedPassivityBlock:
+    """A damping force along the insertion by the normalised power of the delay, for ``n`` runs."""
+
+    def __init__(self, scenarios: Sequence[Scenario], model: NumericalModel) -> None:
+        n, h = len(scenarios), model.tick
+        force = force_of(scenarios, NormalisedPassivity)
+        self._model = model
+        self._gain = np.array([f.gain for f in force])
+        self._smooth = np.array([1.0 - math.exp(-h / f.smoothing) for f in force])
+        self._per_tick = np.array([s.sensor.delay for s in scenarios]) / h
+        self._memory = np.zeros((n, 4))  # last force, its smoothed slope times the delay, smoothed power, smoothed size
+        self.output = np.zeros((n, 6))
+
+    def compensate(self, measurement: Measurement) -> Array:
+        """``(n, 6)`` the measured wrench and the damping force."""
+        _normalise(
+            measurement.wrench, measurement.pose, self._model.twist, self._gain, self._smooth, self._per_tick, self._memory, self.output
+        )
+        return self.output
+
+
+@njit(cache=True)
+def _observe_and_control(wrench, twist, h, limit, energy, out):
+    for i in range(wrench.shape[0]):
+        speed = twist[i, 0] ** 2 + twist[i, 1] ** 2 + twist[i, 2] ** 2
+        for j in range(6):
+            out[i, j] = wrench[i, j]
+            energy[i] += h * wrench[i, j] * twist[i, j]
+        if energy[i] < 0.0 and speed > 0.0:
+            alpha = min(-energy[i] / (h * speed), limit[i])
+            for j in range(3):
+                out[i, j] += alpha * twist[i, j]
+            energy[i] += h * alpha * speed
+
+
+@njit(cache=True)
+def _normalise(wrench, pose, twist, gain, smooth, delay, memory, out):
+    for i in range(wrench.shape[0]):
+        m = memory[i]
+        force, v = wrench[i, 2], twist[i, 2]
+        m[1] += smooth[i] * (delay[i] * (force - m[0]) - m[1])
+        m[0] = force
+        m[2] += smooth[i] * (m[1] * v - m[2])
+        m[3] += smooth[i] * (abs(force * v) - m[3])
+        ratio = min(max(m[2] / m[3], 0.0), 1.0) if m[3] > 0.0 else 0.0
+        extra = gain[i] * ratio * abs(force) * (1.0 if v > 0.0 else -1.0)
+        for j in range(6):
+            out[i, j] = wrench[i, j]
+        out[i, 2] += extra
+        out[i, 3] += pose[i, 1] * extra
+        out[i, 4] -= pose[i, 0] * extra

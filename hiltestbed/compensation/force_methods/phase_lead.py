@@ -1,0 +1,91 @@
+"""First-order phase lead of the measured force.
+
+``G_c(s) = (T1 s + 1)/(T2 s + 1)``: the Taylor expansion of ``exp(tau s)`` cut after its first term, with a pole that makes it
+causal (C. Qi, F. Gao, X. Zhao, Q. Wang, A. Ren, "Low-order model based divergence compensation for hardware-in-the-loop simulation
+of space discrete contact", J. Intell. Robot. Syst. 2016). Backward differences:
+
+    y_k = (y_(k-1) T2/h + u_k + T1 (u_k - u_(k-1))/h) / (1 + T2/h)
+
+``T1 - T2`` is the delay it takes out at low frequency: ``T1 = delay + T2`` unless ``lead`` sets T1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, ClassVar, Literal
+
+import numpy as np
+from numba import njit
+from pydantic import Field
+
+from hiltestbed.compensation.measurement import Measurement
+from hiltestbed.compensation.settings import ForceMethod, Input
+from hiltestbed.frames import Array
+from hiltestbed.plugins import register
+from hiltestbed.validation import NotNegative, Positive
+
+if TYPE_CHECKING:
+    from hiltestbed.numerical_model.model import NumericalModel
+    from hiltestbed.scenario import Scenario
+
+
+LAG = 0.0005  # [s] T2, where a method does not set its own
+
+
+@register
+class PhaseLead(ForceMethod):
+    """(T1 s + 1)/(T2 s + 1) on the measured wrench."""
+
+    kind: Literal["phase_lead"] = "phase_lead"
+    lead: NotNegative | None = Field(default=None, description="T1 [s]; null: sensor.delay + lag")
+    lag: Positive = Field(default=0.0005, description="T2 [s]")
+    reads: ClassVar[frozenset[Input]] = frozenset({"wrench"})
+
+    @classmethod
+    def start(cls, scenarios: Sequence[Scenario], model: NumericalModel) -> PhaseLeadBlock:
+        return PhaseLeadBlock(scenarios)
+
+    def removes(self, scenario: Scenario) -> Mapping[str, float]:
+        return {self.kind: lead_and_lag(scenario)[0] - self.lag}
+
+    def memory(self) -> float:
+        return self.lag
+
+
+class PhaseLeadBlock:
+    """The lead on all six components of the wrench, for ``n`` runs."""
+
+    def __init__(self, scenarios: Sequence[Scenario], time_constants: Sequence[tuple[float, float]] | None = None) -> None:
+        """``time_constants``: T1 and T2 [s] of each run, by default those of its compensation."""
+        n = len(scenarios)
+        self.tick = 1.0 / scenarios[0].rate
+        time_constants = [lead_and_lag(s) for s in scenarios] if time_constants is None else time_constants
+        self.lead = np.array([lead for lead, _ in time_constants])
+        self.lag = np.array([lag for _, lag in time_constants])
+        self.output = np.zeros((n, 6))
+        self._previous = np.zeros((n, 6))
+
+    def compensate(self, measurement: Measurement) -> Array:
+        """``(n, 6)`` the wrench led by ``T1 - T2``."""
+        return self.lead_wrench(measurement.wrench)
+
+    def lead_wrench(self, wrench: Array) -> Array:
+        """``(n, 6)`` a wrench ``(n, 6)`` led by ``T1 - T2``."""
+        _lead(wrench, self.lead, self.lag, self.tick, self._previous, self.output)
+        return self.output
+
+
+def lead_and_lag(scenario: Scenario) -> tuple[float, float]:
+    """T1 and T2 [s] of the phase lead in a scenario's compensation: the method itself, or what a method falls back on."""
+    force = scenario.compensation.force
+    lead, lag = getattr(force, "lead", None), getattr(force, "lag", LAG)
+    return (scenario.sensor.delay + lag if lead is None else lead), lag
+
+
+@njit(cache=True)
+def _lead(u, lead, lag, h, previous, y):
+    for i in range(u.shape[0]):
+        a, b = lag[i] / h, lead[i] / h
+        for j in range(6):
+            y[i, j] = (y[i, j] * a + u[i, j] + b * (u[i, j] - previous[i, j])) / (1.0 + a)
+            previous[i, j] = u[i, j]

@@ -1,0 +1,153 @@
+"""ReconstructionBlock of the force with a model of the contact: ``F = F_meas + M(x, v) - M(x, v at t - tau)``.
+
+M is the spring and damper of the contact, x and v the pose that the rig reached, now and when the force was felt. With k and c
+identified in the loop it is the compensation by identified parameters of the field (Qi et al.; F. He et al., Chin. J. Mech. Eng.
+35:149, 2022: "the identified k, c modify the force"); with k and c given it is a Smith predictor whose predicted part is the contact
+(O. J. M. Smith, "Closer control of loops with dead time", Chem. Eng. Progress 53, 1957). Until there is an estimate, or with
+``lead: true`` for what the model does not explain, the force passes the first-order phase lead.
+
+The impulse of an early wrong guess is paid back a delay later, but at another speed: the energy is not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, ClassVar, Literal
+
+import numpy as np
+from numba import njit
+from pydantic import Field
+
+from hiltestbed.compensation.force_methods.phase_lead import PhaseLeadBlock
+from hiltestbed.compensation.history import History
+from hiltestbed.compensation.measurement import Measurement
+from hiltestbed.compensation.resynchronised.captured import observe
+from hiltestbed.compensation.settings import ForceMethod, Input, force_of
+from hiltestbed.frames import Array
+from hiltestbed.plugins import register
+from hiltestbed.validation import NotNegative, Positive
+
+if TYPE_CHECKING:
+    from hiltestbed.numerical_model.model import NumericalModel
+    from hiltestbed.scenario import Scenario
+
+
+@register
+class Reconstruction(ForceMethod):
+    """F_meas + M(x, v) - M(x, v at t - delay), M as identified so far; an axis without an estimate passes the lead."""
+
+    kind: Literal["reconstruction"] = "reconstruction"
+    lead: NotNegative | None = Field(default=None, description="T1 of the lead [s]; null: sensor.delay + lag")
+    lag: Positive = Field(default=0.0005, description="T2 of the lead [s]")
+    reads: ClassVar[frozenset[Input]] = frozenset({"wrench", "pose", "twist", "identified"})
+
+    @classmethod
+    def start(cls, scenarios: Sequence[Scenario], model: NumericalModel) -> ReconstructionBlock:
+        return ReconstructionBlock(scenarios)
+
+    def removes(self, scenario: Scenario) -> Mapping[str, float]:
+        return {self.kind: scenario.sensor.delay}
+
+    def memory(self) -> float:
+        return self.lag
+
+
+@register
+class SmithPredictor(ForceMethod):
+    """The same with a contact that is given, along the insertion."""
+
+    kind: Literal["smith_predictor"] = "smith_predictor"
+    stiffness: Positive = Field(description="of the contact as predicted [N/m]")
+    damping: NotNegative = Field(default=0.0, description="[N s/m]")
+    lead_rest: bool = Field(default=False, description="what the prediction does not explain passes the phase lead")
+    lead: NotNegative | None = Field(default=None, description="T1 of the lead [s]; null: sensor.delay + lag")
+    lag: Positive = Field(default=0.0005, description="T2 of the lead [s]")
+    reads: ClassVar[frozenset[Input]] = frozenset({"wrench", "pose", "twist"})
+
+    @classmethod
+    def start(cls, scenarios: Sequence[Scenario], model: NumericalModel) -> SmithPredictorBlock:
+        return SmithPredictorBlock(scenarios)
+
+    def removes(self, scenario: Scenario) -> Mapping[str, float]:
+        return {self.kind: scenario.sensor.delay * self.stiffness / scenario.mechanism.contact.stiffness}
+
+    def memory(self) -> float:
+        return self.lag
+
+
+class ReconstructionBlock:
+    """M with k and c as identified so far, on six axes: ``compensation.force: {kind: reconstruction}``."""
+
+    def __init__(self, scenarios: Sequence[Scenario]) -> None:
+        n = len(scenarios)
+        self._lead = PhaseLeadBlock(scenarios)
+        self._ticks = np.array([s.sensor.delay * s.rate for s in scenarios])
+        self._states = History(12, self._ticks)
+        self._state, self._late = np.zeros((n, 12)), np.zeros((n, 12))
+        self.output = np.zeros((n, 6))
+
+    def compensate(self, measurement: Measurement) -> Array:
+        """``(n, 6)`` the reconstructed wrench; an axis without an estimate passes the lead."""
+        led = self._lead.compensate(measurement)
+        observe(measurement.pose, measurement.twist, self._state)
+        self._states.remember(self._state)
+        self._states.before(self._ticks, self._late)
+        _reconstruct(measurement.wrench, led, self._state, self._late, measurement.stiffness, measurement.damping, self.output)
+        return self.output
+
+
+class SmithPredictorBlock:
+    """M with a given k and c along the insertion: ``compensation.force: {kind: smith_predictor}``."""
+
+    def __init__(self, scenarios: Sequence[Scenario]) -> None:
+        n = len(scenarios)
+        force = force_of(scenarios, SmithPredictor)
+        self._stiffness = np.array([f.stiffness for f in force])
+        self._damping = np.array([f.damping for f in force])
+        self._lead = PhaseLeadBlock(scenarios) if force[0].lead_rest else None
+        self._ticks = np.array([s.sensor.delay * s.rate for s in scenarios])
+        self._model = History(6, self._ticks)
+        self._now, self._late = np.zeros((n, 6)), np.zeros((n, 6))
+        self._rest = Measurement(self._late, self._late, self._late, self._late, self._late, np.zeros(n, dtype=bool))
+        self.output = np.zeros((n, 6))
+
+    def compensate(self, measurement: Measurement) -> Array:
+        """``(n, 6)`` the model's force now, and what was measured beyond the model's force a delay ago."""
+        _spring(measurement.pose, measurement.twist, self._stiffness, self._damping, self._now)
+        self._model.remember(self._now)
+        self._model.before(self._ticks, self._late)
+        np.subtract(measurement.wrench, self._late, out=self._late)
+        rest = self._late if self._lead is None else self._lead.compensate(self._rest)
+        np.add(self._now, rest, out=self.output)
+        return self.output
+
+
+@njit(cache=True)
+def _reconstruct(wrench, led, now, late, stiffness, damping, out):
+    """Along the insertion the spring cannot pull and ends at the nominal touch; the other axes act while it presses, now or then."""
+    for i in range(wrench.shape[0]):
+        pressing = wrench[i, 2] > 0.0
+        for j in range(6):
+            k, c = stiffness[i, j], damping[i, j]
+            if np.isnan(k) or (not pressing and j != 2):
+                out[i, j] = led[i, j]
+                continue
+            if j == 2:
+                force = max(0.0, k * now[i, 2] + c * now[i, 8]) if now[i, 2] > 0.0 else 0.0
+                force -= max(0.0, k * late[i, 2] + c * late[i, 8]) if late[i, 2] > 0.0 else 0.0
+            else:
+                force = k * (now[i, j] - late[i, j]) + c * (now[i, 6 + j] - late[i, 6 + j])
+            out[i, j] = wrench[i, j] + force
+
+
+@njit(cache=True)
+def _spring(pose, twist, stiffness, damping, out):
+    """The wrench at P's origin of a spring and damper at A's origin along z, from the nominal touch on."""
+    for i in range(pose.shape[0]):
+        x, v = pose[i, 2], twist[i, 2]
+        force = max(0.0, stiffness[i] * x + damping[i] * v) if x > 0.0 else 0.0
+        for j in range(6):
+            out[i, j] = 0.0
+        out[i, 2] = force
+        out[i, 3] = pose[i, 1] * force
+        out[i, 4] = -pose[i, 0] * force

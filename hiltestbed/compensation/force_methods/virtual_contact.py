@@ -1,0 +1,72 @@
+"""A virtual spring and damper beside the measured force: ``F = F_meas + k_v x + b_v v`` while the contact lasts.
+
+The hybrid contact model of the EPOS rig (M. Zebenay, T. Boge, R. Krenn, D. Choukroun, "Analytical and experimental stability
+investigation of a hardware-in-the-loop satellite docking simulator", Proc. IMechE G 229, 2015; arXiv 1309.3512): a virtual force is
+superposed on the measured one and tuned until the contact behaves as desired. To first order a delay is a damping -k tau, so that
+``b_v = k tau`` gives it back. The contact that is simulated is then in part the tuner's, not the hardware's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, ClassVar, Literal
+
+import numpy as np
+from numba import njit
+from pydantic import Field
+
+from hiltestbed.compensation.measurement import Measurement
+from hiltestbed.compensation.settings import ForceMethod, Input, force_of
+from hiltestbed.frames import Array
+from hiltestbed.plugins import register
+from hiltestbed.validation import NotNegative
+
+if TYPE_CHECKING:
+    from hiltestbed.numerical_model.model import NumericalModel
+    from hiltestbed.scenario import Scenario
+
+
+@register
+class VirtualContact(ForceMethod):
+    """A virtual spring and damper along the insertion, beside the measured force."""
+
+    kind: Literal["virtual_contact"] = "virtual_contact"
+    stiffness: NotNegative = Field(default=0.0, description="[N/m]")
+    damping: NotNegative = Field(description="[N s/m]; the contact's stiffness times the delay gives back what the delay takes")
+    reads: ClassVar[frozenset[Input]] = frozenset({"wrench", "pose", "twist"})
+
+    @classmethod
+    def start(cls, scenarios: Sequence[Scenario], model: NumericalModel) -> VirtualContactBlock:
+        return VirtualContactBlock(scenarios)
+
+    def removes(self, scenario: Scenario) -> Mapping[str, float]:
+        return {self.kind: self.damping / scenario.mechanism.contact.stiffness}  # a damper b is worth a lead of b/k
+
+
+class VirtualContactBlock:
+    """The virtual force along the insertion, for ``n`` runs."""
+
+    def __init__(self, scenarios: Sequence[Scenario]) -> None:
+        force = force_of(scenarios, VirtualContact)
+        self._stiffness = np.array([f.stiffness for f in force])
+        self._damping = np.array([f.damping for f in force])
+        self.output = np.zeros((len(scenarios), 6))
+
+    def compensate(self, measurement: Measurement) -> Array:
+        """``(n, 6)`` measured and virtual wrench together."""
+        add_virtual(measurement.wrench, measurement.pose, measurement.twist, self._stiffness, self._damping, self.output)
+        return self.output
+
+
+@njit(cache=True)
+def add_virtual(wrench, pose, twist, stiffness, damping, out):
+    """``out``: the wrench and a spring and damper (n,) at A's origin along z, in P at P's origin, beyond the nominal touch."""
+    for i in range(wrench.shape[0]):
+        for j in range(6):
+            out[i, j] = wrench[i, j]
+        x = pose[i, 2]
+        if x > 0.0:
+            force = stiffness[i] * x + damping[i] * twist[i, 2]
+            out[i, 2] += force
+            out[i, 3] += pose[i, 1] * force
+            out[i, 4] -= pose[i, 0] * force

@@ -1,0 +1,74 @@
+"""What the compensation is given of the sensor's reading."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numba import njit
+
+from hiltestbed.effects.base import Effect
+from hiltestbed.frames import Array
+
+if TYPE_CHECKING:
+    from hiltestbed.scenario import Scenario
+
+COMPONENTS, MAGNITUDE, AFTER = 0, 1, 2
+PLACES = {"before": COMPONENTS, "magnitude": MAGNITUDE, "after": AFTER}
+
+
+@dataclass
+class InputParameters:
+    """The dead zone of one run. width: [N], 0 for none. where: "before" the compensation axis by axis, on the force's "magnitude", or
+    "after" the compensation."""
+
+    width: float = 0.0
+    where: str = "before"
+
+    @classmethod
+    def of(cls, effects: Iterable[Effect]) -> InputParameters:
+        """What the effects of the compensation among ``effects`` make of it."""
+        p = cls()
+        for effect in effects:
+            if effect.link == "compensation":
+                effect.apply(p)
+        return p
+
+
+class InputDeadZone:
+    """What the compensation is given of a reading, for ``n`` runs.
+
+    Attributes:
+        active: whether any run has a dead zone. wrench: ``(n, 6)`` what is left of the last reading.
+    """
+
+    def __init__(self, scenarios: Sequence[Scenario], parameters: Sequence[InputParameters] | None = None) -> None:
+        """``parameters``: of each run, by default those of its effects."""
+        found = [InputParameters.of(s.effects) for s in scenarios] if parameters is None else parameters
+        self._width = np.array([p.width for p in found])
+        self._where = np.array([PLACES[p.where] for p in found])
+        self.active = bool(self._width.any())
+        self.wrench = np.zeros((len(found), 6))
+
+    def update(self, reading: Array) -> Array:
+        """Take in a reading ``(n, 6)``: a force below the width is zero, torques pass."""
+        _dead(reading, self._width, self._where, False, self.wrench)
+        return self.wrench
+
+    def after(self, wrench: Array) -> None:
+        """Cut small forces of the compensated ``wrench`` (n, 6), in place, where the dead zone lies behind the compensation."""
+        _dead(wrench, self._width, self._where, True, wrench)
+
+
+@njit(cache=True)
+def _dead(reading, width, where, behind, out):
+    for i in range(reading.shape[0]):
+        w = width[i] if (where[i] == AFTER) == behind else 0.0
+        small = False
+        if where[i] == MAGNITUDE and not behind:
+            small = reading[i, 0] ** 2 + reading[i, 1] ** 2 + reading[i, 2] ** 2 < w * w
+        for j in range(6):
+            cut = small if where[i] == MAGNITUDE and not behind else j < 3 and abs(reading[i, j]) < w
+            out[i, j] = 0.0 if cut else reading[i, j]

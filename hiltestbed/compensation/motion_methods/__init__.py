@@ -1,0 +1,1 @@
+"""Ways to tell the platform where to go, one a module."""

@@ -1,0 +1,84 @@
+"""Compliant contact: the platform yields along the insertion so that the contact force stays under a limit.
+
+The admittance of a preloaded slider in series with the contact: it stays at its stop until the force reaches the limit, then gives way
+so that the force holds there (N. Hogan, "Impedance control", ASME J. Dyn. Syst. Meas. Control 107, 1985, for the admittance). With the
+spring and damper of the contact as identified, at the pose that is commanded, the yield delta <= 0 of a tick h follows from
+
+    k (x + delta) + c (v + (delta - delta_before)/h) = F_limit
+
+F is not the measured force, which is late. The numerical model is not told: a drive that corrects the force for where the platform is
+(resynchronised prediction, contact correction) still gets the force of the unlimited contact, any other the limited one. Until k is
+identified nothing yields.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, ClassVar, Literal
+
+import numpy as np
+from numba import njit
+from pydantic import Field
+
+from hiltestbed.compensation.measurement import Measurement
+from hiltestbed.compensation.settings import Input, MotionMethod, motion_of
+from hiltestbed.frames import Array
+from hiltestbed.plugins import register
+from hiltestbed.validation import Positive
+
+if TYPE_CHECKING:
+    from hiltestbed.scenario import Scenario
+
+AXIAL = 2
+AIM = 0.95  # of the limit: what is left is for the error of k as identified
+
+
+@register
+class Admittance(MotionMethod):
+    """Feed-forward, and a platform that yields along the insertion where the contact as identified would press harder than a limit."""
+
+    kind: Literal["admittance"] = "admittance"
+    limit: Positive = Field(description="of the contact force [N]")
+    speed: Positive = Field(default=0.1, description="with which the platform yields at most [m/s]")
+    reads: ClassVar[frozenset[Input]] = frozenset({"identified"})
+    feeds: ClassVar[bool] = True
+
+    @classmethod
+    def start(cls, scenarios: Sequence[Scenario]) -> AdmittanceBlock:
+        return AdmittanceBlock(scenarios)
+
+
+class AdmittanceBlock:
+    """The yielding platform, for ``n`` runs.
+
+    Attributes:
+        rate: ``(n, 6)`` velocity that it adds to the command.
+        offset: ``(n,)`` [m] by which the platform has yielded, <= 0.
+    """
+
+    def __init__(self, scenarios: Sequence[Scenario]) -> None:
+        n = len(scenarios)
+        motion = motion_of(scenarios, Admittance)
+        self._tick = 1.0 / scenarios[0].rate
+        self._limit = np.array([m.limit for m in motion])
+        self._speed = np.array([m.speed for m in motion])
+        self.offset = np.zeros(n)
+        self.rate = np.zeros((n, 6))
+
+    def command(self, pose: Array, derivatives: tuple[Array, Array, Array], measurement: Measurement, out: Array) -> None:
+        """Write the pose ``out`` (n, 7) to tell the platform."""
+        out[:] = pose
+        stiffness, damping = measurement.stiffness[:, AXIAL], measurement.damping[:, AXIAL]
+        _yield(self._tick, self._limit, self._speed, stiffness, damping, derivatives[0], self.offset, self.rate, out)
+
+
+@njit(cache=True)
+def _yield(h, limit, speed, stiffness, damping, velocity, offset, rate, out):
+    for i in range(out.shape[0]):
+        k, before = stiffness[i], offset[i]
+        if k > 0.0:
+            c = max(damping[i], 0.0)
+            held = (AIM * limit[i] - k * out[i, AXIAL] - c * (velocity[i, AXIAL] - before / h)) / (k + c / h)
+            offset[i] = min(0.0, before + min(max(held - before, -speed[i] * h), speed[i] * h))
+        rate[i, AXIAL] = (offset[i] - before) / h
+        out[i, AXIAL] += offset[i]

@@ -1,0 +1,73 @@
+"""Model-based inverse feed-forward of the commanded pose.
+
+    x_c = x + a1 dx/dt + a2 d2x/dt2 + a3 d3x/dt3,   1 + a1 s + a2 s^2 + a3 s^3 = (1 + T s)(1 + 2 zeta s/w + s^2/w^2), cut at ``order``
+
+the inverse of a platform with that response (third-order platform and second-order position lead: C. Qi et al., J. Intell. Robot.
+Syst. 2016; in real-time hybrid simulation the feed-forward of B. M. Phillips, B. F. Spencer, J. Eng. Mech. 139, 2013). Its
+derivatives are of a computed pose, so no sensor noise is in them but what the force brings.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+
+import numpy as np
+from numba import njit
+from pydantic import Field
+
+from hiltestbed.compensation.measurement import Measurement
+from hiltestbed.compensation.settings import Input, MotionMethod, motion_of
+from hiltestbed.frames import Array, pose_step
+from hiltestbed.plugins import register
+from hiltestbed.validation import NotNegative, Positive
+
+if TYPE_CHECKING:
+    from hiltestbed.scenario import Scenario
+
+
+@register
+class InverseModel(MotionMethod):
+    """The commanded pose passes the inverse of the platform's response, (1 + T s)(1 + 2 zeta s/w + s^2/w^2), cut after an order."""
+
+    kind: Literal["inverse_model"] = "inverse_model"
+    order: Annotated[int, Field(ge=1, le=3)] = Field(default=2, description="highest derivative of the command that is used")
+    bandwidth: Positive = Field(default=40.0, description="w/2 pi of the platform [Hz]")
+    damping_ratio: Positive = Field(default=1.0, description="zeta of the platform")
+    time_constant: NotNegative = Field(default=0.0, description="T, of what makes its response third-order [s]")
+    reads: ClassVar[frozenset[Input]] = frozenset()
+
+    @classmethod
+    def start(cls, scenarios: Sequence[Scenario]) -> InverseModelBlock:
+        return InverseModelBlock(scenarios)
+
+
+class InverseModelBlock:
+    """The inverse response on all six axes, for ``n`` runs."""
+
+    def __init__(self, scenarios: Sequence[Scenario]) -> None:
+        self.rate = None
+        self._coefficients = np.array([inverse_coefficients(s) for s in scenarios])
+
+    def command(self, pose: Array, derivatives: tuple[Array, Array, Array], measurement: Measurement, out: Array) -> None:
+        """Write the pose ``out`` (n, 7) to tell the platform."""
+        _apply(pose, *derivatives, self._coefficients, out)
+
+
+def inverse_coefficients(scenario: Scenario) -> tuple[float, float, float]:
+    """a1 [s], a2 [s^2], a3 [s^3]."""
+    (motion,) = motion_of([scenario], InverseModel)
+    w, T = 2.0 * math.pi * motion.bandwidth, motion.time_constant
+    a, b = 2.0 * motion.damping_ratio / w, 1.0 / w**2
+    return T + a, (a * T + b) * (motion.order >= 2), b * T * (motion.order >= 3)
+
+
+@njit(cache=True)
+def _apply(pose, velocity, acceleration, jerk, coefficients, out):
+    ahead = np.empty(6)
+    for i in range(pose.shape[0]):
+        a1, a2, a3 = coefficients[i]
+        for j in range(6):
+            ahead[j] = a1 * velocity[i, j] + a2 * acceleration[i, j] + a3 * jerk[i, j]
+        pose_step(pose[i], ahead, 1.0, out[i])

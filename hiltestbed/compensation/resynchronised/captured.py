@@ -1,0 +1,66 @@
+"""Compensation while the latches hold: all six axes push and pull at once, so there is no one line along which to predict.
+
+On each axis ``F = F_meas + k (x - x') + c (v - v')`` with k and c as identified so far, x and v the pose that the rig reached now and
+(primed) when the force was felt; an axis without an estimate passes the first-order phase lead. What is linear and identified is
+reconstructed exactly, and nothing has to be known of when the contact began.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numba import njit
+
+from hiltestbed.compensation.force_methods.phase_lead import PhaseLeadBlock
+from hiltestbed.compensation.history import History
+from hiltestbed.compensation.measurement import Measurement
+from hiltestbed.frames import Array, rotation_vector
+
+if TYPE_CHECKING:
+    from hiltestbed.scenario import Scenario
+
+LAG = 0.0005  # [s] the lead's pole
+
+
+class CapturedContact:
+    """The wrench of ``n`` captured pairs."""
+
+    def __init__(self, scenarios: Sequence[Scenario]) -> None:
+        n = len(scenarios)
+        self._lead = PhaseLeadBlock(scenarios, [(s.sensor.delay + LAG, LAG) for s in scenarios])
+        self._ticks = np.array([s.sensor.delay * s.rate for s in scenarios])
+        self._states = History(12, self._ticks)
+        self._state, self._late = np.zeros((n, 12)), np.zeros((n, 12))
+
+    def take_over(self, measurement: Measurement, wrench: Array) -> None:
+        """Replace the rows of ``wrench`` ``(n, 6)`` of those runs that are captured; call at every tick."""
+        led = self._lead.compensate(measurement)
+        observe(measurement.pose, measurement.twist, self._state)
+        self._states.remember(self._state)
+        self._states.before(self._ticks, self._late)
+        _reconstruct(
+            measurement.captured, measurement.wrench, led, self._state, self._late, measurement.stiffness, measurement.damping, wrench
+        )
+
+
+@njit(cache=True)
+def observe(pose, twist, out):
+    """``out`` (n, 12): position and rotation vector of ``pose`` (n, 7), and its ``twist`` (n, 6)."""
+    for i in range(pose.shape[0]):
+        for j in range(3):
+            out[i, j] = pose[i, j]
+        rotation_vector(pose[i, 3:7], out[i, 3:6])
+        for j in range(6):
+            out[i, 6 + j] = twist[i, j]
+
+
+@njit(cache=True)
+def _reconstruct(captured, measured, led, now, late, stiffness, damping, wrench):
+    for i in range(captured.shape[0]):
+        if captured[i]:
+            for j in range(6):
+                k, c = stiffness[i, j], damping[i, j]
+                change = k * (now[i, j] - late[i, j]) + c * (now[i, 6 + j] - late[i, 6 + j])
+                wrench[i, j] = led[i, j] if np.isnan(k) else measured[i, j] + change

@@ -1,0 +1,231 @@
+"""*Behind*, the numerical model at t - tau: what it is driven with, and what it learns of the contact on the way.
+
+Kernels of :mod:`hiltestbed.compensation.resynchronised` for run ``i``; ``bodies``, ``setup`` and ``state`` are its tuples of arrays.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from hiltestbed.compensation.resynchronised import contact_estimate as ce
+from hiltestbed.frames import rotation_vector
+from hiltestbed.numerical_model.kernels import carry, relative_motion, step, wrench_at_A, wrench_at_P
+
+HISTORY = 512  # ticks of a contact that can be run again
+# Columns of ``tick``: ticks done, index of *behind*, index of the touch, samples at the next run-again.
+DONE, BEHIND, ANCHOR, AGAIN, TICK = range(5)
+
+
+@njit(cache=True, inline="always")
+def remember(i, state, wrench, pose, twist):
+    slot = state.tick[i, DONE] % state.x.shape[1]
+    for j in range(3):
+        state.x[i, slot, j] = pose[j]
+    rotation_vector(pose[3:7], state.x[i, slot, 3:6])
+    for j in range(6):
+        state.wrench[i, slot, j] = wrench[j]
+        state.rate[i, slot, j] = twist[j]
+
+
+@njit(cache=True, inline="always")
+def along(fixed, line, x):
+    """``G.x``"""
+    if fixed:
+        return x[2]
+    return line[0, 0] * x[0] + line[0, 1] * x[1] + line[0, 2] * x[2] + line[0, 3] * x[3] + line[0, 4] * x[4] + line[0, 5] * x[5]
+
+
+@njit(cache=True, inline="always")
+def identify(i, h, fixed, ideal, substeps, bodies, setup, state, work, rows):
+    """Take the reading of this tick beside the pose at the time it was felt."""
+    k, late, part = state.tick[i, DONE], setup.late[i], setup.part[i]
+    j = k - late
+    if j < 0:
+        return
+    length = state.x.shape[1]
+    line, fit, law, count = state.line[i], state.fit[i], state.law[i], state.count[i]
+    early, now = state.x[i, j % length], state.x[i, min(j + 1, k) % length]
+    position, rate, at_A = rows[0], rows[1], rows[2]
+    w = setup.weight[i]
+    for c in range(6):
+        position[c] = (1.0 - part) * early[c] + part * now[c]
+        rate[c] = (1.0 - w) * state.rate[i, j % length, c] + w * state.rate[i, min(j + 1, k) % length, c]
+    wrench_at_A(state.wrench[i, k % length], position, at_A)
+    y = at_A[2] if fixed else math.sqrt(at_A[0] ** 2 + at_A[1] ** 2 + at_A[2] ** 2)
+    fit[ce.PEAK] = max(fit[ce.PEAK], y)
+    filtered = setup.smooth[i] < 1.0
+    gate = ce.GATE_PEAK_FILTERED if filtered and count[ce.ABOVE] > 0 and count[ce.SAMPLES] > 0 else ce.GATE_PEAK
+    if y <= ce.GATE_SIGMA * setup.sigma[i, 0] or y <= gate * fit[ce.PEAK]:
+        if count[ce.ABOVE] > 0 and fixed == 0:
+            law[ce.ARMED] = 0.0  # the next contact may be elsewhere on the surface
+        count[ce.ABOVE] = 0
+        state.regressor[i] = 0.0
+        return
+    fade = math.exp(-h / ce.DIRECTION_MEMORY)
+    sigma = setup.sigma[i]
+    ce.direct(line, at_A, y, fixed, fade, (sigma[0] * sigma[0], sigma[1] * sigma[1]))
+    if fixed:
+        ce.rub(fit, law, line, at_A, rate, y, setup.sigma[i, 0])
+    s, u = along(fixed, line, position), along(fixed, line, rate)
+    count[ce.ABOVE] += 1
+    if count[ce.ABOVE] == 1:
+        _touched(i, h, fixed, ideal, substeps, s, u, bodies, setup, state, work)
+        s = s if setup.late[i] == late and setup.part[i] == part else fit[ce.REFERENCE] + 0.5 * h * u
+    if count[ce.ABOVE] > 2 + setup.skip[i]:  # the last sample of a contact is left out: it may be clipped
+        ce.learn(fit, law, count, state.pending[i], setup.sigma[i, 0])
+    _felt(s, u, setup.smooth[i], setup.leak[i], state.regressor[i], state.pending[i])
+    state.pending[i, 3] = y
+
+
+@njit(cache=True)
+def _touched(i, h, fixed, ideal, substeps, s, u, bodies, setup, state, work):
+    """A contact has begun: correct the delay by the instant of touch if asked to, keep *behind* as it is to run it again."""
+    fit, law, count, tick = state.fit[i], state.law[i], state.count[i], state.tick[i]
+    if setup.estimate[i] == 1 and count[ce.CONTACTS] == 0 and u > 0.0:
+        late = setup.late[i]
+        expected = law[ce.TOUCH] if law[ce.ARMED] == 1.0 else 0.0
+        correction = (s - expected) / u - 0.5 * h  # the force began within the tick that ended here
+        spare = (state.x.shape[1] - HISTORY) // 2
+        delay = min(max(state.delay[i] + correction, 0.0), (spare - 2) * h)
+        state.delay[i] = delay
+        set_delay(i, delay, h, ideal, substeps, setup)
+        back = setup.late[i] - late
+        if tick[BEHIND] - back < 0:
+            back = tick[BEHIND]
+        none = state.used[i]
+        none[:] = 0.0
+        carry(state.q[i, 0], state.v[i, 0], bodies.port[i], bodies.mass[i], bodies.inverse[i], -h * back, none, none, work)
+        tick[BEHIND] -= back
+        s = expected + 0.5 * h * u
+    ce.touch(fit, law, count, s, u, h)
+    _rewind(i, h, fixed, s, u, bodies, state, work)
+    state.q[i, 1] = state.q[i, 0]
+    state.v[i, 1] = state.v[i, 0]
+    state.filtered[i, 1] = state.filtered[i, 0]
+    tick[ANCHOR] = tick[BEHIND]
+    tick[AGAIN] = ce.MINIMUM_SAMPLES
+
+
+@njit(cache=True)
+def _rewind(i, h, fixed, s, u, bodies, state, work):
+    """A platform that lags touches later than *behind* does: take that back, in free flight, to where the rig touched."""
+    tick, pose, at = state.tick[i], np.empty(7), np.empty(6)
+    relative_motion(state.q[i, 0], state.v[i, 0], bodies.port[i], work, pose, at)
+    at[0:3] = pose[0:3]
+    rotation_vector(pose[3:7], at[3:6])
+    reached = along(fixed, state.line[i], at)
+    ticks = int(min((reached - s) / (u * h), min(HISTORY // 4, tick[BEHIND]))) if u > 0.0 else 0
+    if ticks < 1:
+        return
+    none = state.used[i]
+    none[:] = 0.0
+    carry(state.q[i, 0], state.v[i, 0], bodies.port[i], bodies.mass[i], bodies.inverse[i], -h * ticks, none, none, work)
+    tick[BEHIND] -= ticks
+
+
+@njit(cache=True, inline="always")
+def _felt(x, v, smooth, leak, memory, out):
+    """x, v and 1 as they pass the sensor's filters, from the touch on."""
+    for c in range(3):
+        u = x if c == 0 else v if c == 1 else 1.0
+        before = memory[c, 0]
+        memory[c, 0] += (u - before) * smooth
+        if leak < 1.0:
+            memory[c, 1] = leak * (memory[c, 1] + memory[c, 0] - before)
+            out[c] = memory[c, 1]
+        else:
+            out[c] = memory[c, 0]
+
+
+@njit(cache=True, inline="always")
+def catch_up(i, h, fixed, bodies, setup, state, work, rows):
+    """Bring *behind* to where the last reading allows; from the touch on again when the law has become much better."""
+    tick, count = state.tick[i], state.count[i]
+    last = tick[DONE] - setup.late[i]
+    if tick[ANCHOR] >= 0 and count[ce.SAMPLES] >= tick[AGAIN] and state.law[i, ce.KNOWN] == 1.0:
+        tick[AGAIN] = 2 * count[ce.SAMPLES]
+        if last - tick[ANCHOR] < HISTORY:
+            state.q[i, 0] = state.q[i, 1]
+            state.v[i, 0] = state.v[i, 1]
+            state.filtered[i, 0] = state.filtered[i, 1]
+            tick[BEHIND] = tick[ANCHOR]
+    while tick[BEHIND] <= last:
+        _step_behind(i, tick[BEHIND], h, fixed, bodies, setup, state, work, rows)
+        tick[BEHIND] += 1
+
+
+@njit(cache=True, inline="always")
+def _step_behind(i, j, h, fixed, bodies, setup, state, work, rows):
+    """*Behind* from t_j to t_(j+1), under the wrench that was felt at t_j, less what the rig was elsewhere than *behind* is."""
+    length = state.x.shape[1]
+    pose, twist, used, line, law = rows[0], rows[1], rows[2], state.line[i], state.law[i]
+    known, part = j + setup.late[i], setup.part[i]
+    late, early = state.wrench[i, known % length], state.wrench[i, (known - 1) % length]
+    for c in range(6):
+        used[c] = late[c] if part == 0.0 or known == 0 else (1.0 - part) * late[c] + part * early[c]
+    x, v = state.x[i, j % length], state.rate[i, j % length]
+    relative_motion(state.q[i, 0], state.v[i, 0], bodies.port[i], work, pose, twist)
+    wrench_at_A(used, x, used)
+    rig = ce.size(law, along(fixed, line, x), along(fixed, line, v))
+    if law[ce.KNOWN] == 1.0:
+        felt = state.filtered[i, 0]
+        before = felt[0]
+        felt[0] += (rig - before) * setup.smooth[i]
+        felt[1] = setup.leak[i] * (felt[1] + felt[0] - before)
+        rig = felt[0] if setup.leak[i] == 1.0 else felt[1]
+    if rig == 0.0 and _silent(used, setup.sigma[i]):
+        for c in range(6):
+            used[c] = 0.0
+    at = rows[3]
+    for c in range(3):
+        at[c] = pose[c]
+    if not fixed:
+        rotation_vector(pose[3:7], at[3:6])
+    size = ce.size(law, along(fixed, line, at), along(fixed, line, twist))
+    for c in range(6):
+        used[c] += line[0, c] * (size - rig) if (c != 0 and c != 1) or law[ce.FRICTION] == 0.0 else 0.0
+    if law[ce.FRICTION] > 0.0:
+        _rub_behind(line, law, v, twist, rig, size, state.creep[i, 0], used)
+    wrench_at_P(used, pose, used)
+    for c in range(6):
+        state.used[i, c] = used[c]
+    step(
+        state.q[i, 0], state.v[i, 0], bodies.port[i], bodies.mass[i], bodies.inertia[i], bodies.inverse[i], state.used[i], h, work,
+    )  # fmt: skip
+
+
+@njit(cache=True, inline="always")
+def _rub_behind(line, law, rate, twist, rig, size, creep, used):
+    """Add what friction does at *behind* more than it did at the rig."""
+    sx, sy = ce.slip(line, twist)
+    fx, fy = ce.friction(law, size, sx, sy, creep)
+    sx, sy = ce.slip(line, rate)
+    gx, gy = ce.friction(law, max(rig, 0.0), sx, sy, creep)
+    fx -= gx
+    fy -= gy
+    used[0] += fx
+    used[1] += fy
+    used[5] -= line[0, 4] * fy + line[0, 3] * fx
+
+
+@njit(cache=True, inline="always")
+def _silent(wrench, sigma):
+    """Whether a wrench is its noise alone: away from the contact it is left out, so that the model does not wander."""
+    for c in range(6 if sigma[0] == 0.0 else 3):
+        if abs(wrench[c]) > ce.GATE_SIGMA * sigma[0]:
+            return False
+    return True
+
+
+@njit(cache=True)
+def set_delay(i, delay, h, ideal, substeps, setup):
+    """Ticks and parts of a tick of a delay [s]. Between two substeps the sensor's reading is interpolated, the rate with it."""
+    ticks = delay / h
+    late = math.ceil(ticks - 1e-9)
+    part = min(max(late - ticks, 0.0), 1.0)
+    setup.late[i] = late
+    setup.part[i] = part
+    setup.weight[i] = min(1.0, part * substeps) if ideal else part

@@ -1,0 +1,1 @@
+"""Effects of the contact and of the sensor's frame."""

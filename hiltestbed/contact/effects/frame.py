@@ -1,0 +1,76 @@
+"""The frame that carries the sensor gives way, or rings."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Literal
+
+from hiltestbed.effects.base import Effect, quantity
+from hiltestbed.effects.search import Candidate, Scales, candidate
+from hiltestbed.plugins import register
+
+if TYPE_CHECKING:
+    from hiltestbed.contact.parameters import ContactParameters
+
+HEAVY = 10.0 / (6.0 * math.pi) ** 2  # [s^2] of the contact's stiffness: a frame ten times as stiff that rings at 3 Hz
+LITTLE = 0.01  # of the contact's stiffness: the softest frame of a captured mechanism that is searched
+
+
+@register
+class FrameCompliance(Effect):
+    """The frame of the sensor gives way, quasi-statically."""
+
+    kind: Literal["frame.compliance"] = "frame.compliance"
+    stiffness: float = quantity("N/m", gt=0.0, search=(1e5, 1e9), ratio=True)
+    link = "contact"
+    equation = "x = pz - F/stiffness"
+    reference = "springs in series"
+    resembles = ("contact.stiffness",)
+    leading = "stiffness"
+    vanishes = True
+
+    def apply(self, p: ContactParameters) -> None:
+        share = self.stiffness / (self.stiffness + p.stiffness)
+        match self.variant.get("damper"):
+            case "in series":  # the damper sits on the contact's own deflection
+                p.stiffness *= share
+                p.damping *= share * share
+            case "whole rate":  # the spring alone gives, the damper feels the whole rate
+                p.stiffness *= share
+            case _:
+                p.frame = self.stiffness
+
+    @classmethod
+    def candidates(cls, scales: Scales) -> Iterator[Candidate]:
+        k = scales.stiffness
+        bounds = {"stiffness": ((LITTLE if scales.captured else 0.3) * k, 3000.0 * k)}
+        for variant in ({}, {"damper": "in series"}, {"damper": "whole rate"}):
+            yield candidate(cls, {"stiffness": [2.0 * k, 8.0 * k, 40.0 * k]}, bounds=bounds, variant=variant)
+
+
+@register
+class FrameMode(Effect):
+    """The frame of the sensor rings: it moves under the contact force, and the sensor reads the frame."""
+
+    kind: Literal["frame.mode"] = "frame.mode"
+    frequency: float = quantity("Hz", gt=0.0, search=(3.0, 200.0), ratio=True)
+    damping_ratio: float = quantity("-", gt=0.0, le=1.0, search=(0.002, 0.3), ratio=True)
+    mass: float = quantity("kg", gt=0.0, search=(1.0, 2000.0), ratio=True)
+    link = "contact"
+    equation = "m q'' + 2 zeta w m q' + w^2 m q = F, x = pz - q, measured: w^2 m q + 2 zeta w m q'"
+    reference = "single structural mode"
+    resembles = ("frame.compliance", "sensor.hum")
+    leading = "mass"
+    vanishes = True
+
+    def apply(self, p: ContactParameters) -> None:
+        p.mode, p.mode_damping, p.mode_mass = 2.0 * math.pi * self.frequency, self.damping_ratio, self.mass
+        p.reaction = float(self.variant.get("reads") == "reaction")
+
+    @classmethod
+    def candidates(cls, scales: Scales) -> Iterator[Candidate]:
+        k = scales.stiffness
+        starts = {"frequency": [8, 14, 22, 35, 60], "damping_ratio": [0.03], "mass": [k / 3e4, k / 2e3, k / 300]}
+        for variant in ({}, {"reads": "reaction"}):
+            yield candidate(cls, starts, bounds={"mass": (1.0, max(2000.0, HEAVY * k))}, variant=variant)

@@ -1,0 +1,110 @@
+"""The elastic force is not the one believed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Literal
+
+from hiltestbed.effects.base import Effect, quantity
+from hiltestbed.effects.search import Candidate, Scales, candidate
+from hiltestbed.plugins import register
+
+if TYPE_CHECKING:
+    from hiltestbed.contact.parameters import ContactParameters
+
+LITTLE = 0.01  # of the stiffness believed: what may be left of the spring of a captured mechanism beside a friction that was taken for it
+
+
+@register
+class ContactStiffness(Effect):
+    """The contact spring is stiffer or softer than believed."""
+
+    kind: Literal["contact.stiffness"] = "contact.stiffness"
+    factor: float = quantity("-", "true value over the one believed", gt=0.0, search=(0.3, 3.0), ratio=True)
+    link = "contact"
+    equation = "k -> factor k"
+    reference = "Hooke"
+    resembles = ("frame.compliance", "sensor.gain")
+    repeats = True
+    leading = "factor"
+
+    def apply(self, p: ContactParameters) -> None:
+        p.stiffness *= self.factor
+
+    @classmethod
+    def candidates(cls, scales: Scales) -> Iterator[Candidate]:
+        bounds = {"factor": (LITTLE, 3.0)} if scales.captured else None
+        yield candidate(cls, {"factor": [0.5, 0.75, 0.92, 1.08, 1.3, 1.8]}, bounds=bounds)
+
+
+@register
+class ContactPowerLaw(Effect):
+    """The elastic force follows a power of the penetration, whatever spring is fitted."""
+
+    kind: Literal["contact.power_law"] = "contact.power_law"
+    exponent: float = quantity("-", "n", gt=0.0, le=5.0, search=(1.02, 2.5))
+    stiffness: float = quantity("N/m^n", gt=0.0, search=(1e3, 1e10), ratio=True)
+    link = "contact"
+    equation = "F = stiffness x^exponent + c v"
+    reference = "Hertz for exponent 1.5"
+    resembles = ("contact.stiffness", "sensor.saturation")
+    leading = "exponent"
+
+    def apply(self, p: ContactParameters) -> None:
+        p.exponent, p.power_stiffness = self.exponent, self.stiffness
+        if self.variant.get("damper") == "none":
+            p.damping = 0.0
+
+    @classmethod
+    def candidates(cls, scales: Scales) -> Iterator[Candidate]:
+        k, x = scales.stiffness, scales.depth
+        starts = [(n, k * x ** (1.0 - n) * g) for n in (1.1, 1.25, 1.5, 1.8) for g in (0.6, 1.0, 1.6)]
+        for variant in ({}, {"damper": "none"}):
+            yield candidate(cls, {"exponent": [], "stiffness": []}, starts=starts, variant=variant)
+
+
+@register
+class ContactHardStop(Effect):
+    """A second spring past a position."""
+
+    kind: Literal["contact.hard_stop"] = "contact.hard_stop"
+    position: float = quantity("m", ge=0.0, search=(0.0, 0.05))
+    stiffness: float = quantity("N/m", gt=0.0, search=(1e3, 1e8), ratio=True)
+    link = "contact"
+    equation = "F += stiffness (x - position) while x > position"
+    reference = "bilinear buffer"
+    resembles = ("contact.power_law",)
+    leading = "position"
+    vanishes = True
+    jumps = "position"
+
+    def apply(self, p: ContactParameters) -> None:
+        p.stop, p.stop_stiffness = self.position, self.stiffness
+
+    @classmethod
+    def candidates(cls, scales: Scales) -> Iterator[Candidate]:
+        k, x = scales.stiffness, scales.depth
+        starts = {"position": [x * q for q in (0.15, 0.3, 0.45, 0.6, 0.75, 0.9)], "stiffness": [0.3 * k, k, 4.0 * k]}
+        yield candidate(cls, starts, bounds={"position": (0.0, x), "stiffness": (0.01 * k, 100.0 * k)})
+
+
+@register
+class ContactPreload(Effect):
+    """A force step at touch that does not depend on the speed."""
+
+    kind: Literal["contact.preload"] = "contact.preload"
+    force: float = quantity("N", ge=0.0, search=(0.0, 300.0))
+    link = "contact"
+    equation = "F += force while x > 0"
+    reference = "preloaded buffer spring"
+    resembles = ("contact.dry_friction", "contact.touch_offset")
+    repeats = True
+    leading = "force"
+
+    def apply(self, p: ContactParameters) -> None:
+        p.preload += self.force
+
+    @classmethod
+    def candidates(cls, scales: Scales) -> Iterator[Candidate]:
+        f = scales.force
+        yield candidate(cls, {"force": [0.01 * f, 0.04 * f, 0.15 * f]}, bounds={"force": (0.0, 0.8 * f)})

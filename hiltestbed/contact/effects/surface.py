@@ -1,0 +1,146 @@
+"""Where and how the surfaces touch: friction, adhesion, place of the touch, play, tilt."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from pydantic import Field, Strict
+
+from hiltestbed.effects.base import Effect, quantity
+from hiltestbed.effects.search import Candidate, Scales, candidate
+from hiltestbed.plugins import register
+
+if TYPE_CHECKING:
+    from hiltestbed.contact.parameters import ContactParameters
+    from hiltestbed.scenario import Scenario
+
+Tilt = Annotated[tuple[Annotated[float, Field(ge=-45.0, le=45.0)], ...], Strict(False), Field(min_length=2, max_length=2)]
+LEVERS = ({}, {"lever": 0.0}, {"lever": 1.0})  # where the force acts, between the undeformed surface (0) and the tip (1)
+
+
+@register
+class ContactSurfaceFriction(Effect):
+    """The tangential friction coefficient is not the one believed."""
+
+    kind: Literal["contact.surface_friction"] = "contact.surface_friction"
+    coefficient: float = quantity("-", "the true coefficient", ge=0.0, le=10.0, search=(0.0, 1.0))
+    link = "contact"
+    equation = "F_t = coefficient |F| v_t/sqrt(v_t^2 + (1e-4)^2)"
+    reference = "Coulomb, regularised"
+    resembles = ("sensor.crosstalk", "contact.misalignment")
+    leading = "coefficient"
+
+    def apply(self, p: ContactParameters) -> None:
+        p.friction = self.coefficient
+        p.lever = self.variant.get("lever", p.lever)
+
+    @classmethod
+    def candidates(cls, scales: Scales) -> Iterator[Candidate]:
+        if scales.slides:
+            for variant in LEVERS:
+                yield candidate(cls, {"coefficient": [0.02, 0.1, 0.3]}, variant=variant)
+
+
+@register
+class ContactAdhesion(Effect):
+    """The contact pulls at separation."""
+
+    kind: Literal["contact.adhesion"] = "contact.adhesion"
+    force: float = quantity("N", ge=0.0, search=(0.0, 300.0))
+    link = "contact"
+    equation = "F may fall to -force while x > 0"
+    reference = "magnet or latch pull"
+    resembles = ("contact.damping",)
+    repeats = True
+    leading = "force"
+
+    def apply(self, p: ContactParameters) -> None:
+        p.adhesion += self.force
+
+    def unfit(self, scenario: Scenario) -> str | None:
+        if scenario.mechanism.captured:
+            return f"acts where a contact ends, and a mechanism that is {scenario.mechanism.kind} never parts; allowed: take it out"
+        return None
+
+    @classmethod
+    def candidates(cls, scales: Scales) -> Iterator[Candidate]:
+        if not scales.captured:
+            f = scales.force
+            yield candidate(cls, {"force": [0.01 * f, 0.04 * f, 0.15 * f]}, bounds={"force": (0.0, 0.8 * f)})
+
+
+@register
+class ContactTouchOffset(Effect):
+    """The mechanisms touch later (or earlier) than believed."""
+
+    kind: Literal["contact.touch_offset"] = "contact.touch_offset"
+    offset: float = quantity("m", "positive: touches later", search=(-2e-3, 2e-3))
+    link = "contact"
+    equation = "x = pz - offset"
+    reference = "place of the surface"
+    resembles = ("contact.preload", "platform.scale")
+    repeats = True
+    leading = "offset"
+    jumps = "offset"
+
+    def apply(self, p: ContactParameters) -> None:
+        p.offset += self.offset
+
+    @classmethod
+    def candidates(cls, scales: Scales) -> Iterator[Candidate]:
+        yield candidate(cls, {"offset": [q * scales.depth for q in (-0.3, -0.1, -0.02, 0.02, 0.1, 0.3)]})
+
+
+@register
+class ContactBacklash(Effect):
+    """Play in a captured mechanism: no force within it."""
+
+    kind: Literal["contact.backlash"] = "contact.backlash"
+    width: float = quantity("m", "whole play", ge=0.0, search=(0.0, 5e-3))
+    link = "contact"
+    equation = "x = pz outside +-width/2 less the half play, 0 within; friction that gives before it slips carries its play along"
+    reference = "play of a joint"
+    resembles = ("platform.backlash",)
+    repeats = True
+    leading = "width"
+
+    def apply(self, p: ContactParameters) -> None:
+        p.play += self.width
+
+    def unfit(self, scenario: Scenario) -> str | None:
+        if not (scenario.mechanism.captured or scenario.mechanism.latch):
+            return f"is play of a latched mechanism (got {scenario.mechanism.kind!r} without a latch); allowed: kind latched, or a latch"
+        return None
+
+    @classmethod
+    def candidates(cls, scales: Scales) -> Iterator[Candidate]:
+        if scales.captured:
+            x = scales.depth
+            yield candidate(cls, {"width": [0.02 * x, 0.1 * x, 0.3 * x, 0.8 * x]}, bounds={"width": (0.0, 2.0 * x)})
+
+
+@register
+class ContactMisalignment(Effect):
+    """The passive port is tilted: the contact force tilts with it."""
+
+    kind: Literal["contact.misalignment"] = "contact.misalignment"
+    angles_deg: Tilt = quantity("deg", "about x, about y", search=(-8.0, 8.0))
+    link = "contact"
+    equation = "surface normal n = R_y R_x e_z"
+    reference = "mounting error"
+    resembles = ("sensor.crosstalk", "contact.surface_friction")
+    repeats = True
+    leading = "angles_deg"
+
+    def apply(self, p: ContactParameters) -> None:
+        p.tilt_x += math.radians(self.angles_deg[0])
+        p.tilt_y += math.radians(self.angles_deg[1])
+        p.lever = self.variant.get("lever", p.lever)
+
+    @classmethod
+    def candidates(cls, scales: Scales) -> Iterator[Candidate]:
+        starts = [(0.2, 0.2), (2.0, 2.0), (-2.0, -2.0)]
+        for variant in LEVERS:
+            yield candidate(cls, {"angles_deg.0": [0.0], "angles_deg.1": [0.0]}, starts=starts, variant=variant)

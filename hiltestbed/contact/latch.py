@@ -1,0 +1,54 @@
+"""When the latches of a probe in its cone close."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numba import njit
+
+from hiltestbed.contact.touch import Touch
+from hiltestbed.frames import Array
+
+if TYPE_CHECKING:
+    from hiltestbed.scenario import Scenario
+
+
+def latch_limits(scenarios: Sequence[Scenario]) -> Array:
+    """``(n, 3)`` least pz [m], cosine between the axes and speed [m/s] at which latches close; never met where there is no latch."""
+    latches = [s.mechanism.latch for s in scenarios]
+    never = (-np.inf, 2.0, 0.0)
+    return np.array([(la.depth, np.cos(np.radians(la.angle_deg)), la.speed) if la else never for la in latches])
+
+
+class LatchCondition:
+    """The conditions of `n` runs: depth, alignment and speed, all at once; a run without a latch never closes."""
+
+    def __init__(self, scenarios: Sequence[Scenario]) -> None:
+        self._limits = latch_limits(scenarios)
+        self._closing = np.zeros(len(scenarios), dtype=bool)
+
+    def close(self, touch: Touch) -> None:
+        """Latch the runs whose condition holds at the state of the last update."""
+        pose, twist = touch.relative()
+        if _due(pose, twist, self._limits, touch.latched, self._closing):
+            touch.close(self._closing)
+
+
+@njit(cache=True)
+def closes(pose, twist, limits):
+    """Whether a latch closes at a pose (7,) and twist (6,) of A in S; ``limits`` (3,) as in :func:`latch_limits`."""
+    aligned = 1.0 - 2.0 * (pose[3] ** 2 + pose[4] ** 2)  # cosine between the axes
+    speed2 = twist[0] ** 2 + twist[1] ** 2 + twist[2] ** 2
+    return pose[2] >= -limits[0] and aligned >= limits[1] and speed2 <= limits[2] ** 2
+
+
+@njit(cache=True)
+def _due(pose, twist, limits, latched, due):
+    """Mark in ``due`` (n,) the runs that are to latch now; True where there is one."""
+    some = False
+    for i in range(pose.shape[0]):
+        due[i] = not latched[i] and closes(pose[i], twist[i], limits[i])
+        some |= due[i]
+    return some

@@ -1,0 +1,156 @@
+"""The force law of the contact, with everything that a real buffer or a real frame adds to k x + c v.
+
+One contact's law is a row of parameters (:mod:`hiltestbed.contact.parameters`) and a row of states. Order: the frame gives way, the touch
+is shifted, play is taken out, then elastic force, damping, friction, preload, hard stop and relaxation add up, and the sum is kept from
+pulling. Dry friction that gives before it slips is a spring that drags a slider: play, where there is any, lies between the port and
+that spring, and travels with the slider; the frame's deflection is not seen by it.
+"""
+
+from __future__ import annotations
+
+import math
+
+from numba import njit
+
+from hiltestbed.contact.parameters import (
+    ADHESION,
+    ALPHA,
+    BRANCH_STIFFNESS,
+    BRANCH_TIME,
+    DAMPING,
+    DRAG,
+    DRY,
+    EXPONENT,
+    FRAME,
+    MODE,
+    MODE_DAMPING,
+    MODE_MASS,
+    OFFSET,
+    PLAY,
+    POWER_STIFFNESS,
+    PRELOAD,
+    REACTION,
+    STIFFNESS,
+    STOP,
+    STOP_STIFFNESS,
+)  # fmt: skip
+
+BRANCH, TOUCHING, DEFLECTION, DEFLECTION_RATE, SLIDER, STATES = 0, 1, 2, 3, 4, 5
+SLIP_SPEED = 2e-4  # [m/s] sgn(v) is tanh(v/SLIP_SPEED)
+MODE_STEP = 0.05  # [rad] largest phase that the frame's mode advances in one inner step
+
+
+@njit(cache=True)
+def _law(x, v, branch, p, held):
+    """Force [N] at penetration x [m] and rate v [m/s], Maxwell branch and slider carrying `branch` [N]; `held`: it pulls, too."""
+    if held:
+        half = 0.5 * p[PLAY]
+        if abs(x) <= half and half > 0.0:
+            return branch if p[DRAG] > 0.0 else 0.0  # play that travels with the slider is in the branch
+        x = x - half if x > 0.0 else x + half
+    elif x <= 0.0:
+        return 0.0
+    depth = abs(x)
+    elastic = p[POWER_STIFFNESS] * depth ** p[EXPONENT] if p[POWER_STIFFNESS] > 0.0 else p[STIFFNESS] * depth
+    if x < 0.0:
+        elastic = -elastic
+    force = elastic * (1.0 + p[ALPHA] * v) if p[ALPHA] >= 0.0 else elastic + p[DAMPING] * v
+    if p[DRY] != 0.0 and p[DRAG] <= 0.0:
+        force += p[DRY] * math.tanh(v / SLIP_SPEED)
+    if depth > p[STOP]:
+        force += math.copysign(p[STOP_STIFFNESS] * (depth - p[STOP]), x)
+    if p[PRELOAD] != 0.0:
+        force += math.copysign(p[PRELOAD], x)
+    force += branch
+    if held:
+        return force
+    return max(force, -p[ADHESION])
+
+
+@njit(cache=True)
+def _with_frame(x, v, branch, p, held):
+    """The force with the frame's spring in series, at the rate v of the whole: the root of F = law(x - F/k_frame)."""
+    rigid = _law(x, v, branch, p, held)
+    if p[FRAME] <= 0.0 or rigid == 0.0:
+        return rigid
+    low, high = min(rigid, 0.0), max(rigid, 0.0)
+    force = rigid
+    for _ in range(60):  # the law rises with x: one root between 0 and the rigid force
+        gap = _law(x - force / p[FRAME], v, branch, p, held) - force
+        if gap > 0.0:
+            low = force
+        else:
+            high = force
+        slope = (_law(x - force / p[FRAME] + 1e-9, v, branch, p, held) - _law(x - force / p[FRAME], v, branch, p, held)) / 1e-9
+        step = gap / (1.0 + max(slope, 0.0) / p[FRAME])
+        force += step
+        if not low <= force <= high:
+            force = 0.5 * (low + high)
+        if abs(step) < 1e-9 * (1.0 + abs(force)):
+            break
+    return force
+
+
+@njit(cache=True)
+def contact_force(x, v, dt, p, state, held):
+    """The contact force [N] at an instant.
+
+    Args:
+        x: penetration [m] by geometry, v: its rate [m/s], both at the instant. dt: time since the last instant [s].
+        p: (PARAMETERS,). state: (STATES,), changed in place; zero at the start. held: whether the mechanism pulls as well as pushes.
+    """
+    if p[MODE] > 0.0:
+        return _ringing(x, v, dt, p, state, held)
+    return _at_rest(x - p[OFFSET], v, dt, p, state, held)
+
+
+@njit(cache=True)
+def _at_rest(x, v, dt, p, state, held):
+    touching = x > 0.0 or held
+    if p[BRANCH_STIFFNESS] > 0.0:
+        if not touching:
+            state[BRANCH] = 0.0
+        else:
+            since = dt
+            if state[TOUCHING] == 0.0 and v > 0.0 and not held:
+                since = min(dt, x / v)
+            fade = math.exp(-since / p[BRANCH_TIME])
+            state[BRANCH] = state[BRANCH] * fade + p[BRANCH_STIFFNESS] * v * p[BRANCH_TIME] * (1.0 - fade)
+    state[TOUCHING] = 1.0 if touching else 0.0
+    carried = state[BRANCH]
+    if p[DRAG] > 0.0:
+        carried += _dragged(x, p, state, held) if touching else 0.0
+        if not touching:
+            state[SLIDER] = 0.0
+    return _with_frame(x, v, carried, p, held)
+
+
+@njit(cache=True)
+def _dragged(x, p, state, held):
+    """Friction [N] of a slider that a spring drags, through the play of a captured mechanism: within the play, stuck, or slipping."""
+    half = 0.5 * p[PLAY] if held else 0.0
+    reach = half + p[DRY] / p[DRAG]
+    stretch = x - state[SLIDER]
+    if abs(stretch) > reach:
+        stretch = math.copysign(reach, stretch)
+        state[SLIDER] = x - stretch
+    return math.copysign(p[DRAG] * max(abs(stretch) - half, 0.0), stretch)
+
+
+@njit(cache=True)
+def _ringing(x, v, dt, p, state, held):
+    """The frame's mode in steps of at most MODE_STEP, drift, kick, drift (second order), under the force that it feels."""
+    stiffest = math.sqrt(p[MODE] ** 2 + (p[STIFFNESS] + p[STOP_STIFFNESS] + p[BRANCH_STIFFNESS]) / p[MODE_MASS])
+    steps = max(1, math.ceil(stiffest * dt / MODE_STEP))
+    inner = dt / steps
+    for s in range(steps):
+        state[DEFLECTION] += 0.5 * inner * state[DEFLECTION_RATE]
+        moved = x - v * (dt - (s + 0.5) * inner)
+        force = _at_rest(moved - state[DEFLECTION] - p[OFFSET], v - state[DEFLECTION_RATE], inner, p, state, held)
+        acceleration = force / p[MODE_MASS] - p[MODE] ** 2 * state[DEFLECTION] - 2.0 * p[MODE_DAMPING] * p[MODE] * state[DEFLECTION_RATE]
+        loss = 2.0 * p[MODE_DAMPING] * p[MODE] + (p[DAMPING] / p[MODE_MASS] if force != 0.0 else 0.0)
+        state[DEFLECTION_RATE] += acceleration * inner / (1.0 + 0.5 * inner * loss)  # trapezoidal in the dampers: stable for any c/m
+        state[DEFLECTION] += 0.5 * inner * state[DEFLECTION_RATE]
+    if p[REACTION] > 0.0:
+        return p[MODE_MASS] * (p[MODE] ** 2 * state[DEFLECTION] + 2.0 * p[MODE_DAMPING] * p[MODE] * state[DEFLECTION_RATE])
+    return _at_rest(x - state[DEFLECTION] - p[OFFSET], v - state[DEFLECTION_RATE], 0.0, p, state, held)

@@ -1,0 +1,1 @@
+"""The mechanisms that ship, one a module."""

@@ -1,0 +1,87 @@
+"""The numbers of a contact: what its settings and its effects make of the force law and of the surfaces."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hiltestbed.effects.base import Effect
+from hiltestbed.frames import Array
+
+if TYPE_CHECKING:
+    from hiltestbed.contact.settings import Mechanism
+
+
+@dataclass
+class ContactParameters:
+    """One contact; a part of the law that is not there has the neutral number.
+
+    Attributes:
+        stiffness [N/m], damping [N s/m], friction [-]: of k x + c v and of Coulomb's law.
+        power_stiffness [N/m^n], exponent: k x^n in place of k x where the stiffness is positive.
+        alpha: [s/m] of Hunt and Crossley in place of the damper where it is not negative.
+        dry: [N] dry friction; drag: [N/m] of the spring that pulls its slider, 0 where it is rigid.
+        preload: [N]. stop [m], stop_stiffness [N/m]: a second spring past a position.
+        branch_stiffness [N/m], branch_time [s]: of a Maxwell branch. adhesion: [N] that a pull may reach.
+        frame: [N/m] of the sensor's frame in series; 0: rigid. offset: [m] by which the touch comes later.
+        captured: 1 where the mechanism pulls as well as pushes. play: [m] in a captured mechanism.
+        mode [rad/s], mode_damping [-], mode_mass [kg]: of the frame that rings; reaction: 1 where the sensor reads the frame's reaction.
+        tilt_x, tilt_y: [rad] of the passive port. lever: where the force acts, 0 at the undeformed surface, 1 at the tip.
+        blunt: 1 where the ball of the tip touches, 0 where its foremost point does, on a plane that is tilted.
+    """
+
+    stiffness: float
+    damping: float = 0.0
+    power_stiffness: float = 0.0
+    exponent: float = 0.0
+    alpha: float = -1.0
+    dry: float = 0.0
+    preload: float = 0.0
+    stop: float = np.inf
+    stop_stiffness: float = 0.0
+    branch_stiffness: float = 0.0
+    branch_time: float = 0.0
+    adhesion: float = 0.0
+    frame: float = 0.0
+    offset: float = 0.0
+    captured: float = 0.0
+    play: float = 0.0
+    mode: float = 0.0
+    mode_damping: float = 0.0
+    mode_mass: float = 0.0
+    friction: float = 0.0
+    tilt_x: float = 0.0
+    tilt_y: float = 0.0
+    lever: float = 0.5
+    reaction: float = 0.0
+    drag: float = 0.0
+    blunt: float = 1.0
+
+    @classmethod
+    def believed(cls, mechanism: Mechanism) -> ContactParameters:
+        """What a scenario's settings say, without any effect."""
+        c = mechanism.contact
+        return cls(c.stiffness, c.damping, friction=c.friction, captured=float(mechanism.captured))
+
+    def with_effects(self, effects: Iterable[Effect]) -> ContactParameters:
+        """The same object after the effects of the contact among ``effects`` have changed it."""
+        for effect in effects:
+            if effect.link == "contact":
+                effect.apply(self)
+        return self
+
+    def row(self) -> Array:
+        """``(PARAMETERS,)`` as the kernels take it."""
+        return np.array([getattr(self, f.name) for f in fields(self)], dtype=float)
+
+
+# The columns of a row, by the names of the fields.
+NAMES = tuple(f.name for f in fields(ContactParameters))
+PARAMETERS = len(NAMES)
+(
+    STIFFNESS, DAMPING, POWER_STIFFNESS, EXPONENT, ALPHA, DRY, PRELOAD, STOP, STOP_STIFFNESS, BRANCH_STIFFNESS, BRANCH_TIME,
+    ADHESION, FRAME, OFFSET, CAPTURED, PLAY, MODE, MODE_DAMPING, MODE_MASS, FRICTION, TILT_X, TILT_Y, LEVER, REACTION, DRAG, BLUNT,
+) = range(PARAMETERS)  # fmt: skip

@@ -1,0 +1,82 @@
+"""The mechanism's section of a scenario."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable
+from typing import TYPE_CHECKING, Annotated, ClassVar
+
+from pydantic import Field, model_validator
+
+from hiltestbed.plugins import OneOf, Registry, placeholder
+from hiltestbed.validation import NotNegative, Positive, Strictly, refuse
+
+if TYPE_CHECKING:
+    from mujoco import MjSpec
+
+
+class Contact(Strictly):
+    """Contact of the mechanism's surfaces: F = stiffness x + damping v, never pulling in a bumper or a cone."""
+
+    stiffness: Positive = Field(description="[N/m]")
+    damping: NotNegative = Field(default=0.0, description="[N s/m]")
+    friction: Annotated[float, Field(ge=0, le=2)] = Field(default=0.0, description="Coulomb coefficient [-]")
+
+
+class Mount(Strictly):
+    """Compliance of the passive side between the mechanism and the sensor: x, y, z, rx, ry, rz."""
+
+    stiffness: Annotated[tuple[Positive, ...], Field(strict=False, min_length=6, max_length=6)] = Field(
+        description="3 x [N/m], 3 x [N m/rad]"
+    )
+    damping: Annotated[tuple[NotNegative, ...], Field(strict=False, min_length=6, max_length=6)] = Field(
+        default=(0.0,) * 6, description="3 x [N s/m], 3 x [N m s/rad]"
+    )
+
+
+class Latch(Strictly):
+    """When the latches of a probe in its cone close: all three hold at once. From then on the mechanism pulls as well as pushes."""
+
+    depth: Annotated[float, Field(ge=0, le=0.1)] = Field(
+        default=0.004, description="the tip is within this of the nominal touch, pz >= -depth [m]"
+    )
+    angle_deg: Annotated[float, Field(gt=0, le=30)] = Field(default=5.0, description="angle between the axes of both sides [deg]")
+    speed: Positive = Field(default=0.02, description="relative speed of A's origin [m/s]")
+
+
+class Mechanism(Strictly):
+    """The docking mechanism: what touches what. Base of every kind.
+
+    Attributes:
+        captured: whether it holds from the start. flat: whether the passive surface is the plane z = 0 of P.
+        latches: whether a latch may close while it runs.
+    """
+
+    PARTS: ClassVar[tuple[str, ...]] = ("docstring", "sides")
+
+    kind: str
+    contact: Contact
+    mount: Mount | None = Field(default=None, description="null: rigid")
+    latch: Latch | None = Field(default=None, description="of a mechanism that captures; null: none")
+    captured: ClassVar[bool] = False
+    flat: ClassVar[bool] = False
+    latches: ClassVar[bool] = False
+
+    @placeholder
+    def sides(self) -> tuple[MjSpec, MjSpec]:
+        """The active and the passive side as MJCF, with the sites A and P. Raises InputError."""
+        raise NotImplementedError
+
+    def shape(self) -> Hashable:
+        """What its MuJoCo model depends on, apart from numbers: runs of one shape go in lockstep."""
+        return self.kind
+
+    @model_validator(mode="after")
+    def _may_latch(self) -> Mechanism:
+        if self.latch is not None and not self.latches:
+            able = ", ".join(kind for kind, cls in MECHANISMS.items() if cls.latches)
+            refuse([(("latch",), f"belongs to a mechanism that captures (got kind {self.kind!r}); allowed: null, or kind {able}")])
+        return self
+
+
+MECHANISMS: Registry[Mechanism] = Registry("mechanism", Mechanism, ("hiltestbed.contact.mechanisms",))
+AnyMechanism = Annotated[Mechanism, OneOf(MECHANISMS, default="bumper")]

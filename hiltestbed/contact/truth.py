@@ -1,0 +1,37 @@
+"""Stiffness and damping that an identification ought to find on each axis, where the mechanism gives them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from hiltestbed.contact.touch import LATCH_RADIUS
+
+if TYPE_CHECKING:
+    from hiltestbed.scenario import Scenario
+
+Pair = tuple[float, float]
+
+
+def in_series(first: Pair, second: Pair) -> Pair:
+    """Stiffness and damping, at frequencies well below k/c, of two springs with dampers one behind the other."""
+    (k1, c1), (k2, c2) = first, second
+    total = k1 + k2
+    return k1 * k2 / total, (c1 * k2 * k2 + c2 * k1 * k1) / (total * total)
+
+
+def axis_truth(scenario: Scenario) -> list[Pair | None]:
+    """Stiffness [N/m], [N m/rad] and damping of x, y, z, rx, ry, rz; None where no linear law holds along the axis.
+
+    A bumper has one along z. Latches hold on all six; a mount lies behind whatever acts.
+    """
+    mechanism = scenario.mechanism
+    k, c = float(mechanism.contact.stiffness), float(mechanism.contact.damping)
+    turning = LATCH_RADIUS**2
+    if mechanism.captured:
+        front: list[Pair | None] = [*[(k, c)] * 3, *[(k * turning, c * turning)] * 3]
+    else:
+        front = [None, None, (k, c) if mechanism.flat else None, None, None, None]
+    if mechanism.mount is None:
+        return front
+    behind = list(zip(mechanism.mount.stiffness, mechanism.mount.damping, strict=True))
+    return [None if f is None else in_series(f, b) for f, b in zip(front, behind, strict=True)]

@@ -1,0 +1,62 @@
+"""A long record of a slow motion in fewer rows: means of blocks, of path and reading alike, as long as nothing to be explained is lost.
+
+A damper that is moved at 1 Hz and recorded at 1 kHz says no more in a thousand rows a second than in two hundred, and every row costs
+a step of every hypothesis. A mean of equal weight over the same rows of path and reading delays both alike, and a linear law holds
+between them as between the rows.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from hiltestbed.diagnosis.links import LinkRun, WrenchLink
+from hiltestbed.frames import Array
+from hiltestbed.scenario import resolved, scenario_from
+
+ENOUGH = 6000  # rows of all runs that are always kept
+LOST = 0.02  # of the departure from the nominal model that may lie between the blocks
+
+
+def decimated(link: WrenchLink) -> WrenchLink:
+    """The same link on means of 2, 4, ... rows; itself where that would lose something. The noise is left as it is: no gain is claimed."""
+    rows = sum(len(p) for p in link.paths)
+    count = 1
+    if rows >= 2 * ENOUGH:
+        rms = _rms(link, link.predict([(i, ()) for i in range(len(link.runs))]))
+        while rows >= 2 * count * ENOUGH and _rms(link, [_between(r.measured, 2 * count) for r in link.runs]) < LOST * rms:
+            count *= 2
+    if count == 1:
+        return link
+    out = WrenchLink([_run(r, count) for r in link.runs], [_means(p, count) for p in link.paths])
+    return out.reading(lever=link.lever)
+
+
+def _rms(link: WrenchLink, modelled: list[Array]) -> float:
+    """Of the measured readings less `modelled`, in units of their noise, over all that was measured."""
+    counted = [np.isfinite(r.sigma) for r in link.runs]
+    left = [((r.measured - m) / r.sigma)[c] for r, m, c in zip(link.runs, modelled, counted, strict=True)]
+    return float(np.sqrt(np.mean(np.concatenate(left) ** 2)))
+
+
+def _means(values: Array, count: int) -> Array:
+    """(N // count, C) means of blocks of rows."""
+    whole = len(values) // count
+    return np.ascontiguousarray(values[: whole * count].reshape(whole, count, -1).mean(axis=1))
+
+
+def _between(values: Array, count: int) -> Array:
+    """(N, C) straight lines between the means of blocks."""
+    means = _means(values, count)
+    centres = np.arange(len(means)) * count + 0.5 * (count - 1)
+    rows = np.arange(len(values))
+    return np.column_stack([np.interp(rows, centres, column) for column in means.T])
+
+
+def _run(run: LinkRun, count: int) -> LinkRun:
+    rate = run.scenario.rate / count
+    sigma = _means(run.sigma, count)  # infinite where one of the rows was not measured
+    touching = _means(run.touching[:, None].astype(float), count)[:, 0] > 0.0
+    scenario = scenario_from(resolved(run.scenario) | {"rate": rate})
+    return replace(run, scenario=scenario, measured=_means(run.measured, count), sigma=sigma, touching=touching)

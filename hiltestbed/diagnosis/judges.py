@@ -1,0 +1,58 @@
+"""Whether an explanation of a computed channel leaves nothing that counts: there is no noise to compare it with."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from hiltestbed.diagnosis.adequacy import Leftover
+from hiltestbed.diagnosis.links import CompensationLink
+from hiltestbed.diagnosis.links.base import Effects
+from hiltestbed.diagnosis.residual import Residual
+from hiltestbed.diagnosis.search import Judge
+from hiltestbed.diagnosis.settings import COMPUTED_LEFT, CORRELATED, DYNAMICS_FLOOR, LED_NOISE, SMOOTHING
+
+
+def of_compensation(link: CompensationLink, noise: Mapping[str, float]) -> Judge:
+    """Computed, not measured: the residual is nothing, or led noise of the record, no larger in contact than out of it."""
+    gain = link.noise_gain()
+
+    def judge(residual: Residual, effects: Effects) -> dict[str, Leftover]:
+        out = {}
+        left = residual.by_run([effects])[0]
+        late = any(e.link == "log" for e in effects)
+        for c, name in enumerate(residual.link.channels):
+            level = residual.link.runs[residual.runs[0]].sigma[0, c]
+            inside = np.concatenate([r[residual.link.runs[i].touching, c] for i, r in zip(residual.runs, left, strict=True)])
+            outside = np.concatenate([r[~residual.link.runs[i].touching, c] for i, r in zip(residual.runs, left, strict=True)])
+            rms_in, rms_out = (float(np.sqrt(np.mean(x * x))) * level if len(x) else 0.0 for x in (inside, outside))
+            led = gain * noise.get(name.replace("comp", "meas"), 0.0)
+            apart = rms_out if len(outside) > SMOOTHING else rms_in  # a latched mechanism is never free
+            if late:  # what the loop read is known from a late record but for its noise
+                apart = led
+            floor = max(level / math.sqrt(CORRELATED), min(apart, LED_NOISE * led))
+            out[name] = Leftover((max(rms_in, rms_out) / floor) ** 2, 0.0, 1.3, 1.0, len(inside))
+        return out
+
+    return judge
+
+
+def of_dynamics(residual: Residual) -> Judge:
+    """Computed: nothing but what integrators may differ by, or a hundredth of the departure that was explained."""
+    departures = _rms(residual, ())
+
+    def judge(of: Residual, effects: Effects) -> dict[str, Leftover]:
+        out = {}
+        for name, rms, departure in zip(residual.link.channels, _rms(of, effects), departures, strict=True):
+            allowed = max(DYNAMICS_FLOOR, COMPUTED_LEFT * departure if effects else 0.0)
+            out[name] = Leftover((rms / allowed) ** 2, 0.0, 1.0, 1.0, len(residual.runs))
+        return out
+
+    return judge
+
+
+def _rms(residual: Residual, effects: Effects) -> list[float]:
+    z = np.concatenate(residual.by_run([effects])[0])
+    return [float(v) * DYNAMICS_FLOOR * math.sqrt(CORRELATED) for v in np.sqrt(np.mean(z * z, axis=0))]

@@ -1,0 +1,259 @@
+"""A measured dataset laid out for the links: what each was driven with, what it showed, and its noise floor."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hiltestbed.diagnosis.links import CompensationLink, DynamicsLink, Link, LinkRun, PlatformLink, WrenchLink, flat_pose
+from hiltestbed.diagnosis.links.base import padded
+from hiltestbed.diagnosis.settings import (
+    ARM_UNKNOWN,
+    COMPENSATION_FLOOR,
+    CORRELATED,
+    DYNAMICS_FLOOR,
+    FREE_ROWS,
+    NO_FORCE_NOISE,
+    NO_POSE_NOISE,
+    TAIL,
+    UNEVEN,
+)
+from hiltestbed.diagnosis.yielding import Deflection, deflection
+from hiltestbed.effects.search import Scales
+from hiltestbed.frames import Array
+from hiltestbed.measured import MeasuredDataset, MeasuredRun
+from hiltestbed.measured.noise import white_noise
+from hiltestbed.replay.compensation import needs
+from hiltestbed.signals import GROUPS
+
+ROTATIONS = ("rx", "ry", "rz")
+
+
+@dataclass(frozen=True)
+class Layout:
+    """One dataset as the links see it.
+
+    Attributes:
+        runs: as measured. rows: of each run that the search looks at. scales: what the data hold. noise: channel to its floor.
+        deflection: of each run how the believed rig departs from its command; None where it cannot be replayed.
+        missing: link to why it cannot be replayed.
+    """
+
+    runs: tuple[MeasuredRun, ...]
+    rows: tuple[int, ...]
+    scales: Scales
+    noise: Mapping[str, float]
+    deflection: tuple[Deflection, ...] | None
+    missing: Mapping[str, str]
+
+    @property
+    def whole(self) -> tuple[int, ...]:
+        """The rows of each run."""
+        return tuple(r.record.ticks for r in self.runs)
+
+
+def lay_out(dataset: MeasuredDataset) -> Layout:
+    """Rows, noise floors and scales of a dataset, and what of it can be replayed."""
+    runs = dataset.runs
+    noise = _floors(runs)
+    missing: dict[str, str] = {}
+    given = None
+    if not _all(runs, "pose_cmd", "pose_act"):
+        missing["platform"] = "needs pose_cmd and pose_act in every run"
+    else:
+        found = [deflection(run, noise.get("wrench_meas.fz", 0.0)) for run in runs]
+        lost = next((i for i, d in enumerate(found) if d is None), None)
+        if lost is None:
+            given = tuple(d for d in found if d is not None)
+        else:
+            missing["platform"] = f"the believed rig cannot follow the command on record in run {lost}"
+    missing |= _lacking(runs)
+    return Layout(runs, tuple(_rows(r) for r in runs), _scales(runs, noise), noise, given, missing)
+
+
+def _lacking(runs: Sequence[MeasuredRun]) -> dict[str, str]:
+    """Link to the groups that it needs and that some run lacks."""
+    out = {}
+    if not _all(runs, "wrench_meas", "wrench_comp"):
+        out["compensation"] = "needs wrench_meas and wrench_comp in every run"
+    else:
+        groups = sorted({g for r in runs for g in needs(r.scenario)} - {"wrench_meas"})
+        if not _all(runs, *groups):
+            kinds = ", ".join(sorted({r.scenario.compensation.force.kind for r in runs}))
+            out["compensation"] = f"needs {' and '.join(groups)} in every run for compensation.force {kinds}"
+    if not _all(runs, "wrench_comp", "pose_cmd"):
+        out["dynamics"] = "needs wrench_comp and pose_cmd in every run"
+    if not _all(runs, "wrench_meas"):
+        out["wrench"] = "needs wrench_meas in every run"
+    elif not all(r.record.has("pose_act") or r.record.has("pose_cmd") for r in runs):
+        out["wrench"] = "needs pose_act or pose_cmd in every run"
+    elif not any(r.survey.contacts for r in runs):
+        out["wrench"] = "needs a contact"
+    return out
+
+
+def platform_link(layout: Layout, rows: Sequence[int]) -> PlatformLink:
+    """The platform on the first ``rows`` of each run."""
+    assert layout.deflection is not None  # else it is missing
+    runs, commands, away = [], [], []
+    for run, found, n in zip(layout.runs, layout.deflection, rows, strict=True):
+        runs.append(_pose_run(run, layout.noise, found.doubt[:n], n))
+        commands.append(np.ascontiguousarray(run.record.filled("pose_cmd")[:n]))
+        away.append(found.away[:n])
+    return PlatformLink(runs, commands, away)
+
+
+def compensation_link(layout: Layout, rows: Sequence[int]) -> CompensationLink:
+    """The compensation on the first ``rows`` of each run."""
+    level = COMPENSATION_FLOOR * max(layout.noise.get("wrench_meas.fz", 0.0), 1e-6) * math.sqrt(CORRELATED)
+    groups = {g for r in layout.runs for g in needs(r.scenario)} - {"wrench_meas"}
+    twists = {g.replace("pose", "twist") for g in groups if _all(layout.runs, g.replace("pose", "twist"))}
+    pairs = list(zip(layout.runs, rows, strict=True))
+    records = {g: [np.ascontiguousarray(r.record.filled(g)[:n]) for r, n in pairs] for g in groups | twists}
+    runs = [_computed_run(r, r.record.data["wrench_comp"], level, n) for r, n in pairs]
+    return CompensationLink(runs, [np.ascontiguousarray(r.record.filled("wrench_meas")[:n]) for r, n in pairs], records)
+
+
+def dynamics_link(layout: Layout, rows: Sequence[int]) -> DynamicsLink:
+    """The numerical model on the first ``rows`` of each run."""
+    level = DYNAMICS_FLOOR * math.sqrt(CORRELATED)
+    pairs = list(zip(layout.runs, rows, strict=True))
+    runs = [_computed_run(r, flat_pose(r.record.data["pose_cmd"]), level, n) for r, n in pairs]
+    return DynamicsLink(runs, [np.ascontiguousarray(r.record.filled("wrench_comp")[:n]) for r, n in pairs])
+
+
+def wrench_link(
+    layout: Layout, paths: Sequence[Array], rows: Sequence[int], jumps: Sequence[Array] | None = None, extra: Callable | None = None
+) -> WrenchLink:
+    """Contact and sensor on the paths (N, 7) that A took in each run; jumps: (N,) [m] of it within a tick.
+
+    extra: (run) to (N, 6) noise that the path itself brings to the reading [N, N m].
+    """
+    least = layout.scales.force * np.array([NO_FORCE_NOISE] * 3 + [ARM_UNKNOWN] * 3)
+    runs = []
+    for i, (run, n) in enumerate(zip(layout.runs, rows, strict=True)):
+        link_run = _measured_run(run, "wrench_meas", layout.noise, n, least)
+        runs.append(link_run if extra is None else replace(link_run, sigma=np.hypot(link_run.sigma, extra(i, link_run))))
+    within = None if jumps is None else [j[:n] for j, n in zip(jumps, rows, strict=True)]
+    return WrenchLink(runs, [np.ascontiguousarray(p[:n]) for p, n in zip(paths, rows, strict=True)], within)
+
+
+def _all(runs: Sequence[MeasuredRun], *groups: str) -> bool:
+    return all(r.record.has(g) for r in runs for g in groups)
+
+
+def _rows(run: MeasuredRun) -> int:
+    if not run.survey.contacts:
+        return run.record.ticks
+    end = max(c.end for c in run.survey.contacts)
+    return min(run.record.ticks, end + round((TAIL + run.scenario.sensor.delay) * run.scenario.rate))
+
+
+def touching(run: MeasuredRun, rows: int) -> np.ndarray:
+    """(rows,) bool: in contact, or the sensor still shows it."""
+    out = np.zeros(run.record.ticks, dtype=bool)
+    late = round(run.scenario.sensor.delay * run.scenario.rate) + 3
+    for c in run.survey.contacts:
+        out[max(0, c.start - 2) : c.end + late] = True
+    return out[:rows]
+
+
+def _measured_run(run: MeasuredRun, group: str, noise: Mapping[str, float], rows: int, least: Array) -> LinkRun:
+    level = np.maximum([noise.get(name, 0.0) for name in GROUPS[group].columns], least)
+    sigma = np.where(run.record.valid[group][:rows], level, np.inf)
+    return LinkRun(run.scenario, np.nan_to_num(run.record.data[group][:rows]), sigma, touching(run, rows))
+
+
+def _pose_run(run: MeasuredRun, noise: Mapping[str, float], doubt: Array, rows: int) -> LinkRun:
+    """A measured pose as position and small rotation vector; an attitude counts where all of it was measured."""
+    valid = run.record.valid["pose_act"][:rows]
+    level = np.maximum([noise.get(f"pose_act.{part}", 0.0) for part in ("px", "py", "pz", *ROTATIONS)], NO_POSE_NOISE)
+    counted = np.concatenate([valid[:, :3], np.repeat(np.all(valid[:, 3:], axis=1)[:, None], 3, axis=1)], axis=1)
+    sigma = np.where(counted, np.hypot(level, doubt), np.inf)
+    sigma[0] = np.inf  # the start pose stands for itself
+    return LinkRun(run.scenario, np.nan_to_num(flat_pose(run.record.data["pose_act"][:rows])), sigma, touching(run, rows))
+
+
+def _computed_run(run: MeasuredRun, values: Array, level: float, rows: int) -> LinkRun:
+    sigma = np.where(np.isfinite(values[:rows]), level, np.inf)
+    return LinkRun(run.scenario, np.nan_to_num(values[:rows]), sigma, touching(run, rows))
+
+
+def _floors(runs: Sequence[MeasuredRun]) -> dict[str, float]:
+    """Channel to noise floor: third differences away from contacts, pooled; readings that stand still there tell nothing."""
+    floors = {}
+    for name in dict.fromkeys(c for r in runs for c in r.record.columns()):
+        found, still = [], 0
+        for r in runs:
+            if not r.record.has(name):
+                continue
+            values = r.record.column(name)
+            outside = values[~touching(r, len(values))] if name.startswith("wrench") and r.survey.contacts else values
+            outside = outside if len(outside) > FREE_ROWS else values  # a latched mechanism is never free
+            still += int(len(outside) > 10 and np.median(np.abs(np.diff(outside))) == 0.0)
+            found.append(max(white_noise(outside), r.record.steps.get(name, 0.0) / math.sqrt(12.0)))
+        level = float(np.sqrt(np.mean(np.square(found)))) if found else 0.0
+        if name.startswith("wrench_meas") and still * 2 > len(runs):  # a dead zone, or a sensor that is off between contacts
+            believed = runs[0].scenario.sensor.noise if ".f" in name else runs[0].scenario.sensor.torque_noise
+            inside = [white_noise(r.record.column(name)[touching(r, r.record.ticks)]) for r in runs if r.survey.contacts]
+            level = believed or (float(np.median(inside)) if inside else 0.0)
+        floors[name] = level
+    places = [n for n in ("pose_act.px", "pose_act.py", "pose_act.pz") if floors.get(n)]
+    for name in places:  # a platform that moves in jumps looks noisy on the axis that moves most
+        floors[name] = min(floors[name], UNEVEN * min(floors[n] for n in places))
+    return floors | {f"pose_act.r{axis}": 2.0 * floors[f"pose_act.q{axis}"] for axis in "xyz" if f"pose_act.q{axis}" in floors}
+
+
+def _scales(runs: Sequence[MeasuredRun], noise: Mapping[str, float]) -> Scales:
+    contacts = [c for r in runs for c in r.survey.contacts]
+    first = runs[0].scenario
+    stiffness = float(np.median([r.scenario.mechanism.contact.stiffness for r in runs]))
+    force = max([abs(c.peak_force or 0.0) for c in contacts], default=0.0)
+    depth = _depth(runs, force / stiffness)
+    force = force or stiffness * depth
+    speeds = [abs(v) for r in runs for v in r.scenario.approach.velocity if v] or _commanded_speeds(runs) or [0.01]
+    peaks = sorted({round(abs(c.peak_force), 6) for c in contacts if c.peak_force}, reverse=True)
+    return Scales(
+        force=force,
+        depth=depth,
+        stiffness=stiffness,
+        tick=first.tick,
+        noise=noise.get("wrench_meas.fz", 0.01 * force) or 1e-3 * force,
+        slow=min(speeds),
+        fast=max(speeds),
+        duration=min(r.record.ticks * r.scenario.tick for r in runs),
+        reading=tuple(peaks[:3]),
+        travel=max(
+            (float(np.max(np.ptp(r.record.filled("pose_cmd")[:, :3], axis=0))) for r in runs if r.record.has("pose_cmd")), default=0.0
+        ),
+        substeps=first.substeps,
+        captured=first.mechanism.captured,
+        slides=_slides(runs),
+    )
+
+
+def _depth(runs: Sequence[MeasuredRun], pressed: float) -> float:
+    """Largest penetration [m]: measured where the passive surface is flat, else that of the peak force."""
+    contacts = [c for r in runs for c in r.survey.contacts]
+    if runs[0].scenario.mechanism.flat or runs[0].scenario.mechanism.captured or not pressed:
+        return max([c.penetration or 0.0 for c in contacts], default=1e-3) or 1e-3
+    return pressed
+
+
+def _slides(runs: Sequence[MeasuredRun]) -> bool:
+    """Whether the tip moves across the surface."""
+    first = runs[0].scenario
+    lateral = any(any(r.scenario.approach.velocity[:2]) for r in runs)
+    return lateral or first.mechanism.contact.friction > 0 or not (first.mechanism.flat or first.mechanism.captured)
+
+
+def _commanded_speeds(runs: Sequence[MeasuredRun]) -> list[float]:
+    """The largest speed [m/s] that each run commands on any axis."""
+    rates = [np.diff(r.record.filled("pose_cmd")[:, :3], axis=0) / r.scenario.tick for r in runs if r.record.has("pose_cmd")]
+    return [float(np.max(np.abs(v))) for v in rates if v.any()]
+
+
+__all__ = ["Layout", "Link", "compensation_link", "dynamics_link", "lay_out", "padded", "platform_link", "touching", "wrench_link"]

@@ -1,0 +1,66 @@
+"""wrench_meas to wrench_comp."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from hiltestbed.compensation.input import InputParameters
+from hiltestbed.diagnosis.links.base import Effects, Lane, Link, LinkRun, padded
+from hiltestbed.frames import Array
+from hiltestbed.log import log_parameters
+from hiltestbed.replay import replay_compensation
+from hiltestbed.replay.wrench import shifted
+
+LARGE = 1e9  # [N] an impulse that no dead zone holds back
+ANSWER = 400  # rows, within which the answer to an impulse has passed
+
+
+class CompensationLink(Link):
+    """The believed compensation, with what the loop may have cut off before it."""
+
+    name = "compensation"
+    channels = ("wrench_comp.fx", "wrench_comp.fy", "wrench_comp.fz", "wrench_comp.tx", "wrench_comp.ty", "wrench_comp.tz")
+
+    def __init__(
+        self,
+        runs: Sequence[LinkRun],
+        wrenches: Sequence[Array],
+        records: Mapping[str, Sequence[Array]],
+        used: Sequence[Array] | None = None,
+    ) -> None:
+        """wrenches: (N, 6) wrench_meas of each run. records: pose_act, pose_cmd and their twists, as far as the method reads them.
+        used: the wrench as the loop had it, where the record is known to be stamped late."""
+        self.runs, self.wrenches, self.used = runs, wrenches, used
+        self._sources = records
+        self._records = {name: padded(values) for name, values in records.items()}
+
+    def on_used(self, used: Sequence[Array], runs: Sequence[LinkRun]) -> CompensationLink:
+        """The same link, where what the loop read is known in place of the late record."""
+        return CompensationLink(runs, self.wrenches, self._sources, used)
+
+    def _replay(self, lanes: Sequence[Lane]) -> list[Array]:
+        run = np.arange(len(lanes))
+        scenarios = [self.runs[i].scenario for i, _ in lanes]
+        readings = padded([self._reading(i, effects) for i, effects in lanes])
+        records = {name: values[[i for i, _ in lanes]] for name, values in self._records.items()}
+        found = replay_compensation(scenarios, [InputParameters.of(effects) for _, effects in lanes], records, readings, run)
+        return [wrench[: self.runs[i].rows] for wrench, (i, _) in zip(found, lanes, strict=True)]
+
+    def _reading(self, i: int, effects: Effects) -> Array:
+        """(N, 6) what the loop read: the record, or that of a later row where the record is stamped late."""
+        skew = log_parameters(effects).skew
+        if not skew:
+            return self.wrenches[i]
+        return self.used[i] if self.used is not None else shifted(self.wrenches[i], skew / self.runs[i].scenario.tick)
+
+    def noise_gain(self) -> float:
+        """By how much white noise of the readings is raised by the compensation of the first run; 1 where it is not linear."""
+        scenario = self.runs[0].scenario
+        if scenario.compensation.force.reads != {"wrench"}:
+            return 1.0
+        impulse = np.zeros((1, ANSWER, 6))
+        impulse[0, ANSWER // 4] = LARGE  # not at the start, which a method may take for the past
+        found = replay_compensation([scenario], [InputParameters()], {}, impulse, np.zeros(1, dtype=int))
+        return float(np.linalg.norm(found[0, :, 0])) / LARGE

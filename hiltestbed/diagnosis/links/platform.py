@@ -1,0 +1,48 @@
+"""pose_cmd to pose_act."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from hiltestbed.diagnosis.links.base import Effects, Lane, Link, LinkRun, flat_pose, padded
+from hiltestbed.frames import Array
+from hiltestbed.numerical_model.bodies import approach_state
+from hiltestbed.platform.parameters import PlatformParameters
+from hiltestbed.replay import replay_platform
+
+
+class PlatformLink(Link):
+    """The motion platform: what it makes of its command, and how its drives depart from it as believed."""
+
+    name = "platform"
+    channels = ("pose_act.px", "pose_act.py", "pose_act.pz", "pose_act.rx", "pose_act.ry", "pose_act.rz")
+
+    def __init__(self, runs: Sequence[LinkRun], commands: Sequence[Array], deflection: Sequence[Array]) -> None:
+        """commands: (N, 7) pose_cmd of each run. deflection: (N, 6) how the believed drives depart from it [m, rad]."""
+        self.runs, self.commands, self.deflection = runs, commands, deflection
+        self._padded = padded(commands)
+        starts = [approach_state(r.scenario)[None, :7] for r in runs]
+        self._attitude = [flat_pose(np.concatenate([s, c[:-1]]))[:, 3:] for s, c in zip(starts, commands, strict=True)]
+
+    def _replay(self, lanes: Sequence[Lane]) -> list[Array]:
+        run = np.array([i for i, _ in lanes])
+        scenarios = [self.runs[i].scenario for i in run]
+        parameters = [PlatformParameters.believed(s).with_effects(effects) for s, (_, effects) in zip(scenarios, lanes, strict=True)]
+        places = replay_platform(scenarios, parameters, self._padded, run)
+        out = []
+        for i, place in zip(run, places, strict=True):
+            out.append(np.concatenate([place[: self.runs[i].rows], self._attitude[i]], axis=1) + self.deflection[i])
+        return out
+
+    def paths(self, effects: Effects) -> list[Array]:
+        """(N, 7) poses of each run that the platform reaches, with the attitude that was commanded."""
+        return [poses_of(shown) for shown in self.predict([(i, effects) for i in range(len(self.runs))])]
+
+
+def poses_of(flat: Array) -> Array:
+    """(N, 7) poses of positions and small rotation vectors (N, 6), the inverse of :func:`flat_pose`."""
+    half = 0.5 * flat[:, 3:]
+    w = np.sqrt(np.maximum(1.0 - np.sum(half * half, axis=1, keepdims=True), 0.0))
+    return np.concatenate([flat[:, :3], half, w], axis=1)

@@ -1,0 +1,128 @@
+"""The pose through contact and sensor to wrench_meas."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from copy import copy
+from dataclasses import replace
+
+import numpy as np
+
+from hiltestbed.contact.latch import latch_limits
+from hiltestbed.contact.mount import MountDynamics
+from hiltestbed.contact.parameters import ContactParameters
+from hiltestbed.contact.touch import SURFACES
+from hiltestbed.diagnosis.links.base import Effects, Lane, Later, Link, LinkRun, padded
+from hiltestbed.frames import Array, pose_step
+from hiltestbed.log import log_parameters
+from hiltestbed.numerical_model.bodies import approach_state
+from hiltestbed.replay import Felt, replay_wrench
+from hiltestbed.replay.wrench import WHOLE
+from hiltestbed.replay.wrench import Lane as FeltLane
+from hiltestbed.scenario import Scenario
+from hiltestbed.sensor.parameters import SensorParameters
+
+NODES = np.linspace(-2.75, 2.75, 12)  # of a standard normal
+WEIGHTS = np.exp(-0.5 * NODES**2) / np.sum(np.exp(-0.5 * NODES**2))
+
+
+_PROMPT = log_parameters(())
+
+
+def _numbers(scenario: Scenario, lever: float) -> tuple[ContactParameters, SensorParameters]:
+    """Contact and sensor as a scenario believes them to be."""
+    contact = ContactParameters.believed(scenario.mechanism)
+    contact.lever = lever
+    return contact, SensorParameters.believed(scenario.sensor, scenario.tick)
+
+
+class WrenchLink(Link):
+    """Contact and sensor on the paths that A took.
+
+    Attributes:
+        lever: where between the undeformed surface (0) and the tip (1) the force acts. grid: instants a tick between which a late
+        reading lies on a straight line, as a facility has it that computes its contact step by step; None: it is that of the instant at
+        which it left the contact. The rate of a contact jumps from one tick to the next, so that the two differ.
+    """
+
+    name = "wrench"
+    channels = ("wrench_meas.fx", "wrench_meas.fy", "wrench_meas.fz", "wrench_meas.tx", "wrench_meas.ty", "wrench_meas.tz")
+
+    def __init__(self, runs: Sequence[LinkRun], paths: Sequence[Array], jumps: Sequence[Array] | None = None) -> None:
+        """paths: (N, 7) of A in P at t_k. jumps: (N,) how far A jumped [m] in the tick that ends at t_k, at an instant not known."""
+        self.runs, self.paths, self.jumps = runs, paths, jumps
+        self.lever, self.grid = 0.5, None
+        self._believed = [_numbers(r.scenario, self.lever) for r in runs]
+        scenarios = [r.scenario for r in runs]
+        first, before = scenarios[0], np.empty((len(runs), 7))
+        for i, (scenario, path) in enumerate(zip(scenarios, paths, strict=True)):
+            pose_step(path[0], approach_state(scenario)[7:], -scenario.tick, before[i])
+        captured = np.array([s.mechanism.captured for s in scenarios])
+        self._felt = Felt(
+            padded(paths), before, first.tick, SURFACES[first.mechanism.kind], captured, latch_limits(scenarios),
+            MountDynamics.of(scenarios), first.substeps,
+        )  # fmt: skip
+
+    def reading(self, lever: float | None = None, grid: int | None = None) -> WrenchLink:
+        """The same link with another reading of what is not known of the facility."""
+        out = copy(self)
+        if lever is not None and lever != self.lever:
+            out.lever, out._felt = lever, replace(self._felt, lever=lever)
+            out._believed = [_numbers(r.scenario, lever) for r in self.runs]
+        out.grid = self.grid if grid is None else grid
+        return out
+
+    def _replay(self, lanes: Sequence[Lane]) -> list[Array]:
+        found = replay_wrench(self._felt, [self._lane(i, effects) for i, effects in lanes], self.grid)
+        return [reading[: self.runs[i].rows] for reading, (i, _) in zip(found, lanes, strict=True)]
+
+    def _lane(self, i: int, effects: Effects) -> FeltLane:
+        links = {e.link for e in effects}
+        contact, sensor, later = self._believed[i][0], self._believed[i][1], 0.0
+        if "contact" in links:
+            contact = replace(contact).with_effects(effects)
+        if "sensor" in links:
+            sensor = sensor.copy().with_effects(effects)
+            later = sum(e.delay for e in effects if isinstance(e, Later))
+        return FeltLane(i, contact, sensor, log_parameters(effects) if "log" in links else _PROMPT, later)
+
+    def lateness(self, i: int, effects: Effects) -> float:
+        """[s] by which the reading of run i is later than the contact."""
+        lane = self._lane(i, effects)
+        return lane.sensor.delay + lane.later + lane.log.skew * lane.log.reread
+
+    def slopes(self, effects: Effects) -> list[Array]:
+        """(N, 6) of each run the rate of the reading [N/s, N m/s]: what a late sample is worth."""
+        everything = range(len(self.runs))
+        step = self.runs[0].scenario.tick / 2.0
+        if any(r.scenario.sensor.delay < step for r in self.runs):
+            return [np.gradient(p, 2.0 * step, axis=0) for p in self.predict([(i, effects) for i in everything])]
+        early = self.predict([(i, [*effects, Later(delay=-step)]) for i in everything])
+        late = self.predict([(i, [*effects, Later(delay=step)]) for i in everything])
+        return [(a - b) / (2.0 * step) for a, b in zip(early, late, strict=True)]
+
+    def shaken(self, i: int, effects: Effects, sigma: float) -> tuple[Array, Array]:
+        """(N, 6) mean of the reading and its spread [N, N m] where the delay varies by sigma [s] from sample to sample."""
+        nominal = self.lateness(i, effects)
+        found = self.predict([(i, [*effects, Later(delay=float(max(sigma * node, -nominal)))]) for node in NODES])
+        mean = sum(w * r for w, r in zip(WEIGHTS, found, strict=True))
+        square = sum(w * r**2 for w, r in zip(WEIGHTS, found, strict=True))
+        return np.asarray(mean), np.sqrt(np.maximum(np.asarray(square) - np.asarray(mean) ** 2, 0.0))
+
+    def doubt(self, i: int, effects: Effects) -> Array | None:
+        """(N, 6) how far a reading hangs on what lies between two instants of the physics: large where a touch or a jump does."""
+        s = self.runs[i].scenario
+        step = s.tick / min(s.substeps, 4)
+        late = self.lateness(i, effects)
+        if late < step:
+            return np.zeros((self.runs[i].rows, 6))
+        shifts = [[*effects, Later(delay=d)] for d in (-step, step)]
+        early, after, now = self.predict([(i, shifts[0]), (i, shifts[1]), (i, effects)])
+        out = np.abs(early + after - 2.0 * now)
+        ticks = late / s.tick
+        if self.jumps is not None and abs(ticks - round(ticks)) >= WHOLE:
+            first, rows = int(ticks), self.runs[i].rows
+            jump = np.concatenate([np.zeros(first), self.jumps[i]])[:rows]
+            touched = np.concatenate([np.zeros(first, dtype=bool), self.paths[i][:, 2] > -jump.max(initial=0.0)])[:rows]
+            out[:, 2] += s.mechanism.contact.stiffness * np.where(touched, jump, 0.0)
+        return out

@@ -1,0 +1,194 @@
+"""The runs played again in closed loop, nominal and extended, and the figures that are compared with the measured ones.
+
+Measured and simulated runs go through the same rule: speeds are slopes of the commanded pose before the first contact and after it,
+stiffness and damping a least-squares fit of the reading on pose and rate in contact.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hiltestbed.campaign.structure import lockstep_groups
+from hiltestbed.diagnosis.result import Cause, ClosedLoop, Figures
+from hiltestbed.errors import HiltestbedError
+from hiltestbed.frames import Array
+from hiltestbed.measured import MeasuredDataset, MeasuredRun
+from hiltestbed.metrics import settle_ticks
+from hiltestbed.replay.wrench import shifted
+from hiltestbed.scenario import Scenario, resolved, scenario_from
+from hiltestbed.signals import RunTrace
+from hiltestbed.simulation import simulate
+
+WINDOW = 0.1  # [s] over which a speed is read, at most
+LEAST = 8  # samples of a speed, at least
+QUIET = 0.03  # [s] after the end of a contact until the speed is read, so that the tail of an unknown delay or lag is over
+SMOOTH = 15  # a contact is smoothed over this part of itself before it is differentiated
+LOCKSTEP = 64  # runs at a time
+TOUCH = 0.01  # part of the greatest penetration from which samples are fitted: the first carry the clipping of the force
+
+
+@dataclass(frozen=True)
+class Played:
+    """One run, simulated: the nominal and the extended trace, None where the simulation could not be run."""
+
+    run: int
+    nominal: RunTrace | None
+    extended: RunTrace | None
+
+
+@dataclass(frozen=True)
+class Motion:
+    """What the figures need of a run: (N,) each, NaN where not measured; None for a channel that is absent.
+
+    span: first tick of the first contact, its end, and where the stretch after it ends (the next contact or the last row).
+    """
+
+    t: Array
+    command: Array | None
+    reached: Array | None
+    force: Array | None
+    span: tuple[int, int, int] | None
+
+
+def play(dataset: MeasuredDataset, causes: Sequence[Cause]) -> tuple[Played, ...]:
+    """Simulate every run's scenario as believed, and with the causes."""
+    nominal = [r.scenario for r in dataset.runs]
+    extended = [with_causes(s, causes) for s in nominal] if causes else []
+    traces = traces_of(nominal)
+    after = traces_of(extended) if causes else traces
+    return tuple(Played(r.record.run, a, b) for r, a, b in zip(dataset.runs, traces, after, strict=True))
+
+
+def with_causes(scenario: Scenario, causes: Sequence[Cause]) -> Scenario:
+    """A run's scenario with the causes among its effects."""
+    data = resolved(scenario)
+    data["effects"] = [*data["effects"], *(c.entry() for c in causes)]
+    return scenario_from(data)
+
+
+def traces_of(scenarios: Sequence[Scenario]) -> list[RunTrace | None]:
+    """The traces, runs of one structure in lockstep; None for a run that the simulation refuses."""
+    out: list[RunTrace | None] = [None] * len(scenarios)
+    for group in lockstep_groups(list(enumerate(scenarios)), LOCKSTEP):
+        try:
+            batch = simulate([scenario for _, scenario in group], trace=True)
+        except HiltestbedError:
+            continue
+        if batch.trace is not None:
+            for n, (i, _) in enumerate(group):
+                out[i] = batch.trace.run(n)
+    return out
+
+
+def closed_loop(dataset: MeasuredDataset, played: Sequence[Played]) -> ClosedLoop:
+    """Figures of every run."""
+    rows = [
+        tuple(figures(motion, run.scenario) for motion in (measured_motion(run), trace_motion(p.nominal), trace_motion(p.extended)))
+        for run, p in zip(dataset.runs, played, strict=True)
+    ]
+    return ClosedLoop(tuple(p.run for p in played), *(tuple(row[i] for row in rows) for i in range(3)))
+
+
+def measured_motion(run: MeasuredRun) -> Motion:
+    """Of a record."""
+    record, spans = run.record, [(c.start, c.end) for c in run.survey.contacts]
+    names = ("pose_cmd.pz", "pose_act.pz", "wrench_meas.fz")
+    command, reached, force = (record.column(name) if name in record.columns() else None for name in names)
+    return Motion(record.t, command, reached, force, _first(spans, record.ticks))
+
+
+def trace_motion(trace: RunTrace | None) -> Motion | None:
+    """Of a simulated run."""
+    if trace is None:
+        return None
+    edges = np.flatnonzero(np.diff(np.r_[False, trace.contact, False])).reshape(-1, 2)
+    command, reached, force = (np.ascontiguousarray(trace[g][:, 2]) for g in ("pose_cmd", "pose_act", "wrench_meas"))
+    return Motion(trace.t, command, reached, force, _first([(int(a), int(b)) for a, b in edges], len(trace.t)))
+
+
+def _first(spans: Sequence[tuple[int, int]], ticks: int) -> tuple[int, int, int] | None:
+    if not spans:
+        return None
+    return (*spans[0], spans[1][0] if len(spans) > 1 else ticks)
+
+
+def figures(motion: Motion | None, scenario: Scenario) -> Figures:
+    """All None for a run without contact."""
+    if motion is None or motion.span is None:
+        return Figures()
+    stiffness, damping = identified(motion, scenario) if scenario.mechanism.flat else (None, None)
+    peak = None
+    if motion.force is not None:
+        start, end, _ = motion.span
+        reading = np.abs(motion.force[start : end + settle_ticks(scenario)])
+        peak = float(np.nanmax(reading)) if np.isfinite(reading).any() else None
+    cor = restitution(motion, scenario) if not scenario.mechanism.captured else None
+    return Figures(cor, peak, stiffness, damping)
+
+
+def restitution(motion: Motion, scenario: Scenario) -> float | None:
+    """Rebound speed over approach speed of the first contact; None where there is no stretch to read one of them from.
+
+    From the commanded pose, as the numerical model's; from the one reached where the command was not recorded.
+    """
+    z = motion.command if motion.command is not None else motion.reached
+    if z is None or motion.span is None:
+        return None
+    start, end, until = motion.span
+    window, settle = round(WINDOW * scenario.rate), settle_ticks(scenario)
+    first = min(end + settle + round(QUIET * scenario.rate), max(end + settle, until - window))
+    approach = _slope(motion.t, z, max(0, start - 1 - window), start - 1)
+    rebound = _slope(motion.t, z, first, min(until, len(z), first + window))
+    if approach is None or rebound is None or approach <= 0.0 or rebound >= 0.0:
+        return None
+    return -rebound / approach
+
+
+def _slope(t: Array, z: Array, start: int, end: int) -> float | None:
+    """[m/s] least squares over the rows that hold data."""
+    rows = np.arange(start, max(start, end))
+    rows = rows[np.isfinite(z[rows])]
+    if len(rows) < LEAST:
+        return None
+    return float(np.polyfit(t[rows] - t[rows[0]], z[rows], 1)[0])
+
+
+def identified(motion: Motion, scenario: Scenario) -> tuple[float | None, float | None]:
+    """k [N/m] and c [N s/m] of F = k x + c v over the first contact, the reading moved back by the sensor's nominal delay.
+
+    Clipped samples at the touch are left out (literature: a window over x > 0 costs 3 to 5 % of c).
+    """
+    if motion.reached is None or motion.force is None or motion.span is None:
+        return None, None
+    start, end, _ = motion.span
+    rows = np.arange(start, min(end, len(motion.t)))
+    late = scenario.sensor.delay * scenario.rate
+    x = _smoothed(motion.reached, rows)
+    y = shifted(motion.force[:, None], late)[rows, 0]
+    if x is None:
+        return None, None
+    v = np.gradient(x, scenario.tick)
+    use = np.isfinite(x) & np.isfinite(y) & (x > TOUCH * np.nanmax(x))
+    use &= y > TOUCH * np.nanmax(np.abs(y)) if np.isfinite(y).any() else False
+    if use.sum() < LEAST:
+        return None, None
+    matrix = np.column_stack([x[use], v[use]])
+    scale = np.linalg.norm(matrix, axis=0)
+    if not (scale > 0).all():
+        return None, None
+    k, c = np.linalg.lstsq(matrix / scale, y[use], rcond=None)[0] / scale
+    return float(k), float(c)
+
+
+def _smoothed(z: Array, rows: np.ndarray) -> Array | None:
+    """z at `rows`, gaps bridged, smoothed by a cubic over a small part of the contact."""
+    from scipy.signal import savgol_filter
+
+    known = np.flatnonzero(np.isfinite(z))
+    length = max(5, len(rows) // SMOOTH) | 1
+    if len(rows) < 2 * length or len(known) < len(rows) // 2:
+        return None
+    return np.asarray(savgol_filter(np.interp(np.arange(len(z)), known, z[known]), length, 3))[rows]

@@ -1,0 +1,33 @@
+"""From what was found to the whole diagnosis: the model extended, both models played in closed loop, the next experiment."""
+
+from __future__ import annotations
+
+from hiltestbed.diagnosis.report.closed_loop import closed_loop, play
+from hiltestbed.diagnosis.report.evidence import channel_residuals
+from hiltestbed.diagnosis.report.experiments import mass_of_either_body, next_experiment
+from hiltestbed.diagnosis.report.extend import extended_scenario
+from hiltestbed.diagnosis.result import Diagnosis, Finding
+from hiltestbed.measured import MeasuredDataset
+
+
+def conclude(dataset: MeasuredDataset, finding: Finding, seconds: float | None = None) -> Diagnosis:
+    """The diagnosis of a dataset; `seconds`: what it has taken so far."""
+    causes = finding.causes if finding.extends else ()
+    played = play(dataset, causes)
+    notes = (*(f"{link} was not judged: {why}" for link, why in finding.not_judged.items()), *(str(remark) for remark in dataset.remarks))
+    either = mass_of_either_body(finding, dataset)
+    notes = (*notes, either) if either else notes
+    refused = [f"run {p.run}: the nominal simulation could not be run" for p in played if p.nominal is None]
+    refused += [f"run {p.run}: the extended simulation could not be run" for p in played if p.extended is None and p.nominal is not None]
+    return Diagnosis(
+        name=dataset.spec.name or dataset.path.parent.resolve().name or dataset.nominal.name,
+        finding=finding,
+        residuals=channel_residuals(finding.series, finding.noise, bool(causes or finding.partial)),
+        closed_loop=closed_loop(dataset, played),
+        experiment=next_experiment(finding, dataset),
+        extended=extended_scenario(dataset.nominal, causes),
+        dataset=dataset,
+        played=played,
+        remarks=(*notes, *refused),
+        seconds=seconds,
+    )

@@ -1,0 +1,323 @@
+"""Which experiment tells two effects apart, laid out with a dataset's own numbers.
+
+Each rule is for a pair of effects, one of `first` and one of `second`, and says what is run and where the two differ in it. Confounded
+pairs and what breaks them: Section 5 of the literature (standard set of experiments: free flight, sweep in air, known springs, ladder of
+speeds, offsets, press and hold); equations of the contact: k_app = k cos w tau + c w sin w tau, c_app = c cos w tau - (k/w) sin w tau.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from hiltestbed.diagnosis.report.facts import Facts, rounded
+
+Plan = tuple[str, tuple[Mapping[str, Any], ...]]
+PHASE = 0.35  # [rad] w tau above which a lag and a delay part ways: the lag loses w^2 tau^2 = 12 % of the stiffness
+
+
+@dataclass(frozen=True)
+class Rule:
+    """`plan(facts)` gives the text and the runs that separate an effect of `first` from one of `second`."""
+
+    first: frozenset[str]
+    second: frozenset[str]
+    plan: Callable[[Facts], Plan]
+
+    def separates(self, effects: frozenset[str]) -> bool:
+        """Whether two different effects of the set are the two of this rule."""
+        return any(a != b for a in effects & self.first for b in effects & self.second)
+
+
+def springs_for_delay(f: Facts) -> Plan:
+    low, high = f.new_springs()
+    late = max(f.estimate("sensor.delay", "delay", f.estimate("log.skew", "delay", f.estimate("platform.delay", "delay", f.tick))), 1e-5)
+    text = (
+        f"Run the same approach ({f.fast:g} m/s) on two other known springs, k = {low:g} and {high:g} N/m, damper unchanged. A delay of "
+        f"{1e3 * late:.3g} ms changes the apparent damping by -k tau = {-low * late:.3g} and {-high * late:.3g} N s/m, a "
+        "damper by the same "
+        "amount on both. Do not vary the masses: sqrt(mu) ln e = (pi/2)(k tau - c)/sqrt(k) holds for every mass, so that a mass ladder "
+        "separates nothing."
+    )
+    return text, tuple({"mechanism.contact.stiffness": k} | f.at_speed(f.fast) for k in (low, high))
+
+
+def fast_contact_for_lag(f: Facts) -> Plan:
+    tau = f.estimate("sensor.lag", "time_constant", f.estimate("sensor.delay", "delay", f.tick))
+    stiff = rounded(f.mass * (PHASE / tau) ** 2)
+    light = rounded(f.stiffness * (tau / PHASE) ** 2)
+    speed = rounded(min(f.fast, f.peak / math.sqrt(stiff * f.mass)))
+    text = (
+        f"A lag and a pure delay of {1e3 * tau:.3g} ms differ only where w tau > 0.3. Run a contact of that speed: a known spring of "
+        f"k >= {stiff:g} N/m at {speed:g} m/s (peak force about {speed * math.sqrt(stiff * f.mass):.3g} N), or the present spring with "
+        f"masses that reduce to {light:g} kg. There the lag reads the force {100 * (1 - 1 / math.sqrt(1 + PHASE**2)):.0f} % low "
+        "and the delay does not. Without a contact: tap the sensor with a hammer and look at the edge: after a delay it is steep."
+    )
+    return text, ({"mechanism.contact.stiffness": stiff} | f.at_speed(speed),)
+
+
+def known_weight(f: Facts) -> Plan:
+    load = rounded(f.peak)
+    factor = f.estimate("sensor.gain", "factor", 1.05)
+    text = (
+        f"Set a known weight of {load:g} N ({load / 9.81:.2g} kg) on the sensor, no contact: a scale error of {factor:.4g} reads "
+        f"{load * factor:.4g} N, a different spring reads {load:g} N. The loop alone cannot tell them: momentum balances with "
+        "the force as "
+        "it is measured. A known spring instead of the mechanism does the same."
+    )
+    return text, ()
+
+
+def axial_weight(f: Facts) -> Plan:
+    load = rounded(f.peak)
+    text = (
+        f"Load the sensor along z alone with a weight of {load:g} N, no contact, and again in contact with the port tilted by "
+        "2 degrees both "
+        f"ways ({f.slow:g} m/s). Cross-talk shows the same part of fz on the lateral axis in all of them; a tilted surface shows nothing "
+        "under the weight and follows the tilt; friction follows the direction of sliding."
+    )
+    return text, tuple({"approach.attitude_deg": [0.0, a, 0.0]} for a in (-2.0, 2.0))
+
+
+def both_ways_sideways(f: Facts) -> Plan:
+    side = rounded(0.3 * f.fast)
+    text = (
+        f"Run two approaches at {f.fast:g} m/s that slide sideways at +{side:g} and -{side:g} m/s, and one that does not slide. Friction "
+        "changes sign with the sliding and is gone without it; cross-talk and a tilt do not change."
+    )
+    return text, tuple({"approach.velocity": [v, 0.0, f.fast]} for v in (side, -side, 0.0))
+
+
+def rebound(f: Facts) -> Plan:
+    late = f.estimate("log.skew", "delay", f.estimate("sensor.delay", "delay", f.tick))
+    factor = math.exp(0.5 * math.pi * f.frequency * late)
+    text = (
+        f"Record wrench_comp (what the numerical model was driven with) or the rebound speed. A delay of {1e3 * late:.3g} ms "
+        "inside the loop "
+        f"raises the coefficient of restitution by exp(pi w tau/2) = {factor:.4f} at the present spring"
+        f" and by {math.exp(math.pi * f.frequency * late):.4f} at one four times as stiff; a record that is merely stamped "
+        "late leaves it "
+        "as it is."
+    )
+    return text, (f.with_spring(rounded(4 * f.stiffness)),)
+
+
+def speed_ladder(f: Facts) -> Plan:
+    if f.captured:
+        return cycles(f)
+    speeds = tuple(dict.fromkeys(rounded(v) for v in (0.25 * f.slow, f.slow, f.fast, 3.0 * f.fast)))
+    listed = ", ".join(f"{v:g}" for v in speeds)
+    text = (
+        f"Run a ladder of speeds on the present spring: {listed} m/s. The loop of force over penetration tells them: dry "
+        "friction keeps its "
+        "width in newtons at every speed, a viscous damper's grows with the speed, a Hunt-Crossley damper's with the speed times the "
+        "penetration, a relaxing branch's with neither at the slow end. A power law shows as a stiffness that grows with the peak force, "
+        "a stop as a knee at one penetration."
+    )
+    return text, tuple(f.at_speed(v) for v in speeds)
+
+
+def cycles(f: Facts) -> Plan:
+    text = (
+        f"Cycle the captured mechanism at 0.05, 0.2, 1 and 4 Hz with amplitudes of {1e3 * f.depth:.2g} and {250 * f.depth:.2g} "
+        "mm, three cycles "
+        "each. The loop of force over displacement tells them: dry friction keeps its width in newtons at every rate and amplitude, a "
+        "damper's grows with both, a relaxing branch's is widest at one rate, play shows as a flat stretch of one width at "
+        "each reversal, a "
+        "saturation of the sensor as a flat top at one force that a weight on the sensor shows too."
+    )
+    return text, ()
+
+
+def springs_for_frame(f: Facts) -> Plan:
+    low, high = f.new_springs()
+    frame = f.estimate("frame.compliance", "stiffness", 20.0 * f.stiffness)
+    text = (
+        f"Run known springs of k = {low:g} and {high:g} N/m. A frame of {frame:.3g} N/m in series takes "
+        f"{100 * low / (low + frame):.2g} % off "
+        f"the one and {100 * high / (high + frame):.2g} % off the other; a wrong factor takes the same part off both. Or mount a second "
+        "displacement sensor across the mechanism: it sees the penetration without the frame."
+    )
+    return text, tuple(f.with_spring(k) for k in (low, high))
+
+
+def touch_detector(f: Facts) -> Plan:
+    low, high = f.new_springs()
+    offset = f.estimate("contact.touch_offset", "offset", f.estimate("contact.preload", "force", 0.02 * f.peak) / f.stiffness)
+    text = (
+        f"Detect the touch by itself: an electrical contact across the ports, read at {1 / f.tick:g} Hz, at {f.slow:g} m/s. An offset of "
+        f"{1e3 * offset:.3g} mm moves the touch, a preload does not. Another speed does not help; two springs do: at k = {low:g} and "
+        f"{high:g} N/m the offset shifts the force by {low * offset:.3g} and {high * offset:.3g} N, a preload by the same."
+    )
+    return text, tuple(f.with_spring(k) | f.at_speed(f.slow) for k in (low, high))
+
+
+def press_and_hold(f: Facts) -> Plan:
+    time = f.estimate("contact.relaxation", "time_constant", f.estimate("sensor.highpass", "time_constant", 0.5))
+    text = (
+        f"Press to {1e3 * f.depth:.2g} mm and hold the pose for {rounded(5 * time):g} s, then hold a dead weight of "
+        f"{rounded(0.5 * f.peak):g} N "
+        "on the sensor as long. A relaxing contact creeps to a lower, steady force under the held pose and not under the "
+        "weight; a leaking "
+        "charge decays to zero under both and swings through zero when unloaded; a wrong stiffness or damping does neither."
+    )
+    return text, ()
+
+
+def long_free(f: Facts) -> Plan:
+    text = (
+        f"Record the sensor for 60 s without contact, from the moment it is tared, at three attitudes. A bias stays, a drift grows in "
+        f"proportion to the time (1 N/s shows within {max(20 * f.noise, 1e-3):.2g} s above the noise of {f.noise:.2g} N), a "
+        "weight that was not tared follows "
+        "the attitude, a tone stands in the spectrum."
+    )
+    return text, ({"approach.gap": 0.2, "approach.velocity": [0.0, 0.0, 0.0]},)
+
+
+def weights_ladder(f: Facts) -> Plan:
+    width = max(f.estimate("sensor.deadzone", "width", 0.0), f.estimate("loop.deadzone", "width", 0.0), 4 * f.noise)
+    limit = f.estimate("sensor.saturation", "limit", f.peak)
+    loads = ", ".join(f"{rounded(w):g}" for w in (0.3 * width, 0.7 * width, 1.5 * width, 0.9 * limit, 1.2 * limit))
+    text = (
+        f"Load the sensor with known weights, no contact: {loads} N, and record wrench_meas and wrench_comp. A dead zone of the sensor "
+        "reads zero below its width, one of the loop shows in wrench_comp alone, a saturation reads its limit, and an effect of the "
+        "contact shows in neither."
+    )
+    return text, ()
+
+
+def air_sweep(f: Facts) -> Plan:
+    top = min(0.2 / f.tick, 100.0)
+    late = f.estimate("platform.delay", "delay", 2 * f.tick)
+    text = (
+        f"Sweep the platform in air, no contact: {f.axis} amplitude {1e3 * f.stroke:g} mm from 0.5 to {rounded(top):g} Hz in "
+        "60 s, and read pose_act "
+        "over pose_cmd. A "
+        f"pure delay of {1e3 * late:.3g} ms has gain 1 and a phase of {rounded(360 * late):g} deg a hertz; a second-order lag "
+        "loses gain past "
+        "its bandwidth; a mode has a peak; a speed limit shows as a triangle that depends on the amplitude (repeat with "
+        f"{250 * f.stroke:g} mm)."
+    )
+    return text, ()
+
+
+def reversals(f: Facts) -> Plan:
+    width = max(f.estimate("platform.backlash", "width", 0.0), f.estimate("platform.friction", "stick", 0.0), 5e-5)
+    text = (
+        f"Move the platform in air in slow triangles of {1e3 * rounded(20 * width):g} mm at {rounded(20 * width):g} m/s and "
+        "read pose_act over "
+        f"pose_cmd. Play holds the pose for {1e3 * width:.2g} mm at each reversal and then follows at a constant distance; "
+        "stiction goes in "
+        "steps all along; a scale error is a slope; a delay or a lag is gone at half the speed."
+    )
+    return text, ()
+
+
+def bodies_absolute(f: Facts) -> Plan:
+    heavy = rounded(4 * f.target)
+    text = (
+        "Log the absolute pose of each body of the numerical model: only the relative one was recorded, in which both bodies' "
+        "masses are one "
+        f"reduced mass of {f.mass:.4g} kg. Without that log, repeat one run with a target of {heavy:g} kg: an error of the chaser's "
+        "mass keeps its part of the relative acceleration, one of the target's fades to a quarter."
+    )
+    return text, ({"spacecraft.target.mass": heavy} | f.at_speed(f.fast),)
+
+
+def off_centre(f: Facts) -> Plan:
+    text = (
+        "Touch off centre: offsets of -0.05, 0 and 0.05 m along x and along y. An error of the inertia scales the rotation "
+        "that the offset "
+        "makes and is nothing at the centre; a port in another place adds the same rotation to all; a mass error shows in "
+        "translation alone."
+    )
+    return text, tuple({"approach.offset": o} for o in ([-0.05, 0.0], [0.05, 0.0], [0.0, 0.05]))
+
+
+def long_after(f: Facts) -> Plan:
+    tone = f.estimate("dynamics.appendage", "frequency", 0.3)
+    text = (
+        f"Record {rounded(max(4 / tone, 2.0)):g} s of free flight after the contact. What hangs on a spring makes pose_cmd "
+        "oscillate at about "
+        f"{tone:.2g} Hz without a force; a wrong mass leaves straight lines."
+    )
+    return text, ({"duration": rounded(max(4 / tone, 2.0)) + 1.0},)
+
+
+def other_rate(f: Facts) -> Plan:
+    rate = rounded(2 / f.tick, 3)
+    text = (
+        f"Run the loop at {rate:g} Hz on the same contact. The excess of an explicit integrator and whole ticks of transport "
+        "halve with the "
+        "tick (the integrator acts as one tick, so compare their size: a step delay is a whole number of ticks and shows as a shift of "
+        "pose_cmd against wrench_comp at the edge of the force); a mass error stays."
+    )
+    return text, ({"rate": rate, "physics_rate": 2 * rate},)
+
+
+def tap(f: Facts) -> Plan:
+    text = (
+        "Tap the sensor's frame, then the platform's port, with a hammer while all stands still and record both at the full rate: the "
+        "frame's mode rings in the force after the first, the platform's in pose_act after the second. A leaking charge or an "
+        "adhesion rings "
+        "in neither."
+    )
+    return text, ()
+
+
+def slow_parting(f: Facts) -> Plan:
+    slow = rounded(0.25 * f.slow)
+    text = (
+        f"Press lightly and part slowly, at {slow:g} m/s. An adhesion pulls while pz > 0 and ends with the contact, whatever "
+        "the speed; the tail "
+        "of a leaking charge stays after the contact and shrinks with the impulse; dry friction pulls all the way up, a damper not at "
+        "this speed."
+    )
+    return text, (f.at_speed(slow),)
+
+
+def rule(first: str, second: str, plan: Callable[[Facts], Plan]) -> Rule:
+    return Rule(frozenset(first.split()), frozenset(second.split()), plan)
+
+
+_LATE = "sensor.delay sensor.lag platform.delay platform.lag dynamics.step_delay dynamics.integrator"
+_LOSS = "contact.damping contact.hunt_crossley contact.dry_friction"
+_TOUCH = "contact.touch_offset contact.preload"
+_CURVED = "contact.power_law contact.hard_stop"
+_PLAY = "platform.backlash platform.friction"
+_RESPONSE = "platform.delay platform.lag platform.mode platform.speed_limit"
+
+RULES = (
+    rule("log.skew", "sensor.delay sensor.lag sensor.jitter dynamics.step_delay", rebound),
+    rule("sensor.lag", "sensor.delay sensor.jitter", fast_contact_for_lag),
+    rule("contact.damping", f"{_LATE} log.skew", springs_for_delay),
+    rule("sensor.gain", "contact.stiffness contact.damping contact.power_law frame.compliance contact.relaxation", known_weight),
+    rule(_TOUCH, f"{_TOUCH} frame.compliance contact.dry_friction", touch_detector),
+    rule("frame.compliance", "contact.stiffness contact.power_law contact.relaxation", springs_for_frame),
+    rule("contact.surface_friction", "sensor.crosstalk contact.misalignment sensor.bias", both_ways_sideways),
+    rule("sensor.crosstalk", "contact.misalignment sensor.gain sensor.bias dynamics.port_offset", axial_weight),
+    rule("contact.relaxation", f"contact.stiffness sensor.highpass {_LOSS} sensor.lag", press_and_hold),
+    rule("contact.adhesion", f"sensor.highpass sensor.bias {_LOSS}", slow_parting),
+    rule("sensor.deadzone", "loop.deadzone contact.touch_offset contact.backlash contact.preload contact.power_law", weights_ladder),
+    rule("sensor.saturation", "contact.hard_stop contact.power_law contact.stiffness sensor.gain", weights_ladder),
+    rule("sensor.bias sensor.drift sensor.hum sensor.highpass", "sensor.bias sensor.drift sensor.hum sensor.highpass", long_free),
+    rule("frame.mode", "platform.mode sensor.highpass contact.adhesion sensor.hum sensor.lag sensor.delay contact.damping", tap),
+    rule(f"{_LOSS} contact.preload", f"{_LOSS} contact.preload", speed_ladder),
+    rule(_CURVED, f"{_CURVED} {_TOUCH} contact.stiffness", speed_ladder),
+    rule(_PLAY, f"{_PLAY} platform.scale platform.delay platform.lag", reversals),
+    rule(_RESPONSE, f"{_RESPONSE} platform.scale", air_sweep),
+    rule("dynamics.appendage", "dynamics.mass", long_after),
+    rule("dynamics.inertia dynamics.port_offset", "dynamics.inertia dynamics.port_offset dynamics.mass", off_centre),
+    rule("dynamics.integrator dynamics.step_delay", "dynamics.integrator dynamics.step_delay dynamics.mass", other_rate),
+)  # fmt: skip
+
+BY_LINK: dict[str, Callable[[Facts], Plan]] = {
+    "platform": air_sweep,
+    "contact": speed_ladder,
+    "sensor": weights_ladder,
+    "compensation": weights_ladder,
+    "dynamics": bodies_absolute,
+    "log": rebound,
+}

@@ -1,0 +1,76 @@
+"""The run that would settle what a diagnosis leaves open."""
+
+from __future__ import annotations
+
+from hiltestbed.diagnosis.report.discriminators import BY_LINK, RULES, air_sweep, bodies_absolute, press_and_hold, speed_ladder
+from hiltestbed.diagnosis.report.facts import Facts, facts_of
+from hiltestbed.diagnosis.result import Cause, Experiment, Finding
+from hiltestbed.measured import MeasuredDataset
+
+
+def next_experiment(finding: Finding, dataset: MeasuredDataset) -> Experiment | None:
+    """None where nothing is open: no discrepancy on links that were all measured, or a cause that nothing else looks like."""
+    facts = facts_of(dataset, finding.causes)
+    if finding.verdict == "unknown":
+        return for_unknown(finding, facts)
+    plans = [separating(c, finding.link, facts) for c in finding.causes if c.indistinguishable_from]
+    if mass_of_either_body(finding, dataset):
+        text, runs = bodies_absolute(facts)
+        plans.append(Experiment(text, ("dynamics.mass",), runs))
+    if not plans:
+        return None
+    if len(plans) == 1:
+        return plans[0]
+    effects, runs = (tuple(x for p in plans for x in getattr(p, name)) for name in ("separates", "runs"))
+    return Experiment(" Then: ".join(p.text for p in plans), effects, runs)
+
+
+def separating(cause: Cause, link: str | None, facts: Facts) -> Experiment:
+    """The experiment of the first rule for a pair among a cause and its rivals; of the link where there is no rule.
+
+    An effect that stands among its own rivals is the same one of the other body.
+    """
+    effects = frozenset((cause.effect, *cause.indistinguishable_from))
+    plan = BY_LINK.get(link or "", speed_ladder)
+    if cause.effect in cause.indistinguishable_from:
+        plan = bodies_absolute
+    else:
+        plan = next((rule.plan for rule in RULES if rule.separates(effects)), plan)
+    text, runs = plan(facts)
+    what = " from ".join(sorted(effects)) if len(effects) > 1 else f"the bodies of {cause.effect}"
+    return Experiment(f"To tell {what}: {text[0].lower()}{text[1:]}", tuple(sorted(effects)), runs)
+
+
+def for_unknown(finding: Finding, facts: Facts) -> Experiment:
+    """What shows most of an effect that is not in the vocabulary: the link alone, its variables one at a time."""
+    if finding.link == "platform":
+        plan = air_sweep(facts)
+    elif finding.link == "dynamics":
+        plan = bodies_absolute(facts)
+    elif finding.link in ("contact", "sensor"):
+        ladder, hold = speed_ladder(facts), press_and_hold(facts)
+        slow = (
+            f" Then press and part at {facts.slow / 10:.2g} m/s to half and to the whole of {1e3 * facts.depth:.2g} mm: what remains at "
+            "this speed depends on position and its history, not on rate."
+        )
+        plan = f"{ladder[0]}{'' if facts.captured else slow} {hold[0]}", ladder[1]
+    else:
+        plan = BY_LINK.get(finding.link or "", speed_ladder)(facts)
+    return Experiment(f"To see the shape of what is left: {plan[0][0].lower()}{plan[0][1:]}", (), plan[1])
+
+
+def mass_of_either_body(finding: Finding, dataset: MeasuredDataset) -> str | None:
+    """Where a body's mass is named: which factor of the other body's mass looks the same.
+
+    The relative pose sees 1/mu = 1/m_chaser + 1/m_target alone, about the centres of mass; a factor with 1/m > 1/mu has no counterpart.
+    """
+    for cause in finding.causes:
+        if cause.effect == "dynamics.mass":
+            entry, bodies = cause.entry(), dataset.nominal.spacecraft
+            mass = {"chaser": bodies.chaser.mass, "target": bodies.target.mass}
+            body, other = entry["body"], "target" if entry["body"] == "chaser" else "chaser"
+            rest = 1.0 / mass[other] + (1.0 / float(entry["factor"]) - 1.0) / mass[body]
+            if rest > 0.0:
+                factor = 1.0 / (rest * mass[other])
+                return f"the relative pose sees the reduced mass alone: a factor of {factor:.4g} on the {other}'s mass looks the same"
+    return None

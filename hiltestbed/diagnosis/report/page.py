@@ -1,0 +1,244 @@
+"""report.html of a diagnosis: what is wrong, how that is known, what is gained, and what to run next, from the top down."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from hiltestbed.diagnosis.report import pictures
+from hiltestbed.diagnosis.report.extend import in_words
+from hiltestbed.diagnosis.report.facts import rounded
+from hiltestbed.diagnosis.report.sentence import gain_sentence, meaning, partial_sentence, verdict_sentence
+from hiltestbed.diagnosis.result import Cause, Diagnosis, Figures, Isolable
+from hiltestbed.effects.table import EFFECTS
+from hiltestbed.report import Report
+
+TITLES = {
+    "no_discrepancy": "the simulation holds",
+    "named": "the cause is named",
+    "ambiguous": "one of a few causes",
+    "unknown": "a departure without a name",
+}
+FITTED = "k and c: least squares over the contact. A delay that the model does not know appears as missing damping."
+
+
+def report_of(diagnosis: Diagnosis) -> Report:
+    """The page."""
+    report = Report(f"Diagnosis of {diagnosis.name}: {TITLES[diagnosis.verdict]}")
+    report.lead(verdict_sentence(diagnosis))
+    report.text(_summary(diagnosis))
+    _causes(report, diagnosis)
+    _evidence(report, diagnosis)
+    _ranking(report, diagnosis)
+    _gain(report, diagnosis)
+    _next(report, diagnosis)
+    _isolability(report, diagnosis.finding.isolability)
+    _channels(report, diagnosis)
+    _data(report, diagnosis)
+    return report
+
+
+def _summary(d: Diagnosis) -> str:
+    parts = [gain_sentence(d.heldout, d.finding.extends)]
+    measured, nominal, extended = (
+        _mean([f.cor for f in row]) for row in (d.closed_loop.measured, d.closed_loop.nominal, d.closed_loop.extended)
+    )
+    if measured is not None and nominal is not None:
+        text = f"In closed loop the coefficient of restitution is {measured:.4f} measured and {nominal:.4f} simulated"
+        parts.append(text + (f", {extended:.4f} with the extended model." if d.finding.extends and extended is not None else "."))
+    if d.next_experiment:
+        parts.append("What is open, and the run that would settle it, stands under Next experiment.")
+    return " ".join(parts)
+
+
+def _causes(report: Report, d: Diagnosis) -> None:
+    if d.causes:
+        _cause_table(report, d.causes, "Cause" if len(d.causes) == 1 else "Causes")
+    if d.finding.partial:
+        _cause_table(report, d.finding.partial, "What comes nearest", rivals=False)
+        report.text(
+            "Of the vocabulary these explain most, each beside the others. What they leave is not noise: they are a part of the cause "
+            "at most, and the model is not extended with them."
+        )
+    if d.finding.extends:
+        report.text("extended.yaml in this folder is the scenario with these effects; it runs: hiltestbed run extended.yaml")
+
+
+def _cause_table(report: Report, causes: Sequence[Cause], title: str, rivals: bool = True) -> None:
+    report.heading(title)
+    for cause in causes:
+        report.text(f"{cause.effect}: {meaning(cause.effect)} {EFFECTS[cause.effect].equation}")
+    rows = [
+        (c.effect, name, in_words(p), f"{c.probability:.2f}", ", ".join(c.indistinguishable_from) or "nothing else")
+        for c in causes
+        for name, p in (c.parameters or {"": None}).items()
+        for p in ([p] if p is not None else [])
+    ]
+    header = ("effect", "parameter", "estimate (95 % interval)", "probability", "cannot be told from")
+    if rows:
+        shown = len(header) if rivals else 3
+        report.table(header[:shown], [row[:shown] for row in rows])
+
+
+def _evidence(report: Report, d: Diagnosis) -> None:
+    series, compared = d.finding.series, d.compared
+    if not series:
+        return
+    report.heading("Evidence")
+    report.text(
+        "Each link of the loop was replayed alone on what was measured at its input, so that the error of one cannot leak into another. "
+        "Residuals are in units of the channel's own noise: what stays in the grey band is noise. Contact is shaded."
+    )
+    report.figure(pictures.residuals_over_time(series, compared), "What the model leaves on the channels that it misses most.")
+    report.figure(pictures.channel_over_time(series, compared), "The channel that is missed most, around the contact.")
+    force = pictures.force_against_penetration(series, d.dataset, compared)
+    if force is not None:
+        report.figure(force, "Force against penetration, read back by the sensor's nominal delay; slowest to fastest approach.")
+    if d.finding.left:
+        report.text(f"What is left: {d.finding.left}.")
+
+
+def _ranking(report: Report, d: Diagnosis) -> None:
+    ranking = [r for r in d.finding.ranking if math.isfinite(r.score)]
+    if not ranking:
+        return
+    report.heading("Causes that were weighed")
+    for link in dict.fromkeys(r.link for r in ranking):
+        mine = [r for r in ranking if r.link == link]
+        report.figure(
+            pictures.ranking_bars(mine),
+            f"Link {link or d.link}: shorter is better; within a few units of the best they cannot be told apart.",
+        )
+        rows = [
+            (" + ".join(r.effects), r.parameters, f"{r.score - min(x.score for x in mine):.3g}", _number(r.heldout), _yes(r.adequate))
+            for r in mine
+        ]
+        report.table(("hypothesis", "parameters", "worse by", "left-out rms / noise", "leaves noise alone"), rows)
+
+
+def _gain(report: Report, d: Diagnosis) -> None:
+    report.heading("Gain")
+    report.text(gain_sentence(d.heldout, d.finding.extends))
+    if d.finding.partial_gain is not None:
+        report.text(partial_sentence(d.finding.partial, d.finding.partial_gain))
+        report.figure(pictures.heldout_bars(d.finding.partial_gain), "The best explanation on runs that were left out of its fit.")
+    if d.heldout is not None and d.heldout.per_run:
+        report.figure(pictures.heldout_bars(d.heldout), "Residual of the departing link on runs that were left out of the fit.")
+    figure = pictures.closed_loop_figures(d.closed_loop, d.finding.extends)
+    if figure is None:
+        return
+    report.text(
+        "The same runs in closed loop, through one rule: speeds from the commanded pose, stiffness and damping from pose and force."
+    )
+    report.figure(figure)
+    sources = ("measured", "nominal", "extended") if d.finding.extends else ("measured", "nominal")
+    names = {"cor": "CoR", "peak_force": "peak [N]", "stiffness": "k [N/m]", "damping": "c [N s/m]"}
+    for pair, caption in ((("cor", "peak_force"), ""), (("stiffness", "damping"), FITTED)):
+        rows = []
+        for i, run in enumerate(d.closed_loop.runs):
+            figures: list[Figures] = [getattr(d.closed_loop, source)[i] for source in sources]
+            rows.append([str(run), *(_number(getattr(f, name), 5) for name in pair for f in figures)])
+        report.table(["run", *(f"{names[name]} {source}" for name in pair for source in sources)], rows, caption)
+
+
+def _next(report: Report, d: Diagnosis) -> None:
+    report.heading("Next experiment")
+    if d.experiment is None:
+        report.text("Nothing is open that another run would settle.")
+        return
+    report.text(d.experiment.text)
+    if d.experiment.runs:
+        lines = ["runs:"] + [f"  - set: {{{', '.join(f'{k}: {_yaml(v)}' for k, v in run.items())}}}" for run in d.experiment.runs]
+        report.code("\n".join(lines))
+
+
+def _isolability(report: Report, table: Sequence[Isolable]) -> None:
+    if not table:
+        return
+    report.heading("What these data could show")
+    rows = [
+        (i.effect, i.parameter, _size(i),
+         ", ".join(i.confused_with) or "none")
+        for i in sorted(table, key=lambda i: (i.effect.partition(".")[0], i.effect))
+    ]  # fmt: skip
+    report.table(
+        ("effect", "parameter", "size that is found", "would look the same"),
+        rows,
+        "From the sensitivities of the replayed links to each effect, with these runs, channels and noise. Factors: departure from 1.",
+    )
+
+
+def _channels(report: Report, d: Diagnosis) -> None:
+    if not d.residuals:
+        return
+    report.heading("Every channel")
+    report.figure(pictures.channels_overview(d.residuals))
+    rows = [
+        (r.channel, r.unit, _number(r.noise_floor), _number(r.rms), _number(r.rms_free), _number(r.rms_contact), _number(r.rms_after),
+         _yes(r.white), _number(r.rms_extended), _yes(r.white_extended))
+        for r in d.residuals
+    ]  # fmt: skip
+    header = ("channel", "unit", "noise", "rms", "before touch", "in contact", "after", "noise alone", "rms extended", "noise alone")
+    report.table(
+        header, rows, "rms of measured less replayed; whether it passes for white noise at the floor takes samples that hang together once."
+    )
+
+
+def _data(report: Report, d: Diagnosis) -> None:
+    report.heading("Data")
+    rows = []
+    for i, run in enumerate(d.dataset.runs):
+        contacts = run.survey.contacts
+        peak = max((abs(c.peak_force or 0.0) for c in contacts), default=None)
+        speed, spring = run.scenario.approach.velocity[2], run.scenario.mechanism.contact.stiffness
+        cells = (
+            i,
+            run.record.file.name,
+            run.record.ticks,
+            f"{run.record.sample_rate:.6g}",
+            f"{speed:.3g}",
+            f"{spring:.4g}",
+            len(contacts),
+            _number(peak),
+        )
+        rows.append(cells)
+    report.table(("run", "file", "ticks", "samples [Hz]", "speed [m/s]", "spring [N/m]", "contacts", "peak [N]"), rows)
+    for remark in d.remarks:
+        report.text(remark)
+    if not d.remarks:
+        report.text("The check of the data found nothing to remark.")
+    if d.seconds is not None:
+        report.text(f"Diagnosed in {d.seconds:.1f} s.")
+
+
+def _mean(values: Sequence[float | None]) -> float | None:
+    known = [v for v in values if v is not None]
+    return sum(known) / len(known) if known else None
+
+
+def _number(value: float | None, digits: int = 3) -> str:
+    return "-" if value is None else f"{value:.{digits}g}"
+
+
+def _yes(value: bool | None) -> str:
+    return {True: "yes", False: "no", None: "-"}[value]
+
+
+def _size(i: Isolable) -> str:
+    """Of a frequency, a limit or a stiffness the largest that is still found."""
+    if i.smallest is None:
+        return "not shown"
+    if not i.unit:
+        return "found"
+    sign = "up to " if EFFECTS[i.effect].vanishes else "from "
+    return f"{sign}{rounded(i.smallest, 3):g} {'' if i.unit == '-' else i.unit}".strip()
+
+
+def _yaml(value: object) -> str:
+    return (
+        "[" + ", ".join(f"{v:g}" for v in value) + "]"
+        if isinstance(value, (list, tuple))
+        else f"{value:g}"
+        if isinstance(value, float)
+        else str(value)
+    )

@@ -1,0 +1,194 @@
+"""The evidence in pictures: residual before and after, force against penetration, causes that were weighed, figures of the closed loop."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hiltestbed.diagnosis.report.evidence import counted, in_sigma, misfit
+from hiltestbed.diagnosis.result import ChannelResidual, ClosedLoop, Heldout, Ranked, Series
+from hiltestbed.measured import MeasuredDataset
+from hiltestbed.report import new_figure
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+MEASURED, NOMINAL, EXTENDED, FLOOR, TOUCH = "#1b2530", "#d1495b", "#0b6e99", "#8a97a3", "#f6ead6"
+BAND = 2.0  # sigma
+SHOWN = 3  # channels and runs in a picture, at most
+MARGIN = 0.15  # of a contact, shown on both sides of it
+SHARE = 0.2  # of the worst channel's misfit, from which another is shown
+
+
+def worst_channels(series: Sequence[Series]) -> list[str]:
+    """The channels that the nominal model misses most, in units of their noise."""
+    by_misfit = {channel: misfit(series, channel) for channel in dict.fromkeys(s.channel for s in series)}
+    ordered = sorted(by_misfit, key=lambda c: -by_misfit[c])
+    return [c for c in ordered[:SHOWN] if by_misfit[c] >= SHARE * by_misfit[ordered[0]]]
+
+
+def worst_run(series: Sequence[Series], channel: str) -> int:
+    """The run in which a channel is missed most."""
+    runs = dict.fromkeys(s.run for s in series if s.channel == channel)
+    return max(runs, key=lambda run: misfit([s for s in series if s.run == run], channel))
+
+
+def residuals_over_time(series: Sequence[Series], compared: str) -> Figure:
+    """In units of the noise, for the worst channels, each in its worst run; contact shaded, the noise as a band.
+
+    compared: what the series' extended prediction is called; empty where there is none.
+    """
+    channels = worst_channels(series)
+    figure, grid = new_figure(9.0, 2.3 * len(channels) + 0.4, nrows=len(channels), ncols=1, squeeze=False)
+    for axes, channel in zip(grid[:, 0], channels, strict=True):
+        run = worst_run(series, channel)
+        s = next(x for x in series if x.channel == channel and x.run == run)
+        _shade(axes, s)
+        axes.axhspan(-BAND, BAND, color=FLOOR, alpha=0.25, lw=0)
+        axes.plot(s.t, in_sigma(s), color=NOMINAL, lw=0.9, label="measured less nominal")
+        if compared:
+            axes.plot(s.t, in_sigma(s, True), color=EXTENDED, lw=0.9, label=f"measured less {compared}")
+        axes.set_ylabel(f"{channel}\nrun {run} [sigma]")
+    grid[0, 0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), fontsize=8, ncols=2, frameon=False)
+    grid[-1, 0].set_xlabel("time [s]")
+    return figure
+
+
+def channel_over_time(series: Sequence[Series], compared: str) -> Figure:
+    """The worst channel as it was measured and as the link makes it, around the contact, in its worst run; of a pose, whose departure is
+    small beside its travel, what it departs from the nominal one by."""
+    channel = worst_channels(series)[0]
+    s = next(x for x in series if x.channel == channel and x.run == worst_run(series, channel))
+    pose = channel.startswith("pose")
+    rows, less, factor = _around_contact(s), s.nominal if pose else np.zeros(len(s.t)), 1e3 if pose else 1.0
+    figure, axes = new_figure(9.0, 3.2)
+    _shade(axes, s)
+    axes.plot(s.t[rows], factor * (s.measured - less)[rows], color=MEASURED, lw=2.4, alpha=0.35, label="measured")
+    axes.plot(s.t[rows], factor * (s.nominal - less)[rows], color=NOMINAL, lw=1.2, label="nominal")
+    if compared:
+        axes.plot(s.t[rows], factor * (s.extended - less)[rows], color=EXTENDED, lw=1.2, ls="--", label=compared)
+    axes.set_xlim(s.t[rows][0], s.t[rows][-1])
+    unit = f"m{s.unit}" if pose else s.unit
+    axes.set(xlabel="time [s]", ylabel=f"{channel}{', less nominal' if pose else ''}\nrun {s.run} [{unit}]")
+    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), fontsize=8, ncols=3, frameon=False)
+    return figure
+
+
+def force_against_penetration(series: Sequence[Series], dataset: MeasuredDataset, compared: str) -> Figure | None:
+    """Loops of the force, measured, nominal and extended, replayed on the measured pose; None without both channels."""
+    forces = {s.run: s for s in series if s.channel == "wrench_meas.fz"}
+    runs = _spread([i for i in forces if dataset.runs[i].survey.contacts and dataset.runs[i].record.has("pose_act.pz")], dataset)
+    if not runs:
+        return None
+    figure, grid = new_figure(3.3 * len(runs) + 0.6, 3.4, nrows=1, ncols=len(runs), squeeze=False)
+    for axes, i in zip(grid[0], runs, strict=True):
+        run, s = dataset.runs[i], forces[i]
+        rows = np.flatnonzero(s.touching & np.isfinite(s.measured))
+        late = round(run.scenario.sensor.delay * run.scenario.rate)
+        x = 1e3 * run.record.filled("pose_act")[np.maximum(rows - late, 0), 2]
+        axes.plot(x, s.measured[rows], color=MEASURED, lw=2.6, alpha=0.35, label="measured")
+        axes.plot(x, s.nominal[rows], color=NOMINAL, lw=1.1, label="nominal")
+        if compared:
+            axes.plot(x, s.extended[rows], color=EXTENDED, lw=1.1, ls="--", label=compared)
+        contact = run.scenario.mechanism.contact.stiffness
+        speed = abs(run.scenario.approach.velocity[2])
+        axes.set_title(f"run {i}: {f'{speed:.3g} m/s, ' if speed else ''}{contact:.3g} N/m", fontsize=9)
+        axes.set_xlabel("penetration [mm]")
+    grid[0, 0].set_ylabel("force along z [N]")
+    grid[0, 0].legend(fontsize=8, frameon=False)
+    return figure
+
+
+def channels_overview(residuals: Sequence[ChannelResidual]) -> Figure:
+    """rms of every channel over its noise floor, before and after."""
+    shown = [r for r in residuals if r.noise_floor > 0.0]
+    figure, axes = new_figure(9.0, 0.24 * len(shown) + 1.2)
+    place = np.arange(len(shown))[::-1]
+    before = [max(r.rms / r.noise_floor, 1e-2) for r in shown]
+    axes.plot(before, place, "o", color=NOMINAL, label="nominal")
+    after = [(p, r.rms_extended / r.noise_floor) for p, r in zip(place, shown, strict=True) if r.rms_extended is not None]
+    if after:
+        axes.plot([max(v, 1e-2) for _, v in after], [p for p, _ in after], "D", mfc="none", color=EXTENDED, label="extended")
+    axes.axvline(1.0, color=FLOOR, lw=1)
+    axes.set_xscale("log")
+    axes.set_yticks(place, [r.channel for r in shown], fontsize=8)
+    axes.set_xlabel("rms of the residual over the noise floor (1: mere noise)")
+    axes.grid(axis="x", alpha=0.3)
+    axes.legend(fontsize=8, frameon=False)
+    return figure
+
+
+def ranking_bars(ranking: Sequence[Ranked]) -> Figure:
+    """Hypotheses by how much worse they are than the best, in chi-square with their penalty; the rms on left-out runs written beside."""
+    shown = sorted((r for r in ranking if math.isfinite(r.score)), key=lambda r: r.score)[:10]
+    figure, axes = new_figure(9.0, 0.36 * len(shown) + 1.2)
+    place = np.arange(len(shown))[::-1]
+    worse = [r.score - shown[0].score for r in shown]
+    axes.barh(place, [w + 1.0 for w in worse], color=[EXTENDED if i == 0 else "#b9c6d0" for i in range(len(shown))], height=0.65)
+    axes.set_xscale("log")
+    axes.set_yticks(place, [" + ".join(r.effects) or "nothing" for r in shown], fontsize=9)
+    for p, w, r in zip(place, worse, shown, strict=True):
+        held = "" if r.heldout is None else f"  left-out runs: {r.heldout:.3g} x noise"
+        axes.text(1.15 * (w + 1.0), p, f"+{w:.3g}{held}", va="center", fontsize=8)
+    axes.set_xlim(0.8, max(1e3, (worse[-1] + 1.0) ** 1.8))
+    axes.set_xlabel("1 + what it is worse than the best by: chi-square, its parameters paid")
+    return figure
+
+
+def heldout_bars(heldout: Heldout) -> Figure:
+    """Each run's residual before and after, when it was left out of the fit."""
+    runs = sorted(heldout.per_run)
+    figure, axes = new_figure(9.0, 3.0)
+    place = np.arange(len(runs))
+    axes.bar(place - 0.2, [heldout.per_run[r][0] for r in runs], 0.38, color=NOMINAL, label="nominal")
+    axes.bar(place + 0.2, [heldout.per_run[r][1] for r in runs], 0.38, color=EXTENDED, label="extended, fitted to the other runs")
+    axes.axhline(1.0, color=FLOOR, lw=1)
+    axes.set_xticks(place, [f"run {r}" for r in runs])
+    axes.set_ylabel("rms over noise floor")
+    axes.legend(fontsize=8, frameon=False)
+    return figure
+
+
+def closed_loop_figures(loop: ClosedLoop, extends: bool) -> Figure | None:
+    """Restitution and peak force of each run: measured, nominal, extended; None where nothing was measured of either."""
+    labels = {"cor": "coefficient of restitution", "peak_force": "peak force [N]"}
+    names = [name for name in labels if any(getattr(f, name) is not None for f in loop.measured)]
+    if not names:
+        return None
+    figure, axes_of = new_figure(4.5 * len(names), 3.2, nrows=1, ncols=len(names), squeeze=False)
+    grid = axes_of[0]
+    sources = [("measured", loop.measured, "s", MEASURED, 9), ("nominal", loop.nominal, "o", NOMINAL, 6)]
+    sources += [("extended", loop.extended, "D", EXTENDED, 5)] if extends else []
+    for axes, name in zip(grid, names, strict=True):
+        for source, rows, marker, color, size in sources:
+            known = [(r, v) for r, v in ((r, getattr(f, name)) for r, f in zip(loop.runs, rows, strict=True)) if v is not None]
+            fill = "none" if source == "measured" else color
+            axes.plot([r for r, _ in known], [v for _, v in known], marker, ms=size, mfc=fill, color=color, label=source)
+        axes.set(xlabel="run", ylabel=labels[name], xticks=list(loop.runs))
+        axes.grid(alpha=0.3)
+    grid[0].legend(fontsize=8, frameon=False)
+    return figure
+
+
+def _shade(axes: Axes, s: Series) -> None:
+    edges = np.flatnonzero(np.diff(np.r_[False, s.touching, False].astype(int))).reshape(-1, 2)
+    for start, end in edges:
+        axes.axvspan(float(s.t[start]), float(s.t[min(end, len(s.t) - 1)]), color=TOUCH, lw=0, zorder=0)
+
+
+def _around_contact(s: Series) -> np.ndarray:
+    inside = np.flatnonzero(s.touching)
+    if not len(inside):
+        return np.flatnonzero(counted(s)) if counted(s).any() else np.arange(len(s.t))
+    margin = int(MARGIN * (inside[-1] - inside[0])) + 5
+    return np.arange(max(0, inside[0] - margin), min(len(s.t), inside[-1] + margin))
+
+
+def _spread(runs: Sequence[int], dataset: MeasuredDataset) -> list[int]:
+    """At most SHOWN runs, from the slowest to the fastest."""
+    ordered = sorted(runs, key=lambda i: abs(dataset.runs[i].scenario.approach.velocity[2]))
+    return [ordered[j] for j in np.unique(np.linspace(0, len(ordered) - 1, min(SHOWN, len(ordered))).astype(int))] if ordered else []

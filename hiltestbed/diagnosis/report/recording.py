@@ -1,0 +1,125 @@
+"""recording.rrd of a diagnosis: every run's signals, measured, nominal and extended, on one timeline, and what each link leaves."""
+
+from __future__ import annotations
+
+import errno
+from pathlib import Path
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+
+from hiltestbed.diagnosis.report.closed_loop import Played
+from hiltestbed.diagnosis.report.evidence import in_sigma
+from hiltestbed.diagnosis.report.pictures import worst_channels, worst_run
+from hiltestbed.diagnosis.report.sentence import gain_sentence, verdict_sentence
+from hiltestbed.diagnosis.result import Diagnosis
+from hiltestbed.frames import Array
+from hiltestbed.measured import MeasuredRun
+from hiltestbed.viewer import colors
+
+MEASURED, NOMINAL, EXTENDED = colors.MEASURED, colors.PHYSICAL, colors.USED
+SIGNALS = {  # entity: group, part, factor to the unit shown, title
+    "pose_cmd_z": ("pose_cmd", 2, 1e3, "Insertion commanded, z [mm]"),
+    "pose_act_z": ("pose_act", 2, 1e3, "Insertion reached, z [mm]"),
+    "force_z": ("wrench_meas", 2, 1.0, "Force measured, z [N]"),
+    "force_x": ("wrench_meas", 0, 1.0, "Force measured, x [N]"),
+    "force_y": ("wrench_meas", 1, 1.0, "Force measured, y [N]"),
+}
+IN_VIEW = ("pose_cmd_z", "pose_act_z", "force_z")
+RESIDUAL = "residual"
+DATA = "data"  # the measured curve: entities are drawn in the order of their names, and this one lies broad underneath
+
+
+def write_diagnosis_recording(path: Path, diagnosis: Diagnosis) -> None:
+    """Write the recording with its layout.
+
+    Raises:
+        OSError: the file could not be written.
+    """
+    channels = worst_channels(diagnosis.finding.series)
+    try:
+        with rr.RecordingStream("hiltestbed", recording_id=f"diagnosis-{diagnosis.name}", send_properties=False) as rec:
+            rec.save(path, default_blueprint=_layout(diagnosis, channels))
+            rec.send_recording_name(f"diagnosis of {diagnosis.name}")
+            text = (
+                f"# {diagnosis.verdict}\n\n{verdict_sentence(diagnosis)}\n\n{gain_sentence(diagnosis.heldout, diagnosis.finding.extends)}"
+            )
+            rec.log("verdict", rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), static=True)
+            for i, (run, played) in enumerate(zip(diagnosis.dataset.runs, diagnosis.played, strict=True)):
+                _signals(rec, i, run, played, diagnosis.finding.extends)
+            _residuals(rec, diagnosis, channels)
+    except RuntimeError as error:  # how rerun reports that its writer has failed
+        raise OSError(errno.EIO, f"the recording could not be written ({error}); is the disk full?", str(path)) from error
+
+
+def _signals(rec: rr.RecordingStream, i: int, run: MeasuredRun, played: Played, extends: bool) -> None:
+    record = run.record
+    for entity, (group, part, factor, _) in SIGNALS.items():
+        origin = f"run_{i}/{entity}"
+        if group in record.data and record.valid[group][:, part].any():
+            known = record.valid[group][:, part]
+            _curve(rec, f"{origin}/{DATA}", record.t[known], factor * record.data[group][known, part], "measured", MEASURED, 4.0)
+        for name, trace, color in (("nominal", played.nominal, NOMINAL), ("extended", played.extended if extends else None, EXTENDED)):
+            if trace is not None:
+                _curve(rec, f"{origin}/{name}", trace.t, factor * trace[group][:, part], name, color)
+
+
+def _residuals(rec: rr.RecordingStream, diagnosis: Diagnosis, channels: list[str]) -> None:
+    for s in diagnosis.finding.series:
+        if s.channel not in channels:
+            continue
+        sides = [("nominal", in_sigma(s), NOMINAL)]
+        sides += [(diagnosis.compared, in_sigma(s, True), EXTENDED)] if diagnosis.compared else []
+        for name, left, color in sides:
+            known = np.isfinite(left)
+            _curve(
+                rec,
+                f"run_{s.run}/{RESIDUAL}/{_entity(s.channel)}/{name.replace(' ', '_')}",
+                s.t[known],
+                left[known],
+                f"measured less {name}",
+                color,
+            )
+
+
+def _curve(rec: rr.RecordingStream, path: str, t: Array, values: Array, name: str, color: tuple[int, int, int], width: float = 1.5) -> None:
+    rec.log(path, rr.SeriesLines(names=[name], colors=[color], widths=[width]), static=True)
+    time = rr.TimeColumn("time", duration=t)
+    rec.send_columns(path, indexes=[time], columns=rr.Scalars.columns(scalars=np.ascontiguousarray(values)))
+
+
+def _entity(channel: str) -> str:
+    return channel.replace(".", "_")
+
+
+def _layout(diagnosis: Diagnosis, channels: list[str]) -> rrb.Blueprint:
+    """A tab for each run; it opens on the run that the nominal simulation misses most."""
+    series = diagnosis.finding.series
+    tabs = [_run_tab(i, run, channels) for i, run in enumerate(diagnosis.dataset.runs)]
+    first = worst_run(series, channels[0]) if channels else 0
+    verdict = rrb.TextDocumentView(name="Verdict", origin="verdict")
+    return rrb.Blueprint(
+        rrb.Horizontal(rrb.Tabs(*tabs, active_tab=first), verdict, column_shares=[3.0, 1.0]),
+        rrb.TimePanel(timeline="time", state="collapsed"),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+    )
+
+
+def _run_tab(i: int, run: MeasuredRun, channels: list[str]) -> rrb.Vertical:
+    plots = [_plot(f"run_{i}/{entity}", SIGNALS[entity][3], run) for entity in IN_VIEW]
+    plots += [_plot(f"run_{i}/{RESIDUAL}/{_entity(c)}", f"{c}: residual of its link [sigma]", run) for c in channels[:2]]
+    return rrb.Vertical(*plots, name=f"Run {i}: {abs(run.scenario.approach.velocity[2]):.3g} m/s")
+
+
+def _plot(origin: str, name: str, run: MeasuredRun) -> rrb.TimeSeriesView:
+    """Around the contacts, where there are any."""
+    axis = None
+    if run.survey.contacts:
+        t, first, last = run.record.t, run.survey.contacts[0].start, run.survey.contacts[-1].end
+        span = t[min(last, len(t) - 1)] - t[first]
+        ends = max(0.0, t[first] - 0.3 * span), min(t[-1], t[min(last, len(t) - 1)] + 0.3 * span)
+        low, high = (rr.encodings.TimeRangeBoundary.absolute(seconds=float(e)) for e in ends)
+        axis = rrb.TimeAxis(view_range=rr.encodings.TimeRange(start=low, end=high))
+    return rrb.TimeSeriesView(name=name, origin=origin, axis_x=axis, plot_legend=rrb.PlotLegend(corner=rrb.Corner2D.RightTop))

@@ -1,0 +1,94 @@
+"""The verdict and the gain in words."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from hiltestbed.diagnosis.report.extend import in_words
+from hiltestbed.effects.table import EFFECTS
+
+if TYPE_CHECKING:
+    from hiltestbed.diagnosis.result import Cause, Diagnosis, Heldout
+
+WHERE = {
+    "platform": "the motion platform (pose commanded to pose reached)",
+    "contact": "the contact (pose reached to force measured)",
+    "sensor": "the force sensor (pose reached to force measured)",
+    "compensation": "the compensation (force measured to force used)",
+    "dynamics": "the numerical model (force used to pose commanded)",
+    "log": "the record alone (the loop is untouched)",
+}
+
+
+def verdict_sentence(diagnosis: Diagnosis) -> str:
+    """What was found, in a sentence or two that stand alone."""
+    finding = diagnosis.finding
+    where = WHERE.get(finding.link or "", "the loop")
+    if finding.verdict == "no_discrepancy":
+        return "The simulation explains these data: every link was judged, and what is left is noise on every channel."
+    if finding.verdict == "inconclusive":
+        if not diagnosis.residuals:
+            text = "No link of the loop could be judged with these channels."
+        else:
+            text = "Nothing departs on the links that could be judged, and this is not all of the loop."
+        return " ".join([text, *(f"Not judged: {link} ({why})." for link, why in finding.not_judged.items())])
+    if finding.verdict == "unknown":
+        left = f" {finding.left[0].upper()}{finding.left[1:].rstrip('.')}." if finding.left else ""
+        text = f"{where[0].upper()}{where[1:]} departs from its model, and no effect of the vocabulary leaves mere noise.{left}"
+        named = " and ".join(named_cause(c) for c in finding.causes)
+        return text + (f" Elsewhere: {named}." if named else "")
+    parts = []
+    for link in dict.fromkeys(_link(c) for c in finding.causes):
+        found = " and ".join(named_cause(c) for c in finding.causes if _link(c) == link)
+        parts.append(f"{WHERE.get(link, link)} departs from its model: {found}")
+    text = "; ".join(parts)
+    open_ = " These data cannot settle which of them it is." if finding.verdict == "ambiguous" else ""
+    return f"{text[0].upper()}{text[1:]}.{open_}"
+
+
+def _link(cause: Cause) -> str:
+    return EFFECTS[cause.effect].link
+
+
+def named_cause(cause: Cause) -> str:
+    """`sensor.delay (delay 0.0033 (0.0031 to 0.0035) s)`, and what it cannot be told from."""
+    idle = {name for name, field in EFFECTS[cause.effect].model_fields.items() if not field.is_required() and field.default == 0.0}
+    words = ", ".join(f"{name} {in_words(p)}" for name, p in cause.parameters.items() if name not in idle or p.estimate)
+    rivals = f", not to be told from {' or '.join(cause.indistinguishable_from)}" if cause.indistinguishable_from else ""
+    return f"{cause.effect} [{words}]{rivals}" if words else f"{cause.effect}{rivals}"
+
+
+def partial_sentence(causes: Sequence[Cause], gain: Heldout | None) -> str:
+    """How far the vocabulary goes where it does not reach the noise; empty where it goes nowhere."""
+    if not causes:
+        return ""
+    text = f"The best extension: {' and '.join(named_cause(c) for c in causes)}."
+    if gain is None:
+        return f"{text} What it leaves is not noise."
+    low, high = (100.0 * v for v in gain.ci95)
+    worth = "" if gain.significant else " That is not significant."
+    placebo = round(100.0 * gain.placebo_reduction, 1) + 0.0  # no -0.0
+    return (
+        f"{text} On {len(gain.runs)} runs, each left out of the fit in turn, the residual falls by {100.0 * gain.reduction:.1f} % "
+        f"(95 % interval {low:.1f} to {high:.1f} %), from {gain.rms_before:.3g} to {gain.rms_after:.3g} times the noise; a wrong effect "
+        f"gives {placebo:.1f} %.{worth} What it leaves is not noise, so that something else is at work."
+    )
+
+
+def meaning(effect: str) -> str:
+    """What an effect is, from the vocabulary."""
+    return EFFECTS[effect].meaning() if effect in EFFECTS else ""
+
+
+def gain_sentence(heldout: Heldout | None, extends: bool) -> str:
+    """The gain on runs that were not fitted, against its placebo."""
+    if heldout is None:
+        return "The gain was not measured on left-out runs." if extends else "Nothing was extended, so there is no gain to measure."
+    low, high = heldout.ci95
+    text = (
+        f"On {len(heldout.runs)} runs that were not fitted the residual falls from {heldout.rms_before:.3g} to {heldout.rms_after:.3g} "
+        f"times the noise floor: {100 * heldout.reduction:.1f} % less (95 % interval {100 * low:.1f} to {100 * high:.1f} %); "
+        f"a wrong effect of equal size gives {100 * heldout.placebo_reduction:.1f} %."
+    )
+    return text if heldout.significant else text + " That is not significant: no gain is claimed and the model is not extended."

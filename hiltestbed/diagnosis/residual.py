@@ -1,0 +1,74 @@
+"""The residual of a link, in units of its noise, as a function of what departs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from hiltestbed.diagnosis.links import Link
+from hiltestbed.diagnosis.links.base import Effects
+from hiltestbed.diagnosis.settings import FAR
+from hiltestbed.frames import Array
+
+
+class Residual:
+    """Measured less predicted, over the noise. It does not change: what changes the weights or the runs gives another one.
+
+    Attributes:
+        link: whose. runs: numbers of those that count. weight: of each run of the link (N, C), one over the noise, 0 where not measured.
+    """
+
+    def __init__(self, link: Link, runs: Sequence[int] | None = None, weight: Sequence[Array] | None = None) -> None:
+        self.link = link
+        self.runs = tuple(range(len(link.runs)) if runs is None else runs)
+        if weight is None:
+            weight = [np.where(np.isfinite(r.sigma), 1.0 / np.where(np.isfinite(r.sigma), r.sigma, 1.0), 0.0) for r in link.runs]
+        self.weight = tuple(weight)
+
+    def wary(self, effects: Effects) -> Residual:
+        """With less weight on samples that hang on how finely the facility divides its time under ``effects``; itself where none does."""
+        doubts = {i: self.link.doubt(i, effects) for i in self.runs}
+        scaled = {i: d * self.weight[i] for i, d in doubts.items() if d is not None}
+        if not any(np.any(u > 1.0) for u in scaled.values()):
+            return self
+        weight = [w / np.sqrt(1.0 + scaled[i] ** 2) if i in scaled else w for i, w in enumerate(self.weight)]
+        return Residual(self.link, self.runs, weight)
+
+    def on(self, runs: Sequence[int]) -> Residual:
+        """On fewer runs."""
+        return Residual(self.link, runs, self.weight)
+
+    def through(self, link: Link) -> Residual:
+        """Of another reading of the link, under the same weights."""
+        return Residual(link, self.runs, self.weight)
+
+    def by_run(self, hypotheses: Sequence[Effects]) -> list[list[Array]]:
+        """Of each hypothesis and run (N, C); FAR where a prediction has left the finite numbers, so that misfits can be put in order."""
+        shown = self.link.predict([(i, effects) for effects in hypotheses for i in self.runs])
+        out, at = [], 0
+        for _ in hypotheses:
+            rows = []
+            for i in self.runs:
+                r = (self.link.runs[i].measured - shown[at]) * self.weight[i]
+                rows.append(r if np.isfinite(r).all() else np.clip(np.nan_to_num(r, nan=FAR), -FAR, FAR))
+                at += 1
+            out.append(rows)
+        return out
+
+    def of_run(self, i: int, effects: Effects) -> Array:
+        """(N, C) of run i."""
+        return self.on([i]).by_run([effects])[0][0]
+
+    def many(self, hypotheses: Sequence[Effects]) -> Array:
+        """(H, M) of all runs, one hypothesis a row."""
+        return np.stack([np.concatenate([r.ravel() for r in rows]) for rows in self.by_run(hypotheses)])
+
+    def __call__(self, effects: Effects) -> Array:
+        """(M,) of all runs."""
+        return self.many([effects])[0]
+
+
+def square(r: Array) -> float:
+    """Sum of squares."""
+    return float(np.einsum("m,m->", r, r))

@@ -1,0 +1,343 @@
+"""What a diagnosis says: the contents of diagnosis.json, as plain records.
+
+`Finding` is what the naming of causes hands over; `Diagnosis` is that with everything that follows from it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hiltestbed.frames import Array
+
+if TYPE_CHECKING:
+    from hiltestbed.diagnosis.report.closed_loop import Played
+    from hiltestbed.measured import MeasuredDataset
+    from hiltestbed.scenario import Scenario
+
+VERDICTS = ("no_discrepancy", "named", "ambiguous", "named_in_part", "unknown", "inconclusive")
+LINKS = ("platform", "contact", "sensor", "compensation", "dynamics", "log")
+Interval = tuple[float | None, float | None]
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """An estimate with its 95 % interval, in `unit`; a vector has one of each an item, a choice (an axis, a body) has no interval."""
+
+    estimate: float | str | tuple[float, ...]
+    ci95: Interval | tuple[Interval, ...] | None
+    unit: str = ""
+
+
+@dataclass(frozen=True)
+class Cause:
+    """A named effect.
+
+    Attributes:
+        effect: id in the vocabulary. parameters: all of them, so that the effect can go into a scenario.
+        probability: that it is this effect and not one of `indistinguishable_from`.
+    """
+
+    effect: str
+    parameters: Mapping[str, Parameter]
+    probability: float
+    indistinguishable_from: tuple[str, ...] = ()
+
+    def entry(self) -> dict[str, Any]:
+        """As it stands under `effects:` in a scenario."""
+        return {"kind": self.effect} | {name: _plain(p.estimate) for name, p in self.parameters.items()}
+
+
+@dataclass(frozen=True)
+class ChannelResidual:
+    """What a replayed link leaves on one channel, in the channel's unit.
+
+    Attributes:
+        rms, rms_free, rms_contact, rms_after: of measured less nominal: over all, before the first touch, in contact, after it.
+        noise_floor: rms of the noise alone. white: what the nominal model leaves passes for noise at the floor.
+        rms_extended, white_extended: the same with the named effects; None where nothing was named.
+    """
+
+    channel: str
+    rms: float
+    noise_floor: float
+    rms_free: float | None
+    rms_contact: float | None
+    rms_after: float | None
+    white: bool
+    unit: str = ""
+    rms_extended: float | None = None
+    white_extended: bool | None = None
+
+
+@dataclass(frozen=True)
+class Heldout:
+    """The gain on runs that were not fitted.
+
+    Attributes:
+        runs: their numbers. rms_before, rms_after: residual of the departing link in units of its noise floor (which is 1).
+        reduction: 1 - rms_after/rms_before. ci95: of the reduction, over runs.
+        placebo_reduction: of a wrong effect with as many parameters, fitted and left out in the same way.
+        per_run: run to (before, after).
+    """
+
+    runs: tuple[int, ...]
+    rms_before: float
+    rms_after: float
+    reduction: float
+    ci95: tuple[float, float]
+    placebo_reduction: float
+    per_run: Mapping[int, tuple[float, float]] = field(default_factory=dict)
+
+    @property
+    def significant(self) -> bool:
+        """The interval excludes no gain, and the gain is more than the placebo's."""
+        return self.ci95[0] > 0.0 and self.reduction > self.placebo_reduction
+
+
+@dataclass(frozen=True)
+class Figures:
+    """What a run shows along z, by one rule for measured and simulated runs; None where it cannot be told.
+
+    Attributes:
+        cor: rebound speed / approach speed. peak_force [N]: largest reading along z.
+        stiffness [N/m], damping [N s/m]: least squares of the reading on pose and rate in contact.
+    """
+
+    cor: float | None = None
+    peak_force: float | None = None
+    stiffness: float | None = None
+    damping: float | None = None
+
+
+@dataclass(frozen=True)
+class ClosedLoop:
+    """Figures of each run: measured, of the nominal and of the extended simulation."""
+
+    runs: tuple[int, ...]
+    measured: tuple[Figures, ...]
+    nominal: tuple[Figures, ...]
+    extended: tuple[Figures, ...]
+
+    def to_json(self) -> dict[str, Any]:
+        """`cor_measured` and so on, each a list over the runs."""
+        out: dict[str, Any] = {"runs": list(self.runs)}
+        for name in ("cor", "peak_force", "stiffness", "damping"):
+            for source in ("measured", "nominal", "extended"):
+                label = name if name in ("cor", "peak_force") else f"identified_{name}"
+                out[f"{label}_{source}"] = [getattr(f, name) for f in getattr(self, source)]
+        return out
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """A run that would settle what is open: in words, what it separates, and the keys to set in each of its runs."""
+
+    text: str
+    separates: tuple[str, ...] = ()
+    runs: tuple[Mapping[str, Any], ...] = ()
+
+
+@dataclass(frozen=True)
+class Ranked:
+    """A hypothesis that was weighed: effects, their parameters in words, misfit with its penalty (smaller is better), and on left-out runs.
+
+    heldout: rms in units of the noise floor, or None. adequate: it leaves noise.
+    """
+
+    effects: tuple[str, ...]
+    score: float
+    link: str = ""
+    parameters: str = ""
+    heldout: float | None = None
+    adequate: bool | None = None
+
+
+@dataclass(frozen=True)
+class Isolable:
+    """What these data can show of an effect: the smallest size that raises the alarm, and which effects look the same at that size.
+
+    smallest: of `parameter` in `unit`; None where the data do not show it at all.
+    """
+
+    effect: str
+    parameter: str
+    unit: str
+    smallest: float | None
+    confused_with: tuple[str, ...] = ()
+    likeness: float = 0.0
+
+
+@dataclass(frozen=True)
+class Series:
+    """One channel of one run: measured, replayed by the nominal and by the extended link on measured inputs; all (N,).
+
+    sigma: noise, infinite where not counted. touching: in contact, or the sensor still shows it.
+    """
+
+    channel: str
+    run: int
+    t: Array
+    measured: Array
+    nominal: Array
+    extended: Array
+    sigma: Array
+    touching: np.ndarray
+    unit: str = ""
+
+
+@dataclass
+class Finding:
+    """What the naming of causes hands over.
+
+    Attributes:
+        link: that departs most, or None. causes: strongest first.
+        candidates: the effects among which it stays open (verdict `ambiguous`, or the rivals of a named cause); may be empty.
+        series: every channel of every link and run. noise: channel to its floor.
+        left: what the best extension leaves, in a sentence (verdict `unknown`): link, phase and shape.
+        not_judged: link to why it could not be judged.
+        partial: the effects of the vocabulary that come nearest where none leaves noise; partial_gain: theirs on left-out runs.
+    """
+
+    verdict: str
+    link: str | None
+    causes: tuple[Cause, ...] = ()
+    series: list[Series] = field(default_factory=list)
+    noise: Mapping[str, float] = field(default_factory=dict)
+    heldout: Heldout | None = None
+    ranking: tuple[Ranked, ...] = ()
+    isolability: tuple[Isolable, ...] = ()
+    left: str = ""
+    not_judged: Mapping[str, str] = field(default_factory=dict)
+    partial: tuple[Cause, ...] = ()
+    partial_gain: Heldout | None = None
+
+    @property
+    def extends(self) -> bool:
+        """Whether the model is extended: something is named, and the gain on left-out runs is significant where it was measured."""
+        named = self.verdict in ("named", "ambiguous") and bool(self.causes)
+        return named and (self.heldout is None or self.heldout.significant)
+
+
+@dataclass
+class Diagnosis:
+    """The result of `diagnose`: what the folder holds, and what its pictures are drawn from.
+
+    Attributes:
+        finding: verdict, link, causes, evidence. residuals, closed_loop, experiment: what follows from it.
+        dataset, extended: the data, and the scenario with the named effects (the nominal one where nothing was named).
+        played: the simulations of each run.
+    """
+
+    name: str
+    finding: Finding
+    residuals: tuple[ChannelResidual, ...]
+    closed_loop: ClosedLoop
+    experiment: Experiment | None
+    extended: Scenario
+    dataset: MeasuredDataset
+    played: tuple[Played, ...]
+    remarks: tuple[str, ...] = ()
+    seconds: float | None = None
+
+    @property
+    def verdict(self) -> str:
+        return self.finding.verdict
+
+    @property
+    def link(self) -> str | None:
+        return self.finding.link
+
+    @property
+    def causes(self) -> tuple[Cause, ...]:
+        return self.finding.causes
+
+    @property
+    def heldout(self) -> Heldout | None:
+        return self.finding.heldout
+
+    @property
+    def compared(self) -> str:
+        """What the `extended` of the series is: the extended model, the best explanation that is not good enough, or nothing."""
+        return "extended" if self.finding.extends else "best explanation" if self.finding.partial else ""
+
+    @property
+    def next_experiment(self) -> str | None:
+        return self.experiment.text if self.experiment else None
+
+    def to_json(self) -> dict[str, Any]:
+        """The contents of diagnosis.json; plain data without infinities."""
+        from hiltestbed.diagnosis.report.sentence import partial_sentence, verdict_sentence
+        from hiltestbed.versions import versions
+
+        return finite(
+            {
+                "name": self.name,
+                "verdict": self.verdict,
+                "sentence": verdict_sentence(self),
+                "link": self.link,
+                "causes": [_cause(c) for c in self.causes],
+                "not_judged": dict(self.finding.not_judged),
+                "left": self.finding.left or None,
+                "partial": {
+                    "sentence": partial_sentence(self.finding.partial, self.finding.partial_gain),
+                    "causes": [_cause(c) for c in self.finding.partial],
+                    "heldout": _heldout(self.finding.partial_gain),
+                },
+                "residuals": [vars(r) for r in self.residuals],
+                "heldout": _heldout(self.heldout),
+                "closed_loop": self.closed_loop.to_json(),
+                "next_experiment": self.next_experiment,
+                "next_experiment_runs": list(self.experiment.runs) if self.experiment else [],
+                "extended_scenario": "extended.yaml" if self.finding.extends else None,
+                "ranking": [vars(r) for r in self.finding.ranking],
+                "isolability": [vars(i) for i in self.finding.isolability],
+                "remarks": list(self.remarks),
+                "seconds": self.seconds,
+                "versions": versions(),
+            }
+        )
+
+    def write(self, folder: str | Path) -> Path:
+        """Write the diagnosis folder. Raises InputError where it cannot be written."""
+        from hiltestbed.diagnosis.report.folder import write_diagnosis
+
+        return write_diagnosis(self, folder)
+
+
+def _cause(cause: Cause) -> dict[str, Any]:
+    return {
+        "effect": cause.effect,
+        "parameters": {name: vars(p) for name, p in cause.parameters.items()},
+        "probability": cause.probability,
+        "indistinguishable_from": list(cause.indistinguishable_from),
+    }
+
+
+def _heldout(heldout: Heldout | None) -> dict[str, Any] | None:
+    if heldout is None:
+        return None
+    rows = [{"run": run, "before": a, "after": b} for run, (a, b) in heldout.per_run.items()]
+    return vars(heldout) | {"per_run": rows, "significant": heldout.significant}
+
+
+def finite(value: Any) -> Any:
+    """Plain data for JSON: tuples and arrays as lists, numbers of NumPy as Python's, what is not finite as None."""
+    if isinstance(value, Mapping):
+        return {str(k): finite(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple, np.ndarray)):
+        return [finite(v) for v in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def _plain(value: Any) -> Any:
+    return list(value) if isinstance(value, tuple) else value

@@ -1,0 +1,63 @@
+"""Every number of the diagnosis that is chosen, with where it comes from.
+
+A *derived* number follows from an equation that is named. A *calibrated* one was set on sets of the independent rig
+(``hiltestbed bench diagnosis``) and must be set again when what it is compared with changes. Chi-square is in units of the noise.
+"""
+
+from __future__ import annotations
+
+import math
+
+# Detection: is there a departure at all?
+DETECTION = 30.0  # calibrated: what one effect must take off chi-square, its penalty paid; the best wrong one took 3.6 in 460 healthy rigs
+SELECTION = 100.0  # calibrated: what a further cause must take off where the causes so far leave noise already
+SELECTION_INADEQUATE = 10.0  # calibrated: and where they do not; a factor of 150 in likelihood
+AMBIGUITY = 12.0  # derived: a likelihood ratio of 1 : 400, below which two hypotheses of one size cannot be told apart
+PENALTY = math.log(1000.0)  # derived: Bayesian information criterion of some thousand independent samples, a parameter
+MOST_CAUSES = 3  # on one link: a fourth was never found right on a link of the benchmark
+MOST_CAUSES_IN_PART = 5  # that are tried where the ones found leave more than noise
+MOST_RIVALS = 2  # that are listed beside a cause: a set of more does not name anything
+
+# Search
+WORTH_A_FIT = 8.0  # derived: chi-square of one parameter at 99.5 %: a linearised gain below it is noise
+BEAM = 5  # first causes that a second one is sought for
+PARTNERS = 6  # second causes that are fitted beside each
+SIMILAR = 3  # hypotheses of one effect (axes, variants) that are fitted
+SINGLES = 40  # first causes that are fitted
+FAR = 1e6  # sigma: a prediction that left the finite numbers
+
+# Noise
+FREE_ROWS = 30  # from which a noise floor is read
+UNEVEN = 3.0  # the most that the noise of one axis of translation exceeds another's: a platform that moves in jumps looks noisy
+NO_POSE_NOISE = 1e-9  # [m, rad] floor of a pose that carries no noise: round-off of the file
+NO_FORCE_NOISE = 1e-6  # of the peak force: floor of a force that carries no noise
+ARM_UNKNOWN = 2e-6  # [m] arm of the peak force that makes the floor of a torque: where in the overlap the force acts is known to that
+DYNAMICS_FLOOR = 2e-6  # [m, rad] what integrators of one step size differ by, practice rig against this one
+COMPENSATION_FLOOR = 0.05  # of the force noise: what two realisations of one filter may differ by
+CORRELATED = 50  # rows of a computed channel that count as one: its errors are smooth
+TAIL = 0.15  # [s] after the last contact that a search looks at: where leaks and rings show
+
+# Adequacy: is what is left noise?
+BLOCK = 8  # samples whose mean is judged, too: a smooth misfit far below the noise shows there
+SPREAD = 4.5  # standard deviations that a figure may lie off: of some 30 figures, one in 5000 sets does
+FLOOR_ERROR = 0.08  # to which a noise floor is known from a few hundred samples
+MODEL_ERROR = 1e-3  # of the signal: another sub-stepping, another interpolation
+COMPUTED_LEFT = 0.01  # of the departure of a computed channel that an explanation may leave
+LED_NOISE = 1.7  # times the led noise, up to which a residual of the compensation may be noise of the record
+RECORD_LEFT = 0.2  # of what a late record does to the compensation, that its interpolation between rows may leave
+
+# A delay that varies from sample to sample
+SHAKEN = 1.2  # times the noise: where it shows
+SAME_AGAIN = 0.3  # correlation of neighbouring samples, or with the rate of the reading, above which it is something else
+
+# Smooth poses
+SMOOTHING = 31  # rows of the Savitzky-Golay filter, order 3, where only a noisy pose is left to go by
+
+# Gain on left-out runs
+RESAMPLES = 2000
+WORTH = 0.02  # of the residual on left-out runs, geometric mean over them, by which a further cause has to lower it
+FAR_OFF = 10.0  # times the limit of what passes for noise: nearer to it a further cause would explain the noise floor's error
+
+# Two readings of one facility
+ONE_OF_TWO = 2.0 * math.log(2.0)  # derived: of chi-square, the price of one of two equal readings
+MOST_NOISE = 4.0  # standard deviations within which a difference is taken for noise

@@ -1,0 +1,74 @@
+"""How far the believed rig departs from its command, and how well that is known."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from hiltestbed.diagnosis.links import flat_pose
+from hiltestbed.diagnosis.settings import BLOCK
+from hiltestbed.frames import Array
+from hiltestbed.measured import MeasuredRun
+from hiltestbed.numerical_model.bodies import approach_state
+from hiltestbed.replay import follows_exactly, replay_rig
+from hiltestbed.replay.wrench import shifted
+from hiltestbed.scenario import Scenario
+
+KNOWN = 0.25  # of the deflection that a wrong reading of the force may falsify: the largest gain error that goes unnoticed here
+LATER = 5e-3  # [s] that the reading may be later than believed
+UNFOLLOWED = 0.01  # of a departure: what the drives leave of a jump is not replayed
+CONSTANTS = 10.0  # time constants of the drives, within which where they start from is forgotten
+
+
+@dataclass(frozen=True)
+class Deflection:
+    """Of one run: away (N, 6) by how much the believed rig departs from its command [m, rad], doubt (N, 6) how well that is known."""
+
+    away: Array
+    doubt: Array
+
+
+def deflection(run: MeasuredRun, noise: float) -> Deflection | None:
+    """Where the believed rig takes A beside its command; None where it cannot follow it.
+
+    What is not known takes whole blocks of rows the same way, and is counted like white noise that is larger by the root of a block.
+    noise: [N] of the force. The force is read as much earlier as the believed sensor is late; where none was measured, the pose tells
+    nothing once A has reached P.
+    """
+    scenario, command = run.scenario, np.ascontiguousarray(run.record.filled("pose_cmd"))
+    if follows_exactly(scenario):
+        return Deflection(np.zeros((len(command), 6)), np.zeros((len(command), 6)))
+    reading = run.record.filled("wrench_meas") if run.record.has("wrench_meas") else np.zeros((len(command), 6))
+    wrench = shifted(reading, scenario.sensor.delay / scenario.tick)
+    rates = run.record.filled("twist_cmd") if run.record.has("twist_cmd") else None
+    told = flat_pose(np.vstack([approach_state(scenario)[:7], command[:-1]]))
+    path = replay_rig(scenario, command, rates, wrench, reading)
+    if path is None:
+        return None
+    away = flat_pose(path) - told
+    departure = np.nanmax(np.abs(flat_pose(run.record.data["pose_act"]) - told - away), axis=0, initial=0.0)
+    departure[:3], departure[3:] = departure[:3].max(), departure[3:].max()
+    later = shifted(away, -LATER / scenario.tick) - away
+    doubt = math.sqrt(BLOCK) * np.sqrt((KNOWN * away) ** 2 + later**2 + (UNFOLLOWED * departure) ** 2)
+    doubt[: math.ceil(_settling(scenario) / scenario.tick)] = np.inf
+    if not run.record.has("wrench_meas"):
+        doubt[np.maximum.accumulate(told[:, 2] > -departure[2])] = np.inf
+    if noise > 0.0:
+        shaken = wrench.copy()
+        shaken[:, :3] += noise * np.random.default_rng(0).standard_normal((len(wrench), 3))
+        noisy = replay_rig(scenario, command, rates, shaken, reading)
+        passed = np.std(flat_pose(noisy) - flat_pose(path), axis=0) if noisy is not None else 0.0
+        doubt = np.hypot(doubt, passed * math.sqrt(max(1.0, _memory(scenario) / scenario.tick)))
+    return Deflection(away, doubt)
+
+
+def _memory(scenario: Scenario) -> float:
+    """[s] of a deflection that count as one: its noise is that of the force, through the drives."""
+    return 1.0 / scenario.rig.platform.bandwidth
+
+
+def _settling(scenario: Scenario) -> float:
+    """[s] until where the drives start from is forgotten."""
+    return CONSTANTS / (2.0 * math.pi * scenario.rig.platform.bandwidth)

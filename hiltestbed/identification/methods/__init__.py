@@ -1,0 +1,1 @@
+"""Estimators of stiffness and damping, one a module."""

@@ -1,0 +1,109 @@
+"""Single-stage identification of a Hunt-Crossley contact, ``F = k x^n (1 + alpha v)``.
+
+    ln F = ln k + n ln x + alpha v,   for |alpha v| < 0.1
+
+linear in (ln k, n, alpha) (A. Haddadi, K. Hashtrudi-Zaad, "Real-time identification of Hunt-Crossley dynamic models of contact
+environments", IEEE T-RO 28(3), 2012). The logarithm needs the touch point: x counts from the nominal one. Given out as stiffness and
+damping are those of the spring and damper that give the same force and take the same energy at the largest penetration X: k X^(n-1),
+and ``alpha F(X)`` times ``<x v^2>/(X <v^2>) = 4/(3 pi)`` of a half sine. On a contact that is a spring and damper the step of force at
+touch, ``c v0``, does not fit the law: n comes out below 1.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from numba import njit
+
+from hiltestbed.frames import Array
+from hiltestbed.identification.samples import ContactSamples
+from hiltestbed.identification.settings import Identifier
+from hiltestbed.plugins import register
+
+if TYPE_CHECKING:
+    from hiltestbed.scenario import Scenario
+
+MINIMUM_SAMPLES = 8
+SHALLOW = 0.1  # part of the deepest x so far below which ln x magnifies any error of the touch point
+DAMPING_SHARE = 4.0 / (3.0 * math.pi)
+
+
+@register
+class HuntCrossley(Identifier):
+    """Single-stage fit of F = k x^n (1 + alpha v), on aligned samples."""
+
+    kind: Literal["hunt_crossley"] = "hunt_crossley"
+
+    @classmethod
+    def start(cls, scenarios: Sequence[Scenario]) -> HuntCrossleyFit:
+        return HuntCrossleyFit(scenarios)
+
+
+class HuntCrossleyFit:
+    """Estimates on six axes for ``n`` runs; attributes as in :class:`RecursiveLeastSquares`, and
+
+    Attributes:
+        exponent: ``(n, 6)`` n [-], NaN before the first estimate.
+        coefficient: ``(n, 6)`` k [N/m^n].
+        alpha: ``(n, 6)`` [s/m].
+    """
+
+    def __init__(self, scenarios: Sequence[Scenario]) -> None:
+        n = len(scenarios)
+        self.source = ContactSamples(scenarios)
+        self._sums = np.zeros((n, 6, 9))
+        self._deepest = np.zeros((n, 6))
+        self.exponent, self.coefficient, self.alpha = np.full((n, 6), np.nan), np.full((n, 6), np.nan), np.full((n, 6), np.nan)
+        self.stiffness, self.damping = np.full((n, 6), np.nan), np.full((n, 6), np.nan)
+        self.samples = np.zeros((n, 6))
+
+    def update(self, wrench: Array, pose: Array, twist: Array) -> None:
+        """Take in what was measured at t_k: wrench ``(n, 6)``, pose ``(n, 7)``, twist ``(n, 6)``."""
+        self.source.take(wrench, pose, twist)
+        _fit(
+            self.source.ready, self.source.sample, self._sums, self._deepest, self.samples,
+            self.exponent, self.coefficient, self.alpha, self.stiffness, self.damping,
+        )  # fmt: skip
+
+
+@njit(cache=True)
+def _fit(ready, sample, sums, deepest, samples, exponent, coefficient, alpha, stiffness, damping):
+    for i in range(sample.shape[0]):
+        if not ready[i]:
+            continue
+        for j in range(6):
+            x, v, y = sample[i, j, 0], sample[i, j, 1], sample[i, j, 3]
+            deepest[i, j] = max(deepest[i, j], x)
+            if x <= 0.0 or y <= 0.0 or x < SHALLOW * deepest[i, j]:
+                continue
+            lx, ly, s = math.log(x), math.log(y), sums[i, j]
+            s[0] += 1.0
+            s[1] += lx
+            s[2] += v
+            s[3] += ly
+            s[4] += lx * lx
+            s[5] += lx * v
+            s[6] += v * v
+            s[7] += lx * ly
+            s[8] += v * ly
+            samples[i, j] += 1.0
+            if s[0] < MINIMUM_SAMPLES:
+                continue
+            n = s[0]
+            xx, xv, vv = s[4] - s[1] * s[1] / n, s[5] - s[1] * s[2] / n, s[6] - s[2] * s[2] / n
+            xy, vy = s[7] - s[1] * s[3] / n, s[8] - s[2] * s[3] / n
+            det = xx * vv - xv * xv
+            if det <= 1e-10 * xx * vv:
+                continue
+            exponent[i, j] = (vv * xy - xv * vy) / det
+            alpha[i, j] = (xx * vy - xv * xy) / det
+            level = (s[3] - exponent[i, j] * s[1] - alpha[i, j] * s[2]) / n
+            if abs(level) > 100.0:
+                continue
+            coefficient[i, j] = math.exp(level)
+            depth = deepest[i, j]
+            stiffness[i, j] = coefficient[i, j] * depth ** (exponent[i, j] - 1.0)
+            damping[i, j] = DAMPING_SHARE * alpha[i, j] * stiffness[i, j] * depth

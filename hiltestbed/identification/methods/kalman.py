@@ -1,0 +1,111 @@
+"""Adaptive Kalman filter of stiffness and damping.
+
+The state (k, c, b) of each axis wanders; force is its observation, ``F = k x + c v + b``. The variance of the force's noise is learnt
+from the innovations, ``R <- R + (e^2 - phi P phi - R)/N``, and so is that of the wandering, ``Q = q K e^2 K^T`` (A. P. Sage, G. W. Husa,
+"Adaptive filtering with unknown prior statistics", 1969; used for k and c on such a rig by F. He et al., Chin. J. Mech. Eng. 35:149,
+2022). With q = 0 it is recursive least squares. Columns are scaled by the first speed in contact, so that one P0 serves all.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from numba import njit
+from pydantic import Field
+
+from hiltestbed.frames import Array
+from hiltestbed.identification.samples import ContactSamples
+from hiltestbed.identification.settings import Identifier, identifier_of
+from hiltestbed.plugins import register
+from hiltestbed.validation import NotNegative
+
+if TYPE_CHECKING:
+    from hiltestbed.scenario import Scenario
+
+P0 = 1e12  # [N^2] of the scaled state: large against any force squared
+TIME_SCALE = 0.02  # [s] the column x is scaled by the speed times this
+MINIMUM_SAMPLES = 8
+SLOWEST_SPEED = 1e-5  # [m/s, rad/s] an axis that moves slower is not excited
+ACCEPTED = 0.3  # relative standard deviation from which k is given out
+
+
+@register
+class Kalman(Identifier):
+    """Adaptive Kalman filter of k, c and an intercept that wander, on aligned samples."""
+
+    kind: Literal["kalman"] = "kalman"
+    wander: NotNegative = Field(default=1e-6, description="part of an innovation's correction that is taken for wandering")
+
+    @classmethod
+    def start(cls, scenarios: Sequence[Scenario]) -> AdaptiveKalman:
+        return AdaptiveKalman(scenarios)
+
+
+class AdaptiveKalman:
+    """Estimates on six axes for ``n`` runs; attributes as in :class:`RecursiveLeastSquares`."""
+
+    def __init__(self, scenarios: Sequence[Scenario]) -> None:
+        n = len(scenarios)
+        self.source = ContactSamples(scenarios)
+        self._wander = np.array([o.wander for o in identifier_of(scenarios, Kalman)])
+        self._state = np.zeros((n, 6, 3))
+        self._covariance = np.tile(P0 * np.eye(3), (n, 6, 1, 1))
+        self._noise = np.zeros((n, 6))
+        self._speed = np.zeros((n, 6))
+        self.stiffness, self.damping = np.full((n, 6), np.nan), np.full((n, 6), np.nan)
+        self.stiffness_sd, self.damping_sd = np.full((n, 6), np.nan), np.full((n, 6), np.nan)
+        self.samples = np.zeros((n, 6))
+        self._floor = np.array([[max(s.sensor.noise, 1e-6) ** 2] * 3 + [max(s.sensor.torque_noise, 1e-7) ** 2] * 3 for s in scenarios])
+
+    def update(self, wrench: Array, pose: Array, twist: Array) -> None:
+        """Take in what was measured at t_k: wrench ``(n, 6)``, pose ``(n, 7)``, twist ``(n, 6)``."""
+        self.source.take(wrench, pose, twist)
+        _filter(
+            self.source.ready, self.source.sample, self._wander, self._floor, self._state, self._covariance, self._noise, self._speed,
+            self.samples, self.stiffness, self.damping, self.stiffness_sd, self.damping_sd,
+        )  # fmt: skip
+
+
+@njit(cache=True)
+def _filter(ready, sample, wander, floor, state, covariance, noise, speed, samples, stiffness, damping, stiffness_sd, damping_sd):
+    phi, gain = np.empty(3), np.empty(3)
+    for i in range(sample.shape[0]):
+        if not ready[i]:
+            continue
+        for j in range(6):
+            x, v, one, y = sample[i, j]
+            if speed[i, j] == 0.0:
+                if abs(v) < SLOWEST_SPEED:
+                    continue
+                speed[i, j] = abs(v)
+            s = speed[i, j]
+            phi[0], phi[1], phi[2] = x / (s * TIME_SCALE), v / s, one
+            P, theta = covariance[i, j], state[i, j]
+            error, spread = y, 0.0
+            for a in range(3):
+                error -= phi[a] * theta[a]
+                gain[a] = P[a, 0] * phi[0] + P[a, 1] * phi[1] + P[a, 2] * phi[2]
+                spread += phi[a] * gain[a]
+            samples[i, j] += 1.0
+            count = samples[i, j] - 3.0
+            if count > 0.0:  # the first three samples determine the state and leave no residual
+                noise[i, j] += (max(error * error - spread, 0.0) - noise[i, j]) / count
+            R = max(noise[i, j], floor[i, j])
+            total = spread + R
+            push = wander[i] * error * error / (total * total) if count > MINIMUM_SAMPLES else 0.0
+            for a in range(3):
+                theta[a] += gain[a] / total * error
+            for a in range(3):
+                for b in range(3):
+                    P[a, b] += gain[a] * gain[b] * (push - 1.0 / total)
+            if count < MINIMUM_SAMPLES:
+                continue
+            k, sd = theta[0] / (s * TIME_SCALE), math.sqrt(max(P[0, 0], 0.0)) / (s * TIME_SCALE)
+            if k > 0.0 and sd < ACCEPTED * k:
+                stiffness[i, j], stiffness_sd[i, j] = k, sd
+                damping[i, j], damping_sd[i, j] = theta[1] / s, math.sqrt(max(P[1, 1], 0.0)) / s
+            else:
+                stiffness[i, j] = damping[i, j] = stiffness_sd[i, j] = damping_sd[i, j] = np.nan

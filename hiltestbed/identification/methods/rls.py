@@ -1,0 +1,59 @@
+"""Recursive least squares, on aligned samples, on raw ones, and behind the phase lead."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from pydantic import Field
+
+from hiltestbed.compensation.force_methods.phase_lead import PhaseLeadBlock
+from hiltestbed.identification.least_squares import RecursiveLeastSquares
+from hiltestbed.identification.samples import ContactSamples
+from hiltestbed.identification.settings import Identifier, identifier_of
+from hiltestbed.plugins import register
+from hiltestbed.validation import Positive
+
+if TYPE_CHECKING:
+    from hiltestbed.scenario import Scenario
+
+
+@register
+class Rls(Identifier):
+    """Recursive least squares of k and c on each axis, in contact alone, with the pose at the time the force was felt."""
+
+    kind: Literal["rls"] = "rls"
+    forgetting: Annotated[float, Field(gt=0, le=1)] = Field(default=1.0, description="forgetting factor a tick; 1: none")
+    delay: Literal["known", "estimate"] = Field(default="known", description="estimate: sensor.delay is found from the instant of touch")
+
+    @classmethod
+    def start(cls, scenarios: Sequence[Scenario]) -> RecursiveLeastSquares:
+        own = identifier_of(scenarios, cls)
+        return RecursiveLeastSquares(ContactSamples(scenarios, estimate=own[0].delay == "estimate"), [o.forgetting for o in own])
+
+
+@register
+class RlsRaw(Identifier):
+    """The same on the force as it is read, beside the pose of the same tick."""
+
+    kind: Literal["rls_raw"] = "rls_raw"
+    forgetting: Annotated[float, Field(gt=0, le=1)] = Field(default=1.0, description="forgetting factor a tick; 1: none")
+
+    @classmethod
+    def start(cls, scenarios: Sequence[Scenario]) -> RecursiveLeastSquares:
+        return RecursiveLeastSquares(ContactSamples(scenarios, aligned=False), [o.forgetting for o in identifier_of(scenarios, cls)])
+
+
+@register
+class RlsLead(Identifier):
+    """The same on the force after the first-order phase lead."""
+
+    kind: Literal["rls_lead"] = "rls_lead"
+    forgetting: Annotated[float, Field(gt=0, le=1)] = Field(default=1.0, description="forgetting factor a tick; 1: none")
+    lag: Positive = Field(default=0.0005, description="T2 of the lead [s]; T1 is sensor.delay + T2")
+
+    @classmethod
+    def start(cls, scenarios: Sequence[Scenario]) -> RecursiveLeastSquares:
+        own = identifier_of(scenarios, cls)
+        lead = PhaseLeadBlock(scenarios, [(s.sensor.delay + o.lag, o.lag) for s, o in zip(scenarios, own, strict=True)])
+        return RecursiveLeastSquares(ContactSamples(scenarios, aligned=False), [o.forgetting for o in own], lead)

@@ -1,0 +1,62 @@
+"""The identification's section of a scenario: how stiffness and damping are estimated while the contact lasts, one class a method."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Annotated, ClassVar, Protocol, TypeVar
+
+from hiltestbed.frames import Array
+from hiltestbed.plugins import OneOf, Registry, placeholder
+from hiltestbed.validation import Strictly
+
+if TYPE_CHECKING:
+    from hiltestbed.identification.samples import ContactSamples
+    from hiltestbed.scenario import Scenario
+
+
+class Identification(Protocol):
+    """An estimator of ``F = k x + c v`` on six axes, for ``n`` runs.
+
+    Attributes:
+        stiffness, damping: ``(n, 6)`` running estimates, NaN before the first.
+        samples: ``(n, 6)`` number of contact samples used.
+        source: what it takes its samples from.
+    """
+
+    source: ContactSamples
+
+    stiffness: Array
+    damping: Array
+    samples: Array
+
+    def update(self, wrench: Array, pose: Array, twist: Array) -> None:
+        """Take in what was measured at t_k: wrench ``(n, 6)``, pose ``(n, 7)``, twist ``(n, 6)``."""
+        ...
+
+
+class Identifier(Strictly):
+    """Base of every estimator's settings. A class needs a docstring and the parts named in :data:`PARTS`."""
+
+    PARTS: ClassVar[tuple[str, ...]] = ("docstring", "start")
+
+    kind: str
+
+    @classmethod
+    @placeholder
+    def start(cls, scenarios: Sequence[Scenario]) -> Identification | None:
+        """The estimator for ``n`` runs; None where nothing is estimated."""
+        raise NotImplementedError
+
+
+IDENTIFIERS: Registry[Identifier] = Registry("identifier", Identifier, ("hiltestbed.identification.methods",))
+AnyIdentifier = Annotated[Identifier, OneOf(IDENTIFIERS)]
+Own = TypeVar("Own", bound=Identifier)
+
+
+def identifier_of(scenarios: Sequence[Scenario], method: type[Own]) -> list[Own]:
+    """``identification`` of each scenario, all of one class. Raises TypeError for another."""
+    sections = [s.identification for s in scenarios]
+    other = next((s for s in sections if not isinstance(s, method)), None)
+    if other is not None:
+        raise TypeError(f"settings of {method.__name__} expected (got {type(other).__name__})")
+    return sections  # type: ignore[return-value]

@@ -1,0 +1,77 @@
+"""The record: what the log holds, where that is not what the loop had."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from hiltestbed.effects.base import Effect, quantity
+from hiltestbed.effects.search import Candidate, Scales, candidate
+from hiltestbed.plugins import register
+
+if TYPE_CHECKING:
+    from hiltestbed.scenario import Scenario
+    from hiltestbed.signals import Trace
+
+LONGEST = 20.0  # ticks: as far as a delay is searched on a slow loop
+STARTS = (0.4, 0.8, 1.4, 2.5, 4.5, 8.0, 13.0, 20.0)  # ticks
+
+
+@dataclass
+class LogParameters:
+    """The record of one run. skew: [s] by which the wrench is stamped late. reread: whether it was read anew at the later time, in place
+    of lying between the loop's own readings."""
+
+    skew: float = 0.0
+    reread: bool = False
+
+
+@register
+class LogSkew(Effect):
+    """The force record alone is stamped late; the loop itself is untouched."""
+
+    kind: Literal["log.skew"] = "log.skew"
+    delay: float = quantity("s", ge=0.0, le=1.0, search=(0.0, 0.03))
+    link = "log"
+    equation = "logged w_meas(t) = w_meas(t - delay)"
+    reference = "clock of the recorder"
+    resembles = ("sensor.delay", "contact.damping")
+    repeats = True
+    leading = "delay"
+    jumps = "delay"
+
+    def apply(self, p: LogParameters) -> None:
+        p.skew += self.delay
+        p.reread = p.reread or bool(self.variant.get("reread"))
+
+    @classmethod
+    def candidates(cls, scales: Scales) -> Iterator[Candidate]:
+        h = scales.tick
+        starts = [s * h for s in STARTS] if scales.late is None else [scales.late]
+        ends = (0.0, max(0.03, LONGEST * h)) if scales.late is None else (max(0.0, scales.late - h), scales.late + h)
+        for variant in ({}, {"reread": True}):
+            yield candidate(cls, {"delay": starts}, bounds={"delay": ends}, variant=variant)
+
+
+def log_parameters(effects: Sequence[Effect]) -> LogParameters:
+    """What the effects of the record among ``effects`` make of it."""
+    p = LogParameters()
+    for effect in effects:
+        if effect.link == "log":
+            effect.apply(p)
+    return p
+
+
+def stamp_late(trace: Trace, scenarios: Sequence[Scenario]) -> None:
+    """Put the reading of t - delay into the row of t where a record is stamped late, zero before the start; between rows linearly."""
+    rows = np.arange(len(trace.t))
+    for i, scenario in enumerate(scenarios):
+        skew = log_parameters(scenario.effects).skew
+        if skew > 0.0:
+            at = rows - skew * scenario.rate
+            record = trace["wrench_meas"][:, i].copy()
+            for j in range(6):
+                trace["wrench_meas"][:, i, j] = np.interp(at, rows, record[:, j], left=0.0)

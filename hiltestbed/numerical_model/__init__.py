@@ -1,0 +1,1 @@
+"""The numerical model: two free-flying spacecraft, driven by the compensated wrench."""

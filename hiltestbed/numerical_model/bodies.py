@@ -1,0 +1,62 @@
+"""Both vehicles as the scenario believes them to be, as arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hiltestbed.frames import Array, quat_from_attitude_deg, rotation_matrix
+
+if TYPE_CHECKING:
+    from hiltestbed.scenario import Scenario
+    from hiltestbed.scenario.spacecraft import Body
+
+
+def inertia_matrix(inertia: Sequence[float]) -> Array:
+    """``(3, 3)`` from the diagonal, or from xx, yy, zz, xy, xz, yz [kg m^2]."""
+    xx, yy, zz, xy, xz, yz = (*inertia, 0.0, 0.0, 0.0)[:6]
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+
+
+def port_pose(body: Body) -> Array:
+    """``(7,)`` pose of the port in the body."""
+    return np.concatenate([body.port.position, quat_from_attitude_deg(body.port.attitude_deg)])
+
+
+def approach_state(scenario: Scenario) -> Array:
+    """``(13,)``: pose of A in P and relative twist in P at t = 0."""
+    a = scenario.approach
+    position = [a.offset[0], a.offset[1], -a.gap]
+    return np.concatenate([position, quat_from_attitude_deg(a.attitude_deg), a.velocity, np.radians(a.rate_deg)])
+
+
+def effective_mass(scenario: Scenario) -> float:
+    """Reduced mass [kg] of both bodies along the line of approach at P's origin, lever arms included.
+
+    ``1/m = sum of 1/m_i + (r_i x n)^T I_i^-1 (r_i x n)`` with n along z of P, at the start pose with centred ports.
+    """
+    total = 0.0
+    for body in (scenario.spacecraft.chaser, scenario.spacecraft.target):
+        port = port_pose(body)
+        q = port[3:]
+        n = np.array([2 * (q[0] * q[2] + q[1] * q[3]), 2 * (q[1] * q[2] - q[0] * q[3]), 1 - 2 * (q[0] ** 2 + q[1] ** 2)])
+        arm = np.cross(port[:3], n)
+        total += 1.0 / body.mass + arm @ np.linalg.solve(inertia_matrix(body.inertia), arm)
+    return float(1.0 / total)
+
+
+def pair_momentum(mass: Array, inertia: Array, q: Array, v: Array) -> Array:
+    """Linear [kg m/s] and angular [N m s] momentum of both bodies together, about the inertial origin.
+
+    Args:
+        mass: ``(..., 2)``. inertia: ``(..., 2, 3, 3)``. q: ``(..., 2, 7)``. v: ``(..., 2, 6)``.
+
+    Returns:
+        ``(..., 6)``.
+    """
+    linear = mass[..., None] * v[..., :3]
+    spin = np.einsum("...ij,...j->...i", rotation_matrix(q[..., 3:]) @ inertia, v[..., 3:])
+    angular = np.cross(q[..., :3], linear) + spin
+    return np.concatenate([linear.sum(axis=-2), angular.sum(axis=-2)], axis=-1)

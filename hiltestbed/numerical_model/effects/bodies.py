@@ -1,0 +1,115 @@
+"""What the numerical model has wrong of the vehicles."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from pydantic import Field, Strict
+
+from hiltestbed.effects.base import Effect, quantity
+from hiltestbed.effects.search import Candidate, Scales, candidate
+from hiltestbed.plugins import register
+
+if TYPE_CHECKING:
+    from hiltestbed.numerical_model.parameters import DynamicsParameters
+
+BODIES = ("chaser", "target")
+Body = Literal["chaser", "target"]
+Offset = Annotated[tuple[Annotated[float, Field(ge=-10.0, le=10.0)], ...], Strict(False), Field(min_length=3, max_length=3)]
+FASTEST = 0.1  # of the rate of the loop: the fastest appendage that a numerical model of that rate can hold
+
+
+@register
+class DynamicsMass(Effect):
+    """The numerical model's mass is not the one believed."""
+
+    kind: Literal["dynamics.mass"] = "dynamics.mass"
+    factor: float = quantity("-", "true value over the one believed", gt=0.0, search=(0.3, 3.0), ratio=True)
+    body: Body = Field(default="chaser", description="the body concerned")
+    link = "dynamics"
+    equation = "m -> factor m in the numerical model"
+    reference = "Newton"
+    resembles = ("dynamics.appendage",)
+    repeats = True
+    leading = "factor"
+
+    def apply(self, p: DynamicsParameters) -> None:
+        p.mass[BODIES.index(self.body)] *= self.factor
+
+    @classmethod
+    def candidates(cls, scales: Scales) -> Iterator[Candidate]:
+        return (candidate(cls, {"factor": [0.6, 0.9, 1.1, 1.6]}, body=body) for body in BODIES)
+
+
+@register
+class DynamicsInertia(Effect):
+    """The numerical model's inertia is not the one believed."""
+
+    kind: Literal["dynamics.inertia"] = "dynamics.inertia"
+    factor: float = quantity("-", "true value over the one believed", gt=0.0, search=(0.3, 3.0), ratio=True)
+    body: Body = Field(default="chaser", description="the body concerned")
+    link = "dynamics"
+    equation = "I -> factor I in the numerical model"
+    reference = "Euler"
+    resembles = ("dynamics.port_offset",)
+    repeats = True
+    leading = "factor"
+
+    def apply(self, p: DynamicsParameters) -> None:
+        p.inertia[BODIES.index(self.body)] *= self.factor
+
+    @classmethod
+    def candidates(cls, scales: Scales) -> Iterator[Candidate]:
+        return (candidate(cls, {"factor": [0.7, 1.3]}, body=body) for body in BODIES)
+
+
+@register
+class DynamicsPortOffset(Effect):
+    """The numerical model has the port in another place: a wrong lever arm."""
+
+    kind: Literal["dynamics.port_offset"] = "dynamics.port_offset"
+    offset: Offset = quantity("m", "body axes", search=(-0.5, 0.5))
+    body: Body = Field(default="chaser", description="the body concerned")
+    link = "dynamics"
+    equation = "port position += offset (body axes) in the numerical model"
+    reference = "lever of the contact force"
+    resembles = ("dynamics.inertia",)
+    repeats = True
+    leading = "offset"
+
+    def apply(self, p: DynamicsParameters) -> None:
+        p.port[BODIES.index(self.body)] += self.offset
+
+    @classmethod
+    def candidates(cls, scales: Scales) -> Iterator[Candidate]:
+        names = {f"offset.{j}": [0.0] for j in range(3)}
+        return (candidate(cls, names, starts=[(0.0, 0.0, 0.0), (0.05, 0.05, 0.05)], body=body) for body in BODIES)
+
+
+@register
+class DynamicsAppendage(Effect):
+    """A part of the body's mass hangs on a spring."""
+
+    kind: Literal["dynamics.appendage"] = "dynamics.appendage"
+    mass_ratio: float = quantity("-", "of the body's mass", gt=0.0, le=1.0, search=(0.005, 0.6), ratio=True)
+    frequency: float = quantity("Hz", gt=0.0, search=(0.05, 20.0), ratio=True)
+    damping_ratio: float = quantity("-", ge=0.0, le=1.0, search=(0.001, 0.5), ratio=True)
+    body: Body = Field(default="chaser", description="the body concerned")
+    link = "dynamics"
+    equation = "m_a q'' = -k_a q - d_a q' - m_a a_body, m_a = mass_ratio m, k_a = m_a (2 pi f)^2"
+    reference = "slosh or flexible panel, pendulum model"
+    resembles = ("dynamics.mass",)
+    repeats = True
+    leading = "mass_ratio"
+
+    def apply(self, p: DynamicsParameters) -> None:
+        w = 2.0 * math.pi * self.frequency
+        p.appendages[BODIES.index(self.body)].append((self.mass_ratio, w * w, 2.0 * self.damping_ratio * w))
+
+    @classmethod
+    def candidates(cls, scales: Scales) -> Iterator[Candidate]:
+        swing = {"mass_ratio": [0.05, 0.2], "frequency": [0.15, 0.4, 0.8, 1.5, 3.0, 6.0, 12.0, 24.0], "damping_ratio": [0.02, 0.15]}
+        bounds = {"frequency": (0.05, FASTEST / scales.tick)}
+        return (candidate(cls, swing, bounds=bounds, body=body) for body in BODIES)

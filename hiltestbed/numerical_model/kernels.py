@@ -1,0 +1,283 @@
+"""Two free-flyers in compiled code: poses, loads, relative motion, steps.
+
+The states of one run are ``q`` (2, 7), poses of the centres of mass of chaser and target in inertial axes, and ``v`` (2, 6), linear
+velocity in inertial axes and angular velocity in body axes. :class:`hiltestbed.numerical_model.model.NumericalModel` accelerates the
+bodies with Pinocchio; a prediction needs a copy that can be set back, stepped under another wrench and carried forward, which
+:func:`step` and :func:`carry` do with the same semi-implicit step.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from hiltestbed.frames import cross, pose_between, quat_exp, quat_mul, quat_normalise, rotate, rotate_back
+
+CHASER, TARGET = 0, 1
+WORK = 9  # rows of scratch that the kernels of one run need
+SCRATCH = 12  # rows of 7 that stepping one run needs
+
+
+@njit(cache=True)
+def place_bodies(approach, port, q, v):
+    """One run: ``q`` (2, 7) and ``v`` (2, 6) at t = 0 from ``approach`` (13,) and ``port`` (2, 7): target at rest, P at the origin."""
+    r, w, u, inverse = np.empty(3), np.empty(3), np.empty(3), np.empty(4)
+    for b in range(2):  # attitude of the body in P: port attitude in P, less port attitude in the body
+        for j in range(3):
+            inverse[j] = -port[b, 3 + j]
+        inverse[3] = port[b, 6]
+        if b == CHASER:
+            quat_mul(approach[3:7], inverse, q[b, 3:7])
+        else:
+            q[b, 3:7] = inverse
+        rotate(q[b, 3:7], port[b, 0:3], r)
+        for j in range(3):
+            q[b, j] = -r[j] + (approach[j] if b == CHASER else 0.0)
+        v[b] = 0.0
+    rotate(q[CHASER, 3:7], port[CHASER, 0:3], r)  # centre of mass moves slower than the port by w x r
+    w[:] = approach[10:13]
+    cross(w, r, u)
+    for j in range(3):
+        v[CHASER, j] = approach[7 + j] - u[j]
+    rotate_back(q[CHASER, 3:7], w, v[CHASER, 3:6])
+
+
+@njit(cache=True)
+def place_at_start(approach, port, q, v):
+    """All runs: ``q`` (n, 2, 7) and ``v`` (n, 2, 6) at t = 0."""
+    for i in range(q.shape[0]):
+        place_bodies(approach[i], port[i], q[i], v[i])
+
+
+@njit(cache=True)
+def _port_state(q, v, port, pose, arm, velocity, rate):
+    """World pose of a port, its arm from the centre of mass, its velocity and angular rate, all in inertial axes."""
+    rotate(q[3:7], port[0:3], arm)
+    rotate(q[3:7], v[3:6], rate)
+    cross(rate, arm, velocity)
+    for j in range(3):
+        pose[j] = q[j] + arm[j]
+        velocity[j] += v[j]
+    quat_mul(q[3:7], port[3:7], pose[3:7])
+
+
+@njit(cache=True)
+def relative_motion(q, v, port, work, pose, twist):
+    """One run: ``pose`` (7,) of A in P and ``twist`` (6,) from ``q`` (2, 7), ``v`` (2, 6), ``port`` (2, 7); ``work`` (WORK, 7)."""
+    pose_A, pose_P = work[0], work[1]
+    arm, u_A, w_A, u_P, w_P, d, s = work[2], work[3], work[4], work[5], work[6], work[7], work[8]
+    _port_state(q[CHASER], v[CHASER], port[CHASER], pose_A, arm, u_A, w_A)
+    _port_state(q[TARGET], v[TARGET], port[TARGET], pose_P, arm, u_P, w_P)
+    pose_between(pose_P, pose_A, pose)
+    for j in range(3):
+        d[j] = pose_A[j] - pose_P[j]
+    cross(w_P, d, s)
+    for j in range(3):
+        u_A[j] -= u_P[j] + s[j]
+        w_A[j] -= w_P[j]
+    rotate_back(pose_P[3:7], u_A, twist[0:3])
+    rotate_back(pose_P[3:7], w_A, twist[3:6])
+
+
+@njit(cache=True)
+def load_bodies(q, port, wrench, work, tau):
+    """One run: generalised forces ``tau`` (2, 6), force in inertial axes and torque about the centre of mass in body axes, of
+    ``wrench`` (6,), active on passive, in P at P's origin; ``work`` (WORK, 7)."""
+    attitude, force, torque, arm, point, moment = work[0], work[1], work[2], work[3], work[4], work[5]
+    quat_mul(q[TARGET, 3:7], port[TARGET, 3:7], attitude)
+    rotate(attitude, wrench[0:3], force)
+    rotate(attitude, wrench[3:6], torque)
+    rotate(q[TARGET, 3:7], port[TARGET, 0:3], arm)
+    for j in range(3):
+        point[j] = q[TARGET, j] + arm[j]
+    for b in range(2):
+        sign = 1.0 if b == TARGET else -1.0
+        for j in range(3):
+            arm[j] = point[j] - q[b, j]
+        cross(arm, force, moment)
+        for j in range(3):
+            tau[b, j] = sign * force[j]
+            moment[j] = sign * (moment[j] + torque[j])
+        rotate_back(q[b, 3:7], moment, tau[b, 3:6])
+
+
+@njit(cache=True)
+def relative_states(q, v, port, pose, twist):
+    work = np.empty((WORK, 7))
+    for i in range(q.shape[0]):
+        relative_motion(q[i], v[i], port[i], work, pose[i], twist[i])
+
+
+@njit(cache=True)
+def load_wrench(q, port, wrench, tau):
+    work = np.empty((WORK, 7))
+    for i in range(q.shape[0]):
+        load_bodies(q[i], port[i], wrench[i], work, tau[i])
+
+
+@njit(cache=True)
+def move(q, v, tick):
+    """Move the poses ``q`` (n, 2, 7) with the velocities ``v`` (n, 2, 6) for a tick [s]."""
+    turn, dq, before = np.empty(3), np.empty(4), np.empty(4)
+    for i in range(q.shape[0]):
+        for b in range(2):
+            for j in range(3):
+                q[i, b, j] += tick * v[i, b, j]
+                turn[j] = tick * v[i, b, 3 + j]
+            quat_exp(turn, dq)
+            before[:] = q[i, b, 3:7]
+            quat_mul(before, dq, q[i, b, 3:7])
+            quat_normalise(q[i, b, 3:7])
+
+
+@njit(cache=True)
+def newton_euler(mass, inertia, inverse, tau, h, v):
+    """Add what ``tau`` (n, 2, 6), force in inertial axes and torque in body axes, changes in a step to ``v`` (n, 2, 6)."""
+    spin, gyro = np.empty(3), np.empty(3)
+    for i in range(v.shape[0]):
+        for b in range(2):
+            for j in range(3):
+                spin[j] = inertia[i, b, j, 0] * v[i, b, 3] + inertia[i, b, j, 1] * v[i, b, 4] + inertia[i, b, j, 2] * v[i, b, 5]
+            cross(v[i, b, 3:6], spin, gyro)
+            for j in range(3):
+                gyro[j] = tau[i, b, 3 + j] - gyro[j]
+                v[i, b, j] += h * tau[i, b, j] / mass[i, b]
+            for j in range(3):
+                gain = inverse[i, b, j, 0] * gyro[0] + inverse[i, b, j, 1] * gyro[1] + inverse[i, b, j, 2] * gyro[2]
+                v[i, b, 3 + j] += h * gain
+
+
+@njit(cache=True)
+def step(q, v, port, mass, inertia, inverse, wrench, h, work):
+    """One semi-implicit Euler step of both bodies under ``wrench`` (6,), active on passive, in P at P's origin."""
+    load_bodies(q, port, wrench, work, work[6:8])
+    for b in range(2):
+        tau, spin, gyro = work[6 + b], work[8], work[9]
+        for j in range(3):
+            spin[j] = inertia[b, j, 0] * v[b, 3] + inertia[b, j, 1] * v[b, 4] + inertia[b, j, 2] * v[b, 5]
+        cross(v[b, 3:6], spin, gyro)
+        for j in range(3):
+            gyro[j] = tau[3 + j] - gyro[j]
+            v[b, j] += h * tau[j] / mass[b]
+        for j in range(3):
+            v[b, 3 + j] += h * (inverse[b, j, 0] * gyro[0] + inverse[b, j, 1] * gyro[1] + inverse[b, j, 2] * gyro[2])
+        for j in range(3):
+            q[b, j] += h * v[b, j]
+            spin[j] = h * v[b, 3 + j]
+        _turn(q[b, 3:7], spin, work[10], work[11])
+
+
+@njit(cache=True)
+def carry(q, v, port, mass, inverse, time, impulse, shift, work):
+    """Both bodies ``time`` [s] later under a wrench of which only two integrals are needed, in P at P's origin, axes held fixed.
+
+    Args:
+        impulse: (6,) its integral, ``sum of h w_j``.
+        shift: (6,) its second integral, ``sum of h^2 w_j`` times the ticks that are left after j, its own included.
+
+    Rates are taken as constant but for the impulse: the gyroscopic torque over the time is left out.
+    """
+    load_bodies(q, port, impulse, work, work[6:8])
+    load_bodies(q, port, shift, work, work[8:10])
+    for b in range(2):
+        gain, turn = work[0], work[1]
+        for j in range(3):
+            gain[j] = inverse[b, j, 0] * work[8 + b, 3] + inverse[b, j, 1] * work[8 + b, 4] + inverse[b, j, 2] * work[8 + b, 5]
+        for j in range(3):
+            q[b, j] += time * v[b, j] + work[8 + b, j] / mass[b]
+            v[b, j] += work[6 + b, j] / mass[b]
+            turn[j] = time * v[b, 3 + j] + gain[j]
+        for j in range(3):
+            v[b, 3 + j] += inverse[b, j, 0] * work[6 + b, 3] + inverse[b, j, 1] * work[6 + b, 4] + inverse[b, j, 2] * work[6 + b, 5]
+        _turn(q[b, 3:7], turn, work[2], work[3])
+
+
+@njit(cache=True, inline="always")
+def _turn(attitude, turn, by, out):
+    quat_exp(turn, by)
+    quat_mul(attitude, by, out)
+    quat_normalise(out)
+    for j in range(4):
+        attitude[j] = out[j]
+
+
+@njit(cache=True)
+def mobility(q, port, position, mass, inverse, work, out):
+    """``out`` (6, 6): change of the twist of A relative to P, in P, for a unit impulse of a wrench at A's origin, in P, reversed.
+
+    ``W = sum over the bodies of J^T M^-1 J`` with J from the velocity of A's origin: symmetric and positive definite. A wrench
+    ``w`` that the active side exerts for a time h changes the relative twist by ``-h W w``. ``position`` (3,) of A in P.
+    """
+    attitude, arm, axis, r, gain, moment = work[0], work[1], work[2], work[3], work[4], work[5]
+    quat_mul(q[TARGET, 3:7], port[TARGET, 3:7], attitude)
+    rotate(q[TARGET, 3:7], port[TARGET, 0:3], arm)
+    rotate(attitude, position, axis)
+    for j in range(3):
+        arm[j] += axis[j] + q[TARGET, j]  # A's origin in inertial axes
+    for i in range(6):
+        for j in range(6):
+            out[i, j] = 1.0 / mass[0] + 1.0 / mass[1] if i == j and i < 3 else 0.0
+    for b in range(2):
+        for j in range(3):
+            r[j] = arm[j] - q[b, j]
+        rotate_back(attitude, r, r)
+        for i in range(6):
+            for j in range(3):
+                axis[j] = 1.0 if j == i % 3 else 0.0
+            if i < 3:
+                cross(r, axis, moment)
+            else:
+                for j in range(3):
+                    moment[j] = axis[j]
+            rotate(attitude, moment, moment)
+            rotate_back(q[b, 3:7], moment, moment)
+            for j in range(3):
+                gain[j] = inverse[b, j, 0] * moment[0] + inverse[b, j, 1] * moment[1] + inverse[b, j, 2] * moment[2]
+            rotate(q[b, 3:7], gain, gain)
+            rotate_back(attitude, gain, gain)
+            cross(gain, r, moment)
+            for j in range(3):
+                out[j, i] += moment[j]
+                out[3 + j, i] += gain[j]
+
+
+@njit(cache=True)
+def solve(matrix, x, factor):
+    """``x`` (6,) overwritten by the solution of the positive definite ``matrix`` (6, 6); ``factor`` (6, 6) is scratch (Cholesky)."""
+    for i in range(6):
+        for j in range(i + 1):
+            s = matrix[i, j]
+            for k in range(j):
+                s -= factor[i, k] * factor[j, k]
+            factor[i, j] = s**0.5 if i == j else s / factor[j, j]
+        s = x[i]
+        for k in range(i):
+            s -= factor[i, k] * x[k]
+        x[i] = s / factor[i, i]
+    for i in range(5, -1, -1):
+        s = x[i]
+        for k in range(i + 1, 6):
+            s -= factor[k, i] * x[k]
+        x[i] = s / factor[i, i]
+
+
+@njit(cache=True, inline="always")
+def wrench_at_A(wrench, position, out):
+    """``out``: a wrench given at P's origin, taken at A's origin; ``position`` (3,) of A in P. ``out`` may be ``wrench``."""
+    fx, fy, fz = wrench[0], wrench[1], wrench[2]
+    x, y, z = position[0], position[1], position[2]
+    out[3] = wrench[3] - (y * fz - z * fy)
+    out[4] = wrench[4] - (z * fx - x * fz)
+    out[5] = wrench[5] - (x * fy - y * fx)
+    out[0], out[1], out[2] = fx, fy, fz
+
+
+@njit(cache=True, inline="always")
+def wrench_at_P(wrench, position, out):
+    """The inverse of :func:`wrench_at_A`."""
+    fx, fy, fz = wrench[0], wrench[1], wrench[2]
+    x, y, z = position[0], position[1], position[2]
+    out[3] = wrench[3] + (y * fz - z * fy)
+    out[4] = wrench[4] + (z * fx - x * fz)
+    out[5] = wrench[5] + (x * fy - y * fx)
+    out[0], out[1], out[2] = fx, fy, fz

@@ -1,0 +1,226 @@
+"""Servo tracking: the whole rig in MuJoCo, its platform driven towards the commanded pose."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import mujoco
+import numpy as np
+from mujoco.batch import Batch
+from numba import njit
+from numpy.typing import NDArray
+
+from hiltestbed.contact import solref
+from hiltestbed.contact.mount import Mount
+from hiltestbed.contact.touch import Touch, load_body
+from hiltestbed.frames import Array, rotate
+from hiltestbed.platform import model
+from hiltestbed.platform.pss33.servo import Servo
+from hiltestbed.platform.response import PlatformResponse
+from hiltestbed.sensor.readout import read_history, read_wrench
+
+if TYPE_CHECKING:
+    from hiltestbed.platform.plant import AppliedForce
+    from hiltestbed.scenario import Scenario
+
+SPEED_LIMIT = 1e3  # [m/s], [rad/s] a joint faster than this has diverged
+YIELDING = 150.0  # [kg] half of what a point of the platform weighs against a push: friction may take its speed in one step
+NONE, VEL, ACC = (int(stage) for stage in (mujoco.mjtStage.mjSTAGE_NONE, mujoco.mjtStage.mjSTAGE_VEL, mujoco.mjtStage.mjSTAGE_ACC))
+
+
+class ServoTracking:
+    """The rigs of `n` runs under servo tracking; arrays as in :class:`hiltestbed.platform.plant.Plant`.
+
+    The force at t_(k+1) is read from the forward stages at the new state, without a step's delay; the readings at the substeps in
+    between come from the sensor's history. A run whose force may come `late` is spared those stages, a fifth of the physics of two
+    steps a tick: its force at t_k is that of the first step of the tick which starts there.
+    """
+
+    def __init__(
+        self,
+        scenarios: Sequence[Scenario],
+        nthread: int,
+        structure: model.Structure,
+        late: NDArray[np.bool_] | None = None,
+        force: AppliedForce | None = None,
+    ) -> None:
+        first, n = scenarios[0], len(scenarios)
+        if mujoco.get_mju_user_warning() is None:  # else MuJoCo writes MUJOCO_LOG.TXT into the working folder
+            mujoco.set_mju_user_warning(_said)
+        self.substeps = m = first.substeps
+        dt = first.tick / m
+        self.model = model.rig_model(structure, dt, kept=m)
+        self.batch = Batch(self.model, n, nthread, persistent=True)
+        if structure.paired:
+            solref.set_linear(self.batch, scenarios, scale=1.0)
+        self.touch = None if structure.paired else Touch.of(scenarios, least_creep=dt / YIELDING)
+        self._force = force
+        self.mount = Mount(self.batch, scenarios)
+        self.path = PlatformResponse(scenarios)
+        self._ticks = np.zeros(1, dtype=np.int64)
+        self._goal = np.zeros((n, 7))
+        feed = np.array([s.compensation.motion.feeds for s in scenarios])
+        self.servo = Servo(self.model, scenarios, feed)
+        bind = self.batch.bind
+        self._qpos, self._qvel, self._ctrl, self._time = bind("qpos"), bind("qvel"), bind("ctrl"), bind("time")
+        self._warmstart, self._history = bind("qacc_warmstart"), bind("history")
+        self.servo.add_friction(scenarios, bind("qfrc_applied"))
+        self._reading, self._ncon = bind("sensordata"), bind("ncon")
+        self._tare, self._all = np.zeros((n, 6)), np.arange(n)
+        self._applied = bind("xfrc_applied").reshape(n, -1, 6)
+        self._active = self.model.body(model.ACTIVE + "mechanism").id
+        self._passive = self.model.body(model.PASSIVE + "mechanism").id
+        self._offset = np.array(self.model.body(self._active).ipos - self.model.site(model.ACTIVE + "A").pos)
+        self._centre = np.zeros((n, 3))
+        self.pose_act, self.twist_act = np.zeros((n, 7)), np.zeros((n, 6))
+        self.wrench_sub = np.zeros((n, m, 6))
+        self.contact_now = np.zeros(n, dtype=bool)
+        self.slider_act = np.zeros((n, 6))
+        self.slider_cmd = self.servo.target
+        self.diverged = np.zeros(n, dtype=bool)
+        self.causes = [""] * n
+        self._late = np.zeros(n, dtype=bool) if late is None else late
+        self._going: NDArray[np.intp] | None = None  # the runs that are stepped; None: all
+        self._weigh()
+
+    def _weigh(self) -> None:
+        """Tare: the reading of the sensor at rest, the active side a metre away."""
+        self._qpos[:, self.model.joint("platform").qposadr[0] + 2] -= 1.0
+        self._applied[:, self._passive, 2] = self.mount.balance
+        self.batch.forward()
+        self._tare[:] = self._reading
+
+    def reset(self, pose: Array, twist: Array) -> None:
+        """Start at ``pose`` (n, 7), moving with ``twist`` (n, 6); forces start from zero."""
+        self.batch.reset(stage=NONE)
+        self.diverged[:] = False
+        self._going = None
+        self._group()
+        self.servo.settle(pose, twist, self._qpos, self._qvel)
+        self._ticks[0] = 0
+        if self.touch is not None:
+            self.touch.reset()
+            self._meet()
+        self.batch.forward()
+        self.wrench_sub[:] = 0.0
+        read_wrench(self._reading, self._tare, self._all, self.wrench_sub, self.substeps - 1)
+        self._observe()
+
+    def begin(self, pose_cmd: Array, twist_cmd: Array, accel_cmd: Array) -> None:
+        """Start the tick towards ``pose_cmd`` (n, 7), with ``twist_cmd`` and ``accel_cmd`` (n, 6): its first step."""
+        self._goal[:] = pose_cmd
+        if self.path.active:
+            self._goal[:, :3] = self.path.advance(int(self._ticks[0]), pose_cmd)[:, -1]
+        self._ticks[0] += 1
+        self.servo.aim(self._goal, twist_cmd, accel_cmd)
+        self._step(0)
+        if self._latecomers.size:
+            read_wrench(self._reading, self._tare, self._latecomers, self.wrench_sub, self.substeps - 1)
+
+    def finish(self) -> None:
+        """The rest of the tick."""
+        if self.touch is None:
+            self._run()
+        else:
+            self._run_touching()
+        self.servo.arrive()
+        self._observe()
+
+    def bare_steps(self, count: int) -> None:
+        """``count`` steps with the inputs as they are."""
+        for _ in range(count):
+            self.batch.step()
+
+    def _step(self, sub: int) -> None:
+        self.servo.push(sub, self._qpos, self._qvel, self._ctrl)
+        if self.touch is not None or sub < self.substeps - 1:
+            self.batch.step(self._going)
+            return
+        for ids, stage in self._groups:
+            self.batch.step(ids, stage=stage)
+
+    def _run(self) -> None:
+        for s in range(1, self.substeps):
+            self._step(s)
+        read_history(self._history, self._tare, self.wrench_sub)
+        if self._prompt.size:
+            read_wrench(self._reading, self._tare, self._prompt, self.wrench_sub, self.substeps - 1)
+
+    def _run_touching(self) -> None:
+        """A step's reading is that of its start; the last instant takes a forward pass of its own."""
+        self._meet()
+        for s in range(1, self.substeps):
+            self._step(s)
+            read_wrench(self._reading, self._tare, self._all, self.wrench_sub, s - 1)
+            self._meet()
+        if self._prompt.size:
+            self.batch.forward(self._groups[0][0])
+            read_wrench(self._reading, self._tare, self._prompt, self.wrench_sub, self.substeps - 1)
+
+    def _meet(self) -> None:
+        """Put the wrench of the state on both sides."""
+        assert self.touch is not None
+        self.servo.observe(self._qpos, self._qvel, SPEED_LIMIT, self.pose_act, self.twist_act, self.slider_act, self.diverged)
+        self.mount.observe(self._qpos, self._qvel)
+        if self._force is not None:
+            self.touch.wrench[:] = self._force.next()
+        else:
+            self.touch.update(self.pose_act, self.twist_act, self.mount.place, self.mount.motion)
+        _centres(self.pose_act, self._offset, self._centre)
+        load_body(-1.0, self.touch.wrench, self._active, self._centre, self._applied)
+        load_body(1.0, self.touch.wrench, self._passive, self.mount.centre, self._applied)
+        self._applied[:, self._passive, 2] += self.mount.balance
+
+    def _observe(self) -> None:
+        lost = self.servo.observe(self._qpos, self._qvel, SPEED_LIMIT, self.pose_act, self.twist_act, self.slider_act, self.diverged)
+        if self.touch is None:
+            np.greater(self._ncon, 0, out=self.contact_now)
+        else:
+            self.contact_now[:] = self.touch.touching
+            lost = bool(self.diverged.any())  # between two substeps, too
+        if lost:
+            self._leave_out()
+        if self._going is not None:
+            self.wrench_sub[self.diverged] = 0.0
+
+    def _leave_out(self) -> None:
+        """Name the cause for the runs that have just diverged, and step the others alone from now on."""
+        for i in np.flatnonzero(self.diverged):
+            if not self.causes[i]:
+                self.causes[i] = _cause(self.model, self._qpos[i], self._qvel[i])
+        self._going = np.flatnonzero(~self.diverged)
+        self._group()
+
+    def _group(self) -> None:
+        """Part the runs that are stepped into those whose force is wanted at once and the others, with their stages."""
+        going = ~self.diverged
+        self._prompt, self._latecomers = np.flatnonzero(going & ~self._late), np.flatnonzero(going & self._late)
+        parts = [(ids, stage) for ids, stage in ((self._prompt, ACC), (self._latecomers, VEL)) if ids.size]
+        self._groups: list[tuple[NDArray[np.intp] | None, int]] = [(None if len(ids) == len(going) else ids, stage) for ids, stage in parts]
+
+
+@njit(cache=True)
+def _centres(pose, offset, out):
+    """``out`` (n, 3) [m]: the place in W of a point ``offset`` (3,) from A's origin, in A."""
+    for i in range(pose.shape[0]):
+        rotate(pose[i, 3:7], offset, out[i])
+        for j in range(3):
+            out[i, j] += pose[i, j]
+
+
+def _said(message: str) -> None:
+    """A warning of MuJoCo's: that a state is lost is noticed and told by :class:`ServoTracking` itself."""
+    logging.getLogger("hiltestbed.platform").debug("MuJoCo: %s", message)
+
+
+def _cause(m: mujoco.MjModel, qpos: Array, qvel: Array) -> str:
+    """The fastest joint of a rig that diverged, and its state."""
+    speed = np.where(np.isfinite(qvel), np.abs(qvel), np.inf)
+    if np.all(speed < SPEED_LIMIT):
+        return "a position of the rig is not a number"
+    dof = int(np.argmax(speed))
+    joint = m.joint(int(m.dof_jntid[dof])).name
+    unit = "rad/s" if joint.startswith("universal") or (joint == "platform" and dof - m.joint(joint).dofadr[0] > 2) else "m/s"
+    return f"{joint} moves at {qvel[dof]:.3g} {unit} (limit {SPEED_LIMIT:g})"

@@ -1,0 +1,1 @@
+"""Effects of the motion platform; they act on the three translations."""

@@ -1,0 +1,174 @@
+"""Ideal tracking: the pose runs linearly over each tick to the commanded one.
+
+The active mechanism is a free body whose position and velocity are written before every evaluation of the contact; of the platform
+nothing is integrated. Evaluated are the sub-instants of the tick that ends, so that the last one is the force at t_(k+1) with the
+slope of that tick.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from mujoco.batch import Batch
+from numba import njit
+
+from hiltestbed.contact import solref
+from hiltestbed.contact.mount import Mount
+from hiltestbed.contact.touch import Touch, load_body
+from hiltestbed.frames import Array, pose_step, rotate_back, twist_between
+from hiltestbed.platform import model
+from hiltestbed.platform.pss33.kinematics import Platform, inverse
+from hiltestbed.platform.response import PlatformResponse
+from hiltestbed.sensor.readout import read_wrench
+
+if TYPE_CHECKING:
+    from hiltestbed.platform.plant import AppliedForce
+    from hiltestbed.scenario import Scenario
+
+
+@njit(cache=True)
+def _slope(pose_before, pose_now, h, twist):
+    for i in range(pose_now.shape[0]):
+        twist_between(pose_before[i], pose_now[i], h, twist[i])
+
+
+@njit(cache=True)
+def _back(pose, twist, h, out):
+    for i in range(pose.shape[0]):
+        pose_step(pose[i], twist[i], -h, out[i])
+
+
+@njit(cache=True)
+def _between(pose_before, pose_now, twist, time, last, bent, path, pose, qpos, qvel, joint):
+    """Where A is ``time`` [s] after ``pose_before``: into ``pose``, and into MuJoCo's free joint (w-first, angular in body).
+
+    Where the platform departs from the straight line (``bent``) its position is ``path`` (n, 3) [m].
+    """
+    q, d = joint[0], joint[1]
+    for i in range(pose_now.shape[0]):
+        if last:
+            pose[i] = pose_now[i]
+        else:
+            pose_step(pose_before[i], twist[i], time, pose[i])
+        if bent:
+            pose[i, 0:3] = path[i]
+        qpos[i, q : q + 3] = pose[i, 0:3]
+        qpos[i, q + 3] = pose[i, 6]
+        qpos[i, q + 4 : q + 7] = pose[i, 3:6]
+        qvel[i, d : d + 3] = twist[i, 0:3]
+        rotate_back(pose[i, 3:7], twist[i, 3:6], qvel[i, d + 3 : d + 6])
+
+
+class IdealTracking:
+    """The mechanisms of `n` runs under ideal tracking; arrays as in :class:`hiltestbed.platform.plant.Plant`."""
+
+    def __init__(self, scenarios: Sequence[Scenario], nthread: int, structure: model.Structure, force: AppliedForce | None = None) -> None:
+        first, n = scenarios[0], len(scenarios)
+        self.tick, self.substeps = first.tick, first.substeps
+        self.model = model.ideal_model(structure, first.tick / first.substeps)
+        self.batch = Batch(self.model, n, nthread)
+        # Nothing yields, so there is no static deflection to allow for: the impedance is taken out of the stiffness.
+        if structure.paired:
+            solref.set_linear(self.batch, scenarios, scale=1.0 - model.IMPEDANCE)
+        self.touch = None if structure.paired else Touch.of(scenarios, least_creep=0.0)
+        self._force = force
+        self.mount = Mount(self.batch, scenarios)
+        self.path = PlatformResponse(scenarios)
+        self._ticks = np.zeros(1, dtype=np.int64)
+        self.platform = Platform.load()
+        bind = self.batch.bind
+        self._qpos, self._qvel, self._warmstart = bind("qpos"), bind("qvel"), bind("qacc_warmstart")
+        self._reading, self._ncon, self._applied = bind("sensordata"), bind("ncon"), bind("xfrc_applied").reshape(n, -1, 6)
+        self._passive = self.model.body(model.PASSIVE + "mechanism").id
+        free = self.model.joint("A_joint")
+        self._joint = np.array([free.qposadr[0], free.dofadr[0]])
+        self._tare, self._all = np.zeros((n, 6)), np.arange(n)  # there is no gravity
+        self._goal = np.zeros((n, 7))
+        self._before, self._between = np.zeros((n, 7)), np.zeros((n, 7))
+        self.pose_act, self.twist_act = np.zeros((n, 7)), np.zeros((n, 6))
+        self.wrench_sub = np.zeros((n, self.substeps, 6))
+        self.contact_now = np.zeros(n, dtype=bool)
+        self.slider_act, self.slider_cmd = np.zeros((n, 6)), np.zeros((n, 6))
+        self.diverged = np.zeros(n, dtype=bool)  # the platform cannot: a command that is lost is the loop's to end
+        self.causes = [""] * n
+
+    def reset(self, pose: Array, twist: Array) -> None:
+        """Start at ``pose`` (n, 7) with the uniform ``twist`` (n, 6) that brought it there."""
+        self.batch.reset(stage=0)
+        self._ticks[0] = 0
+        self.pose_act[:], self.twist_act[:] = pose, twist
+        _back(self.pose_act, self.twist_act, self.tick, self._before)
+        self.mount.observe(self._qpos, self._qvel)
+        if self.touch is not None:
+            self.touch.reset()
+        self.path.path[:, :] = self.pose_act[:, None, :3]
+        self.wrench_sub[:] = 0.0
+        self._place(self.substeps)
+        self.batch.forward()
+        read_wrench(self._reading, self._tare, self._all, self.wrench_sub, self.substeps - 1)
+        self._conclude()
+
+    def begin(self, pose_cmd: Array, twist_cmd: Array, accel_cmd: Array) -> None:
+        """Start the tick towards ``pose_cmd`` (n, 7); its derivatives are not needed here."""
+        self._goal[:] = pose_cmd
+
+    def finish(self) -> None:
+        """Move over the tick."""
+        self._before[:] = self.pose_act
+        self.pose_act[:] = self._goal
+        if self.path.active:
+            self.path.advance(int(self._ticks[0]), self._goal)
+            self.pose_act[:, :3] = self.path.path[:, -1]
+        self._ticks[0] += 1
+        _slope(self._before, self.pose_act, self.tick, self.twist_act)
+        if self.mount.moves:
+            self._run()
+        else:
+            self._evaluate()
+        self._conclude()
+
+    def bare_steps(self, count: int) -> None:
+        """``count`` evaluations of the contact where it is."""
+        for _ in range(count):
+            self.batch.forward()
+
+    def _evaluate(self) -> None:
+        for s in range(1, self.substeps + 1):
+            self._place(s)
+            self.batch.forward()
+            read_wrench(self._reading, self._tare, self._all, self.wrench_sub, s - 1)
+
+    def _run(self) -> None:
+        """The mount is integrated: a step's reading is that of its start, the last instant takes a forward pass of its own."""
+        for s in range(1, self.substeps + 1):
+            self.batch.step()
+            if s > 1:
+                read_wrench(self._reading, self._tare, self._all, self.wrench_sub, s - 2)
+            self.mount.observe(self._qpos, self._qvel)
+            self._place(s)
+        self.batch.forward()
+        read_wrench(self._reading, self._tare, self._all, self.wrench_sub, self.substeps - 1)
+
+    def _place(self, s: int) -> None:
+        """Put A where it is at the sub-instant ``s`` of m, and the wrench of that state on the passive side."""
+        m = self.substeps
+        _between(
+            self._before, self.pose_act, self.twist_act, self.tick * s / m, s == m, self.path.active, self.path.path[:, s - 1],
+            self._between, self._qpos, self._qvel, self._joint,
+        )  # fmt: skip
+        if self.touch is not None:
+            if self._force is not None:
+                self.touch.wrench[:] = self._force.next()
+            else:
+                self.touch.update(self._between, self.twist_act, self.mount.place, self.mount.motion)
+            load_body(1.0, self.touch.wrench, self._passive, self.mount.centre, self._applied)
+
+    def _conclude(self) -> None:
+        if self.touch is None:
+            np.greater(self._ncon, 0, out=self.contact_now)
+        else:
+            self.contact_now[:] = self.touch.touching
+        inverse(self.platform.limbs, self.pose_act, self.slider_act)
+        self.slider_cmd[:] = self.slider_act

@@ -1,0 +1,77 @@
+"""The numbers of a platform's response: what its settings and its effects make of the way from command to pose."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hiltestbed.effects.base import Effect
+from hiltestbed.frames import Array
+
+if TYPE_CHECKING:
+    from hiltestbed.scenario import Scenario
+
+
+@dataclass
+class PlatformParameters:
+    """One platform at a tick of ``tick`` [s]; an element that does nothing has the neutral number.
+
+    Attributes:
+        delay: [s]. speed: limit [m/s]. play, stick: [m]. scale: (3,) factor on x, y, z.
+        lag: natural frequency [rad/s] and damping ratio of each second-order response.
+        mode: natural frequency [rad/s] and damping ratio of each structural mode that is shaken at its base.
+        instants: a tick at which a platform that sticks may move; 0: those of the physics.
+    """
+
+    tick: float
+    delay: float = 0.0
+    speed: float = np.inf
+    play: float = 0.0
+    stick: float = 0.0
+    scale: Array = field(default_factory=lambda: np.ones(3))
+    lag: list[tuple[float, float]] = field(default_factory=list)
+    mode: list[tuple[float, float]] = field(default_factory=list)
+    instants: int = 0
+
+    @classmethod
+    def believed(cls, scenario: Scenario) -> PlatformParameters:
+        """What a scenario's settings say, without any effect."""
+        return cls(scenario.tick)
+
+    def with_effects(self, effects: Iterable[Effect]) -> PlatformParameters:
+        """The same object after the effects of the platform among ``effects`` have changed it."""
+        for effect in effects:
+            if effect.link == "platform":
+                effect.apply(self)
+        return self
+
+
+@dataclass(frozen=True)
+class Response:
+    """The parameters of n platforms as the kernels take them: delay, speed, play, stick (n,), scale (n, 3), lag and mode (n, S, 2),
+    a frequency of 0 for none."""
+
+    delay: Array
+    speed: Array
+    play: Array
+    stick: Array
+    scale: Array
+    lag: Array
+    mode: Array
+
+
+def stack(platforms: Sequence[PlatformParameters]) -> Response:
+    """Several platforms as arrays with the run as leading axis."""
+
+    def filled(rows: list[list[tuple[float, float]]]) -> Array:
+        longest = max(len(r) for r in rows)
+        return np.array([[*r, *[(0.0, 1.0)] * (longest - len(r))] for r in rows], dtype=float).reshape(len(rows), longest, 2)
+
+    def rows(name: str) -> Array:
+        return np.array([getattr(p, name) for p in platforms], dtype=float)
+
+    lag, mode = filled([p.lag for p in platforms]), filled([p.mode for p in platforms])
+    return Response(rows("delay"), rows("speed"), rows("play"), rows("stick"), rows("scale"), lag, mode)

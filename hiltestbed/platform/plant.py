@@ -1,0 +1,153 @@
+"""The physical rig of `n` runs: the platform follows the commanded relative pose, the mechanisms touch, the sensor feels it."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Protocol
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from hiltestbed.contact.latch import LatchCondition
+from hiltestbed.contact.touch import Touch, tilts
+from hiltestbed.effects.table import by_link
+from hiltestbed.errors import InputError
+from hiltestbed.frames import Array
+from hiltestbed.platform.driven import ServoTracking
+from hiltestbed.platform.ideal import IdealTracking
+from hiltestbed.platform.model import Structure
+from hiltestbed.platform.prs3.nine_axes import NineAxes
+
+if TYPE_CHECKING:
+    from hiltestbed.scenario import Scenario
+
+
+def structure(scenario: Scenario) -> Structure:
+    """What the rig of a scenario is made of."""
+    mechanism = scenario.mechanism
+    mounted = mechanism.mount is not None
+    plain = mechanism.flat and mechanism.contact.friction == 0.0 and not by_link(scenario.effects, "contact")
+    return Structure(mechanism.shape(), mounted, plain and not mounted, mechanism)
+
+
+def alike(scenario: Scenario) -> Hashable:
+    """What must be equal in the scenarios of one :class:`Plant`; all other numbers may differ run by run."""
+    platform, upper = scenario.rig.platform, scenario.rig.upper
+    above = (upper.kind, upper.tracking if upper.kind != "fixed" else None)
+    return (scenario.rate, scenario.physics_rate, structure(scenario), platform.kind, platform.tracking, above)
+
+
+class AppliedForce(Protocol):
+    """A wrench that acts in place of a contact."""
+
+    def next(self) -> Array:
+        """(6,) the wrench of the next instant of the physics, active on passive, in P at P's origin [N, N m]."""
+        ...
+
+
+class Plant:
+    """`n` rigs in lockstep. Every array is updated in place: copy what must outlive a tick.
+
+    Attributes, all at t_k:
+        pose_act: (n, 7) pose of A in P; twist_act: (n, 6) twist of A relative to P, in P. Ideal tracking: the slope of the pose over
+            the tick that ended; servo: the velocity at t_k.
+        wrench_sub: (n, m, 6) contact wrench, what the active side exerts on the passive one, in P at P's origin, tared [N, N m],
+            at t_(k-1) + (s + 1) dt, s = 0 .. m - 1; the last, at t_k, may stand only after :meth:`begin` where a run is `late`.
+        contact: (n,) bool, whether the mechanisms touch. captured: (n,) bool, whether they are latched to each other.
+        slider_cmd, slider_act: (n, 6) the platform's sliders [m], 0 at home. upper_cmd, upper_act: (n, 3) those of the upper one.
+        pose_W: (n, 7) pose of A in W, which is P without an upper platform.
+        diverged: (n,) bool, whether a run has left the finite numbers; it is frozen from then on.
+    """
+
+    def __init__(
+        self,
+        scenarios: Sequence[Scenario],
+        nthread: int = 1,
+        late: NDArray[np.bool_] | None = None,
+        force: AppliedForce | None = None,
+    ) -> None:
+        """The rigs of `n` runs.
+
+        Args:
+            force: acts in place of the contact, whose mechanisms then pass through each other.
+            late: (n,) runs that do not need the wrench at t_k before the tick begins there, which costs less; none by default.
+        """
+        if len({alike(s) for s in scenarios}) != 1:
+            raise InputError(
+                "one Plant takes runs of one structure: the same rate, physics_rate, rig.platform, rig.upper and mechanism.kind; "
+                "mechanism.mount, contact.friction > 0 and effects of the contact in all or in none"
+            )
+        above, made_of = scenarios[0].rig.upper.kind == "prs3", structure(scenarios[0])
+        if force is not None:
+            made_of = replace(made_of, paired=False)
+        lower: IdealTracking | ServoTracking
+        if scenarios[0].rig.platform.tracking == "ideal":
+            lower = IdealTracking(scenarios, nthread, made_of, force)
+        else:
+            lower = ServoTracking(scenarios, nthread, made_of, late, force)
+        self._tracking = NineAxes(scenarios, lower, nthread) if above else lower
+        self.pose_W: Array = lower.pose_act
+        self._latch: LatchCondition | None = None
+        if self._tracking.touch is not None:
+            self._tracking.mount.tilt[:] = tilts(self._tracking.touch.parameters)
+            if force is None and any(s.mechanism.latch for s in scenarios):
+                self._latch = LatchCondition(scenarios)
+        self.pose_act: Array = self._tracking.pose_act
+        self.twist_act: Array = self._tracking.twist_act
+        self.wrench_sub: Array = self._tracking.wrench_sub
+        self.contact: NDArray[np.bool_] = self._tracking.contact_now
+        touch = self._tracking.touch
+        self.captured: NDArray[np.bool_] = touch.latched if touch is not None else np.zeros(len(scenarios), dtype=bool)
+        self.slider_cmd: Array = self._tracking.slider_cmd
+        self.slider_act: Array = self._tracking.slider_act
+        still = np.zeros((len(scenarios), 3))
+        self.upper_cmd: Array = self._tracking.upper_cmd if isinstance(self._tracking, NineAxes) else still
+        self.upper_act: Array = self._tracking.upper_act if isinstance(self._tracking, NineAxes) else still
+        self.diverged: NDArray[np.bool_] = self._tracking.diverged
+
+    @property
+    def model(self) -> mujoco.MjModel:
+        """The model that is stepped: the bare physics under this plant."""
+        return self._tracking.model
+
+    def contacts(self) -> Touch:
+        """Where tip and rod touch; of a plain bumper there is no more to know than the force."""
+        if self._tracking.touch is None:
+            raise InputError("a bumper without friction, mount or effects of the contact touches in MuJoCo's own contact")
+        return self._tracking.touch
+
+    def payload_left(self, i: int) -> dict[str, float] | None:
+        """What of the passive side's weight and inertia has been left in the reading of run ``i``; None where it has not moved."""
+        return self._tracking.payload_left(i) if isinstance(self._tracking, NineAxes) else None
+
+    def divergence(self, i: int) -> str:
+        """Why run ``i`` diverged: which quantity, and its value."""
+        return self._tracking.causes[i]
+
+    def reset(self, pose: Array, twist: Array) -> None:
+        """Start at the pose ``(n, 7)`` of A in P with the twist ``(n, 6)``: before t = 0 the approach is uniform."""
+        self._tracking.reset(pose, twist)
+
+    def bare_steps(self, count: int) -> None:
+        """``count`` steps of the same physics with nothing around them, a call each: what the loop's cost is compared with."""
+        self._tracking.bare_steps(count)
+
+    def begin(self, pose_cmd: Array, twist_cmd: Array, accel_cmd: Array) -> None:
+        """Set out from t_k for t_(k+1): ``pose_cmd`` (n, 7) is to be reached then, with ``twist_cmd`` and ``accel_cmd`` (n, 6).
+
+        All attributes stay those at t_k; from here on the wrench at t_k stands for every run.
+        """
+        self._tracking.begin(pose_cmd, twist_cmd, accel_cmd)
+
+    def finish(self) -> None:
+        """Arrive at t_(k+1)."""
+        self._tracking.finish()
+        if self._latch is not None and self._tracking.touch is not None:
+            self._latch.close(self._tracking.touch)
+
+    def advance(self, pose_cmd: Array, twist_cmd: Array, accel_cmd: Array) -> None:
+        """A whole tick: :meth:`begin` and :meth:`finish`."""
+        self.begin(pose_cmd, twist_cmd, accel_cmd)
+        self.finish()

@@ -1,0 +1,90 @@
+"""Nine axes for six: how the relative pose is shared out between the upper and the lower platform.
+
+What the upper platform does is a function of the relative pose alone, so that a relative motion that comes back finds the rig as it
+left it, and the lower platform makes up the rest exactly: its pose in W is that of P, then the relative one. With the gap g = -pz and
+
+    w(g) = smooth step from 0 at DOCKING to 1 at DOCKING + BLEND, twice continuously differentiable
+
+the upper platform's heave u has du/dg = w and its tilt takes the part w of the relative tilt, up to the limit prs3.TILT. So
+
+- within DOCKING of the touch it stands still at home, and the lower platform moves alone;
+- beyond DOCKING + BLEND it follows the gap metre for metre, and the lower platform waits DOCKING + BLEND/2 below its home;
+- near the end of its heave, prs3.HEAVE, it comes to rest likewise.
+
+At a speed v its acceleration stays below MOST_BENT v^2/BLEND.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from hiltestbed.frames import Array, quat_mul, rotate, rotation_vector
+from hiltestbed.platform.prs3.geometry import HEAVE, TILT, Upper, place
+
+DOCKING = 0.19  # [m] the cone's rim lies 0.155 m before P's origin; the rest is run in 0.1 s at 0.3 m/s, time to come to rest
+BLEND = 0.10  # [m] the lower platform then waits 0.24 m below home, just within its reach
+MOST_BENT = 1.875  # largest slope of the smooth step: 15/8
+LONGEST = DOCKING + HEAVE  # [m] gap up to which the upper platform follows metre for metre
+
+
+@njit(cache=True)
+def _step(x):
+    """Smooth step, 0 for x <= 0 and 1 for x >= 1."""
+    x = min(max(x, 0.0), 1.0)
+    return x * x * x * (10.0 - x * (15.0 - 6.0 * x))
+
+
+@njit(cache=True)
+def _ramp(x):
+    """Integral of the smooth step from 0."""
+    if x >= 1.0:
+        return x - 0.5
+    x = max(x, 0.0)
+    return x * x * x * x * (2.5 - x * (3.0 - x))
+
+
+@njit(cache=True)
+def share(pose, x):
+    """``x`` (3,), the upper platform's coordinates (u, rx, ry), for the relative pose ``(7,)``; unchanged where that is lost."""
+    gap = -pose[2]
+    if not math.isfinite(pose[0] + pose[1] + gap + pose[3] + pose[4] + pose[5] + pose[6]):
+        return
+    turn = np.empty(3)
+    near = (gap - DOCKING) / BLEND
+    x[0] = BLEND * (_ramp(near) - _ramp(near - HEAVE / BLEND))
+    rotation_vector(pose[3:7], turn)
+    part = -_step(near)
+    wanted = math.hypot(turn[0], turn[1]) * abs(part)
+    if wanted > 1e-12:
+        part *= TILT * math.tanh(wanted / TILT) / wanted
+    x[1], x[2] = part * turn[0], part * turn[1]
+
+
+@njit(cache=True)
+def compose(pose_WP, pose_PA, pose_WA):
+    """``pose_WA`` (7,) of A in W, from the pose of P in W and that of A in P."""
+    rotate(pose_WP[3:7], pose_PA[0:3], pose_WA[0:3])
+    for j in range(3):
+        pose_WA[j] += pose_WP[j]
+    quat_mul(pose_WP[3:7], pose_PA[3:7], pose_WA[3:7])
+
+
+def lower_pose(pose: Array) -> Array:
+    """``(n, 7)`` where the lower platform holds A in W for the relative poses ``(n, 7)``."""
+    x, pose_WP, out = np.zeros(3), np.empty(7), np.empty_like(pose)
+    for i in range(len(pose)):
+        share(pose[i], x)
+        place(Upper.load().shape, x, pose_WP)
+        compose(pose_WP, pose[i], out[i])
+    return out
+
+
+def upper_coordinates(pose: Array) -> Array:
+    """``(n, 3)`` heave [m] and tilt [rad] of the upper platform for the relative poses ``(n, 7)``."""
+    out = np.zeros((len(pose), 3))
+    for i in range(len(pose)):
+        share(pose[i], out[i])
+    return out

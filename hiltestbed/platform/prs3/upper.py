@@ -1,0 +1,148 @@
+"""The upper platform of `n` rigs: where it holds the passive port, tick by tick, and when it is clamped.
+
+Over a tick its coordinates run along the cubic that reaches the allocated ones (:mod:`hiltestbed.platform.prs3.allocation`) at
+t_(k+1) and leaves them with the velocity that they have there. It is clamped SETTLE after it has come to rest at home, and away as soon as it is told to
+move: docking happens against a platform that cannot yield.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from hiltestbed.frames import Array, pose_step, twist_between
+from hiltestbed.platform.prs3.allocation import share
+from hiltestbed.platform.prs3.drives import UpperDrives
+from hiltestbed.platform.prs3.geometry import Upper, inverse, place, slider
+
+if TYPE_CHECKING:
+    from hiltestbed.scenario import Scenario
+
+SETTLE = 0.1  # [s] after which a 25 Hz critically damped loop has 3e-6 of an error left
+
+
+@njit(cache=True)
+def _plan(
+    shape, legs, pose, h, settle, diverged, x, rate, speed, still, away, was_away, xs, planned, slope, sliders, reached, twist, slid
+):  # fmt: skip
+    """Move on to the coordinates for the relative poses ``(n, 7)`` at the end of the tick ``h``; returns whether a run is or was away.
+
+    x, rate, speed: (n, 3) coordinates, their change over the last tick, and the velocity with which the cubic leaves it. still: (n,)
+    ticks at home. xs: (n, m, 3) coordinates at the ends of the substeps. planned (n, 7), slope (n, 6): P in W at the end, and its
+    slope over the tick; sliders: (n, 3) then. reached (n, 7), twist (n, 6) and slid (n, 3) become these.
+    """
+    m = xs.shape[1]
+    busy = False
+    goal, before, arm = np.empty(3), np.empty(7), np.empty(3)
+    for i in range(pose.shape[0]):
+        goal[:] = x[i]
+        share(pose[i], goal)
+        moves = False
+        for j in range(3):
+            moves = moves or goal[j] != 0.0 or x[i, j] != 0.0
+            new = (goal[j] - x[i, j]) / h
+            leave = new + 0.5 * (new - rate[i, j])
+            for s in range(m):
+                t = (s + 1.0) / m
+                a = goal[j] - x[i, j]
+                b, c = h * speed[i, j], h * leave
+                xs[i, s, j] = goal[j] if s == m - 1 else x[i, j] + t * (b + t * ((3.0 * a - 2.0 * b - c) + t * (b + c - 2.0 * a)))
+            rate[i, j], speed[i, j] = new, leave
+        still[i] = 0 if moves else still[i] + 1
+        away[i] = still[i] <= settle and not diverged[i]
+        busy = busy or away[i] or was_away[i]
+        before[:] = planned[i]
+        if moves:
+            x[i] = goal
+            place(shape, goal, planned[i])
+            twist_between(before, planned[i], h, slope[i])
+            for j in range(3):
+                sliders[i, j] = slider(legs[j], planned[i], arm)
+        else:
+            slope[i] = 0.0
+            sliders[i] = 0.0
+        reached[i] = planned[i]
+        twist[i] = slope[i]
+        slid[i] = sliders[i]
+    return busy
+
+
+@njit(cache=True)
+def _begin(shape, pose, twist, h, x, rate, planned, planned_twist):
+    """Coordinates, their rates and P's pose and twist for a rig whose ports have moved uniformly to ``pose`` with ``twist``."""
+    before, x_before, place_before = np.empty(7), np.zeros(3), np.empty(7)
+    for i in range(pose.shape[0]):
+        x[i] = 0.0
+        x_before[:] = 0.0
+        pose_step(pose[i], twist[i], -h, before)
+        share(pose[i], x[i])
+        share(before, x_before)
+        for j in range(3):
+            rate[i, j] = (x[i, j] - x_before[j]) / h
+        place(shape, x[i], planned[i])
+        place(shape, x_before, place_before)
+        twist_between(place_before, planned[i], h, planned_twist[i])
+
+
+class UpperPlatform:
+    """The upper platforms of `n` runs.
+
+    Attributes:
+        planned: (n, 7) pose of P in W that is to be reached at t_(k+1).
+        pose, twist: (n, 7), (n, 6) of P in W as reached; while clamped exactly home.
+        slider_cmd, slider_act: (n, 3) its sliders [m], 0 at home.
+        residual: (n, m, 6) what the payload leaves in the sensor's reading, at the m instants of the tick, in P [N, N m].
+        away: (n,) bool, not clamped. x: (n, 3) coordinates, heave [m] and tilts [rad]; rate: (n, 3) their change over the last tick [1/s].
+    """
+
+    def __init__(self, scenarios: Sequence[Scenario], nthread: int) -> None:
+        first, n = scenarios[0], len(scenarios)
+        self.tick = first.tick
+        self._settle = math.ceil(SETTLE / first.tick)
+        self._shape, self._legs = Upper.load().shape, Upper.load().legs
+        self.drives = UpperDrives(scenarios, nthread) if first.rig.upper.tracking == "servo" else None
+        self.x, self.rate, self._speed = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 3))
+        self._still = np.zeros(n, dtype=np.int64)
+        self.away = np.zeros(n, dtype=bool)
+        self._was_away = np.zeros(n, dtype=bool)
+        self._xs = np.zeros((n, first.substeps, 3))
+        self.planned, self._slope = np.zeros((n, 7)), np.zeros((n, 6))
+        self.pose, self.twist = np.zeros((n, 7)), np.zeros((n, 6))
+        self.slider_cmd, self.slider_act = np.zeros((n, 3)), np.zeros((n, 3))
+        self.residual = self.drives.residual if self.drives else np.zeros((n, first.substeps, 6))
+
+    def reset(self, pose: Array, twist: Array) -> None:
+        """Start where the relative ``pose`` (n, 7) needs it, moving as the uniform relative ``twist`` (n, 6) asks."""
+        _begin(self._shape, pose, twist, self.tick, self.x, self.rate, self.planned, self._slope)
+        self._speed[:] = self.rate
+        self.away[:] = self.x.any(axis=1)
+        self._still[:] = np.where(self.away, 0, self._settle + 1)
+        self._was_away[:] = self.away
+        self.pose[:], self.twist[:] = self.planned, self._slope
+        inverse(self._legs, self.planned, self.slider_cmd)
+        self.slider_act[:] = self.slider_cmd
+        self.residual[:] = 0.0
+        if self.drives:
+            self.drives.left[:] = 0.0
+            for i in range(len(pose)):
+                self.drives.settle(i, self.x[i], self.rate[i])
+
+    def advance(self, pose: Array, diverged: NDArray[np.bool_]) -> bool:
+        """One tick towards the relative ``pose`` (n, 7); True where a run has just ``diverged`` (n,)."""
+        busy = _plan(
+            self._shape, self._legs, pose, self.tick, self._settle, diverged, self.x, self.rate, self._speed, self._still, self.away,
+            self._was_away, self._xs, self.planned, self._slope, self.slider_cmd, self.pose, self.twist, self.slider_act,
+        )  # fmt: skip
+        return self._drive(self.drives, diverged) if busy and self.drives else False
+
+    def _drive(self, drives: UpperDrives, diverged: NDArray[np.bool_]) -> bool:
+        for i in np.flatnonzero(self._was_away & ~self.away & ~diverged):  # clamped: it starts from here next time
+            drives.settle(int(i), np.zeros(3), np.zeros(3))
+        self._was_away[:] = self.away
+        drives.run(self._xs, self.away, np.flatnonzero(self.away))
+        return drives.observe(self.away, self.pose, self.twist, self.slider_act, diverged)

@@ -1,0 +1,214 @@
+"""The motion platform under its six drives.
+
+Over a tick each slider's reference runs along the cubic that starts from the last reference with its velocity, reaches the commanded
+pose at t_(k+1), and leaves it with the velocity that the numerical model will have there: that of the tick plus half a tick of its
+acceleration, since a semi-implicit velocity belongs to the middle of its tick. A drive pushes
+
+    f = kp (s_ref - s) + kv (s_ref' - s') + f_ff,   f_ff what the motion and gravity need (:mod:`hiltestbed.platform.pss33.dynamics`)
+
+with velocity and acceleration taken as differences at the physics step, so that without contact MuJoCo's own integrator lands on the
+reference.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import mujoco
+import numpy as np
+from numba import njit
+
+from hiltestbed.frames import Array, rotate, rotate_back
+from hiltestbed.platform.friction import DriveFriction
+from hiltestbed.platform.pss33.dynamics import drive_forces, invert, load_constants
+from hiltestbed.platform.pss33.kinematics import Platform, jacobian, joints
+
+if TYPE_CHECKING:
+    from hiltestbed.scenario import Scenario
+
+# A drive's share of what moves up and down: platform and mechanism 350 kg, three links, carriages and armatures of 97 kg, over 3.
+MOVED_PER_DRIVE = 214.0  # [kg]
+
+
+@njit(cache=True)
+def _hermite(t, s0, v0, s1, v1, h):
+    """The cubic at the fraction ``t`` of a tick ``h`` [s] between two positions and velocities."""
+    a = s1 - s0
+    return s0 + t * (h * v0 + t * ((3.0 * a - h * (2.0 * v0 + v1)) + t * (h * (v0 + v1) - 2.0 * a)))
+
+
+@njit(cache=True)
+def _aim(limbs, load, feed, h, pose_cmd, twist_cmd, accel_cmd, target, speed, velocity, plan, ahead):
+    """Write ``plan`` (n, m, 3, 6), position, velocity and force at the start of each substep of a tick, and its end ``ahead``.
+
+    target: (n, 6) slider references [m]; speed: their velocity, that of the cubic; velocity: the difference at the last substep, moved
+    on. ahead: (2, n, 6) target and speed at the end of the tick.
+    Without ``feed`` (n,) the drives are told the position alone, on a straight line.
+    """
+    n, m = plan.shape[0], plan.shape[1]
+    dt = h / m
+    jac, inverse = np.empty((6, 6)), np.empty((6, 6))
+    goal, leave, now, before = np.empty(6), np.empty(6), np.empty(6), np.empty(6)
+    rate, accel, force = np.empty(6), np.empty(6), np.empty(6)
+    for i in range(n):
+        jacobian(limbs, pose_cmd[i], goal, jac)
+        for j in range(6):
+            leave[j] = 0.0
+            for k in range(6):
+                leave[j] += jac[j, k] * (twist_cmd[i, k] + 0.5 * h * accel_cmd[i, k])
+            before[j] = target[i, j]
+        invert(jac, inverse)
+        for s in range(m):
+            t = (s + 1.0) / m
+            for j in range(6):
+                if feed[i]:
+                    now[j] = _hermite(t, target[i, j], speed[i, j], goal[j], leave[j], h)
+                    rate[j] = (now[j] - before[j]) / dt
+                    accel[j] = (rate[j] - velocity[i, j]) / dt
+                else:
+                    now[j] = target[i, j] + t * (goal[j] - target[i, j])
+                    rate[j] = accel[j] = velocity[i, j] = 0.0
+            drive_forces(limbs, load, pose_cmd[i], inverse, accel, force)
+            for j in range(6):
+                plan[i, s, 0, j] = before[j]
+                plan[i, s, 1, j] = velocity[i, j]
+                plan[i, s, 2, j] = force[j]
+                velocity[i, j] = rate[j]
+                before[j] = now[j]
+        ahead[0, i] = goal
+        ahead[1, i] = leave
+
+
+@njit(cache=True)
+def _push(plan, sub, kp, kv, adr, qpos, qvel, force):
+    """``force`` (n, 6) [N] of the drives at the start of substep ``sub``."""
+    for i in range(force.shape[0]):
+        for j in range(6):
+            force[i, j] = (
+                plan[i, sub, 2, j] + kp[i] * (plan[i, sub, 0, j] - qpos[i, adr[0, j]]) + kv[i] * (plan[i, sub, 1, j] - qvel[i, adr[1, j]])
+            )
+
+
+@njit(cache=True)
+def _settle(limbs, pose, twist, target, speed, velocity, qpos, qvel, adr, platform, centre):
+    """Joints, rates and references of a rig that moves uniformly with ``twist`` (n, 6) through ``pose`` (n, 7)."""
+    q, v = np.empty(3), np.empty(3)
+    arm, turn = np.empty(3), np.empty(3)
+    for i in range(pose.shape[0]):
+        for j in range(6):
+            joints(limbs[j], pose[i], twist[i], q, v)
+            for k in range(3):
+                qpos[i, adr[0, j] + k] = q[k]
+                qvel[i, adr[1, j] + k] = v[k]
+            target[i, j] = q[0]
+            speed[i, j] = velocity[i, j] = v[0]
+        rotate(pose[i, 3:7], centre, arm)
+        rotate_back(pose[i, 3:7], twist[i, 3:6], turn)
+        p, d = platform[0], platform[1]
+        for k in range(3):
+            qpos[i, p + k] = pose[i, k] + arm[k]
+            qpos[i, p + 4 + k] = pose[i, 3 + k]
+            qvel[i, d + 3 + k] = turn[k]
+        qpos[i, p + 3] = pose[i, 6]
+        qvel[i, d] = twist[i, 0] + twist[i, 4] * arm[2] - twist[i, 5] * arm[1]
+        qvel[i, d + 1] = twist[i, 1] + twist[i, 5] * arm[0] - twist[i, 3] * arm[2]
+        qvel[i, d + 2] = twist[i, 2] + twist[i, 3] * arm[1] - twist[i, 4] * arm[0]
+
+
+@njit(cache=True)
+def _observe(qpos, qvel, adr, platform, centre, limit, pose, twist, sliders, diverged):
+    """Pose, twist and sliders from the joints; returns whether a run has left ``limit`` or the numbers just now."""
+    arm, turn = np.empty(3), np.empty(3)
+    lost = False
+    p, d = platform[0], platform[1]
+    for i in range(qpos.shape[0]):
+        if diverged[i]:
+            continue
+        worst = 0.0
+        for k in range(qvel.shape[1]):
+            worst = max(worst, abs(qvel[i, k])) if math.isfinite(qvel[i, k]) else math.inf
+        for k in range(qpos.shape[1]):
+            worst = worst if math.isfinite(qpos[i, k]) else math.inf
+        if not worst < limit:
+            diverged[i] = True
+            lost = True
+            continue
+        pose[i, 3:6] = qpos[i, p + 4 : p + 7]
+        pose[i, 6] = qpos[i, p + 3]
+        rotate(pose[i, 3:7], centre, arm)
+        rotate(pose[i, 3:7], qvel[i, d + 3 : d + 6], turn)
+        twist[i, 3:6] = turn
+        twist[i, 0] = qvel[i, d] - (turn[1] * arm[2] - turn[2] * arm[1])
+        twist[i, 1] = qvel[i, d + 1] - (turn[2] * arm[0] - turn[0] * arm[2])
+        twist[i, 2] = qvel[i, d + 2] - (turn[0] * arm[1] - turn[1] * arm[0])
+        for k in range(3):
+            pose[i, k] = qpos[i, p + k] - arm[k]
+        for j in range(6):
+            sliders[i, j] = qpos[i, adr[0, j]]
+    return lost
+
+
+class Servo:
+    """References and inputs of the drives of `n` rigs, and what the joints of the model say.
+
+    Attributes:
+        target: (n, 6) slider references at t_k [m].
+        kp, kv: (n,) gains of a drive [N/m], [N s/m].
+    """
+
+    def __init__(self, model: mujoco.MjModel, scenarios: Sequence[Scenario], feed: Array) -> None:
+        n, tick, substeps = len(scenarios), scenarios[0].tick, scenarios[0].substeps
+        self.platform = Platform.load()
+        self.tick, self._feed = tick, feed
+        self._load = load_constants(model)
+        platforms = [s.rig.platform for s in scenarios]
+        self.kp = np.array([MOVED_PER_DRIVE * (2.0 * math.pi * p.bandwidth) ** 2 for p in platforms])
+        self.kv = np.array([2.0 * p.damping_ratio * MOVED_PER_DRIVE * 2.0 * math.pi * p.bandwidth for p in platforms])
+        sliders = [model.joint(f"slider_{j}") for j in range(6)]
+        free = model.joint("platform")
+        self._adr = np.array([[s.qposadr[0] for s in sliders], [s.dofadr[0] for s in sliders]])
+        self._free = np.array([free.qposadr[0], free.dofadr[0]])
+        self.target, self.speed, self.velocity = np.zeros((n, 6)), np.zeros((n, 6)), np.zeros((n, 6))
+        self._plan, self._ahead = np.zeros((n, substeps, 3, 6)), np.zeros((2, n, 6))
+        self._step, self._least = tick / substeps, float(self._load[14] + self._load[15])
+        self._friction: DriveFriction | None = None
+        self._applied = np.zeros((n, model.nv))
+
+    def add_friction(self, scenarios: Sequence[Scenario], applied: Array) -> None:
+        """Let the scenarios' actuators rub: into the generalised forces ``applied`` (n, nv), where one has friction at all."""
+        friction = DriveFriction(scenarios, self._adr[1], self._least, self._step)
+        if friction.acts:
+            self._friction, self._applied = friction, applied
+
+    def settle(self, pose: Array, twist: Array, qpos: Array, qvel: Array) -> None:
+        """Put the joints where a rig is that moves uniformly with ``twist`` (n, 6) through ``pose`` (n, 7), and the references."""
+        _settle(
+            self.platform.limbs, pose, twist, self.target, self.speed, self.velocity,
+            qpos, qvel, self._adr, self._free, self.platform.centre,
+        )  # fmt: skip
+        if self._friction:
+            self._friction.settle(qvel)
+
+    def aim(self, pose_cmd: Array, twist_cmd: Array, accel_cmd: Array) -> None:
+        """Plan one tick, at whose end ``pose_cmd`` (n, 7) is to be reached."""
+        _aim(
+            self.platform.limbs, self._load, self._feed, self.tick, pose_cmd, twist_cmd, accel_cmd,
+            self.target, self.speed, self.velocity, self._plan, self._ahead,
+        )  # fmt: skip
+
+    def arrive(self) -> None:
+        """The tick is over: its end is where the next one starts."""
+        self.target[:] = self._ahead[0]
+        self.speed[:] = self._ahead[1]
+
+    def push(self, sub: int, qpos: Array, qvel: Array, force: Array) -> None:
+        """``force`` (n, 6) [N] of the drives for substep ``sub`` of the tick, from the joints as they stand."""
+        _push(self._plan, sub, self.kp, self.kv, self._adr, qpos, qvel, force)
+        if self._friction:
+            self._friction.act(qvel, self._applied)
+
+    def observe(self, qpos: Array, qvel: Array, limit: float, pose: Array, twist: Array, sliders: Array, diverged: Array) -> bool:
+        """Read pose, twist and sliders; True where a run has just left ``limit`` [m/s, rad/s], which ``diverged`` then names."""
+        return _observe(qpos, qvel, self._adr, self._free, self.platform.centre, limit, pose, twist, sliders, diverged)

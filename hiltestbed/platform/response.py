@@ -1,0 +1,170 @@
+"""What the motion platform makes of its command, on the three translations.
+
+The command runs linearly over each tick to `pose_cmd`; before the start it is the uniform approach. It passes, in this order, a
+transport delay, a speed limit, second-order lags, structural modes shaken at their base, play, stiction and a scale error. Lags and
+modes are linear, and their input is linear between two instants: they are advanced exactly, so that the result does not depend on
+how finely a tick is divided.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numba import njit
+
+from hiltestbed.effects.table import by_link
+from hiltestbed.frames import Array
+from hiltestbed.platform.parameters import PlatformParameters, stack
+
+if TYPE_CHECKING:
+    from hiltestbed.scenario import Scenario
+
+LIMITED, PLAYED, HELD, MEMORY = 0, 1, 2, 3  # positions that an axis remembers [m]
+
+
+@njit(cache=True)
+def second_order(w, zeta, dt, base, out):
+    """Exact advance of x'' = w^2 (u - x) - 2 zeta w (x' - base u') over dt, for u linear in time.
+
+    out: (5,) e11, e12, e21, e22 of the homogeneous motion, then the steady lag behind a ramp per unit speed.
+    base: 1 for damping on the velocity relative to the command, 0 for damping on the absolute velocity.
+    """
+    if zeta < 1.0:
+        s = w * math.sqrt(max(1.0 - zeta * zeta, 1e-12))
+        decay = math.exp(-zeta * w * dt)
+        cosine, sine = math.cos(s * dt), math.sin(s * dt)
+    else:  # critically damped at 1, two real poles beyond
+        s = w * math.sqrt(max(zeta * zeta - 1.0, 1e-12))
+        decay = math.exp(-zeta * w * dt)
+        cosine, sine = math.cosh(s * dt), math.sinh(s * dt)
+    out[0] = decay * (cosine + zeta * w / s * sine)
+    out[1] = decay * sine / s
+    out[2] = -decay * w * w / s * sine
+    out[3] = decay * (cosine - zeta * w / s * sine)
+    out[4] = 2.0 * zeta / w * (1.0 - base)
+
+
+@njit(cache=True, inline="always")
+def _advance_second_order(e, before, after, dt, state):
+    """One response over dt on an input that runs from ``before`` to ``after``; ``state`` (2,) position and rate, moved on."""
+    rate = (after - before) / dt
+    error = state[0] - (before - e[4] * rate)
+    slip = state[1] - rate
+    state[0] = after - e[4] * rate + e[0] * error + e[1] * slip
+    state[1] = rate + e[2] * error + e[3] * slip
+    return state[0]
+
+
+@njit(cache=True)
+def follow(before, after, dt, speed, play, stick, lag, mode, lagged, shaken, memory):
+    """One axis over dt, the (already delayed) command running from `before` to `after` [m].
+
+    lag, mode: (S, 5) from `second_order`, a first number of 0 for none. lagged, shaken: (S, 2) and memory: (MEMORY,) state, changed in
+    place. Returns the position reached [m], before the scale error.
+    """
+    if speed < np.inf:
+        held = memory[LIMITED]
+        step = speed * dt
+        memory[LIMITED] = held + min(max(after - held, -step), step)
+        before, after = held, memory[LIMITED]
+    for s in range(lag.shape[0]):
+        if lag[s, 0] != 0.0:
+            held = lagged[s, 0]
+            after = _advance_second_order(lag[s], before, after, dt, lagged[s])
+            before = held
+    for s in range(mode.shape[0]):
+        if mode[s, 0] != 0.0:
+            held = shaken[s, 0]
+            after = _advance_second_order(mode[s], before, after, dt, shaken[s])
+            before = held
+    if play > 0.0:
+        memory[PLAYED] = min(max(memory[PLAYED], after - 0.5 * play), after + 0.5 * play)
+        after = memory[PLAYED]
+    if stick > 0.0:
+        if abs(after - memory[HELD]) > stick:
+            memory[HELD] = after
+        after = memory[HELD]
+    return after
+
+
+class PlatformResponse:
+    """The platforms of `n` runs: from the commanded pose to the positions within the tick that follows.
+
+    Attributes:
+        path: (n, m, 3) position of A in P at the m instants of the tick, the last of which is t_(k+1) [m].
+        active: whether any platform does anything to its command; else the path is the command's own.
+    """
+
+    def __init__(
+        self, scenarios: Sequence[Scenario], parameters: Sequence[PlatformParameters] | None = None, substeps: int | None = None
+    ) -> None:
+        """``parameters``: of each run, by default those of its effects; ``substeps``: instants a tick, by default the physics'."""
+        n, first = len(scenarios), scenarios[0]
+        self.tick = 1.0 / first.rate
+        self.substeps = first.substeps if substeps is None else substeps
+        if parameters is None:
+            self.active = any(by_link(s.effects, "platform") for s in scenarios)
+            parameters = [PlatformParameters(self.tick).with_effects(s.effects) for s in scenarios]
+        else:
+            self.active = True
+        self.parameters = p = stack(parameters)
+        self._late = p.delay / self.tick
+        self.path = np.zeros((n, self.substeps, 3))
+        self.ring = np.zeros((n, math.ceil(float(self._late.max())) + 3, 3))  # command reached at t_j in slot j modulo its length
+        self.memory = np.zeros((n, 3, MEMORY))
+        self.lagged, self.shaken = np.zeros((n, 3, p.lag.shape[1], 2)), np.zeros((n, 3, p.mode.shape[1], 2))
+        self.lag_kernel, self.mode_kernel = np.zeros((*p.lag.shape[:2], 5)), np.zeros((*p.mode.shape[:2], 5))
+        for kernel, numbers, base in ((self.lag_kernel, p.lag, 0.0), (self.mode_kernel, p.mode, 1.0)):
+            for i, s in np.argwhere(numbers[..., 0] > 0.0):
+                second_order(numbers[i, s, 0], numbers[i, s, 1], self.tick / self.substeps, base, kernel[i, s])
+        for i, s in enumerate(scenarios):
+            self.begin(i, np.array([*s.approach.offset, -s.approach.gap]), np.asarray(s.approach.velocity, dtype=float))
+
+    def begin(self, i: int, start: Array, velocity: Array) -> None:
+        """Put the platform of run ``i`` on a uniform motion that is at ``start`` (3,) [m] with ``velocity`` (3,) [m/s] at t = 0."""
+        for back in range(self.ring.shape[1]):
+            self.ring[i, -back % self.ring.shape[1]] = start - velocity * self.tick * back
+        there = start - velocity * self.parameters.delay[i]
+        self.memory[i] = there[:, None]
+        self.lagged[i, ..., 0] = self.shaken[i, ..., 0] = there[:, None]
+        self.lagged[i, ..., 1] = self.shaken[i, ..., 1] = velocity[:, None]
+
+    def advance(self, k: int, pose_cmd: Array) -> Array:
+        """The path (n, m, 3) from t_k to t_(k+1) on the command (n, 7) to be reached at t_(k+1)."""
+        p = self.parameters
+        advance_paths(
+            k, pose_cmd, self.ring, self._late, self.tick / self.substeps, p.speed, p.play, p.stick, p.scale, self.lag_kernel,
+            self.mode_kernel, self.lagged, self.shaken, self.memory, self.path,
+        )  # fmt: skip
+        return self.path
+
+
+@njit(cache=True, inline="always")
+def _ring_at(ring, axis, at):
+    """The command at the tick ``at``, linear between ticks."""
+    first = math.floor(at)
+    part = at - first
+    low = ring[int(first) % ring.shape[0], axis]
+    if part == 0.0:
+        return low
+    return low + part * (ring[int(first + 1) % ring.shape[0], axis] - low)
+
+
+@njit(cache=True)
+def advance_paths(k, pose_cmd, ring, late, dt, speed, play, stick, scale, lag, mode, lagged, shaken, memory, path):
+    """The paths (n, m, 3) of one tick, from t_k, on the commands ``pose_cmd`` (n, >= 3); see :class:`PlatformResponse`."""
+    substeps = path.shape[1]
+    for i in range(path.shape[0]):
+        for axis in range(3):
+            ring[i, (k + 1) % ring.shape[1], axis] = pose_cmd[i, axis]
+            before = _ring_at(ring[i], axis, k - late[i])
+            for s in range(substeps):
+                after = _ring_at(ring[i], axis, k + (s + 1.0) / substeps - late[i])
+                reached = follow(
+                    before, after, dt, speed[i], play[i], stick[i], lag[i], mode[i], lagged[i, axis], shaken[i, axis], memory[i, axis]
+                )
+                path[i, s, axis] = scale[i, axis] * reached
+                before = after

@@ -1,0 +1,205 @@
+"""Tables of the things that describe themselves, and the user's own beside the built-in ones.
+
+An effect, a compensation method, an identifier, a mechanism, a platform is a class with a literal ``kind``. The built-in ones stand in
+the modules of their packages and are found there; a module of the user's is loaded by ``--plugin MODULE`` (a module name or a .py
+file), by :func:`load`, or through the entry-point group ``hiltestbed.plugins``, and registers its classes with :func:`register`::
+
+    from hiltestbed.effects import Effect, quantity
+    from hiltestbed.plugins import register
+
+    @register
+    class SoftStart(Effect): ...
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.util
+import inspect
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from importlib import import_module
+from importlib.metadata import entry_points
+from pathlib import Path
+from pkgutil import iter_modules
+from typing import Any, Generic, TypeVar, get_args
+
+from pydantic import GetCoreSchemaHandler
+from pydantic_core import CoreSchema, core_schema
+
+from hiltestbed.errors import InputError
+
+T = TypeVar("T")
+GROUP = "hiltestbed.plugins"
+
+
+class Registry(Mapping[str, type[T]], Generic[T]):
+    """Classes of one kind of thing by the name that a scenario calls them.
+
+    Attributes:
+        what: the thing in words, for messages. base: the class that all of them derive from.
+    """
+
+    def __init__(self, what: str, base: type[T], homes: Sequence[str]) -> None:
+        """``homes``: modules, or packages whose modules, hold the built-in classes; imported when the table is first read."""
+        self.what, self.base = what, base
+        self._homes = homes
+        self._found: dict[str, type[T]] = {}
+        self._whole = False
+        _REGISTRIES.append(self)
+
+    def add(self, cls: type[T]) -> type[T]:
+        """Enter a class under its kind. Raises InputError where a part is missing or the name is taken."""
+        kind = kind_of(cls)
+        where = f"{cls.__module__}.{cls.__qualname__}"
+        if kind is None:
+            raise InputError(f"plugin class {where}: lacks `kind`; give it as kind: Literal['name'] = 'name'")
+        lacking = [part for part in getattr(cls, "PARTS", ()) if not _has(cls, part)]
+        if lacking:
+            raise InputError(
+                f"plugin class {where}: the {self.what} {kind!r} lacks {', '.join(lacking)}; "
+                f"see {self.base.__module__}.{self.base.__name__} for what each part is"
+            )
+        known = self._found.get(kind)
+        if known is not None and (known.__module__, known.__qualname__) != (cls.__module__, cls.__qualname__):
+            raise InputError(f"plugin class {where}: the {self.what} {kind!r} exists already ({known.__module__}); choose another kind")
+        self._found[kind] = cls
+        return cls
+
+    def _load(self) -> None:
+        if self._whole:
+            return
+        self._whole = True  # modules that are imported below register while the table is being filled
+        for home in self._homes:
+            module = import_module(home)
+            for info in iter_modules(getattr(module, "__path__", ())):
+                import_module(f"{home}.{info.name}")
+
+    def __getitem__(self, kind: str) -> type[T]:
+        self._load()
+        return self._found[kind]
+
+    def __iter__(self) -> Iterator[str]:
+        self._load()
+        return iter(self._found)
+
+    def __len__(self) -> int:
+        self._load()
+        return len(self._found)
+
+
+_REGISTRIES: list[Registry[Any]] = []
+_DEPENDENTS: list[Callable[[], None]] = []
+_LOADED: dict[str, str] = {}
+
+
+def kind_of(cls: type) -> str | None:
+    """The literal ``kind`` of a class, or None."""
+    fields = getattr(cls, "model_fields", {})
+    names = get_args(fields["kind"].annotation) if "kind" in fields else ()
+    return names[0] if len(names) == 1 and isinstance(names[0], str) else None
+
+
+def _has(cls: type, part: str) -> bool:
+    """Whether a class brings a part of its own: a docstring, or an attribute that is not the placeholder of the base class."""
+    if part == "docstring":
+        return bool((cls.__dict__.get("__doc__") or "").strip())
+    value = inspect.getattr_static(cls, part, None)
+    return value is not None and not getattr(getattr(value, "__func__", value), "placeholder", False) and value != ""
+
+
+def placeholder(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Mark a method of a base class that each class has to bring itself."""
+    function.placeholder = True  # type: ignore[attr-defined]
+    return function
+
+
+def register(cls: type[T]) -> type[T]:
+    """Class decorator: enter a class into the table of its kind of thing. Raises InputError where a part is missing."""
+    for registry in _REGISTRIES:
+        if issubclass(cls, registry.base):
+            known = cls.__module__ in _LOADED.values() or not cls.__module__.startswith("hiltestbed.")
+            registry.add(cls)
+            if known:
+                for refresh in _DEPENDENTS:
+                    refresh()
+            return cls
+    bases = ", ".join(f"{r.base.__module__}.{r.base.__name__}" for r in _REGISTRIES)
+    raise InputError(f"plugin class {cls.__module__}.{cls.__qualname__}: derives from nothing that can be added; allowed are {bases}")
+
+
+def depends(refresh: Callable[[], None]) -> Callable[[], None]:
+    """Call ``refresh`` whenever a class was added: for models whose schema lists a table."""
+    _DEPENDENTS.append(refresh)
+    return refresh
+
+
+def load(modules: Sequence[str] = ()) -> None:
+    """Import the user's modules, by name or as .py files, and those of installed packages (entry points). Raises InputError."""
+    import_module("hiltestbed.scenario")  # the tables that a module may add to exist from here on
+    for point in sorted(entry_points(group=GROUP), key=lambda p: p.name):
+        if point.name not in _LOADED:
+            _import(point.value.partition(":")[0], f"entry point {point.name!r} of the group {GROUP}")
+            _LOADED[point.name] = point.value.partition(":")[0]
+    for name in modules:
+        if name not in _LOADED:
+            _LOADED[name] = _import(name, f"--plugin {name}")
+
+
+def _import(name: str, where: str) -> str:
+    """Import a module by name or file; its name."""
+    path = Path(name)
+    if path.suffix == ".py":
+        if not path.is_file():
+            raise InputError(f"{where}: no such file; give a module that can be imported, or the path of a .py file")
+        module_name = f"hiltestbed_plugin_{path.stem}_{hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:8]}"
+        spec = importlib.util.spec_from_file_location(module_name, path)
+        if spec is None or spec.loader is None:
+            raise InputError(f"{where}: cannot be read as a Python module")
+        module = importlib.util.module_from_spec(spec)
+        sys.modules[module_name] = module
+        run = lambda: spec.loader.exec_module(module)  # type: ignore[union-attr]  # noqa: E731
+    else:
+        module_name = name
+        run = lambda: import_module(name)  # noqa: E731
+    try:
+        run()
+    except InputError:
+        sys.modules.pop(module_name, None)
+        raise
+    except ModuleNotFoundError as error:
+        sys.modules.pop(module_name, None)
+        raise InputError(f"{where}: {error}; give a module that can be imported, or the path of a .py file") from error
+    except (ImportError, SyntaxError, NameError, AttributeError, TypeError, ValueError, ArithmeticError, LookupError, OSError) as error:
+        sys.modules.pop(module_name, None)
+        raise InputError(f"{where}: failed to load: {type(error).__name__}: {error}") from error
+    return module_name
+
+
+def loaded() -> dict[str, str]:
+    """The user's modules as they were asked for, with the SHA-256 of their source: what a result depends on."""
+    out = {}
+    for asked, name in _LOADED.items():
+        file = getattr(sys.modules.get(name), "__file__", None)
+        out[asked] = hashlib.sha256(Path(file).read_bytes()).hexdigest() if file else ""
+    return out
+
+
+class OneOf:
+    """Annotation of a field that takes any class of a table, told apart by ``kind``: ``Annotated[Base, OneOf(TABLE)]``.
+
+    The schema lists the classes that the table holds when the model is built; after a plugin was loaded, models are built again.
+    """
+
+    def __init__(self, registry: Registry[Any], default: str | None = None) -> None:
+        """``default``: the kind of data that name none."""
+        self.registry, self.default = registry, default
+
+    def pick(self, data: Any) -> str | None:
+        """The kind of what stands in a file, or of an object of one of the classes."""
+        kind = data.get("kind", self.default) if isinstance(data, dict) else getattr(data, "kind", None)
+        return kind if isinstance(kind, str) else repr(kind) if kind is not None else None
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        choices = {kind: handler.generate_schema(cls) for kind, cls in self.registry.items()}
+        return core_schema.tagged_union_schema(choices, discriminator=self.pick)

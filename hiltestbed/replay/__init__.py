@@ -1,0 +1,14 @@
+"""Open loop: the blocks of the loop on recorded inputs, one link at a time.
+
+The leading axis of every block is a *lane*: a recorded run under one hypothesis. Inputs are held once a run, ``(R, N, ...)``, and
+``run`` ``(L,)`` says which of them drives a lane. A row of a record is a tick of the loop; what the loop calls once a tick is called here
+once a row, in compiled loops over the rows where the calls themselves would cost.
+"""
+
+from hiltestbed.replay.compensation import replay_compensation
+from hiltestbed.replay.numerical_model import Departing, replay_model
+from hiltestbed.replay.platform import replay_platform
+from hiltestbed.replay.rig import follows_exactly, replay_rig
+from hiltestbed.replay.wrench import Felt, replay_wrench
+
+__all__ = ["Departing", "Felt", "follows_exactly", "replay_compensation", "replay_model", "replay_platform", "replay_rig", "replay_wrench"]

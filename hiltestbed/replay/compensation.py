@@ -1,0 +1,158 @@
+"""The compensation on recorded readings, poses and motions: the very blocks of the loop, a call a tick."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numba import njit
+
+from hiltestbed.compensation.blocks import make_drive
+from hiltestbed.compensation.input import InputDeadZone, InputParameters
+from hiltestbed.compensation.measurement import Measurement
+from hiltestbed.contact.latch import closes, latch_limits
+from hiltestbed.frames import Array, twist_between
+from hiltestbed.identification.settings import IDENTIFIERS
+from hiltestbed.numerical_model.bodies import approach_state
+from hiltestbed.numerical_model.kernels import place_at_start
+from hiltestbed.numerical_model.model import NumericalModel
+from hiltestbed.numerical_model.parameters import DynamicsParameters, stack
+
+if TYPE_CHECKING:
+    from hiltestbed.scenario import Scenario
+
+INPUTS = {
+    "wrench": "wrench_meas", "pose": "pose_act", "twist": "pose_act", "identified": "pose_act", "captured": "pose_act", "model": "pose_cmd",
+}  # fmt: skip
+
+
+def needs(scenario: Scenario) -> set[str]:
+    """The groups of a record that the compensation of a scenario reads, beside what it gives."""
+    compensation = scenario.compensation
+    reads = set(compensation.force.reads)
+    if compensation.motion.corrects_force:
+        reads |= set(compensation.motion.reads) | {"model"}
+    if scenario.mechanism.captured or not scenario.mechanism.latches:
+        reads.discard("captured")
+    return {INPUTS[name] for name in reads} | {"wrench_meas"}
+
+
+class RecordedModel(NumericalModel):
+    """The numerical model as the record has it: a step takes it to the next recorded pose, whatever drives it."""
+
+    def __init__(self, scenarios: Sequence[Scenario], poses: Array, twists: Array, run: np.ndarray) -> None:
+        """``poses`` (R, N, 7) and ``twists`` (R, N, 6) as commanded at t_k."""
+        self._poses, self._twists, self._run, self._row = poses, twists, run, 0
+        super().__init__(scenarios, stack([DynamicsParameters() for _ in scenarios]))
+
+    def advance(self, wrench: Array) -> None:
+        """Move on to the pose that was commanded at this tick, target at rest with P at the inertial origin."""
+        self.pose[:] = self._poses[self._run, self._row]
+        self.twist[:] = self._twists[self._run, self._row]
+        self._row += 1
+        place_at_start(np.concatenate([self.pose, self.twist], axis=1), self.port, self.q, self.v)
+
+
+def replay_compensation(
+    scenarios: Sequence[Scenario], inputs: Sequence[InputParameters], records: dict[str, Array], readings: Array, run: np.ndarray
+) -> Array:
+    """``(L, N, 6)`` wrench_comp of compensations that are given recorded readings.
+
+    Args:
+        scenarios, inputs: of each lane. readings: ``(R, N, 6)`` wrench_meas, or what the loop is thought to have read.
+        records: "pose_act" (R, N, 7), "pose_cmd" (R, N, 7) where the method needs them; "twist_act", "twist_cmd" (R, N, 6) where recorded.
+    """
+    rows, n = readings.shape[1], len(run)
+    pose, twist = _reached(scenarios, records, run, rows)
+    model = _model(scenarios, records, run)
+    drive = make_drive(scenarios, model)
+    dead_zone = InputDeadZone(scenarios, inputs)
+    estimate = IDENTIFIERS[scenarios[0].identification.kind].start(scenarios) if "identified" in _reads(scenarios[0]) else None
+    unknown = np.full((n, 6), np.nan)
+    captured = np.array([s.mechanism.captured for s in scenarios])
+    if estimate is not None:
+        estimate.source.captured = captured
+    limits = latch_limits(scenarios)
+    wrench = np.zeros((n, 6))
+    measurement = Measurement(
+        wrench, np.zeros((n, 7)), np.zeros((n, 6)), estimate.stiffness if estimate else unknown, estimate.damping if estimate else unknown,
+        captured,
+    )  # fmt: skip
+    out = np.empty((n, rows, 6))
+    for k in range(rows):
+        reading = readings[run, k]
+        measurement.pose[:], measurement.twist[:] = pose[run, k], twist[run, k]
+        _capture(measurement.pose, measurement.twist, limits, captured)
+        if estimate is not None:
+            estimate.update(reading, measurement.pose, measurement.twist)
+        wrench[:] = dead_zone.update(reading) if dead_zone.active else reading
+        drive.advance(measurement)
+        out[:, k] = drive.wrench
+        if dead_zone.active:
+            dead_zone.after(out[:, k])
+    return out
+
+
+def _reads(scenario: Scenario) -> set[str]:
+    compensation = scenario.compensation
+    return set(compensation.force.reads) | (set(compensation.motion.reads) if compensation.motion.corrects_force else set())
+
+
+def _model(scenarios: Sequence[Scenario], records: dict[str, Array], run: np.ndarray) -> NumericalModel:
+    """The numerical model on record; where nothing reads it, one that stays where it starts."""
+    poses = records.get("pose_cmd")
+    if poses is None:
+        return _Idle(scenarios)
+    twists = records.get("twist_cmd")
+    if twists is None:
+        starts = np.zeros((len(poses), 7))
+        starts[run] = [approach_state(s)[:7] for s in scenarios]
+        twists = slopes(poses, starts, scenarios[0].tick)
+    return RecordedModel(scenarios, poses, twists, run)
+
+
+class _Idle(NumericalModel):
+    """A numerical model that nothing reads."""
+
+    def advance(self, wrench: Array) -> None:
+        """Nothing moves."""
+
+
+def _reached(scenarios: Sequence[Scenario], records: dict[str, Array], run: np.ndarray, rows: int) -> tuple[Array, Array]:
+    """``(R, N, 7)`` poses and ``(R, N, 6)`` twists that the rig reached, the slope over the tick where no twist is on record."""
+    poses = records.get("pose_act")
+    runs = int(run.max()) + 1
+    if poses is None:
+        still = np.zeros((runs, rows, 7))
+        still[..., 6] = 1.0
+        return still, np.zeros((runs, rows, 6))
+    twists = records.get("twist_act")
+    if twists is None:
+        twists = slopes(poses, poses[:, 0].copy(), scenarios[0].tick)
+        starts = np.zeros((runs, 6))
+        starts[run] = [approach_state(s)[7:] for s in scenarios]
+        twists[:, 0] = starts
+    return poses, twists
+
+
+def slopes(poses: Array, start: Array, tick: float) -> Array:
+    """``(R, N, 6)`` twists that take each pose of ``(R, N, 7)`` to the next in a tick, from ``start`` (R, 7) before the first."""
+    out = np.empty((*poses.shape[:2], 6))
+    _slopes(poses, start, tick, out)
+    return out
+
+
+@njit(cache=True)
+def _slopes(poses, start, h, out):
+    for r in range(poses.shape[0]):
+        for k in range(poses.shape[1]):
+            twist_between(start[r] if k == 0 else poses[r, k - 1], poses[r, k], h, out[r, k])
+
+
+@njit(cache=True)
+def _capture(pose, twist, limits, captured):
+    """Latch the runs whose condition holds; once latched they stay so."""
+    for i in range(pose.shape[0]):
+        if not captured[i] and closes(pose[i], twist[i], limits[i]):
+            captured[i] = True

@@ -1,0 +1,80 @@
+"""The numerical model on recorded wrenches."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numba import njit
+
+from hiltestbed.frames import Array
+from hiltestbed.numerical_model.bodies import approach_state, inertia_matrix, port_pose
+from hiltestbed.numerical_model.kernels import load_wrench, move, newton_euler, place_at_start, relative_states
+from hiltestbed.numerical_model.model import hand_on, run_back, swing
+from hiltestbed.numerical_model.parameters import RATIO, Departures
+
+if TYPE_CHECKING:
+    from hiltestbed.scenario import Scenario
+
+
+def replay_model(model: Departing, wrench: Array, run: np.ndarray) -> Array:
+    """``(L, N, 7)`` pose_cmd of numerical models that are driven by recorded wrenches ``(R, N, 6)``; row k is commanded at t_k.
+
+    The step is that of :class:`hiltestbed.numerical_model.model.NumericalModel`, its bodies accelerated by Newton's and Euler's laws in
+    compiled code where the loop calls Pinocchio.
+    """
+    d, n = model.departures, len(run)
+    q, v, tau = np.zeros((n, 2, 7)), np.zeros((n, 2, 6)), np.zeros((n, 2, 6))
+    out = np.empty((n, wrench.shape[1], 7))
+    handed = np.zeros((n, int(d.late.max()) + 1, 13))
+    swinging = np.zeros((*d.appendage.shape[:3], 2, 3))
+    _replay_model(
+        wrench, np.asarray(run), model.approach, model.port, model.whole, model.rigid, model.inertia, np.linalg.inv(model.inertia),
+        model.tick, d.appendage, d.explicit, d.late, q, v, tau, swinging, handed, out,
+    )  # fmt: skip
+    return out
+
+
+class Departing:
+    """The numbers of the models of L lanes: what is believed, with departures.
+
+    Attributes:
+        approach: (L, 13). port: (L, 2, 7). whole, rigid: (L, 2) mass with and without appendages. inertia: (L, 2, 3, 3). tick: [s].
+    """
+
+    def __init__(self, scenarios: Sequence[Scenario], departures: Departures) -> None:
+        bodies = [(s.spacecraft.chaser, s.spacecraft.target) for s in scenarios]
+        self.departures, self.tick = departures, scenarios[0].tick
+        self.approach = np.array([approach_state(s) for s in scenarios])
+        self.port = np.array([[port_pose(b) for b in pair] for pair in bodies])
+        self.port[..., :3] += departures.port
+        self.whole = np.array([[b.mass for b in pair] for pair in bodies]) * departures.mass
+        self.rigid = self.whole * (1.0 - departures.appendage[..., RATIO].sum(axis=-1))
+        inertia = np.array([[inertia_matrix(b.inertia) for b in pair] for pair in bodies])
+        self.inertia = inertia * departures.inertia[..., None, None]
+
+
+@njit(cache=True)
+def _replay_model(
+    wrench, run, approach, port, whole, rigid, inertia, inverse, h, appendage, explicit, late, q, v, tau, swinging, handed, out
+):
+    n = len(run)
+    pose, twist, push, before = np.empty((n, 7)), np.empty((n, 6)), np.empty((n, 6)), np.empty((n, 2, 6))
+    place_at_start(approach, port, q, v)
+    relative_states(q, v, port, pose, twist)
+    run_back(pose, twist, h, handed)
+    for k in range(wrench.shape[1]):
+        for i in range(n):
+            push[i] = wrench[run[i], k]
+        load_wrench(q, port, push, tau)
+        swing(appendage, whole, rigid, h, swinging, tau)
+        before[:] = v
+        newton_euler(rigid, inertia, inverse, tau, h, v)
+        for i in range(n):
+            if not explicit[i]:
+                before[i] = v[i]
+        move(q, before, h)
+        relative_states(q, v, port, pose, twist)
+        hand_on(k + 1, late, handed, pose, twist)
+        out[:, k] = pose

@@ -1,0 +1,120 @@
+"""The platform on recorded commands."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numba import njit
+
+from hiltestbed.frames import Array
+from hiltestbed.platform.parameters import stack
+from hiltestbed.platform.response import MEMORY, follow, second_order
+
+if TYPE_CHECKING:
+    from hiltestbed.platform.parameters import PlatformParameters
+    from hiltestbed.scenario import Scenario
+
+WHOLE = 1e-9  # ticks that a delay may be off a whole number
+
+
+def replay_platform(scenarios: Sequence[Scenario], parameters: Sequence[PlatformParameters], commands: Array, run: np.ndarray) -> Array:
+    """``(L, N, 3)`` positions of A in P [m] at t_k that platforms reach on recorded commands.
+
+    The law is that of the loop (:func:`hiltestbed.platform.response.follow`). A tick is divided where the delayed command bends, between
+    which the responses are exact; for a platform that sticks, at the instants at which it may move.
+
+    Args:
+        scenarios, parameters: of each lane. commands: ``(R, N, >= 3)`` pose_cmd; row k is to be reached at t_(k+1).
+    """
+    tick = scenarios[0].tick
+    p = stack(parameters)
+    late = p.delay / tick
+    parts, count = _instants(scenarios, parameters, late)
+    steps = np.diff(parts, axis=1, prepend=0.0) * tick
+    lag, mode = _kernels(p.lag, steps, count, 0.0), _kernels(p.mode, steps, count, 1.0)
+    start = np.array([[*s.approach.offset, -s.approach.gap] for s in scenarios])
+    velocity = np.array([s.approach.velocity for s in scenarios], dtype=float)
+    out = np.empty((len(run), commands.shape[1], 3))
+    _replay(
+        commands, np.asarray(run), start, velocity, tick, late, parts, count, steps, p.speed, p.play, p.stick, p.scale, lag, mode, out
+    )  # fmt: skip
+    return out
+
+
+def _instants(scenarios: Sequence[Scenario], parameters: Sequence[PlatformParameters], late: Array) -> tuple[Array, np.ndarray]:
+    """``(L, M)`` parts of a tick at which each lane is advanced, the last of which is 1, and ``(L,)`` how many there are."""
+    found = []
+    for s, p, ticks in zip(scenarios, parameters, late, strict=True):
+        bend = ticks - np.floor(ticks)
+        if p.stick > 0.0:
+            m = p.instants or s.substeps
+            found.append(np.arange(1, m + 1) / m)
+        else:
+            found.append(np.array([1.0]) if min(bend, 1.0 - bend) < WHOLE else np.array([bend, 1.0]))
+    count = np.array([len(f) for f in found])
+    parts = np.ones((len(found), int(count.max())))
+    for i, f in enumerate(found):
+        parts[i, : len(f)] = f
+    return parts, count
+
+
+def _kernels(numbers: Array, steps: Array, count: np.ndarray, base: float) -> Array:
+    """``(L, M, S, 5)`` exact advances of each response over each step; ``numbers`` (L, S, 2) natural frequency and damping ratio."""
+    out = np.zeros((len(numbers), steps.shape[1], numbers.shape[1], 5))
+    for i, s in np.argwhere(numbers[..., 0] > 0.0):
+        for m in range(count[i]):
+            second_order(numbers[i, s, 0], numbers[i, s, 1], steps[i, m], base, out[i, m, s])
+    return out
+
+
+@njit(cache=True)
+def _replay(commands, run, start, velocity, h, late, parts, count, steps, speed, play, stick, scale, lag, mode, out):
+    lagged, shaken, memory = np.zeros((lag.shape[2], 2)), np.zeros((mode.shape[2], 2)), np.zeros(MEMORY)
+    for i in range(len(run)):
+        for axis in range(3):
+            command = commands[run[i], :, axis]
+            if _still(command, start[i, axis], velocity[i, axis]):
+                out[i, :, axis] = start[i, axis]
+                out[i, 1:, axis] *= scale[i, axis]
+                continue
+            before = _commanded(command, start[i, axis], velocity[i, axis], -late[i], h)
+            memory[:] = before
+            lagged[:, 0] = shaken[:, 0] = before
+            lagged[:, 1] = shaken[:, 1] = velocity[i, axis]
+            out[i, 0, axis] = before if late[i] > 0.0 else start[i, axis]
+            for k in range(out.shape[1] - 1):
+                reached = before
+                for s in range(count[i]):
+                    after = _commanded(command, start[i, axis], velocity[i, axis], k + parts[i, s] - late[i], h)
+                    reached = follow(
+                        before, after, steps[i, s], speed[i], play[i], stick[i], lag[i, s], mode[i, s], lagged, shaken, memory
+                    )  # fmt: skip
+                    before = after
+                out[i, k + 1, axis] = scale[i, axis] * reached
+
+
+@njit(cache=True)
+def _still(command, start, velocity):
+    """Whether an axis is never told to move."""
+    if velocity != 0.0:
+        return False
+    for k in range(len(command)):
+        if command[k] != start:
+            return False
+    return True
+
+
+@njit(cache=True, inline="always")
+def _commanded(command, start, velocity, at, h):
+    """The command [m] at the tick ``at``: linear over each tick to its row, the uniform approach before, the last row held after."""
+    if at <= 0.0:
+        return start + velocity * at * h
+    k = int(at)
+    part = at - k
+    last = len(command) - 1
+    low = start if k == 0 else command[min(k - 1, last)]
+    if part == 0.0:
+        return low
+    return low + part * (command[min(k, last)] - low)

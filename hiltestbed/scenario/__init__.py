@@ -1,0 +1,12 @@
+"""What a run is: its file, its sections, its checks."""
+
+from hiltestbed.scenario.scenario import (
+    Scenario,
+    dump_scenario,
+    load_scenario,
+    resolved,
+    scenario_from,
+    scenario_sha256,
+)
+
+__all__ = ["Scenario", "dump_scenario", "load_scenario", "resolved", "scenario_from", "scenario_sha256"]

@@ -1,0 +1,117 @@
+"""What a run is: the scenario as a whole, files in and out. Its sections belong to the links of the loop.
+
+`load_scenario` reads a file (and `--set` overrides), `dump_scenario` writes the resolved form, in which every default stands.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import Field, model_validator
+
+from hiltestbed import plugins
+from hiltestbed.compensation.section import Compensation
+from hiltestbed.contact.settings import AnyMechanism
+from hiltestbed.effects.table import AnyEffect
+from hiltestbed.identification.settings import IDENTIFIERS, AnyIdentifier
+from hiltestbed.platform.settings import Rig
+from hiltestbed.scenario.checks import problems
+from hiltestbed.scenario.safety import Safety
+from hiltestbed.scenario.spacecraft import Approach, Spacecraft
+from hiltestbed.sensor.settings import Sensor
+from hiltestbed.validation import Positive, Strictly, refuse, validate
+from hiltestbed.yaml_source import Source, dump_yaml, read_source
+
+
+class Scenario(Strictly):
+    """One run: two vehicles, how they meet, the rig that plays it, and what is done about the rig's faults."""
+
+    name: Annotated[str, Field(min_length=1, max_length=200)]
+    description: str = ""
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
+    duration: Positive = Field(default=3.0, description="[s]")
+    rate: Annotated[float, Field(gt=0, le=1e6)] = Field(default=2000.0, description="passes of the loop [Hz]")
+    physics_rate: Annotated[float, Field(gt=0, le=4e6)] = Field(
+        default_factory=lambda given: 2.0 * given["rate"],  # type: ignore[arg-type]
+        description="steps of the physics [Hz], a whole multiple of rate; left out: twice rate",
+    )
+    spacecraft: Spacecraft
+    approach: Approach
+    mechanism: AnyMechanism
+    rig: Rig = Rig()
+    sensor: Sensor = Sensor()
+    compensation: Compensation = Compensation()
+    identification: AnyIdentifier = Field(default_factory=lambda: IDENTIFIERS["rls"](kind="rls"))
+    safety: Safety = Safety()
+    effects: Annotated[tuple[AnyEffect, ...], Field(strict=False)] = Field(
+        default=(), description="departures from the nominal rig: {kind: ID, parameter: value}"
+    )
+
+    @property
+    def tick(self) -> float:
+        """Time between two passes of the loop [s]."""
+        return 1.0 / self.rate
+
+    @property
+    def ticks(self) -> int:
+        """Passes of the loop in the whole run."""
+        return round(self.duration * self.rate)
+
+    @property
+    def substeps(self) -> int:
+        """Steps of the physics in one tick."""
+        return round(self.physics_rate / self.rate)
+
+    @model_validator(mode="after")
+    def _is_possible(self) -> Scenario:
+        refuse(problems(self))
+        return self
+
+
+@plugins.depends
+def _rebuild() -> None:
+    """List the classes of a plugin in the schema, too."""
+    for model in (Compensation, Scenario):
+        model.model_rebuild(force=True)
+
+
+def load_scenario(path: str | Path, set: Mapping[str, Any] | None = None) -> Scenario:
+    """The scenario in a YAML file, with dotted keys overridden (`{"approach.velocity.2": 0.05}`). Raises InputError."""
+    return scenario_from(read_source(path).with_set(set))
+
+
+def scenario_from(source: Source | Mapping[str, Any], set: Mapping[str, Any] | None = None) -> Scenario:
+    """The scenario in data that is read already: a `Source`, or a plain dict as it would stand in a file. Raises InputError."""
+    if not isinstance(source, Source):
+        source = Source("scenario", dict(source))
+    return validate(Scenario, source.with_set(set), _SPECIMEN)
+
+
+_BODY = {"mass": 1.0, "inertia": [1.0, 1.0, 1.0]}
+_SPECIMEN = {  # holds whatever the other keys are: stands in for what is refused while the rest is checked
+    "name": "specimen",
+    "duration": 1.0,
+    "spacecraft": {"chaser": _BODY, "target": _BODY},
+    "approach": {"velocity": [0.0, 0.0, 0.0]},
+    "mechanism": {"kind": "bumper", "contact": {"stiffness": 1.0}},
+}
+
+
+def resolved(scenario: Scenario) -> dict[str, Any]:
+    """The scenario as plain data with every default written out; `scenario_from` gives the same scenario back."""
+    return scenario.model_dump(mode="json")
+
+
+def dump_scenario(scenario: Scenario) -> str:
+    """The resolved scenario as YAML text."""
+    return dump_yaml(resolved(scenario))
+
+
+def scenario_sha256(scenario: Scenario) -> str:
+    """SHA-256 of the resolved form, the same however the file was written."""
+    canonical = json.dumps(resolved(scenario), sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return hashlib.sha256(canonical.encode()).hexdigest()

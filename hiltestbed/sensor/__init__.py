@@ -1,0 +1,1 @@
+"""The force sensor: from the physical wrench to its reading."""

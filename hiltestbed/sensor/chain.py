@@ -1,0 +1,78 @@
+"""What happens to the wrench between the contact and the sensor's reading.
+
+The order is the physical one. The wrench arrives late (nominal delay, `sensor.delay`, `sensor.jitter`); the transducer scales
+and mixes axes (`sensor.gain`, `sensor.crosstalk`); its electronics filter (nominal low-pass, `sensor.lag`, then the nominal charge
+leak, `sensor.highpass`) and add what does not depend on the force (`sensor.bias`, `sensor.drift`, `sensor.hum`, noise); the
+conversion then cuts small forces (`sensor.deadzone`), clips (`sensor.saturation`, the nominal range) and quantises.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+
+@njit(cache=True)
+def condition(w, t, noise, calibration, lag, leak, offset, drift, tone, deadzone, limit, step, low, high, before, out):
+    """One sample through the sensor, after the delay.
+
+    Args:
+        w: (6,) the delayed wrench. t: [s]. noise: (6,) added before the conversion.
+        calibration ... step: see :class:`hiltestbed.sensor.parameters.Chain`, of one run.
+        low: (S, 6), high: (S, 6), before: (S, 6): states of the filters, changed in place; zero at the start.
+        out: (6,) the reading.
+    """
+    for j in range(6):
+        y = 0.0
+        for i in range(6):
+            if calibration[j, i] != 0.0:
+                y += calibration[j, i] * w[i]
+        for s in range(lag.shape[0]):
+            if lag[s] < 1.0:
+                low[s, j] += (y - low[s, j]) * lag[s]
+                y = low[s, j]
+        for s in range(leak.shape[0]):
+            if leak[s] >= 0.0:
+                high[s, j] = leak[s] * (high[s, j] + y - before[s, j])
+                before[s, j] = y
+                y = high[s, j]
+        y += offset[j] + drift[j] * t
+        if j < 3:
+            for s in range(tone.shape[0]):
+                if tone[s, j] != 0.0:
+                    y += tone[s, j] * math.sin(2.0 * math.pi * tone[s, 3] * t + tone[s, 4])
+        y += noise[j]
+        if abs(y) < deadzone[j]:
+            y = 0.0
+        y = min(max(y, -limit[j]), limit[j])
+        if step[j] > 0.0:
+            y = step[j] * np.rint(y / step[j])
+        out[j] = y
+
+
+@njit(cache=True)
+def condition_all(t, late, noise, calibration, lag, leak, offset, drift, tone, deadzone, limit, step, low, high, before, out):
+    """:func:`condition` for n runs: late, noise and out are (n, 6), t (n,) [s], the states (n, S, 6)."""
+    for i in range(late.shape[0]):
+        condition(
+            late[i], t[i], noise[i], calibration[i], lag[i], leak[i], offset[i], drift[i], tone[i], deadzone[i], limit[i], step[i],
+            low[i], high[i], before[i], out[i],
+        )  # fmt: skip
+
+
+@njit(cache=True)
+def passes(calibration, lag, leak, offset, drift, tone, deadzone, limit):
+    """Whether a sensor shows what it feels, but for its noise and its steps; see :func:`condition` for the arguments."""
+    for j in range(6):
+        for i in range(6):
+            if calibration[j, i] != (1.0 if i == j else 0.0):
+                return False
+        if offset[j] != 0.0 or drift[j] != 0.0 or deadzone[j] != 0.0 or limit[j] < math.inf:
+            return False
+    for s in range(tone.shape[0]):
+        for j in range(3):
+            if tone[s, j] != 0.0:
+                return False
+    return np.all(lag == 1.0) and np.all(leak < 0.0)

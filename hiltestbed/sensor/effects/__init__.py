@@ -1,0 +1,1 @@
+"""Effects of the force sensor, in the order of its chain."""

@@ -1,0 +1,66 @@
+"""The wrench arrives late."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Literal
+
+from hiltestbed.effects.base import Effect, quantity
+from hiltestbed.effects.search import Candidate, Scales, candidate
+from hiltestbed.plugins import register
+
+if TYPE_CHECKING:
+    from hiltestbed.scenario import Scenario
+    from hiltestbed.sensor.parameters import SensorParameters
+
+LONGEST = 20.0  # ticks: as far as a delay is searched on a slow loop, where that is more than the range in seconds
+STARTS = (0.4, 0.8, 1.4, 2.5, 4.5, 8.0, 13.0, 20.0)  # ticks: each within the basin of the next, since F(delay) jumps at whole ticks
+
+
+@register
+class SensorDelay(Effect):
+    """The force reading is late by a fixed time."""
+
+    kind: Literal["sensor.delay"] = "sensor.delay"
+    delay: float = quantity("s", "added to the nominal delay", ge=0.0, le=1.0, search=(0.0, 0.03))
+    link = "sensor"
+    equation = "w_meas(t) = w(t - delay_nominal - delay)"
+    reference = "pure transport delay"
+    resembles = ("contact.damping", "log.skew", "sensor.lag")
+    repeats = True
+    leading = "delay"
+    jumps = "delay"
+
+    def apply(self, p: SensorParameters) -> None:
+        p.delay += self.delay
+
+    def worth(self, scenario: Scenario, frequency: float) -> float:
+        return self.delay
+
+    @classmethod
+    def candidates(cls, scales: Scales) -> Iterator[Candidate]:
+        h = scales.tick
+        yield candidate(cls, {"delay": [s * h for s in STARTS]}, bounds={"delay": (0.0, max(0.03, LONGEST * h))})
+
+
+@register
+class SensorJitter(Effect):
+    """The delay of the reading varies from sample to sample."""
+
+    kind: Literal["sensor.jitter"] = "sensor.jitter"
+    sigma: float = quantity("s", "standard deviation of the delay", ge=0.0, le=0.1, search=(0.0, 0.005))
+    link = "sensor"
+    equation = "w_meas(t_k) = w(t_k - delay - sigma n_k), n_k standard normal, total delay >= 0"
+    reference = "sampling jitter"
+    resembles = ("sensor.delay",)
+    repeats = True
+    leading = "sigma"
+
+    def apply(self, p: SensorParameters) -> None:
+        p.jitter = math.hypot(p.jitter, self.sigma)
+
+    @classmethod
+    def candidates(cls, scales: Scales) -> Iterator[Candidate]:
+        """None: it is noise in proportion to the rate of the reading, found by likelihood and not by a change of the mean."""
+        return iter(())

@@ -1,0 +1,68 @@
+"""The electronics filter: a low-pass that lags, a charge that leaks."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Literal
+
+from hiltestbed.effects.base import Effect, quantity
+from hiltestbed.effects.search import Candidate, Scales, candidate
+from hiltestbed.plugins import register
+
+if TYPE_CHECKING:
+    from hiltestbed.scenario import Scenario
+    from hiltestbed.sensor.parameters import SensorParameters
+
+SLOWEST = 50.0  # ticks: as far as the time constant of a lag is searched on a slow loop
+
+
+@register
+class SensorLag(Effect):
+    """The force reading passes a first-order low-pass."""
+
+    kind: Literal["sensor.lag"] = "sensor.lag"
+    time_constant: float = quantity("s", gt=0.0, search=(1e-4, 0.05), ratio=True)
+    link = "sensor"
+    equation = "y_k = y_(k-1) + (u_k - y_(k-1)) (1 - exp(-h/T))"
+    reference = "first-order low-pass, exact for an input that holds over the tick"
+    resembles = ("sensor.delay",)
+    repeats = True
+    leading = "time_constant"
+
+    def apply(self, p: SensorParameters) -> None:
+        p.lag.append(-math.expm1(-p.tick / self.time_constant))
+
+    def worth(self, scenario: Scenario, frequency: float) -> float:
+        return self.time_constant
+
+    @classmethod
+    def candidates(cls, scales: Scales) -> Iterator[Candidate]:
+        h = scales.tick
+        bounds = {"time_constant": (1e-4, max(0.05, SLOWEST * h))}
+        yield candidate(cls, {"time_constant": [0.3 * h, h, 3.0 * h, 8.0 * h, 25.0 * h]}, bounds=bounds)
+
+
+@register
+class SensorHighpass(Effect):
+    """The charge leaks away: a steady force fades, an undershoot follows the contact."""
+
+    kind: Literal["sensor.highpass"] = "sensor.highpass"
+    time_constant: float = quantity("s", gt=0.0, search=(0.02, 100.0), ratio=True)
+    link = "sensor"
+    equation = "y_k = exp(-h/T) (y_(k-1) + u_k - u_(k-1))"
+    reference = "charge amplifier, s T/(1 + s T)"
+    resembles = ("contact.relaxation", "sensor.drift")
+    repeats = True
+    leading = "time_constant"
+    vanishes = True
+
+    def apply(self, p: SensorParameters) -> None:
+        p.leak.append(math.exp(-p.tick / self.time_constant))
+
+    def worth(self, scenario: Scenario, frequency: float) -> float:
+        return -1.0 / (frequency * frequency * self.time_constant)  # a high-pass leads: phase 1/(w T)
+
+    @classmethod
+    def candidates(cls, scales: Scales) -> Iterator[Candidate]:
+        yield candidate(cls, {"time_constant": [0.05, 0.2, 1.0, 5.0, 25.0]})

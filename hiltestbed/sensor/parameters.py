@@ -1,0 +1,122 @@
+"""The numbers of a sensor: what its settings and its effects make of each element of the chain."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hiltestbed.effects.base import Effect
+from hiltestbed.frames import Array
+
+if TYPE_CHECKING:
+    from hiltestbed.sensor.settings import Sensor as SensorSettings
+
+AXES = ("x", "y", "z")
+WRENCH_AXES = ("x", "y", "z", "rx", "ry", "rz")
+
+
+@dataclass
+class SensorParameters:
+    """One sensor at a tick of ``tick`` [s]; an element that does nothing has the neutral number.
+
+    Attributes:
+        delay: nominal and added [s]. jitter: standard deviation of the delay [s].
+        calibration: (6, 6) what the transducer makes of the wrench.
+        lag: blend factor of each low-pass a tick, 1 - exp(-h/T); 1 passes. leak: factor of each high-pass, exp(-h/T); negative passes.
+        offset: (6,) [N, N m]. drift: (6,) [N/s, N m/s]. tone: amplitude on x, y, z [N], frequency [Hz], phase [rad] of each.
+        deadzone, limit: (6,) [N, N m]. step: (6,) quantisation step, 0 for none.
+    """
+
+    tick: float
+    delay: float = 0.0
+    jitter: float = 0.0
+    calibration: Array = field(default_factory=lambda: np.eye(6))
+    lag: list[float] = field(default_factory=list)
+    leak: list[float] = field(default_factory=list)
+    offset: Array = field(default_factory=lambda: np.zeros(6))
+    drift: Array = field(default_factory=lambda: np.zeros(6))
+    tone: list[tuple[float, float, float, float, float]] = field(default_factory=list)
+    deadzone: Array = field(default_factory=lambda: np.zeros(6))
+    limit: Array = field(default_factory=lambda: np.full(6, np.inf))
+    step: Array = field(default_factory=lambda: np.zeros(6))
+
+    @classmethod
+    def believed(cls, settings: SensorSettings, tick: float) -> SensorParameters:
+        """What a scenario's settings say, without any effect."""
+        p = cls(tick, settings.delay)
+        p.lag.append(1.0 if settings.lowpass is None else -math.expm1(-tick * 2.0 * math.pi * settings.lowpass))
+        p.leak.append(-1.0 if settings.time_constant is None else math.exp(-tick / settings.time_constant))
+        p.drift[:3] = settings.drift
+        p.limit[:3] = np.inf if settings.range is None else settings.range
+        p.limit[3:] = np.inf if settings.torque_range is None else settings.torque_range
+        p.step[:3], p.step[3:] = settings.quantisation, settings.torque_quantisation
+        return p
+
+    def copy(self) -> SensorParameters:
+        """The same numbers, to be changed."""
+        return replace(
+            self, calibration=self.calibration.copy(), lag=list(self.lag), leak=list(self.leak), offset=self.offset.copy(),
+            drift=self.drift.copy(), tone=list(self.tone), deadzone=self.deadzone.copy(), limit=self.limit.copy(),
+        )  # fmt: skip
+
+    def with_effects(self, effects: Iterable[Effect]) -> SensorParameters:
+        """The same object after the effects of the sensor among ``effects`` have changed it."""
+        for effect in effects:
+            if effect.link == "sensor":
+                effect.apply(self)
+        return self
+
+
+@dataclass(frozen=True)
+class Chain:
+    """The parameters of n sensors as the kernels take them: every array has the run as leading axis.
+
+    Attributes:
+        delay, jitter: (n,). calibration: (n, 6, 6). lag, leak: (n, S). offset, drift: (n, 6). tone: (n, H, 5).
+        deadzone, limit, step: (n, 6).
+    """
+
+    delay: Array
+    jitter: Array
+    calibration: Array
+    lag: Array
+    leak: Array
+    offset: Array
+    drift: Array
+    tone: Array
+    deadzone: Array
+    limit: Array
+    step: Array
+
+    def elements(self) -> tuple[Array, Array, Array, Array, Array, Array, Array, Array, Array]:
+        """What :func:`hiltestbed.sensor.chain.condition` takes, in the order of its arguments: all behind the delay."""
+        return (self.calibration, self.lag, self.leak, self.offset, self.drift, self.tone, self.deadzone, self.limit, self.step)
+
+
+def stack(sensors: Sequence[SensorParameters]) -> Chain:
+    """Several sensors as one chain; shorter lists of filters and tones are filled with elements that pass."""
+
+    def filled(rows: list[list], neutral: object) -> Array:
+        longest = max(1, *(len(r) for r in rows))
+        return np.array([[*r, *[neutral] * (longest - len(r))] for r in rows], dtype=float)
+
+    def rows(name: str) -> Array:
+        return np.array([getattr(p, name) for p in sensors], dtype=float)
+
+    return Chain(
+        delay=rows("delay"),
+        jitter=rows("jitter"),
+        calibration=rows("calibration"),
+        lag=filled([p.lag for p in sensors], 1.0),
+        leak=filled([p.leak for p in sensors], -1.0),
+        offset=rows("offset"),
+        drift=rows("drift"),
+        tone=filled([p.tone for p in sensors], (0.0, 0.0, 0.0, 1.0, 0.0)),
+        deadzone=rows("deadzone"),
+        limit=rows("limit"),
+        step=rows("step"),
+    )

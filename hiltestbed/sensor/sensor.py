@@ -1,0 +1,134 @@
+"""The force sensor: the physical wrench goes in at the physics rate, its reading comes out once a tick.
+
+The reading at t_k is the wrench at t_k less the delay, taken from a ring of the last physics instants by linear interpolation, so
+that a delay need not be a whole number of ticks or of physics steps; before the start it is zero. The rest of the chain is in
+:mod:`hiltestbed.sensor.chain`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numba import njit
+
+from hiltestbed.frames import Array
+from hiltestbed.sensor.chain import condition_all
+from hiltestbed.sensor.parameters import SensorParameters, stack
+
+if TYPE_CHECKING:
+    from hiltestbed.scenario import Scenario
+
+BLOCK = 256  # ticks of noise drawn at a time
+WHOLE = 1e-6  # of a step: 5 ms is 20 steps of 0.25 ms, however the division was rounded
+JITTER_CLIP = 8.0  # standard deviations of delay jitter that the ring can hold
+
+
+class Chain:
+    """The chains of `n` sensors behind the delay: transducer, electronics, converter.
+
+    Attributes:
+        reading: (n, 6) the last reading [N, N m].
+    """
+
+    def __init__(self, sensors: Sequence[SensorParameters]) -> None:
+        n = len(sensors)
+        self.numbers = stack(sensors)
+        stages = max(self.numbers.lag.shape[1], self.numbers.leak.shape[1])
+        self._low, self._high, self._before = np.zeros((n, stages, 6)), np.zeros((n, stages, 6)), np.zeros((n, stages, 6))
+        self._elements = self.numbers.elements()
+        self.reading = np.zeros((n, 6))
+
+    def read(self, t: Array, late: Array, noise: Array) -> Array:
+        """The reading (n, 6) at ``t`` (n,) [s] of the wrench ``late`` (n, 6) as it arrives, with ``noise`` (n, 6) added before the
+        conversion; called once a tick."""
+        condition_all(t, late, noise, *self._elements, self._low, self._high, self._before, self.reading)
+        return self.reading
+
+
+class Sensor:
+    """The sensors of `n` runs.
+
+    Attributes:
+        reading: (n, 6) the last reading [N, N m].
+        ring: (n, L, 6) the last L physical wrenches, instant j at slot j modulo L.
+        late: (n,) runs whose delay is never shorter than a physics step: their reading at t_k does not need the wrench at t_k.
+    """
+
+    def __init__(self, scenarios: Sequence[Scenario], rngs: Sequence[np.random.Generator]) -> None:
+        """One generator a run: the same stream whatever the batch it runs in."""
+        n = len(scenarios)
+        self.tick = 1.0 / scenarios[0].rate
+        self.substeps = round(scenarios[0].physics_rate / scenarios[0].rate)
+        self.chain = Chain([SensorParameters.believed(s.sensor, self.tick).with_effects(s.effects) for s in scenarios])
+        self.reading = self.chain.reading
+        self.noise_level = np.array([[s.sensor.noise] * 3 + [s.sensor.torque_noise] * 3 for s in scenarios])
+        physics_step = self.tick / self.substeps
+        delay, jitter = self.chain.numbers.delay, self.chain.numbers.jitter
+        longest = float(np.max(delay + JITTER_CLIP * jitter))
+        self._delay_steps = delay / physics_step
+        self._jitter_steps = jitter / physics_step
+        self.late = self._delay_steps - JITTER_CLIP * self._jitter_steps > 1.0 - WHOLE
+        self.ring = np.zeros((n, math.ceil(longest / physics_step) + self.substeps + 2, 6))
+        self._arrived, self._time = np.zeros((n, 6)), np.zeros(n)
+        self._streams = [rng.spawn(2) for rng in rngs]  # noise and jitter apart: one does not shift the other
+        self._noise = np.zeros((n, BLOCK, 6))
+        self._jitter = np.zeros((n, BLOCK))
+        self._noisy = np.flatnonzero(self.noise_level.any(axis=1))
+        self._jittery = np.flatnonzero(jitter)
+        self._next_block = 0
+
+    def read(self, k: int, wrench_sub: Array) -> Array:
+        """The reading (n, 6) at t_k.
+
+        Args:
+            k: the tick; called once for each, from 0 on.
+            wrench_sub: (n, m, 6) physical wrench at the m physics instants up to t_k, the last of which is t_k; of a run that is
+                `late` the last may be anything, if :meth:`feel` tells it before the next tick.
+        """
+        while k >= self._next_block:  # a loop that starts from a saved state draws what lies before it
+            self._draw()
+        row = k % BLOCK
+        _arrive(k, self.ring, wrench_sub, self._delay_steps, self._jitter_steps, self._jitter[:, row], self._arrived)
+        self._time[:] = k * self.tick
+        return self.chain.read(self._time, self._arrived, self._noise[:, row])
+
+    def feel(self, k: int, wrench: Array) -> None:
+        """The wrench (n, 6) at t_k, where it was not known to :meth:`read`: of runs that are `late`."""
+        self.ring[:, k * self.substeps % self.ring.shape[1]] = wrench
+
+    def _draw(self) -> None:
+        self._next_block += BLOCK
+        for i in self._noisy:
+            self._streams[i][0].standard_normal(out=self._noise[i])
+            self._noise[i] *= self.noise_level[i]
+        for i in self._jittery:
+            self._streams[i][1].standard_normal(out=self._jitter[i])
+
+
+@njit(cache=True)
+def _arrive(k, ring, sub, delay, jitter, shake, out):
+    """``out`` (n, 6): the wrench of t_k less the delay, between physics instants linearly; the instants ``sub`` go into the ring."""
+    n, m = sub.shape[0], sub.shape[1]
+    length = ring.shape[1]
+    for i in range(n):
+        for s in range(m):
+            ring[i, (k * m - m + 1 + s) % length] = sub[i, s]
+        lateness = delay[i]
+        if jitter[i] > 0.0:
+            lateness += jitter[i] * min(max(shake[i], -JITTER_CLIP), JITTER_CLIP)
+        at = k * m - max(lateness, 0.0)
+        whole = round(at)
+        if abs(at - whole) < WHOLE:
+            at = whole
+        first = math.floor(at)
+        part = at - first
+        for j in range(6):
+            out[i, j] = 0.0
+            if first >= 0:
+                out[i, j] = ring[i, first % length, j]
+            if part > 0.0:
+                after = ring[i, (first + 1) % length, j] if first + 1 >= 0 else 0.0
+                out[i, j] += part * (after - out[i, j])

@@ -1,0 +1,59 @@
+"""The state of a block: every array that it holds, itself or in its parts, found by name.
+
+No block lists its arrays. What is saved of a loop are the arrays that have changed since it was made: what never changes is a constant,
+and a new loop of the same scenario has it already.
+"""
+
+from __future__ import annotations
+
+import types
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from pydantic import BaseModel
+
+from hiltestbed.frames import Array
+
+_FOREIGN = ("mujoco", "pinocchio", "numpy", "coal", "scipy")
+_DEEPEST = 12
+
+
+def arrays_of(block: Any) -> dict[str, Array]:
+    """Every array that can be written, in ``block`` and in its parts, by a dotted name; an array in two places by its first name."""
+    found: dict[str, Array] = {}
+    seen: set[int] = set()
+    for name, array in _walk(block, "", seen, 0):
+        found.setdefault(name, array)
+    return found
+
+
+def _walk(value: Any, name: str, seen: set[int], depth: int) -> Iterator[tuple[str, Array]]:
+    if id(value) in seen or depth > _DEEPEST:
+        return
+    if isinstance(value, np.ndarray):
+        seen.add(id(value))
+        if value.flags.writeable and value.dtype != object:
+            yield name, value
+        return
+    parts = _parts(value)
+    if parts is None:
+        return
+    seen.add(id(value))
+    for key, part in parts:
+        yield from _walk(part, f"{name}.{key}" if name else str(key), seen, depth + 1)
+
+
+def _parts(value: Any) -> Iterator[tuple[Any, Any]] | None:
+    """Names and values of what a block holds; None for what holds no state of the loop."""
+    if isinstance(value, dict):
+        return iter(value.items())
+    if hasattr(value, "_asdict"):  # a named tuple
+        return iter(value._asdict().items())
+    if isinstance(value, (list, tuple)):
+        return iter(enumerate(value))
+    if isinstance(value, (BaseModel, type, types.ModuleType, types.FunctionType, types.MethodType, str)):
+        return None
+    if type(value).__module__.partition(".")[0] in _FOREIGN:
+        return None
+    return iter(vars(value).items()) if hasattr(value, "__dict__") else None
