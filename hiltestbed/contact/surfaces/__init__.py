@@ -1,0 +1,1 @@
+"""Surfaces: the nearest point, its signed distance and normal."""
