@@ -224,9 +224,7 @@ def _circle(points: Array, tolerance: float) -> Array | None:
     A start from the algebraic fit (Kasa), then Gauss-Newton on the distances; a centre that is as good as on the axis is put there.
     """
     edges = np.diff(points, axis=0)
-    turns = np.arctan2(
-        edges[:-1, 0] * edges[1:, 1] - edges[:-1, 1] * edges[1:, 0], np.einsum("ij,ij->i", edges[:-1], edges[1:])
-    )
+    turns = np.arctan2(edges[:-1, 0] * edges[1:, 1] - edges[:-1, 1] * edges[1:, 0], np.einsum("ij,ij->i", edges[:-1], edges[1:]))
     if np.abs(turns).max() > SHARPEST_TURN or np.ptp(np.sign(turns)) != 0.0 or abs(turns.sum()) > 2.0 * math.pi:
         return None
     if _off_line(points) <= 2.0 * tolerance:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
@@ -50,7 +51,7 @@ def turn(points: Array, segments: int) -> tuple[Array, NDArray[np.int_]]:
         count += len(ring)
     if closed:
         rings.append(rings[0])
-    faces = [f for low, high in zip(rings, rings[1:], strict=False) for f in _band(low, high)]
+    faces = [f for low, high in itertools.pairwise(rings) for f in _band(low, high)]
     return np.concatenate(vertices), np.array(faces)
 
 
