@@ -82,7 +82,7 @@ def test_elements_of_the_cone() -> None:
 
 @pytest.mark.parametrize("seed", range(4))
 def test_any_axis_and_place(seed: int) -> None:
-    turned, at = Rotation.random(np.random.default_rng(seed)), (0.3, -0.2, 0.5)
+    turned, at = Rotation.from_quat(np.random.default_rng(seed).normal(size=4)), (0.3, -0.2, 0.5)
     torus = found(TORUS, turned=turned, at=at)
     assert abs(torus.axis @ turned.apply([0.0, 0.0, 1.0])) == pytest.approx(1.0, abs=1e-12)
     assert distance(torus, tuple(turned.apply([0.0, 0.35, 0.0]) + at)) == pytest.approx(0.02, abs=1e-9)
