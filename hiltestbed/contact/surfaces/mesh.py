@@ -142,9 +142,14 @@ def _box_round(corners, here, box):
 
 
 @njit(cache=True)
-def mesh_distance(tree, point, normal):
-    """Distance [m] of ``point`` (3,) from the mesh, negative inside; ``normal`` (3,) becomes the outward normal."""
-    best2, face, feature = math.inf, 0, 0
+def mesh_distance(tree, point, reach, normal):
+    """Distance [m] of ``point`` (3,) from the mesh, negative inside; ``normal`` (3,) becomes the outward normal.
+
+    Where the mesh is farther than ``reach`` on either side, a bound from below of the distance is returned, not less than ``reach``,
+    and no normal: on the axis of a cone all triangles of a band are as near, and to visit them all takes its time.
+    """
+    best2, face, feature = reach * reach, -1, 0
+    passed2 = math.inf
     fx, fy, fz = 0.0, 0.0, 0.0
     stack = np.empty(DEEPEST, dtype=np.int64)
     away2 = np.empty(DEEPEST)
@@ -153,6 +158,7 @@ def mesh_distance(tree, point, normal):
         top -= 1
         node = stack[top]
         if away2[top] >= best2:
+            passed2 = min(passed2, away2[top])
             continue
         first, second = tree.links[node, 0], tree.links[node, 1]
         if first < 0:
@@ -168,6 +174,9 @@ def mesh_distance(tree, point, normal):
         stack[top], away2[top] = first, a
         stack[top + 1], away2[top + 1] = second, b
         top += 2
+    if face < 0:
+        normal[:] = 0.0
+        return max(reach, math.sqrt(passed2))
     n = tree.normals[face, feature]
     dx, dy, dz = point[0] - fx, point[1] - fy, point[2] - fz
     flat = tree.normals[face, 0]

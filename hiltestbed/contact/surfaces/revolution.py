@@ -101,7 +101,7 @@ def _about(vertices: Array, faces: Faces, origin: Array, axis: Array, tolerance:
 
 def _group(rho: Array, z: Array, tolerance: float) -> tuple[NDArray[np.int_] | None, Array]:
     """The ring (nv,) of each vertex and (rho, z) of the rings; None where there are too many rings for a turned mesh."""
-    ring = np.full(len(rho), -1)
+    ring = np.full(len(rho), -1, dtype=int)
     rings: list[tuple[float, float]] = []
     order = np.lexsort((rho, z))
     points = np.stack([rho, z], axis=1)

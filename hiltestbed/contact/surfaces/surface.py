@@ -47,12 +47,16 @@ def of_mesh(vertices: Array, faces: NDArray[np.int_]) -> tuple[Surface | None, l
 
 
 @njit(cache=True)
-def signed_distance(surface, point, normal):
-    """Distance [m] of ``point`` (3,) from the surface, negative inside; ``normal`` (3,) becomes the outward normal."""
+def signed_distance(surface, point, reach, normal):
+    """Distance [m] of ``point`` (3,) from the surface, negative inside; ``normal`` (3,) becomes the outward normal.
+
+    From a mesh that is farther than ``reach`` [m] on either side a bound from below is returned, not less than ``reach``, and no
+    normal; give no less than the radius of what touches and the deepest that it may be inside. Other surfaces are exact anywhere.
+    """
     if surface.kind == TURNED:
         return profile_distance(surface.profile, point, normal)
     if surface.kind == MESH:
-        return mesh_distance(surface.tree, point, normal)
+        return mesh_distance(surface.tree, point, reach, normal)
     return shape_distance(surface.kind, surface.sizes, point, normal)
 
 
@@ -71,7 +75,7 @@ def segment_distance(surface, start, end, reach, normal, nearest):
     best, at, bound = math.inf, 0.0, math.inf
     stride = 1.0 / (PLACES - 1)
     t0 = 0.0
-    d0, g0 = _along(surface, start, end, t0, normal, nearest)
+    d0, g0 = _along(surface, start, end, t0, reach, normal, nearest)
     if d0 < reach:
         best, at = d0, 0.0
     while t0 < 1.0:
@@ -80,26 +84,26 @@ def segment_distance(surface, start, end, reach, normal, nearest):
             bound = min(bound, reach)
         else:
             t1 = min(t0 + stride, 1.0)
-        d1, g1 = _along(surface, start, end, t1, normal, nearest)
+        d1, g1 = _along(surface, start, end, t1, reach, normal, nearest)
         if d1 < reach and d1 < best:
             best, at = d1, t1
         if g0 < 0.0 < g1 and 0.5 * (d0 + d1 - (t1 - t0) * length) < min(best, reach):
-            t, d = _turning(surface, start, end, t0, t1, g0, g1, normal, nearest)
+            t, d = _turning(surface, start, end, t0, t1, g0, g1, reach, normal, nearest)
             if d < reach and d < best:
                 best, at = d, t
         t0, d0, g0 = t1, d1, g1
     if best == math.inf:
         return max(reach, min(d0, bound))
-    best, _ = _along(surface, start, end, at, normal, nearest)
+    best, _ = _along(surface, start, end, at, reach, normal, nearest)
     return best
 
 
 @njit(cache=True)
-def _along(surface, start, end, t, normal, place):
+def _along(surface, start, end, t, reach, normal, place):
     """Distance of the point at ``t`` of the segment and its slope in t."""
     for j in range(3):
         place[j] = start[j] + t * (end[j] - start[j])
-    d = signed_distance(surface, place, normal)
+    d = signed_distance(surface, place, reach, normal)
     slope = 0.0
     for j in range(3):
         slope += normal[j] * (end[j] - start[j])
@@ -107,12 +111,12 @@ def _along(surface, start, end, t, normal, place):
 
 
 @njit(cache=True)
-def _turning(surface, start, end, low, high, slope_low, slope_high, normal, place):
+def _turning(surface, start, end, low, high, slope_low, slope_high, reach, normal, place):
     """Where the slope changes sign between ``low`` and ``high``: the Illinois method, halving where it jumps."""
     t, d, side = low, math.inf, 0
     for k in range(80):
         t = 0.5 * (low + high) if k % 4 == 3 else (low * slope_high - high * slope_low) / (slope_high - slope_low)
-        d, slope = _along(surface, start, end, t, normal, place)
+        d, slope = _along(surface, start, end, t, reach, normal, place)
         if slope == 0.0 or high - low < 1e-15:
             break
         if slope < 0.0:

@@ -59,7 +59,7 @@ def places(count: int) -> tuple[np.ndarray, np.ndarray]:
 def _many(surface, points, normal):
     total = 0.0
     for i in range(points.shape[0]):
-        total += signed_distance(surface, points[i], normal)
+        total += signed_distance(surface, points[i], math.inf, normal)
     return total
 
 
@@ -67,7 +67,7 @@ def _kernel(name: str, surface: Surface) -> Row:
     normal = np.zeros(3)
 
     def query(p: np.ndarray) -> tuple[float, np.ndarray]:
-        return BALL - signed_distance(surface, p, normal), normal
+        return BALL - signed_distance(surface, p, math.inf, normal), normal
 
     points = places(2000)[0]
     _many(surface, points[:1], normal)

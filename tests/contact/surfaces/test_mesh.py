@@ -25,8 +25,8 @@ def test_a_cube_of_triangles_is_a_box() -> None:
     tree, box = plant(CUBE, CUBE_FACES), of_geom(6, np.ones(3))
     normal, expected = np.zeros(3), np.zeros(3)
     for p in np.random.default_rng(0).uniform(-1.6, 1.6, (2000, 3)):
-        wanted = signed_distance(box, p, expected)
-        assert mesh_distance(tree, p, normal) == pytest.approx(wanted, abs=1e-14)
+        wanted = signed_distance(box, p, math.inf, expected)
+        assert mesh_distance(tree, p, math.inf, normal) == pytest.approx(wanted, abs=1e-14)
         assert np.abs(normal - expected).max() < 1e-9
 
 
@@ -42,7 +42,18 @@ def test_nearest_points_are_those_of_coal() -> None:
         result = coal.DistanceResult()
         coal.distance(model, coal.Transform3s(), point, coal.Transform3s(np.eye(3), p), coal.DistanceRequest(), result)
         theirs = float(np.linalg.norm(p - result.getNearestPoint1()))
-        assert abs(mesh_distance(tree, p, normal)) == pytest.approx(theirs, abs=2e-9)
+        assert abs(mesh_distance(tree, p, math.inf, normal)) == pytest.approx(theirs, abs=2e-9)
+
+
+def test_beyond_reach_a_bound_is_told_and_within_it_the_distance() -> None:
+    tree, normal = plant(*turned_cone(256)), np.zeros(3)
+    for p in np.random.default_rng(3).uniform(-0.3, 0.3, (500, 3)):
+        exact = mesh_distance(tree, p, math.inf, normal)
+        told = mesh_distance(tree, p, 0.05, normal)
+        if abs(exact) < 0.05:
+            assert told == exact
+        else:
+            assert 0.05 <= told <= abs(exact)
 
 
 def test_the_table_of_descriptions() -> None:
@@ -118,4 +129,4 @@ def test_flat_triangles_are_left_out_and_doubled_vertices_made_one() -> None:
     assert surface is not None
     assert [(f.kind, f.count) for f in findings] == [("flat", 1)]
     assert examine(corners, faces[:12]) == []
-    assert signed_distance(surface, np.array([1.2, 1.3, 0.0]), np.zeros(3)) == pytest.approx(math.hypot(0.2, 0.3), abs=1e-14)
+    assert signed_distance(surface, np.array([1.2, 1.3, 0.0]), math.inf, np.zeros(3)) == pytest.approx(math.hypot(0.2, 0.3), abs=1e-14)
