@@ -79,7 +79,7 @@ def facet_errors(prescribed: bool, slip: float, damping: float, count: int = 40)
         across *= slip / np.linalg.norm(across)
         rate = rng.uniform(0.0, 0.03)
         x, point = BALL - d, centre - n * (BALL - 0.5 * (BALL - d))
-        qpos[:3], qpos[3:], qvel[:3], qvel[3:] = centre + [0.0, 0.0, BALL], (1.0, 0.0, 0.0, 0.0), across - rate * n, 0.0
+        qpos[:3], qpos[3:], qvel[:3], qvel[3:] = centre + np.array([0.0, 0.0, BALL]), (1.0, 0.0, 0.0, 0.0), across - rate * n, 0.0
         push = K * x + damping * rate
         secant = MU * push / math.hypot(slip, CREEP)
         solref[:] = -K * a * scale, min(-damping * a * scale, -1e-12)
@@ -111,7 +111,8 @@ def latch_errors(prescribed: bool, radius: float) -> tuple[float, float]:
     """Worst error of force and torque of a weld, part of the largest force and of what it would be with the radius as lever."""
     model = _model(
         f"""<mujoco>{HEAD}<worldbody>
-        <body name="carrier"><site name="nominal"/><body name="passive"><inertial pos="0 0 .3" mass="120" diaginertia="8 8 10"/></body></body>
+        <body name="carrier"><site name="nominal"/>
+          <body name="passive"><inertial pos="0 0 .3" mass="120" diaginertia="8 8 10"/></body></body>
         <body name="active"><freejoint/><inertial pos=".02 0 -.44" {IMMOVABLE if prescribed else FREE}/></body></worldbody>
         <equality><weld body1="passive" body2="active" active="false" solimp="{SOLIMP}"/></equality>
         <sensor>{SENSORS}</sensor></mujoco>""",
@@ -158,7 +159,8 @@ def test_the_number_of_contacts_is_known_in_time_to_share_the_stiffness(stage: s
     """A lying rod falls on a box: two contacts from one instant on. A contact sensor of `found` alone is as new as the positions."""
     model = mujoco.MjModel.from_xml_string(
         f"""<mujoco>{HEAD}<worldbody><geom name="box" type="box" size=".5 .5 .1" pos="0 0 -.1" contype="0"/>
-        <body name="rod"><freejoint/><geom name="rod" type="capsule" size=".05 .2" euler="0 90 0" pos="0 0 .05" mass="100" contype="0"/></body>
+        <body name="rod"><freejoint/>
+          <geom name="rod" type="capsule" size=".05 .2" euler="0 90 0" pos="0 0 .05" mass="100" contype="0"/></body>
         </worldbody><contact><pair geom1="rod" geom2="box" condim="1" solimp="{SOLIMP}"/></contact>
         <sensor><contact geom1="rod" geom2="box" data="found" num="1"/></sensor></mujoco>"""
     )

@@ -128,7 +128,7 @@ def _edges(faces: Faces, ring: NDArray[np.int_], rings: Array, azimuth: Array, t
             a, b = int(ring[p]), int(ring[r])
             if ring[q] != a or b == a or on_axis[a]:
                 continue
-            span = (azimuth[q] - azimuth[p] + math.pi) % (2.0 * math.pi) - math.pi
+            span = float((azimuth[q] - azimuth[p] + math.pi) % (2.0 * math.pi) - math.pi)
             if abs(span) > 2.1 * math.pi / FEWEST_SEGMENTS:
                 return None
             # Counter-clockwise along ring a with the triangle on its left: seen from the axis, the outward side is left of b -> a.

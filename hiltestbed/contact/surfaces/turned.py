@@ -72,3 +72,28 @@ def obj_text(vertices: Array, faces: NDArray[np.int_], comment: str) -> str:
     lines += [f"v {x:.9f} {y:.9f} {z:.9f}" for x, y, z in vertices + 0.0]
     lines += [f"f {a} {b} {c}" for a, b, c in faces + 1]
     return "\n".join(lines) + "\n"
+
+
+def shell(socket: float, half_angle: float, generator: float, thickness: float) -> list[Element]:
+    """Profile of a funnel that opens towards -z: back, outside, rounded rim, straight inside, socket; free side on the left.
+
+    The ``socket`` is the inside of a ball of this radius [m] whose bottom is the origin; the straight ``generator`` [m] at the
+    ``half_angle`` [rad] is tangent to it. The shell is ``thickness`` [m] thick, along the axis as well.
+    """
+    sin, cos = math.sin(half_angle), math.cos(half_angle)
+
+    def across(distance: float, along: float) -> tuple[float, float]:
+        """A point ``along`` the generator from where it touches the socket, ``distance`` from the socket's centre across it."""
+        return distance * cos + along * sin, distance * sin - socket - along * cos
+
+    outer = socket + thickness
+    back = ((outer - sin * outer) / cos, thickness)
+    rim = across(socket + 0.5 * thickness, generator)
+    lip, mouth, throat = across(outer, generator), across(socket, generator), across(socket, 0.0)
+    return [
+        Element((0.0, thickness), back),
+        Element(back, lip),
+        Element(lip, mouth, rim, clockwise=True),
+        Element(mouth, throat),
+        Element(throat, (0.0, 0.0), (0.0, -socket)),
+    ]

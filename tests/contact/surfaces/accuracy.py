@@ -6,7 +6,6 @@ python -m tests.contact.surfaces.accuracy
 from __future__ import annotations
 
 import math
-import runpy
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -21,10 +20,11 @@ from hiltestbed.contact.surfaces import mesh
 from hiltestbed.contact.surfaces.mesh import plant
 from hiltestbed.contact.surfaces.revolution import recognise
 from hiltestbed.contact.surfaces.surface import MESH, TURNED, Surface, signed_distance
-from hiltestbed.contact.surfaces.turned import obj_text, polyline, turn
+from hiltestbed.contact.surfaces.turned import obj_text, polyline, shell, turn
 
 CONE = Path(__file__).resolve().parents[3] / "models" / "probe_cone"
 BALL, SOCKET, GENERATOR, HALF_ANGLE = 0.03, 0.035, 0.20, math.radians(45.0)
+THICKNESS = 0.024
 DEPTH = 1e-3  # [m]
 Query = Callable[[np.ndarray], tuple[float, np.ndarray]]  # a place of the ball's centre to penetration and outward normal
 
@@ -40,8 +40,7 @@ class Row:
 
 
 def turned_cone(segments: int) -> tuple[np.ndarray, np.ndarray]:
-    profile = runpy.run_path(str(CONE / "turn_cone.py"))["profile"]()
-    return turn(polyline(profile, math.radians(5.0)), segments)
+    return turn(polyline(shell(SOCKET, HALF_ANGLE, GENERATOR, THICKNESS), math.radians(5.0)), segments)
 
 
 def places(count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -128,7 +127,7 @@ def _contacts(name: str, assets: str, geoms: str, files: dict[str, bytes]) -> Ro
 def _wedges(count: int) -> Row:
     """The straight part of the shell cut along meridians into convex pieces."""
     sin, cos = math.sin(HALF_ANGLE), math.cos(HALF_ANGLE)
-    corners = [(o, a) for o in (SOCKET, SOCKET + 0.024) for a in (0.0, GENERATOR)]
+    corners = [(o, a) for o in (SOCKET, SOCKET + THICKNESS) for a in (0.0, GENERATOR)]
     profile = np.array([(o * cos + a * sin, o * sin - SOCKET - a * cos) for o, a in corners])
     assets, geoms = "", ""
     for k in range(count):

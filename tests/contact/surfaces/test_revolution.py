@@ -67,7 +67,7 @@ def _shipped() -> Revolution:
 
 def test_the_shipped_cone_is_what_its_script_writes() -> None:
     script = runpy.run_path(str(CONE / "turn_cone.py"))
-    vertices, faces = turn(polyline(script["profile"](), script["ARC_STEP"]), script["SEGMENTS"])
+    vertices, faces = turn(polyline(script["PROFILE"], script["ARC_STEP"]), script["SEGMENTS"])
     assert (CONE / "cone.obj").read_text().split("\n", 1)[1] == obj_text(vertices, faces, "").split("\n", 1)[1]
 
 
