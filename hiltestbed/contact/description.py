@@ -36,12 +36,13 @@ class Touching(_Strict):
 
 
 class Condition(_Strict):
-    """Pairs of sites, active and passive, that are near, aligned and slow at the same time."""
+    """Pairs of sites, active and passive, that are near, aligned and slow at the same time, and joints that stand where they must."""
 
     pairs: list[tuple[str, str]] = Field(min_length=1, description="sites of the active and of the passive side")
     within: Positive = Field(description="distance between the sites of a pair [m]")
     angle_deg: Annotated[float, Field(gt=0.0, le=180.0)] = Field(180.0, description="angle between their z axes [deg]")
     speed: Positive = Field(description="relative speed of the sites [m/s]")
+    joints: dict[str, tuple[float, float]] = Field(default_factory=dict, description="joints of the active side, from and to [m, rad]")
     count: Annotated[int, Field(ge=1)] | None = Field(None, description="so many pairs are enough; left out: all [-]")
     lasting: NotNegative = Field(0.0, description="for so long without a break [s]")
 
@@ -53,19 +54,22 @@ class Condition(_Strict):
 
 
 class Closure(_Strict):
-    """A latch between two sites, held where they are when it closes."""
+    """A latch between two sites: it holds them where they are when it closes, or draws them together."""
 
     kind: Literal["weld", "connect"] = Field(description="weld: six axes; connect: a ball joint")
     active: str = Field(description="site of the active side")
     passive: str = Field(description="site of the passive side")
     stiffness: Positive = Field(description="against shift [N/m]")
     damping: NotNegative = Field(description="against shift [N s/m]")
+    hold: Literal["here", "together"] = Field("here", description="here: where the sites are then; together: in one place, one frame")
     radius: Positive | None = Field(None, description="of the ring of latches: stiffness against turning is stiffness radius^2 [m]")
 
     @model_validator(mode="after")
     def _turning(self) -> Closure:
         if (self.radius is None) == (self.kind == "weld"):
-            raise ValueError("a weld needs its radius [m]" if self.kind == "weld" else "a connect has no stiffness against turning: no radius")
+            raise ValueError(
+                "a weld needs its radius [m]" if self.kind == "weld" else "a connect has no stiffness against turning: no radius"
+            )
         return self
 
 
@@ -75,7 +79,9 @@ class Phase(_Strict):
     name: str
     when: Condition
     close: Closure | None = Field(None, description="a latch that closes")
-    command: dict[str, float] = Field(default_factory=dict, description="what actuators of the active side are told from then on [N, N m]")
+    command: dict[str, float] = Field(
+        default_factory=dict, description="what actuators of the active side are told from then on, in their units [-]"
+    )
     drop_contacts: list[str] = Field(default_factory=list, description="geoms of the active side that touch no more")
 
 

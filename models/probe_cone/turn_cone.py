@@ -1,6 +1,6 @@
 """Writes cone.obj: the shell of README.md turned about z, its rings on the profile's exact curve.
 
-    python models/probe_cone/turn_cone.py
+python models/probe_cone/turn_cone.py
 """
 
 import math

@@ -1,6 +1,6 @@
 """Writes drogue.obj: the shell of README.md turned about z, its rings on the profile's exact curve.
 
-    python models/probe_drogue/turn_drogue.py
+python models/probe_drogue/turn_drogue.py
 """
 
 import math
