@@ -45,6 +45,16 @@ def test_whatever_moves_has_mass(name: str) -> None:
         assert (model.body_inertia[1:] > 0.0).all()
 
 
+@pytest.mark.parametrize("name", SHIPPED)
+def test_moving_parts_do_not_sag_on_the_ground(name: str) -> None:
+    """On a rig under gravity what moves is unloaded, as a balance does it."""
+    model = mujoco.MjModel.from_xml_path(str(MODELS / name / "active.xml"))
+    data = mujoco.MjData(model)
+    mujoco.mj_step(model, data, 500)
+    assert abs(model.opt.gravity[2]) > 9.0
+    assert abs(data.qpos).max() < 1e-9
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [
