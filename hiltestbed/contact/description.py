@@ -1,0 +1,118 @@
+"""What a mechanism's folder says beside its MJCF: which geoms touch and how, and the phases of its capture.
+
+``mechanism.yaml`` stands beside ``active.xml`` and ``passive.xml``: a pair of geoms, a latch between both sides, a criterion on both
+belong to neither file. Names are those of the geoms, sites and actuators in the two files; ``*`` stands for any ending.
+"""
+
+from __future__ import annotations
+
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from ruamel.yaml import YAML
+from ruamel.yaml.error import YAMLError
+
+from hiltestbed.errors import Fault, InputError
+
+Positive = Annotated[float, Field(gt=0.0)]
+NotNegative = Annotated[float, Field(ge=0.0)]
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Touching(_Strict):
+    """A class of pairs of geoms that may touch; stiffness and damping are those of a pair, however many points it touches at."""
+
+    active: str = Field(description="geoms of the active side, * for any ending")
+    passive: str = Field(description="geoms of the passive side, * for any ending")
+    stiffness: Positive = Field(description="of a pair [N/m]")
+    damping: NotNegative = Field(0.0, description="of a pair [N s/m]")
+    friction: NotNegative = Field(0.0, description="coefficient [-]")
+    reach: Positive | None = Field(None, description="pairs farther apart than this across the axis, ports aligned, are left out [m]")
+
+
+class Condition(_Strict):
+    """Pairs of sites, active and passive, that are near, aligned and slow at the same time, and joints that stand where they must."""
+
+    pairs: list[tuple[str, str]] = Field(min_length=1, description="sites of the active and of the passive side")
+    within: Positive = Field(description="distance between the sites of a pair [m]")
+    angle_deg: Annotated[float, Field(gt=0.0, le=180.0)] = Field(180.0, description="angle between their z axes [deg]")
+    speed: Positive = Field(description="relative speed of the sites [m/s]")
+    joints: dict[str, tuple[float, float]] = Field(default_factory=dict, description="joints of the active side, from and to [m, rad]")
+    count: Annotated[int, Field(ge=1)] | None = Field(None, description="so many pairs are enough; left out: all [-]")
+    lasting: NotNegative = Field(0.0, description="for so long without a break [s]")
+
+    @model_validator(mode="after")
+    def _enough(self) -> Condition:
+        if self.count is not None and self.count > len(self.pairs):
+            raise ValueError(f"count is {self.count}, but there are {len(self.pairs)} pairs")
+        return self
+
+
+class Closure(_Strict):
+    """A latch between two sites: it holds them where they are when it closes, or draws them together."""
+
+    kind: Literal["weld", "connect"] = Field(description="weld: six axes; connect: a ball joint")
+    active: str = Field(description="site of the active side")
+    passive: str = Field(description="site of the passive side")
+    stiffness: Positive = Field(description="against shift [N/m]")
+    damping: NotNegative = Field(description="against shift [N s/m]")
+    hold: Literal["here", "together"] = Field("here", description="here: where the sites are then; together: in one place, one frame")
+    radius: Positive | None = Field(None, description="of the ring of latches: stiffness against turning is stiffness radius^2 [m]")
+
+    @model_validator(mode="after")
+    def _turning(self) -> Closure:
+        if (self.radius is None) == (self.kind == "weld"):
+            raise ValueError(
+                "a weld needs its radius [m]" if self.kind == "weld" else "a connect has no stiffness against turning: no radius"
+            )
+        return self
+
+
+class Phase(_Strict):
+    """A step of capture: begins when its condition holds and the phase before has begun."""
+
+    name: str
+    when: Condition
+    close: Closure | None = Field(None, description="a latch that closes")
+    command: dict[str, float] = Field(
+        default_factory=dict, description="what actuators of the active side are told from then on, in their units [-]"
+    )
+    drop_contacts: list[str] = Field(default_factory=list, description="geoms of the active side that touch no more")
+
+
+class Mechanism(_Strict):
+    """The whole of ``mechanism.yaml``."""
+
+    contact: list[Touching] = Field(min_length=1)
+    phases: list[Phase] = Field(default_factory=list)
+
+    @model_validator(mode="after")
+    def _names(self) -> Mechanism:
+        names = [p.name for p in self.phases]
+        if len(set(names)) != len(names):
+            raise ValueError(f"phases of one name: {', '.join(sorted({n for n in names if names.count(n) > 1}))}")
+        return self
+
+
+def read(path: Path) -> Mechanism:
+    """The description in the file ``path``; every fault of it as an InputError."""
+    try:
+        tree = YAML(typ="safe", pure=True).load(path.read_text(encoding="utf-8"))
+        return Mechanism.model_validate(tree)
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file; a mechanism has mechanism.yaml beside active.xml and passive.xml") from None
+    except YAMLError as error:
+        raise InputError(f"{path}: not YAML: {error}") from None
+    except ValidationError as error:
+        keys = [(".".join(map(str, e["loc"])), e["msg"]) for e in error.errors()]
+        raise InputError([Fault(str(path), None, None, key, message) for key, message in keys]) from None
+
+
+def matching(pattern: str, names: list[str]) -> list[str]:
+    """Those of the ``names`` that the ``pattern`` stands for."""
+    return [name for name in names if fnmatchcase(name, pattern)]

@@ -1,0 +1,7 @@
+"""Surfaces that a ball or a rod touches: the nearest point, its signed distance and normal, exact or to the mesh's triangles."""
+
+from hiltestbed.contact.surfaces.revolution import Revolution, recognise
+from hiltestbed.contact.surfaces.soundness import Finding, examine
+from hiltestbed.contact.surfaces.surface import Surface, of_geom, of_mesh, segment_distance, signed_distance
+
+__all__ = ["Finding", "Revolution", "Surface", "examine", "of_geom", "of_mesh", "recognise", "segment_distance", "signed_distance"]

@@ -1,0 +1,165 @@
+"""Distance from a surface of revolution, exact in azimuth and along its profile.
+
+The profile lies in the half plane (rho, z) about the axis: straight segments and circular arcs, each with its outward normal. The
+nearest point of a surface of revolution lies in the half plane of the query point, so a distance in three dimensions is one in two.
+At a corner the sign comes from the sum of the adjacent outward normals (the pseudo-normal of Baerentzen and Aanaes, IEEE TVCG 11(3),
+2005, in the plane).
+
+A profile is one array (1 + m, COLUMNS): row 0 holds a point on the axis, the axis, and a unit vector across it; each further row one
+element.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from hiltestbed.frames import Array
+
+SEGMENT, ARC = 0.0, 1.0
+# Columns of an element: kind; its two ends; of a segment the direction, the outward normal and the length, of an arc the centre, the
+# direction from the centre to its middle, radius, cosine of half the sweep and +1 where the outward normal points away from the
+# centre, else -1; the pseudo-normals at both ends.
+KIND, A, B, U, V, SIZE, COS_HALF, SIDE, NORMAL_A, NORMAL_B = 0, 1, 3, 5, 7, 9, 10, 11, 12, 14
+COLUMNS = 16
+TOUCHING = 1e-13  # of the distance at which a direction to a corner has no meaning, [m]
+
+
+@dataclass(frozen=True)
+class Element:
+    """A piece of a profile from ``a`` to ``b``, (rho, z) [m], the outward side on the left of its direction.
+
+    Attributes:
+        centre: of an arc, or None for a straight piece. clockwise: the sense in which the arc is run through.
+    """
+
+    a: tuple[float, float]
+    b: tuple[float, float]
+    centre: tuple[float, float] | None = None
+    clockwise: bool = False
+
+
+def compile_profile(loops: list[list[Element]], origin: Array, axis: Array) -> Array:
+    """``(1 + m, COLUMNS)`` profile of chains of elements about the ``axis`` (3,) through ``origin`` (3,) [m].
+
+    In a chain each element begins where the one before it ends; a chain whose last end is its first start is closed.
+    """
+    rows = [_head(origin, axis)]
+    for loop in loops:
+        compiled = [_row(e) for e in loop]
+        _join(loop, compiled)
+        rows += compiled
+    return np.array(rows)
+
+
+def _head(origin: Array, axis: Array) -> Array:
+    row = np.zeros(COLUMNS)
+    axis = np.asarray(axis, dtype=float) / np.linalg.norm(axis)
+    across = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
+    row[0:3], row[3:6], row[6:9] = origin, axis, across / np.linalg.norm(across)
+    return row
+
+
+def _row(e: Element) -> Array:
+    row = np.zeros(COLUMNS)
+    a, b = np.array(e.a), np.array(e.b)
+    row[A : A + 2], row[B : B + 2] = a, b
+    if e.centre is None:
+        t = (b - a) / np.linalg.norm(b - a)
+        row[KIND], row[U : U + 2], row[V : V + 2], row[SIZE] = SEGMENT, t, (-t[1], t[0]), np.linalg.norm(b - a)
+        return row
+    centre = np.array(e.centre)
+    start, end = (math.atan2(p[1] - centre[1], p[0] - centre[0]) for p in (a, b))
+    sweep = (start - end if e.clockwise else end - start) % (2.0 * math.pi) or 2.0 * math.pi
+    middle = start - 0.5 * sweep if e.clockwise else start + 0.5 * sweep
+    radius = 0.5 * (np.linalg.norm(a - centre) + np.linalg.norm(b - centre))
+    row[KIND], row[U : U + 2], row[V : V + 2] = ARC, centre, (math.cos(middle), math.sin(middle))
+    row[SIZE], row[COS_HALF], row[SIDE] = radius, math.cos(0.5 * sweep), 1.0 if e.clockwise else -1.0
+    return row
+
+
+def _end_normal(row: Array, end: Array) -> Array:
+    """Outward normal of one element at one of its ends."""
+    if row[KIND] == SEGMENT:
+        return row[V : V + 2]
+    away = end - row[U : U + 2]
+    return row[SIDE] * away / np.linalg.norm(away)
+
+
+def _join(loop: list[Element], rows: list[Array]) -> None:
+    """Pseudo-normals at the ends; on the axis the neighbour is the element's own mirror image."""
+    for i, (e, row) in enumerate(zip(loop, rows, strict=True)):
+        for end, at, neighbour, its_end in ((e.a, NORMAL_A, i - 1, B), (e.b, NORMAL_B, (i + 1) % len(rows), A)):
+            normal = _end_normal(row, np.array(end)).copy()
+            other = rows[neighbour]
+            if end[0] == 0.0:
+                normal[0] = 0.0
+            elif np.allclose(other[its_end : its_end + 2], end, rtol=0.0, atol=0.0):
+                normal += _end_normal(other, np.array(end))
+            length = np.linalg.norm(normal)
+            row[at : at + 2] = normal / length if length > 1e-12 else _end_normal(row, np.array(end))
+
+
+@njit(cache=True)
+def profile_distance(profile, point, normal):
+    """Distance [m] of ``point`` (3,) from the surface, negative inside; ``normal`` (3,) becomes the outward normal."""
+    head = profile[0]
+    x, y, z = point[0] - head[0], point[1] - head[1], point[2] - head[2]
+    h = x * head[3] + y * head[4] + z * head[5]
+    x, y, z = x - h * head[3], y - h * head[4], z - h * head[5]
+    rho = math.sqrt(x * x + y * y + z * z)
+    distance, nr, nz = _in_plane(profile, rho, h)
+    if rho > 1e-15:
+        x, y, z = x / rho, y / rho, z / rho
+    else:
+        x, y, z = head[6], head[7], head[8]
+    normal[0] = nr * x + nz * head[3]
+    normal[1] = nr * y + nz * head[4]
+    normal[2] = nr * z + nz * head[5]
+    return distance
+
+
+@njit(cache=True)
+def _in_plane(profile, rho, z):
+    best, distance, nr, nz = math.inf, math.inf, 0.0, 0.0
+    for i in range(1, profile.shape[0]):
+        e = profile[i]
+        if e[KIND] == SEGMENT:
+            dr, dz = rho - e[A], z - e[A + 1]
+            along = dr * e[U] + dz * e[U + 1]
+            if 0.0 < along < e[SIZE]:
+                d = dr * e[V] + dz * e[V + 1]
+                if abs(d) < best:
+                    best, distance, nr, nz = abs(d), d, e[V], e[V + 1]
+                continue
+            first = along <= 0.0
+        else:
+            dr, dz = rho - e[U], z - e[U + 1]
+            away = math.sqrt(dr * dr + dz * dz)
+            middle = dr * e[V] + dz * e[V + 1]
+            if middle >= away * e[COS_HALF]:
+                d = e[SIDE] * (away - e[SIZE])
+                if abs(d) < best:
+                    best, distance = abs(d), d
+                    if away > TOUCHING:
+                        nr, nz = e[SIDE] * dr / away, e[SIDE] * dz / away
+                    else:  # at the centre of an arc every direction is as near
+                        nr, nz = e[SIDE] * e[V], e[SIDE] * e[V + 1]
+                continue
+            first = (rho - e[A]) ** 2 + (z - e[A + 1]) ** 2 <= (rho - e[B]) ** 2 + (z - e[B + 1]) ** 2
+        at, by = (A, NORMAL_A) if first else (B, NORMAL_B)
+        dr, dz = rho - e[at], z - e[at + 1]
+        away = math.sqrt(dr * dr + dz * dz)
+        if away < best:
+            best = away
+            outside = dr * e[by] + dz * e[by + 1] >= 0.0
+            distance = away if outside else -away
+            if away > TOUCHING:
+                sign = 1.0 if outside else -1.0
+                nr, nz = sign * dr / away, sign * dz / away
+            else:
+                nr, nz = e[by], e[by + 1]
+    return distance, nr, nz

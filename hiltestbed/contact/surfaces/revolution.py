@@ -1,0 +1,280 @@
+"""Recognises a triangle mesh that was turned about an axis, and recovers the profile that it was turned from.
+
+A turned mesh has its vertices on rings about the axis, and every triangle spans two neighbouring rings (or one ring and the axis).
+Vertices on one ring share (rho, z); the triangles say which rings are neighbours; so the profile's polyline follows without a
+guess. Its points lie on the curve that the mesh was made from: collinear runs become one segment, runs on a circle one arc.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hiltestbed.contact.surfaces.profile import Element, compile_profile
+from hiltestbed.frames import Array
+
+Faces = NDArray[np.int_]
+TOLERANCE = 2e-6  # of the mesh's size: float32 vertices, or text with six decimals of a metre
+FEWEST_SEGMENTS = 24  # a mesh with fewer to the turn is taken for the polyhedron that it is
+SHARPEST_TURN = math.radians(31.0)  # between two edges on one arc: an octagon is no circle, a quarter turn in three edges is an arc
+FEWEST_ON_ARC = 4  # points; three lie on a circle always
+
+
+@dataclass(frozen=True)
+class Revolution:
+    """A surface of revolution.
+
+    Attributes:
+        profile: for :func:`hiltestbed.contact.surfaces.profile.profile_distance`, in the frame of the mesh.
+        loops: the chains of elements of the profile, in (rho, z).
+        origin, axis: (3,) a point on the axis [m] and its direction, in the frame of the mesh.
+        segments: to the turn, of the mesh. closed: it bounds a solid. deviation: of a vertex from the profile, at most [m].
+    """
+
+    profile: Array
+    loops: list[list[Element]]
+    origin: Array
+    axis: Array
+    segments: int
+    closed: bool
+    deviation: float
+
+
+def recognise(vertices: Array, faces: Faces, tolerance: float = TOLERANCE) -> Revolution | None:
+    """The surface of revolution whose mesh has the ``vertices`` (nv, 3) [m] and ``faces`` (nf, 3); None where it is no such mesh.
+
+    ``tolerance`` is of the size of the mesh, the largest extent of its box. The outside is where the triangles' normals point.
+    """
+    vertices, faces = np.asarray(vertices, dtype=float), np.asarray(faces, dtype=int)
+    if len(faces) < FEWEST_SEGMENTS:
+        return None
+    size = float(np.ptp(vertices[faces].reshape(-1, 3), axis=0).max())
+    for origin, axis in _axes(vertices, faces):
+        found = _about(vertices, faces, origin, axis, tolerance * size)
+        if found is not None:
+            return found
+    return None
+
+
+def _axes(vertices: Array, faces: Faces) -> list[tuple[Array, Array]]:
+    """Axes through the centroid of the surface: its principal axes and those of its frame, and the frame's own through its origin."""
+    corners = vertices[faces]
+    area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    if area.sum() <= 0.0:
+        return []
+    centre = np.average(corners.mean(axis=1), axis=0, weights=area)
+    arms = corners - centre
+    total = arms.sum(axis=1)
+    moments = np.einsum("f,fki,fkj->ij", area, arms, arms) + np.einsum("f,fi,fj->ij", area, total, total)
+    principal = np.linalg.eigh(moments)[1].T
+    frame = np.eye(3)[[2, 0, 1]]
+    return [(np.zeros(3), a) for a in frame] + [(centre, a) for a in frame] + [(centre, a) for a in principal]
+
+
+def _about(vertices: Array, faces: Faces, origin: Array, axis: Array, tolerance: float) -> Revolution | None:
+    arms = vertices - origin
+    z = arms @ axis
+    across = arms - z[:, None] * axis
+    rho = np.linalg.norm(across, axis=1)
+    ring, rings = _group(rho, z, tolerance)
+    if ring is None:
+        return None
+    side = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
+    side /= np.linalg.norm(side)
+    azimuth = np.arctan2(across @ np.cross(axis, side), across @ side)
+    edges = _edges(faces, ring, rings, azimuth, tolerance)
+    if edges is None:
+        return None
+    chains = _chains(edges)
+    if chains is None:
+        return None
+    loops = [_fit(rings[c], tolerance) for c in chains]
+    off = rings[:, 0] > 0.0
+    segments = int(min(np.bincount(ring, minlength=len(rings))[off]))
+    closed = all(c[0] == c[-1] or (rings[c[0], 0] == 0.0 and rings[c[-1], 0] == 0.0) for c in chains)
+    profile = compile_profile(loops, origin, axis)
+    return Revolution(profile, loops, origin, axis, segments, closed, _deviation(loops, chains, rings))
+
+
+def _group(rho: Array, z: Array, tolerance: float) -> tuple[NDArray[np.int_] | None, Array]:
+    """The ring (nv,) of each vertex and (rho, z) of the rings; None where there are too many rings for a turned mesh."""
+    ring = np.full(len(rho), -1, dtype=int)
+    rings: list[tuple[float, float]] = []
+    order = np.lexsort((rho, z))
+    points = np.stack([rho, z], axis=1)
+    most = len(rho) // FEWEST_SEGMENTS + 3
+    # Along z a new band begins at a gap; within a band along rho.
+    for band in np.split(order, np.flatnonzero(np.diff(z[order]) > 2.0 * tolerance) + 1):
+        band = band[np.argsort(rho[band], kind="stable")]
+        for members in np.split(band, np.flatnonzero(np.diff(rho[band]) > 2.0 * tolerance) + 1):
+            if len(rings) > most or np.ptp(points[members], axis=0).max() > 4.0 * tolerance:
+                return None, np.empty((0, 2))
+            ring[members] = len(rings)
+            r, h = points[members].mean(axis=0)
+            rings.append((0.0 if r < 2.0 * tolerance else float(r), float(h)))
+    return ring, np.array(rings)
+
+
+def _edges(faces: Faces, ring: NDArray[np.int_], rings: Array, azimuth: Array, tolerance: float) -> list[tuple[int, int]] | None:
+    """The profile's edges (a, b), outward side on the left; None where the triangles do not go round once between each two rings."""
+    turned: dict[tuple[int, int], list[float]] = {}
+    on_axis = rings[:, 0] == 0.0
+    for face in faces:
+        for k in range(3):
+            p, q, r = face[k], face[(k + 1) % 3], face[(k + 2) % 3]
+            a, b = int(ring[p]), int(ring[r])
+            if ring[q] != a or b == a or on_axis[a]:
+                continue
+            span = float((azimuth[q] - azimuth[p] + math.pi) % (2.0 * math.pi) - math.pi)
+            if abs(span) > 2.1 * math.pi / FEWEST_SEGMENTS:
+                return None
+            # Counter-clockwise along ring a with the triangle on its left: seen from the axis, the outward side is left of b -> a.
+            key = (b, a) if span > 0.0 else (a, b)
+            turned.setdefault(key, [0.0, 0.0])[0 if key[0] == a else 1] += abs(span)
+            break
+        else:
+            seen = ring[face]
+            if len(set(seen.tolist())) == 3 or (len(set(seen.tolist())) == 1 and not on_axis[seen[0]]):
+                return None  # across three rings, or a cap without a point on the axis
+    for (a, b), spans in turned.items():
+        for end, span in zip((a, b), spans, strict=True):
+            if not on_axis[end] and abs(span - 2.0 * math.pi) > 1e-3:
+                return None
+    return list(turned) or None
+
+
+def _chains(edges: list[tuple[int, int]]) -> list[list[int]] | None:
+    """Rings in their order along each chain, the first repeated at the end of a closed one; None where edges meet otherwise."""
+    after = dict(edges)
+    if len(after) != len(edges) or len(set(after.values())) != len(edges):
+        return None
+    starts = [a for a in after if a not in set(after.values())]
+    chains = []
+    while after:
+        at = starts.pop() if starts else next(iter(after))
+        chain = [at]
+        while at in after:
+            at = after.pop(at)
+            chain.append(at)
+        chains.append(chain)
+    return chains
+
+
+def _fit(points: Array, tolerance: float) -> list[Element]:
+    """Segments and arcs through the polyline ``points`` (n, 2); a closed one has its first point at its end again."""
+    closed = bool(np.all(points[0] == points[-1]))
+    if closed:
+        points = _from_a_corner(points, tolerance)
+    elements: list[Element] = []
+    i = 0
+    while i < len(points) - 1:
+        end, circle = _longest_arc(points, i, tolerance)
+        if circle is None:
+            end = _longest_line(points, i, tolerance)
+        elements.append(_element(points[i], points[end], circle, points[i + 1]))
+        i = end
+    return elements
+
+
+def _from_a_corner(points: Array, tolerance: float) -> Array:
+    """The closed polyline begun where no line or arc runs through, if there is such a place."""
+    ring = points[:-1]
+    for i in range(len(ring)):
+        turned = np.roll(ring, -i, axis=0)
+        around = np.concatenate([turned[-(FEWEST_ON_ARC - 1) :], turned[:FEWEST_ON_ARC]])
+        through = any(_circle(around[k : k + FEWEST_ON_ARC], tolerance) is not None for k in range(1, FEWEST_ON_ARC - 1))
+        middle = FEWEST_ON_ARC - 1
+        if not through and _off_line(around[middle - 1 : middle + 2]) > tolerance:
+            return np.concatenate([turned, turned[:1]])
+    return points
+
+
+def _off_line(points: Array) -> float:
+    t = points[-1] - points[0]
+    length = float(np.linalg.norm(t))
+    if length == 0.0:
+        return math.inf
+    return float(np.abs((points[:, 0] - points[0, 0]) * t[1] - (points[:, 1] - points[0, 1]) * t[0]).max()) / length
+
+
+def _longest_line(points: Array, start: int, tolerance: float) -> int:
+    end = start + 1
+    while end + 1 < len(points) and _off_line(points[start : end + 2]) <= tolerance:
+        end += 1
+    return end
+
+
+def _longest_arc(points: Array, start: int, tolerance: float) -> tuple[int, Array | None]:
+    end, best = start + FEWEST_ON_ARC - 1, None
+    while end < len(points):
+        circle = _circle(points[start : end + 1], tolerance)
+        if circle is None:
+            break
+        best = circle
+        end += 1
+    return end - 1, best
+
+
+def _circle(points: Array, tolerance: float) -> Array | None:
+    """Centre and radius (3,) of the circle through all the points, run through in one sense; None where there is none.
+
+    A start from the algebraic fit (Kasa), then Gauss-Newton on the distances; a centre that is as good as on the axis is put there.
+    """
+    edges = np.diff(points, axis=0)
+    turns = np.arctan2(edges[:-1, 0] * edges[1:, 1] - edges[:-1, 1] * edges[1:, 0], np.einsum("ij,ij->i", edges[:-1], edges[1:]))
+    if np.abs(turns).max() > SHARPEST_TURN or np.ptp(np.sign(turns)) != 0.0 or abs(turns.sum()) > 2.0 * math.pi:
+        return None
+    if _off_line(points) <= 2.0 * tolerance:
+        return None
+    origin = points.mean(axis=0)
+    p = points - origin
+    solved = np.linalg.lstsq(np.column_stack([2.0 * p, np.ones(len(p))]), (p * p).sum(axis=1), rcond=None)[0]
+    circle = np.array([solved[0], solved[1], math.sqrt(max(solved[2] + solved[0] ** 2 + solved[1] ** 2, 0.0))])
+    circle = _refined(p, circle, fixed=False)
+    if abs(circle[0] + origin[0]) <= tolerance:
+        circle[0] = -origin[0]
+        circle = _refined(p, circle, fixed=True)
+    if np.abs(np.linalg.norm(p - circle[:2], axis=1) - circle[2]).max() > tolerance:
+        return None
+    return circle + np.array([origin[0], origin[1], 0.0])
+
+
+def _refined(points: Array, circle: Array, fixed: bool) -> Array:
+    for _ in range(3):
+        away = points - circle[:2]
+        length = np.linalg.norm(away, axis=1)
+        slope = np.column_stack([away / length[:, None], np.ones(len(points))])
+        if fixed:
+            slope[:, 0] = 0.0
+        circle = circle + np.linalg.lstsq(slope, length - circle[2], rcond=None)[0]
+    return circle
+
+
+def _element(a: Array, b: Array, circle: Array | None, second: Array) -> Element:
+    ends = (float(a[0]), float(a[1])), (float(b[0]), float(b[1]))
+    if circle is None:
+        return Element(*ends)
+    arm, step = a - circle[:2], second - circle[:2]
+    centre = (float(circle[0]), float(circle[1]))
+    return Element(*ends, centre, clockwise=bool(arm[0] * step[1] - arm[1] * step[0] < 0.0))
+
+
+def _deviation(loops: list[list[Element]], chains: list[list[int]], rings: Array) -> float:
+    """Of a ring from the elements of its chain, at most [m]."""
+    worst = 0.0
+    for loop, chain in zip(loops, chains, strict=True):
+        for p in rings[chain]:
+            worst = max(worst, min(_away(e, p) for e in loop))
+    return worst
+
+
+def _away(e: Element, p: Array) -> float:
+    a, b = np.array(e.a), np.array(e.b)
+    if e.centre is None:
+        t = b - a
+        along = float(np.clip((p - a) @ t / (t @ t), 0.0, 1.0))
+        return float(np.linalg.norm(p - a - along * t))
+    return abs(float(np.linalg.norm(p - e.centre)) - float(np.linalg.norm(a - np.array(e.centre))))

@@ -1,0 +1,97 @@
+"""What is wrong with a triangle mesh that is to be touched."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hiltestbed.frames import Array
+
+MOST_TRIANGLES = 200_000  # three seconds to prepare
+FEWEST_TRIANGLES = 4
+FLAT = 1e-10  # of the longest edge squared: an area that is none
+SAME_PLACE = 1e-7  # of the mesh's size: vertices nearer than that are one
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that is wrong with a mesh.
+
+    Attributes:
+        kind: too_large | too_small | not_finite | flat | open | branched | crossed | inverted.
+        count: of the triangles, edges or vertices concerned. message: what it is and what to do. usable: distances hold all the same.
+    """
+
+    kind: str
+    count: int
+    message: str
+    usable: bool
+
+
+def welded(vertices: Array, faces: NDArray[np.int_]) -> tuple[Array, NDArray[np.int_]]:
+    """The mesh with vertices at one place made one, without its flat triangles."""
+    size = float(np.ptp(vertices, axis=0).max()) or 1.0
+    _, first, number = np.unique(np.round(vertices / (SAME_PLACE * size)).astype(np.int64), axis=0, return_index=True, return_inverse=True)
+    vertices, faces = vertices[first], number.reshape(-1)[faces]
+    return vertices, faces[~_flat(vertices, faces)]
+
+
+def _flat(vertices: Array, faces: NDArray[np.int_]) -> NDArray[np.bool_]:
+    corners = vertices[faces]
+    edges = np.roll(corners, -1, axis=1) - corners
+    area = 0.5 * np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
+    return area <= FLAT * (edges * edges).sum(axis=2).max(axis=1)
+
+
+def volume(vertices: Array, faces: NDArray[np.int_]) -> float:
+    """Signed volume [m^3] inside a closed mesh: positive where the normals point outwards."""
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    return float(np.einsum("fi,fi->", a, np.cross(b, c))) / 6.0
+
+
+def examine(vertices: Array, faces: NDArray[np.int_]) -> list[Finding]:
+    """All that is wrong with the mesh of ``vertices`` (nv, 3) [m] and ``faces`` (nf, 3); empty for a sound closed one."""
+    vertices, faces = np.asarray(vertices, dtype=float), np.asarray(faces, dtype=int)
+    if len(faces) > MOST_TRIANGLES:
+        what = f"{len(faces)} triangles; at most {MOST_TRIANGLES} are taken: simplify the mesh, or split it into geoms"
+        return [Finding("too_large", len(faces), what, usable=False)]
+    if len(faces) < FEWEST_TRIANGLES:
+        return [Finding("too_small", len(faces), f"{len(faces)} triangles bound no solid; the fewest are {FEWEST_TRIANGLES}", usable=False)]
+    lost = int((~np.isfinite(vertices)).any(axis=1).sum())
+    if lost:
+        return [Finding("not_finite", lost, f"{lost} vertices are not finite numbers", usable=False)]
+    sound, kept = welded(vertices, faces)
+    findings = []
+    flat = len(faces) - len(kept)
+    if flat:
+        findings.append(Finding("flat", flat, f"{flat} triangles without area; they are left out", usable=True))
+    if len(kept) < FEWEST_TRIANGLES:
+        what = f"only {len(kept)} triangles have an area"
+        return [*findings, Finding("too_small", len(kept), what, usable=False)]
+    return findings + _edges(kept) + _orientation(sound, kept)
+
+
+def _edges(faces: NDArray[np.int_]) -> list[Finding]:
+    directed = np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2)
+    _, number, count = np.unique(np.sort(directed, axis=1), axis=0, return_inverse=True, return_counts=True)
+    forward = np.bincount(number.reshape(-1), weights=directed[:, 0] < directed[:, 1], minlength=len(count))
+    findings = []
+    if n := int((count == 1).sum()):
+        what = f"{n} edges belong to one triangle only: the mesh is not closed, so inside and outside are not told apart; close it"
+        findings.append(Finding("open", n, what, usable=False))
+    if n := int((count > 2).sum()):
+        what = f"{n} edges belong to more than two triangles: surfaces branch there; make the mesh one boundary of one solid"
+        findings.append(Finding("branched", n, what, usable=False))
+    if n := int(((count == 2) & (forward != 1.0)).sum()):
+        what = f"{n} edges lie between triangles of opposite orientation; turn the inverted faces over"
+        findings.append(Finding("crossed", n, what, usable=False))
+    return findings
+
+
+def _orientation(vertices: Array, faces: NDArray[np.int_]) -> list[Finding]:
+    if volume(vertices - vertices.mean(axis=0), faces) < 0.0:
+        what = "the normals of all faces point inwards: the volume inside is negative; turn the faces over"
+        return [Finding("inverted", len(faces), what, usable=False)]
+    return []

@@ -1,0 +1,85 @@
+"""What stands beside the MJCF of the shipped mechanisms, and what is said of faults in it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import mujoco
+import pytest
+
+from hiltestbed.contact.description import matching, read
+from hiltestbed.errors import InputError
+from tests.models.rig import MODELS
+
+SHIPPED = ["idss_ring", "probe_drogue", "marman_gripper"]
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_every_name_is_in_the_files_and_the_ports_are_there(name: str) -> None:
+    description = read(MODELS / name / "mechanism.yaml")
+    sides = {s: mujoco.MjModel.from_xml_path(str(MODELS / name / f"{s}.xml")) for s in ("active", "passive")}
+    geoms = {s: [m.geom(i).name for i in range(m.ngeom)] for s, m in sides.items()}
+    sites = {s: {m.site(i).name for i in range(m.nsite)} for s, m in sides.items()}
+    assert "A" in sites["active"]
+    assert "P" in sites["passive"]
+    for rule in description.contact:
+        assert matching(rule.active, geoms["active"])
+        assert matching(rule.passive, geoms["passive"])
+    for phase in description.phases:
+        assert {a for a, _ in phase.when.pairs} <= sites["active"]
+        assert {p for _, p in phase.when.pairs} <= sites["passive"]
+        if phase.close is not None:
+            assert phase.close.active in sites["active"]
+            assert phase.close.passive in sites["passive"]
+        for actuator in phase.command:
+            sides["active"].actuator(actuator)
+        for joint in phase.when.joints:
+            sides["active"].joint(joint)
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_whatever_moves_has_mass(name: str) -> None:
+    for side in ("active", "passive"):
+        model = mujoco.MjModel.from_xml_path(str(MODELS / name / f"{side}.xml"))
+        assert (model.body_mass[1:] > 0.0).all()
+        assert (model.body_inertia[1:] > 0.0).all()
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_moving_parts_do_not_sag_on_the_ground(name: str) -> None:
+    """On a rig under gravity what moves is unloaded, as a balance does it."""
+    model = mujoco.MjModel.from_xml_path(str(MODELS / name / "active.xml"))
+    data = mujoco.MjData(model)
+    mujoco.mj_step(model, data, 500)
+    assert abs(model.opt.gravity[2]) > 9.0
+    assert abs(data.qpos).max() < 1e-9
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("contact: []", "contact"),
+        ("contact: [{active: a, passive: p, stiffness: -1}]", "stiffness"),
+        ("contact: [{active: a, passive: p, stiffness: 1, stifness: 2}]", "stifness"),
+        (
+            "contact: [{active: a, passive: p, stiffness: 1}]\nphases: [{name: x, when: {pairs: [[a, b]], within: 1, speed: 1, count: 2}}]",
+            "count",
+        ),
+        (
+            "contact: [{active: a, passive: p, stiffness: 1}]\nphases: [{name: x, when: {pairs: [[a, b]], within: 1, speed: 1},"
+            " close: {kind: weld, active: a, passive: b, stiffness: 1, damping: 0}}]",
+            "radius",
+        ),
+        ("contact: [", "not YAML"),
+    ],
+)
+def test_faults_are_said(tmp_path: Path, text: str, said: str) -> None:
+    path = tmp_path / "mechanism.yaml"
+    path.write_text(text)
+    with pytest.raises(InputError, match=said):
+        read(path)
+
+
+def test_a_missing_file_is_said(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no such file"):
+        read(tmp_path / "mechanism.yaml")
