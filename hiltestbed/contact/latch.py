@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numba import njit
 
-from hiltestbed.contact.touch import Touch
+from hiltestbed.contact.engagement import Engagement
 from hiltestbed.frames import Array
 
 if TYPE_CHECKING:
@@ -29,11 +29,11 @@ class LatchCondition:
         self._limits = latch_limits(scenarios)
         self._closing = np.zeros(len(scenarios), dtype=bool)
 
-    def close(self, touch: Touch) -> None:
+    def close(self, engagement: Engagement) -> None:
         """Latch the runs whose condition holds at the state of the last update."""
-        pose, twist = touch.relative()
-        if _due(pose, twist, self._limits, touch.latched, self._closing):
-            touch.close(self._closing)
+        pose, twist = engagement.relative()
+        if _due(pose, twist, self._limits, engagement.latched, self._closing):
+            engagement.close(self._closing)
 
 
 @njit(cache=True)

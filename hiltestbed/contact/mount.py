@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import mujoco
@@ -26,7 +25,7 @@ AXES = ("x", "y", "z", "rx", "ry", "rz")
 
 
 def add_joints(body: mujoco.MjsBody) -> None:
-    """Put the passive mechanism's ``body`` on the mount's joints."""
+    """Put ``body``, which carries the passive side with P at its origin, on the mount's joints."""
     for k, axis in enumerate(AXES):
         kind = mujoco.mjtJoint.mjJNT_SLIDE if k < 3 else mujoco.mjtJoint.mjJNT_HINGE
         body.add_joint(name=f"mount_{axis}", type=kind, axis=np.eye(3)[k % 3], stiffness=1.0, damping=1.0)
@@ -37,21 +36,24 @@ class Mount:
 
     Attributes:
         place: (n, 7) pose of S in W; motion: (n, 6) its twist in W. On a rigid mount ``tilt``, and no motion.
-        tilt: (n, 7) pose of S in the passive mechanism's body: 0 but for a port that is misaligned.
-        centre: (n, 3) the body's centre of mass in W [m]. balance: constant force upwards on it [N].
+        body: number of the body that carries the passive side; centre: (n, 3) its centre of mass in W [m], as MuJoCo has it.
+        balance: (n, 6) constant force upwards on the whole, in W at W's origin; 0 on a rigid mount.
     """
 
-    def __init__(self, batch: Batch, scenarios: Sequence[Scenario]) -> None:
+    def __init__(self, batch: Batch, scenarios: Sequence[Scenario], tilt: Array) -> None:
+        """``tilt``: (n, 7) pose of S in the passive side's nominal place: level but for a port that is misaligned."""
         n = len(scenarios)
         model = batch.model
-        self.tilt = np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (n, 1))
-        self.place, self.motion = self.tilt.copy(), np.zeros((n, 6))
-        self._offset = np.array(model.body("passive_mechanism").ipos)
-        self.centre = np.tile(self._offset, (n, 1))
+        self.tilt = tilt
+        self.place, self.motion = tilt.copy(), np.zeros((n, 6))
         self.moves = scenarios[0].mechanism.mount is not None
-        self.balance = -model.opt.gravity[2] * float(model.body("passive_mechanism").subtreemass[0]) if self.moves else 0.0
+        self.body = model.body("passive_mount" if self.moves else "passive_carrier").id
+        self._offset = np.array(model.body_ipos[self.body])
+        self.centre, self.balance = np.tile(self._offset, (n, 1)), np.zeros((n, 6))
         if not self.moves:
             return
+        self._middle, mass = centre_of(model, self.body)
+        self.balance[:, 2] = -model.opt.gravity[2] * mass
         joints = [model.joint(f"mount_{axis}") for axis in AXES]
         self._adr = np.array([joints[0].qposadr[0], joints[0].dofadr[0]])
         stiffness, damping = batch.expand("jnt_stiffness"), batch.expand("dof_damping")
@@ -63,16 +65,19 @@ class Mount:
     def observe(self, qpos: Array, qvel: Array) -> None:
         """Set ``place`` and ``motion`` from the joints of the model."""
         if self.moves:
-            _observe(qpos, qvel, self._adr, self.tilt, self._offset, self.place, self.motion, self.centre)
+            _observe(qpos, qvel, self._adr, self.tilt, self._offset, self._middle, self.place, self.motion, self.centre, self.balance)
         else:
             self.place[:] = self.tilt
 
 
 @njit(cache=True)
-def _observe(qpos, qvel, adr, tilt, offset, place, motion, centre):
+def _observe(qpos, qvel, adr, tilt, offset, middle, place, motion, centre, balance):
+    at = np.empty(3)
     for i in range(place.shape[0]):
         mount_place(qpos[i, adr[0] : adr[0] + 6], qvel[i, adr[1] : adr[1] + 6], tilt[i], place[i], motion[i])
         _centre(qpos[i, adr[0] : adr[0] + 6], offset, centre[i])
+        _centre(qpos[i, adr[0] : adr[0] + 6], middle, at)
+        balance[i, 3], balance[i, 4] = at[1] * balance[i, 2], -at[0] * balance[i, 2]
 
 
 @njit(cache=True)
@@ -125,83 +130,8 @@ def _centre(q, offset, centre):
         centre[j] += q[j]
 
 
-@dataclass(frozen=True)
-class MountDynamics:
-    """The mounts of R runs in closed form, for motions so small that the axes stay where they are.
-
-    Attributes:
-        stiffness, damping: (R, 6) [N/m, N m/rad; N s/m, N m s/rad]. mass: (6, 6) of what moves, at P's origin [kg, kg m, kg m^2].
-    """
-
-    stiffness: Array
-    damping: Array
-    mass: Array
-
-    @classmethod
-    def of(cls, scenarios: Sequence[Scenario]) -> MountDynamics | None:
-        """The mounts of scenarios of one mechanism; None where it is rigid."""
-        if scenarios[0].mechanism.mount is None:
-            return None
-        mounts = [s.mechanism.mount for s in scenarios if s.mechanism.mount is not None]
-        spec = scenarios[0].mechanism.sides()[1]
-        mass = mass_at_origin(spec.compile(), "mechanism")
-        return cls(np.array([m.stiffness for m in mounts]), np.array([m.damping for m in mounts]), mass)
-
-    def arrays(self, dt: float) -> tuple[Array, Array, Array, Array]:
-        """Stiffness, damping (R, 6), mass and (M + dt C)^-1 (R, 6, 6) for steps of ``dt`` [s]."""
-        n = len(self.stiffness)
-        mass = np.tile(self.mass, (n, 1, 1))
-        implicit = np.asarray(np.linalg.inv(mass + dt * self.damping[:, :, None] * np.eye(6)), dtype=np.float64)
-        return self.stiffness, self.damping, mass, implicit
-
-
-def mass_at_origin(model: mujoco.MjModel, body: str) -> Array:
-    """``(6, 6)`` inertia of a body and all that it carries, at the body's origin in its axes: force and torque against acceleration."""
+def centre_of(model: mujoco.MjModel, body: int) -> tuple[Array, float]:
+    """Centre of mass (3,) of a body and all that it carries, in its frame [m], and the mass of that [kg]."""
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
-    root = model.body(body).id
-    origin = data.xpos[root]
-    out = np.zeros((6, 6))
-    for b in range(model.nbody):
-        ancestor = b
-        while ancestor not in (0, root):
-            ancestor = model.body_parentid[ancestor]
-        if ancestor != root:
-            continue
-        m, r = model.body_mass[b], data.xipos[b] - origin
-        axes = data.ximat[b].reshape(3, 3)
-        cross = np.array([[0.0, -r[2], r[1]], [r[2], 0.0, -r[0]], [-r[1], r[0], 0.0]])
-        out[:3, :3] += m * np.eye(3)
-        out[:3, 3:] -= m * cross
-        out[3:, :3] += m * cross
-        out[3:, 3:] += axes @ np.diag(model.body_inertia[b]) @ axes.T - m * cross @ cross
-    return out
-
-
-@njit(cache=True)
-def mount_step(stiffness, mass, implicit, dt, wrench, q, qd):
-    """One step of one mount under ``wrench`` (6,) on the passive side, in W at W's origin: rates first, dampers implicit, as MuJoCo's."""
-    push = np.empty(6)
-    for j in range(6):
-        push[j] = dt * (wrench[j] - stiffness[j] * q[j])
-        for k in range(6):
-            push[j] += mass[j, k] * qd[k]
-    push[3] -= dt * (q[1] * wrench[2] - q[2] * wrench[1])
-    push[4] -= dt * (q[2] * wrench[0] - q[0] * wrench[2])
-    push[5] -= dt * (q[0] * wrench[1] - q[1] * wrench[0])
-    for j in range(6):
-        qd[j] = 0.0
-        for k in range(6):
-            qd[j] += implicit[j, k] * push[k]
-    for j in range(6):
-        q[j] += dt * qd[j]
-
-
-@njit(cache=True)
-def mount_reading(stiffness, damping, q, qd, out):
-    """``out`` (6,): what the mount hands on to the sensor, in W at W's origin."""
-    for j in range(6):
-        out[j] = stiffness[j] * q[j] + damping[j] * qd[j]
-    out[3] += q[1] * out[2] - q[2] * out[1]
-    out[4] += q[2] * out[0] - q[0] * out[2]
-    out[5] += q[0] * out[1] - q[1] * out[0]
+    return data.xmat[body].reshape(3, 3).T @ (data.subtree_com[body] - data.xpos[body]), float(model.body_subtreemass[body])

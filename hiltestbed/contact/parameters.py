@@ -12,7 +12,7 @@ from hiltestbed.effects.base import Effect
 from hiltestbed.frames import Array
 
 if TYPE_CHECKING:
-    from hiltestbed.contact.settings import Mechanism
+    from hiltestbed.contact.settings import Contact
 
 
 @dataclass
@@ -61,10 +61,9 @@ class ContactParameters:
     blunt: float = 1.0
 
     @classmethod
-    def believed(cls, mechanism: Mechanism) -> ContactParameters:
-        """What a scenario's settings say, without any effect."""
-        c = mechanism.contact
-        return cls(c.stiffness, c.damping, friction=c.friction, captured=float(mechanism.captured))
+    def believed(cls, contact: Contact, captured: bool = False) -> ContactParameters:
+        """What a scenario's settings say of a contact, without any effect."""
+        return cls(contact.stiffness, contact.damping, friction=contact.friction, captured=float(captured))
 
     def with_effects(self, effects: Iterable[Effect]) -> ContactParameters:
         """The same object after the effects of the contact among ``effects`` have changed it."""
@@ -85,3 +84,5 @@ PARAMETERS = len(NAMES)
     STIFFNESS, DAMPING, POWER_STIFFNESS, EXPONENT, ALPHA, DRY, PRELOAD, STOP, STOP_STIFFNESS, BRANCH_STIFFNESS, BRANCH_TIME,
     ADHESION, FRAME, OFFSET, CAPTURED, PLAY, MODE, MODE_DAMPING, MODE_MASS, FRICTION, TILT_X, TILT_Y, LEVER, REACTION, DRAG, BLUNT,
 ) = range(PARAMETERS)  # fmt: skip
+# Those that are neutral where a spring and a damper are all that acts along the normal.
+LINEAR = [POWER_STIFFNESS, ALPHA, DRY, PRELOAD, STOP, BRANCH_STIFFNESS, ADHESION, FRAME, OFFSET, PLAY, MODE]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Hashable
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar
 
 from pydantic import Field, model_validator
@@ -12,6 +13,9 @@ from hiltestbed.validation import NotNegative, Positive, Strictly, refuse
 
 if TYPE_CHECKING:
     from mujoco import MjSpec
+
+    from hiltestbed.contact.description import Phase
+    from hiltestbed.contact.sides import Rule
 
 
 class Contact(Strictly):
@@ -51,7 +55,7 @@ class Mechanism(Strictly):
         latches: whether a latch may close while it runs.
     """
 
-    PARTS: ClassVar[tuple[str, ...]] = ("docstring", "sides")
+    PARTS: ClassVar[tuple[str, ...]] = ("docstring", "files")
 
     kind: str
     contact: Contact
@@ -62,13 +66,38 @@ class Mechanism(Strictly):
     latches: ClassVar[bool] = False
 
     @placeholder
-    def sides(self) -> tuple[MjSpec, MjSpec]:
-        """The active and the passive side as MJCF, with the sites A and P. Raises InputError."""
+    def files(self) -> tuple[Path, Path]:
+        """The MJCF of the active and of the passive side, with the sites A and P."""
         raise NotImplementedError
+
+    def sides(self) -> tuple[MjSpec, MjSpec]:
+        """Both sides as MJCF, every geom and body with a name. Raises InputError."""
+        from hiltestbed.contact.sides import named
+
+        active, passive = self.files()
+        return named(active), named(passive)
+
+    def rules(self) -> tuple[Rule, ...]:
+        """Which geoms may touch; one rule without names: those that MuJoCo would let collide."""
+        from hiltestbed.contact.sides import Rule
+
+        return (Rule(),)
+
+    def contacts(self) -> tuple[Contact, ...]:
+        """Stiffness, damping and friction of each rule."""
+        return (self.contact,)
+
+    def latch_contact(self) -> Contact:
+        """Stiffness and damping of the latch."""
+        return self.contact
+
+    def phases(self) -> tuple[Phase, ...]:
+        """The steps of capture, in their order."""
+        return ()
 
     def shape(self) -> Hashable:
         """What its MuJoCo model depends on, apart from numbers: runs of one shape go in lockstep."""
-        return self.kind
+        return (self.kind, *map(str, self.files()), self.rules(), tuple(p.model_dump_json() for p in self.phases()))
 
     @model_validator(mode="after")
     def _may_latch(self) -> Mechanism:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from hiltestbed.contact.touch import LATCH_RADIUS
+from hiltestbed.contact.wrench import LATCH_RADIUS
 
 if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario

@@ -9,13 +9,11 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 from mujoco.batch import Batch
-from numba import njit
 from numpy.typing import NDArray
 
-from hiltestbed.contact import solref
-from hiltestbed.contact.mount import Mount
-from hiltestbed.contact.touch import Touch, load_body
-from hiltestbed.frames import Array, rotate
+from hiltestbed.contact.composition import Structure
+from hiltestbed.contact.contacts import Contacts
+from hiltestbed.frames import Array
 from hiltestbed.platform import model
 from hiltestbed.platform.pss33.servo import Servo
 from hiltestbed.platform.response import PlatformResponse
@@ -42,7 +40,7 @@ class ServoTracking:
         self,
         scenarios: Sequence[Scenario],
         nthread: int,
-        structure: model.Structure,
+        structure: Structure,
         late: NDArray[np.bool_] | None = None,
         force: AppliedForce | None = None,
     ) -> None:
@@ -53,11 +51,7 @@ class ServoTracking:
         dt = first.tick / m
         self.model = model.rig_model(structure, dt, kept=m)
         self.batch = Batch(self.model, n, nthread, persistent=True)
-        if structure.paired:
-            solref.set_linear(self.batch, scenarios, scale=1.0)
-        self.touch = None if structure.paired else Touch.of(scenarios, least_creep=dt / YIELDING)
-        self._force = force
-        self.mount = Mount(self.batch, scenarios)
+        self.contacts = Contacts(self.batch, scenarios, structure, dt, dt / YIELDING, placed=False, force=force)
         self.path = PlatformResponse(scenarios)
         self._ticks = np.zeros(1, dtype=np.int64)
         self._goal = np.zeros((n, 7))
@@ -67,16 +61,11 @@ class ServoTracking:
         self._qpos, self._qvel, self._ctrl, self._time = bind("qpos"), bind("qvel"), bind("ctrl"), bind("time")
         self._warmstart, self._history = bind("qacc_warmstart"), bind("history")
         self.servo.add_friction(scenarios, bind("qfrc_applied"))
-        self._reading, self._ncon = bind("sensordata"), bind("ncon")
+        self._reading = bind("sensordata")[:, model.sensor_columns(self.model)]
         self._tare, self._all = np.zeros((n, 6)), np.arange(n)
-        self._applied = bind("xfrc_applied").reshape(n, -1, 6)
-        self._active = self.model.body(model.ACTIVE + "mechanism").id
-        self._passive = self.model.body(model.PASSIVE + "mechanism").id
-        self._offset = np.array(self.model.body(self._active).ipos - self.model.site(model.ACTIVE + "A").pos)
-        self._centre = np.zeros((n, 3))
         self.pose_act, self.twist_act = np.zeros((n, 7)), np.zeros((n, 6))
         self.wrench_sub = np.zeros((n, m, 6))
-        self.contact_now = np.zeros(n, dtype=bool)
+        self.contact_now = self.contacts.touching
         self.slider_act = np.zeros((n, 6))
         self.slider_cmd = self.servo.target
         self.diverged = np.zeros(n, dtype=bool)
@@ -88,7 +77,7 @@ class ServoTracking:
     def _weigh(self) -> None:
         """Tare: the reading of the sensor at rest, the active side a metre away."""
         self._qpos[:, self.model.joint("platform").qposadr[0] + 2] -= 1.0
-        self._applied[:, self._passive, 2] = self.mount.balance
+        self.contacts.balance()
         self.batch.forward()
         self._tare[:] = self._reading
 
@@ -100,8 +89,9 @@ class ServoTracking:
         self._group()
         self.servo.settle(pose, twist, self._qpos, self._qvel)
         self._ticks[0] = 0
-        if self.touch is not None:
-            self.touch.reset()
+        self.contacts.reset()
+        if self.contacts.written:
+            self._look_ahead()
             self._meet()
         self.batch.forward()
         self.wrench_sub[:] = 0.0
@@ -121,10 +111,10 @@ class ServoTracking:
 
     def finish(self) -> None:
         """The rest of the tick."""
-        if self.touch is None:
-            self._run()
-        else:
+        if self.contacts.written:
             self._run_touching()
+        else:
+            self._run()
         self.servo.arrive()
         self._observe()
 
@@ -135,8 +125,8 @@ class ServoTracking:
 
     def _step(self, sub: int) -> None:
         self.servo.push(sub, self._qpos, self._qvel, self._ctrl)
-        if self.touch is not None or sub < self.substeps - 1:
-            self.batch.step(self._going)
+        if self.contacts.written or sub < self.substeps - 1:
+            self.batch.step(self._going, stage=self.contacts.stage)
             return
         for ids, stage in self._groups:
             self.batch.step(ids, stage=stage)
@@ -160,25 +150,19 @@ class ServoTracking:
             read_wrench(self._reading, self._tare, self._prompt, self.wrench_sub, self.substeps - 1)
 
     def _meet(self) -> None:
-        """Put the wrench of the state on both sides."""
-        assert self.touch is not None
+        """Let the sides touch as they stand."""
         self.servo.observe(self._qpos, self._qvel, SPEED_LIMIT, self.pose_act, self.twist_act, self.slider_act, self.diverged)
-        self.mount.observe(self._qpos, self._qvel)
-        if self._force is not None:
-            self.touch.wrench[:] = self._force.next()
-        else:
-            self.touch.update(self.pose_act, self.twist_act, self.mount.place, self.mount.motion)
-        _centres(self.pose_act, self._offset, self._centre)
-        load_body(-1.0, self.touch.wrench, self._active, self._centre, self._applied)
-        load_body(1.0, self.touch.wrench, self._passive, self.mount.centre, self._applied)
-        self._applied[:, self._passive, 2] += self.mount.balance
+        self.contacts.meet(self.pose_act, self.twist_act)
+
+    def _look_ahead(self) -> None:
+        """Have MuJoCo know what the contacts ask of it."""
+        if self.contacts.stage != NONE:
+            self.batch.forward(self._going, stage=self.contacts.stage)
 
     def _observe(self) -> None:
         lost = self.servo.observe(self._qpos, self._qvel, SPEED_LIMIT, self.pose_act, self.twist_act, self.slider_act, self.diverged)
-        if self.touch is None:
-            np.greater(self._ncon, 0, out=self.contact_now)
-        else:
-            self.contact_now[:] = self.touch.touching
+        self.contacts.look()
+        if self.contacts.written:
             lost = bool(self.diverged.any())  # between two substeps, too
         if lost:
             self._leave_out()
@@ -199,15 +183,6 @@ class ServoTracking:
         self._prompt, self._latecomers = np.flatnonzero(going & ~self._late), np.flatnonzero(going & self._late)
         parts = [(ids, stage) for ids, stage in ((self._prompt, ACC), (self._latecomers, VEL)) if ids.size]
         self._groups: list[tuple[NDArray[np.intp] | None, int]] = [(None if len(ids) == len(going) else ids, stage) for ids, stage in parts]
-
-
-@njit(cache=True)
-def _centres(pose, offset, out):
-    """``out`` (n, 3) [m]: the place in W of a point ``offset`` (3,) from A's origin, in A."""
-    for i in range(pose.shape[0]):
-        rotate(pose[i, 3:7], offset, out[i])
-        for j in range(3):
-            out[i, j] += pose[i, j]
 
 
 def _said(message: str) -> None:

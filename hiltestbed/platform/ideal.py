@@ -10,13 +10,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+import mujoco
 import numpy as np
 from mujoco.batch import Batch
 from numba import njit
 
-from hiltestbed.contact import solref
-from hiltestbed.contact.mount import Mount
-from hiltestbed.contact.touch import Touch, load_body
+from hiltestbed.contact.composition import Structure
+from hiltestbed.contact.contacts import Contacts
 from hiltestbed.frames import Array, pose_step, rotate_back, twist_between
 from hiltestbed.platform import model
 from hiltestbed.platform.pss33.kinematics import Platform, inverse
@@ -61,35 +61,35 @@ def _between(pose_before, pose_now, twist, time, last, bent, path, pose, qpos, q
         rotate_back(pose[i, 3:7], twist[i, 3:6], qvel[i, d + 3 : d + 6])
 
 
+NONE = int(mujoco.mjtStage.mjSTAGE_NONE)
+
+
 class IdealTracking:
     """The mechanisms of `n` runs under ideal tracking; arrays as in :class:`hiltestbed.platform.plant.Plant`."""
 
-    def __init__(self, scenarios: Sequence[Scenario], nthread: int, structure: model.Structure, force: AppliedForce | None = None) -> None:
+    def __init__(self, scenarios: Sequence[Scenario], nthread: int, structure: Structure, force: AppliedForce | None = None) -> None:
         first, n = scenarios[0], len(scenarios)
         self.tick, self.substeps = first.tick, first.substeps
         self.model = model.ideal_model(structure, first.tick / first.substeps)
         self.batch = Batch(self.model, n, nthread)
-        # Nothing yields, so there is no static deflection to allow for: the impedance is taken out of the stiffness.
-        if structure.paired:
-            solref.set_linear(self.batch, scenarios, scale=1.0 - model.IMPEDANCE)
-        self.touch = None if structure.paired else Touch.of(scenarios, least_creep=0.0)
-        self._force = force
-        self.mount = Mount(self.batch, scenarios)
+        self.contacts = Contacts(
+            self.batch, scenarios, structure, first.tick / first.substeps, least_creep=0.0, placed=True, force=force
+        )  # fmt: skip
         self.path = PlatformResponse(scenarios)
         self._ticks = np.zeros(1, dtype=np.int64)
         self.platform = Platform.load()
         bind = self.batch.bind
         self._qpos, self._qvel, self._warmstart = bind("qpos"), bind("qvel"), bind("qacc_warmstart")
-        self._reading, self._ncon, self._applied = bind("sensordata"), bind("ncon"), bind("xfrc_applied").reshape(n, -1, 6)
-        self._passive = self.model.body(model.PASSIVE + "mechanism").id
+        self._reading = bind("sensordata")[:, model.sensor_columns(self.model)]
         free = self.model.joint("A_joint")
         self._joint = np.array([free.qposadr[0], free.dofadr[0]])
+        self._integrated = self.contacts.mount.moves or structure.sides.moving
         self._tare, self._all = np.zeros((n, 6)), np.arange(n)  # there is no gravity
         self._goal = np.zeros((n, 7))
         self._before, self._between = np.zeros((n, 7)), np.zeros((n, 7))
         self.pose_act, self.twist_act = np.zeros((n, 7)), np.zeros((n, 6))
         self.wrench_sub = np.zeros((n, self.substeps, 6))
-        self.contact_now = np.zeros(n, dtype=bool)
+        self.contact_now = self.contacts.touching
         self.slider_act, self.slider_cmd = np.zeros((n, 6)), np.zeros((n, 6))
         self.diverged = np.zeros(n, dtype=bool)  # the platform cannot: a command that is lost is the loop's to end
         self.causes = [""] * n
@@ -100,9 +100,7 @@ class IdealTracking:
         self._ticks[0] = 0
         self.pose_act[:], self.twist_act[:] = pose, twist
         _back(self.pose_act, self.twist_act, self.tick, self._before)
-        self.mount.observe(self._qpos, self._qvel)
-        if self.touch is not None:
-            self.touch.reset()
+        self.contacts.reset()
         self.path.path[:, :] = self.pose_act[:, None, :3]
         self.wrench_sub[:] = 0.0
         self._place(self.substeps)
@@ -123,7 +121,7 @@ class IdealTracking:
             self.pose_act[:, :3] = self.path.path[:, -1]
         self._ticks[0] += 1
         _slope(self._before, self.pose_act, self.tick, self.twist_act)
-        if self.mount.moves:
+        if self._integrated:
             self._run()
         else:
             self._evaluate()
@@ -141,12 +139,11 @@ class IdealTracking:
             read_wrench(self._reading, self._tare, self._all, self.wrench_sub, s - 1)
 
     def _run(self) -> None:
-        """The mount is integrated: a step's reading is that of its start, the last instant takes a forward pass of its own."""
+        """Mount and moving parts are integrated: a step's reading is that of its start, the last instant takes a forward pass of its own."""
         for s in range(1, self.substeps + 1):
             self.batch.step()
             if s > 1:
                 read_wrench(self._reading, self._tare, self._all, self.wrench_sub, s - 2)
-            self.mount.observe(self._qpos, self._qvel)
             self._place(s)
         self.batch.forward()
         read_wrench(self._reading, self._tare, self._all, self.wrench_sub, self.substeps - 1)
@@ -158,17 +155,12 @@ class IdealTracking:
             self._before, self.pose_act, self.twist_act, self.tick * s / m, s == m, self.path.active, self.path.path[:, s - 1],
             self._between, self._qpos, self._qvel, self._joint,
         )  # fmt: skip
-        if self.touch is not None:
-            if self._force is not None:
-                self.touch.wrench[:] = self._force.next()
-            else:
-                self.touch.update(self._between, self.twist_act, self.mount.place, self.mount.motion)
-            load_body(1.0, self.touch.wrench, self._passive, self.mount.centre, self._applied)
+        if self.contacts.stage != NONE:
+            self.batch.forward(stage=self.contacts.stage)
+        if self.contacts.written:
+            self.contacts.meet(self._between, self.twist_act)
 
     def _conclude(self) -> None:
-        if self.touch is None:
-            np.greater(self._ncon, 0, out=self.contact_now)
-        else:
-            self.contact_now[:] = self.touch.touching
+        self.contacts.look()
         inverse(self.platform.limbs, self.pose_act, self.slider_act)
         self.slider_cmd[:] = self.slider_act

@@ -10,14 +10,15 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from hiltestbed.contact.composition import Structure, structure_of
+from hiltestbed.contact.engagement import Engagement
 from hiltestbed.contact.latch import LatchCondition
-from hiltestbed.contact.touch import Touch, tilts
+from hiltestbed.contact.parameters import ContactParameters
 from hiltestbed.effects.table import by_link
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array
 from hiltestbed.platform.driven import ServoTracking
 from hiltestbed.platform.ideal import IdealTracking
-from hiltestbed.platform.model import Structure
 from hiltestbed.platform.prs3.nine_axes import NineAxes
 
 if TYPE_CHECKING:
@@ -26,10 +27,9 @@ if TYPE_CHECKING:
 
 def structure(scenario: Scenario) -> Structure:
     """What the rig of a scenario is made of."""
-    mechanism = scenario.mechanism
-    mounted = mechanism.mount is not None
-    plain = mechanism.flat and mechanism.contact.friction == 0.0 and not by_link(scenario.effects, "contact")
-    return Structure(mechanism.shape(), mounted, plain and not mounted, mechanism)
+    mechanism, effects = scenario.mechanism, by_link(scenario.effects, "contact")
+    rubs = any(ContactParameters.believed(c).with_effects(effects).friction > 0.0 for c in mechanism.contacts())
+    return structure_of(mechanism, bool(effects), rubs)
 
 
 def alike(scenario: Scenario) -> Hashable:
@@ -81,7 +81,7 @@ class Plant:
             )
         above, made_of = scenarios[0].rig.upper.kind == "prs3", structure(scenarios[0])
         if force is not None:
-            made_of = replace(made_of, paired=False)
+            made_of = replace(made_of, constant=True, latched=False, touches=False)
         lower: IdealTracking | ServoTracking
         if scenarios[0].rig.platform.tracking == "ideal":
             lower = IdealTracking(scenarios, nthread, made_of, force)
@@ -90,16 +90,13 @@ class Plant:
         self._tracking = NineAxes(scenarios, lower, nthread) if above else lower
         self.pose_W: Array = lower.pose_act
         self._latch: LatchCondition | None = None
-        if self._tracking.touch is not None:
-            self._tracking.mount.tilt[:] = tilts(self._tracking.touch.parameters)
-            if force is None and any(s.mechanism.latch for s in scenarios):
-                self._latch = LatchCondition(scenarios)
+        if force is None and any(s.mechanism.latch for s in scenarios):
+            self._latch = LatchCondition(scenarios)
         self.pose_act: Array = self._tracking.pose_act
         self.twist_act: Array = self._tracking.twist_act
         self.wrench_sub: Array = self._tracking.wrench_sub
         self.contact: NDArray[np.bool_] = self._tracking.contact_now
-        touch = self._tracking.touch
-        self.captured: NDArray[np.bool_] = touch.latched if touch is not None else np.zeros(len(scenarios), dtype=bool)
+        self.captured: NDArray[np.bool_] = self._tracking.contacts.latched
         self.slider_cmd: Array = self._tracking.slider_cmd
         self.slider_act: Array = self._tracking.slider_act
         still = np.zeros((len(scenarios), 3))
@@ -112,11 +109,9 @@ class Plant:
         """The model that is stepped: the bare physics under this plant."""
         return self._tracking.model
 
-    def contacts(self) -> Touch:
-        """Where tip and rod touch; of a plain bumper there is no more to know than the force."""
-        if self._tracking.touch is None:
-            raise InputError("a bumper without friction, mount or effects of the contact touches in MuJoCo's own contact")
-        return self._tracking.touch
+    def contacts(self) -> Engagement:
+        """Where what touches; of a spring and a damper without friction there is no more to know than the force."""
+        return self._tracking.contacts.engagement
 
     def payload_left(self, i: int) -> dict[str, float] | None:
         """What of the passive side's weight and inertia has been left in the reading of run ``i``; None where it has not moved."""
@@ -144,8 +139,8 @@ class Plant:
     def finish(self) -> None:
         """Arrive at t_(k+1)."""
         self._tracking.finish()
-        if self._latch is not None and self._tracking.touch is not None:
-            self._latch.close(self._tracking.touch)
+        if self._latch is not None:
+            self._latch.close(self._tracking.contacts.engagement)
 
     def advance(self, pose_cmd: Array, twist_cmd: Array, accel_cmd: Array) -> None:
         """A whole tick: :meth:`begin` and :meth:`finish`."""

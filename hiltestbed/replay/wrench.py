@@ -13,7 +13,8 @@ from numba import njit
 from hiltestbed.contact.cone import PLANE, TIP_RADIUS, Surfaces, beyond_rim, cone_distance, meet
 from hiltestbed.contact.latch import closes
 from hiltestbed.contact.law import STATES
-from hiltestbed.contact.mount import MountDynamics, mount_place, mount_reading, mount_step
+from hiltestbed.contact.mount import mount_place
+from hiltestbed.contact.mount_dynamics import MountDynamics, mount_reading, mount_step
 from hiltestbed.contact.parameters import BRANCH_STIFFNESS, DRAG, LEVER, MODE, OFFSET, STIFFNESS, TILT_X, TILT_Y, ContactParameters
 from hiltestbed.contact.touch import contact_wrench, relate_one, surface_wrench, tilts, to_frame
 from hiltestbed.frames import Array, quat_exp, quat_mul, rotate, rotate_back, twist_between

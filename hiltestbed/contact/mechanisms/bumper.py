@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, ClassVar, Literal
+from pathlib import Path
+from typing import ClassVar, Literal
 
 from hiltestbed.contact.settings import Mechanism
-from hiltestbed.models import load
+from hiltestbed.models import models_folder
 from hiltestbed.plugins import register
-
-if TYPE_CHECKING:
-    from mujoco import MjSpec
 
 
 @register
@@ -19,8 +17,9 @@ class Bumper(Mechanism):
     kind: Literal["bumper"] = "bumper"
     flat: ClassVar[bool] = True
 
-    def sides(self) -> tuple[MjSpec, MjSpec]:
-        return load("bumper/active"), load("bumper/passive")
+    def files(self) -> tuple[Path, Path]:
+        folder = models_folder() / "bumper"
+        return folder / "active.xml", folder / "passive.xml"
 
 
 @register
@@ -30,5 +29,6 @@ class Latched(Mechanism):
     kind: Literal["latched"] = "latched"
     captured: ClassVar[bool] = True
 
-    def sides(self) -> tuple[MjSpec, MjSpec]:
-        return load("bumper/active"), load("bumper/passive")
+    def files(self) -> tuple[Path, Path]:
+        folder = models_folder() / "bumper"
+        return folder / "active.xml", folder / "passive.xml"

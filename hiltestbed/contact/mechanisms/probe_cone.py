@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, ClassVar, Literal
+from pathlib import Path
+from typing import ClassVar, Literal
 
 from hiltestbed.contact.settings import Mechanism
-from hiltestbed.models import load
+from hiltestbed.models import models_folder
 from hiltestbed.plugins import register
-
-if TYPE_CHECKING:
-    from mujoco import MjSpec
 
 
 @register
@@ -19,5 +17,6 @@ class ProbeCone(Mechanism):
     kind: Literal["probe_cone"] = "probe_cone"
     latches: ClassVar[bool] = True
 
-    def sides(self) -> tuple[MjSpec, MjSpec]:
-        return load("probe_cone/active"), load("probe_cone/passive")
+    def files(self) -> tuple[Path, Path]:
+        folder = models_folder() / "probe_cone"
+        return folder / "active.xml", folder / "passive.xml"

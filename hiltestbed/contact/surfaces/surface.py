@@ -9,15 +9,15 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from hiltestbed.contact.surfaces import mesh, shapes
+from hiltestbed.contact.surfaces import mesh, profile, shapes
 from hiltestbed.contact.surfaces.mesh import Tree, mesh_distance
-from hiltestbed.contact.surfaces.profile import COLUMNS, profile_distance
+from hiltestbed.contact.surfaces.profile import COLUMNS, TURNED, profile_distance
 from hiltestbed.contact.surfaces.revolution import recognise
 from hiltestbed.contact.surfaces.shapes import shape_distance
 from hiltestbed.contact.surfaces.soundness import Finding, examine
 from hiltestbed.frames import Array
 
-MESH, TURNED = 7, 100  # beside the kinds of :mod:`shapes`, which are MuJoCo's
+MESH = 7  # beside the kinds of :mod:`shapes`, which are MuJoCo's
 PLACES = 33  # on a segment from which a minimum is searched
 
 
@@ -44,6 +44,29 @@ def of_mesh(vertices: Array, faces: NDArray[np.int_]) -> tuple[Surface | None, l
     if turned is not None:
         return Surface(TURNED, np.zeros(3), turned.profile, mesh.no_tree()), findings
     return Surface(MESH, np.zeros(3), np.empty((0, COLUMNS)), mesh.plant(vertices, faces)), findings
+
+
+def bounds(surface: Surface) -> tuple[Array, float]:
+    """Centre (3,) and radius [m] of a ball that holds the surface; the radius of a plane's is infinite."""
+    s = surface.sizes
+    match surface.kind:
+        case shapes.PLANE:
+            return np.zeros(3), math.inf
+        case shapes.SPHERE:
+            return np.zeros(3), float(s[0])
+        case shapes.CAPSULE:
+            return np.zeros(3), float(s[0] + s[1])
+        case shapes.CYLINDER:
+            return np.zeros(3), math.hypot(s[0], s[1])
+        case shapes.BOX:
+            return np.zeros(3), float(np.linalg.norm(s))
+        case shapes.ELLIPSOID:
+            return np.zeros(3), float(s.max())
+        case profile.TURNED:
+            return profile.profile_bounds(surface.profile)
+    corners = surface.tree.corners.reshape(-1, 3)
+    centre = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
+    return centre, float(np.linalg.norm(corners - centre, axis=1).max())
 
 
 @njit(cache=True)

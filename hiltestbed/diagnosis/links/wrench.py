@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from hiltestbed.contact.latch import latch_limits
-from hiltestbed.contact.mount import MountDynamics
+from hiltestbed.contact.mount_dynamics import MountDynamics
 from hiltestbed.contact.parameters import ContactParameters
 from hiltestbed.contact.touch import SURFACES
 from hiltestbed.diagnosis.links.base import Effects, Lane, Later, Link, LinkRun, padded

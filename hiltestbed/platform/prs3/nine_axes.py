@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 from numba import njit
 
-from hiltestbed.contact.touch import relate
+from hiltestbed.contact.wrench import relate
 from hiltestbed.frames import Array, pose_step, twist_between
 from hiltestbed.platform.driven import ServoTracking
 from hiltestbed.platform.ideal import IdealTracking
@@ -72,7 +72,7 @@ class NineAxes:
         n, first = len(scenarios), scenarios[0]
         self.lower, self.upper = lower, UpperPlatform(scenarios, nthread)
         self.tick = first.tick
-        self.touch, self.mount, self.causes, self.diverged = lower.touch, lower.mount, lower.causes, lower.diverged
+        self.contacts, self.causes, self.diverged = lower.contacts, lower.causes, lower.diverged
         self.contact_now, self.slider_cmd, self.slider_act = lower.contact_now, lower.slider_cmd, lower.slider_act
         self._ideal = isinstance(lower, IdealTracking)
         self.pose_act, self.twist_act = np.zeros((n, 7)), np.zeros((n, 6))

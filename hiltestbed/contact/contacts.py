@@ -1,0 +1,114 @@
+"""All that happens between the two sides of `n` rigs, for the plants that move them: contacts, latch, mount, wrenches from outside."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import mujoco
+import numpy as np
+from mujoco.batch import Batch
+from numba import njit
+from numpy.typing import NDArray
+
+from hiltestbed.contact import solref
+from hiltestbed.contact.composition import ACTIVE, IMPEDANCE, Structure
+from hiltestbed.contact.engagement import Engagement
+from hiltestbed.contact.mount import Mount
+from hiltestbed.contact.wrench import load_body
+from hiltestbed.errors import InputError
+from hiltestbed.frames import Array, rotate, rotate_back
+
+if TYPE_CHECKING:
+    from hiltestbed.platform.plant import AppliedForce
+    from hiltestbed.scenario import Scenario
+
+
+class Contacts:
+    """The sides of `n` runs.
+
+    Attributes:
+        written: whether :meth:`meet` must be called at every instant; else MuJoCo does it all by itself.
+        stage: up to which MuJoCo has to be forward before that.
+        touching: (n,) bool, whether they touch; latched: (n,) bool. mount: of the passive side.
+    """
+
+    def __init__(
+        self,
+        batch: Batch,
+        scenarios: Sequence[Scenario],
+        structure: Structure,
+        dt: float,
+        least_creep: float,
+        placed: bool,
+        force: AppliedForce | None,
+    ) -> None:
+        """``dt``, ``least_creep``, ``placed``: see :class:`Engagement`. ``force``: acts in place of the contacts."""
+        n, model = len(scenarios), batch.model
+        self._force, self._engagement = force, None
+        if structure.touches and structure.constant:
+            solref.set_linear(batch, scenarios, scale=1.0 - IMPEDANCE if placed else 1.0)
+        elif structure.touches:
+            self._engagement = Engagement(batch, scenarios, structure, dt, least_creep, placed)
+        engagement = self._engagement
+        tilt = engagement.tilt if engagement else np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (n, 1))
+        self.mount = Mount(batch, scenarios, tilt)
+        self.written = engagement is not None or force is not None or self.mount.moves
+        self.stage = engagement.stage if engagement else int(mujoco.mjtStage.mjSTAGE_NONE)
+        self.touching = engagement.touching if engagement else np.zeros(n, dtype=bool)
+        self.latched = engagement.latched if engagement else np.zeros(n, dtype=bool)
+        self._ncon, self._qpos, self._qvel = batch.bind("ncon"), batch.bind("qpos"), batch.bind("qvel")
+        self._applied = batch.bind("xfrc_applied").reshape(n, -1, 6)
+        self._pulls = force is not None or (engagement is not None and engagement.pulls)
+        self._pull = engagement.pull if engagement else np.zeros((n, 6))
+        site = model.site(ACTIVE + "A")
+        self._active = int(model.site_bodyid[site.id])
+        self._arm = np.zeros(3)
+        rotate_back(site.quat[[1, 2, 3, 0]], model.body_ipos[self._active] - site.pos, self._arm)
+        self._centre, self._load = np.zeros((n, 3)), np.zeros((n, 6))
+
+    @property
+    def engagement(self) -> Engagement:
+        """Where what touches. Raises InputError where MuJoCo's own collision does it all."""
+        if self._engagement is None:
+            raise InputError("a spring and a damper without friction, mount or effects touch in MuJoCo's own contact: its force is all there is")
+        return self._engagement
+
+    def reset(self) -> None:
+        """Begin anew."""
+        if self._engagement is not None:
+            self._engagement.reset()
+
+    def balance(self) -> None:
+        """Hold the weight of what is on the mount, wherever the sides are."""
+        load_body(1.0, self.mount.balance, self.mount.body, self.mount.centre, self._applied)
+
+    def meet(self, pose: Array, twist: Array) -> None:
+        """Make MuJoCo exert what belongs to the state: pose (n, 7) and twist (n, 6) of A in W, and that of the mount's joints."""
+        mount = self.mount
+        mount.observe(self._qpos, self._qvel)
+        if self._engagement is not None:
+            self._engagement.update(pose, twist, mount.place, mount.motion)
+        elif self._force is not None:
+            self._pull[:] = self._force.next()
+        if self._pulls:
+            _centres(pose, self._arm, self._centre)
+            load_body(-1.0, self._pull, self._active, self._centre, self._applied)
+        if self._pulls or mount.moves:
+            np.add(self._pull, mount.balance, out=self._load)
+            load_body(1.0, self._load, mount.body, mount.centre, self._applied)
+
+    def look(self) -> None:
+        """Set ``touching`` where MuJoCo does it all by itself."""
+        if self._engagement is None and self._force is None:
+            np.greater(self._ncon, 0, out=self.touching)
+
+
+@njit(cache=True)
+def _centres(pose, offset, out):
+    """``out`` (n, 3) [m]: the place in W of a point ``offset`` (3,) from A's origin, in A."""
+    for i in range(pose.shape[0]):
+        rotate(pose[i, 3:7], offset, out[i])
+        for j in range(3):
+            out[i, j] += pose[i, j]
+

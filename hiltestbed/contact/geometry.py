@@ -1,0 +1,184 @@
+"""Where a ball or a rod of the active side meets a surface of the passive one: penetration, its rate, the point and the normal.
+
+Dimensions come from the MJCF (:mod:`hiltestbed.contact.sides`). All surfaces of a mechanism lie in two flat arrays, so that one compiled
+kernel serves every mechanism: ``index``, for each of C candidates a row of ROW integers and then the links of the trees; ``values``, for
+each a row of VALUES numbers and then profiles, triangles and boxes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from hiltestbed.contact.surfaces.mesh import Tree
+from hiltestbed.contact.surfaces.profile import COLUMNS
+from hiltestbed.contact.surfaces.surface import Surface, bounds, segment_distance, signed_distance
+from hiltestbed.frames import Array, rotate, rotate_back
+
+# Columns of a row of `index`: frames of the round and of the surface; 1 where the surface is on the passive side, else -1; kind of the
+# surface; where its parts begin, and how long they are.
+ROUND_FRAME, SURFACE_FRAME, SIDE, KIND, PROFILE, PROFILE_ROWS, CORNERS, FACES, NORMALS, BOXES, NODES, LINKS, ROW = range(13)
+# Columns of a row of `values`: radius of the round, both ends of its axis in its frame, pose of the surface in its frame, sizes of the
+# surface, centre of a ball that holds it, in its own frame, and the ball's radius.
+RADIUS, END_0, END_1, PLACE, SIZES, CENTRE, BOUND, VALUES = 0, 1, 4, 7, 14, 17, 20, 21
+ACTIVE, PASSIVE, FRAMES = 0, 1, 2  # numbers of the frames A and S; those of parts that move follow
+DEEPEST = 0.1  # [m] inside a mesh down to which the nearest point is searched
+
+
+class Geometry(NamedTuple):
+    """The candidates of a mechanism as the kernels take them: ``index`` int64, ``values`` float64, both flat."""
+
+    index: NDArray[np.int64]
+    values: Array
+
+    @property
+    def count(self) -> int:
+        """C, the number of candidates."""
+        return int(self.index[-1])
+
+
+class Round(NamedTuple):
+    """A ball or a rod: its radius [m], both ends (2, 3) of its axis in the frame number ``frame`` [m]; a ball has one end twice."""
+
+    radius: float
+    ends: Array
+    frame: int
+
+
+class Placed(NamedTuple):
+    """A surface at the pose ``place`` (7,) in the frame number ``frame``, on the passive side or on the active one."""
+
+    surface: Surface
+    place: Array
+    frame: int
+    passive: bool
+
+
+def packed(candidates: Sequence[tuple[Round, Placed]]) -> Geometry:
+    """The candidates in flat arrays; a surface that serves several of them is stored once."""
+    count = len(candidates)
+    rows, numbers = np.zeros((count, ROW), dtype=np.int64), np.zeros((count, VALUES))
+    values, links = [], []
+    at, at_link = count * VALUES, count * ROW
+    stored: dict[int, tuple[int, ...]] = {}
+    for c, (round_, placed) in enumerate(candidates):
+        surface = placed.surface
+        key = id(surface)
+        if key not in stored:
+            parts = (surface.profile, surface.tree.corners, surface.tree.normals, surface.tree.boxes)
+            starts = at + np.concatenate([[0], np.cumsum([p.size for p in parts])])
+            values += [p.ravel() for p in parts]
+            links.append(surface.tree.links.ravel())
+            stored[key] = (
+                starts[0], len(surface.profile), starts[1], len(surface.tree.corners), starts[2], starts[3], len(surface.tree.boxes), at_link,
+            )  # fmt: skip
+            at, at_link = int(starts[-1]), at_link + links[-1].size
+        rows[c, :KIND] = round_.frame, placed.frame, 1 if placed.passive else -1
+        rows[c, KIND], rows[c, PROFILE:] = surface.kind, stored[key]
+        centre, bound = bounds(surface)
+        numbers[c] = np.concatenate([[round_.radius], round_.ends.ravel(), placed.place, surface.sizes, centre, [bound]])
+    index = np.concatenate([rows.ravel(), *links, [count]]).astype(np.int64)
+    return Geometry(index, np.concatenate([numbers.ravel(), *values]))
+
+
+@njit(cache=True)
+def _surface(index, values, c):
+    row = index[c * ROW : (c + 1) * ROW]
+    faces, nodes = row[FACES], row[NODES]
+    sizes = values[c * VALUES + SIZES : c * VALUES + SIZES + 3]
+    profile = values[row[PROFILE] : row[PROFILE] + row[PROFILE_ROWS] * COLUMNS].reshape((row[PROFILE_ROWS], COLUMNS))
+    corners = values[row[CORNERS] : row[CORNERS] + 9 * faces].reshape((faces, 3, 3))
+    normals = values[row[NORMALS] : row[NORMALS] + 21 * faces].reshape((faces, 7, 3))
+    boxes = values[row[BOXES] : row[BOXES] + 15 * nodes].reshape((nodes, 15))
+    links = index[row[LINKS] : row[LINKS] + 2 * nodes].reshape((nodes, 2))
+    return Surface(row[KIND], sizes, profile, Tree(corners, normals, boxes, links))
+
+
+@njit(cache=True)
+def meet(index, values, c, pose, twist, lever, blunt, work, point, normal, slip):
+    """One candidate of one run; returns penetration [m], negative while apart, and its rate [m/s].
+
+    Args:
+        pose, twist: (7,), (6,) of the round's frame in the surface's. lever: where in the overlap the force acts, 0 at the undeformed
+            surface, 1 at the tip. blunt: 1 where a ball touches, 0 where its foremost point does.
+        work: (5, 3) scratch.
+        point, normal, slip: (3,) where the force acts [m], direction in which the passive side is pushed, and velocity of the active
+            side across it [m/s], in the surface's frame. Only a bound from above of the penetration is given where the two are far.
+    """
+    row = values[c * VALUES : (c + 1) * VALUES]
+    start, end, free, nearest, v = work[0], work[1], work[2], work[3], work[4]
+    ball = row[END_0] == row[END_1] and row[END_0 + 1] == row[END_1 + 1] and row[END_0 + 2] == row[END_1 + 2]
+    radius = row[RADIUS]
+    rotate(pose[3:7], row[END_0 : END_0 + 3], start)
+    if ball and blunt != 1.0:
+        free[0] = free[1] = 0.0
+        free[2] = (1.0 - blunt) * radius
+        radius *= blunt
+        rotate(pose[3:7], free, free)
+        for j in range(3):
+            start[j] += free[j]
+    for j in range(3):
+        start[j] += pose[j] - row[PLACE + j]
+    attitude = row[PLACE + 3 : PLACE + 7]
+    rotate_back(attitude, start, start)
+    if ball:
+        end[:] = start
+    else:
+        rotate(pose[3:7], row[END_1 : END_1 + 3], end)
+        for j in range(3):
+            end[j] += pose[j] - row[PLACE + j]
+        rotate_back(attitude, end, end)
+    near = _beyond(row, start, end, ball) - radius
+    if near > 0.0:
+        return -near, 0.0
+    surface = _surface(index, values, c)
+    if ball:
+        distance = signed_distance(surface, start, radius + DEEPEST, free)
+        nearest[:] = start
+    else:
+        distance = segment_distance(surface, start, end, radius, free, nearest)
+    x = radius - distance
+    rotate(attitude, free, free)
+    rotate(attitude, nearest, nearest)
+    for j in range(3):
+        nearest[j] += row[PLACE + j]
+        normal[j] = -free[j]
+        point[j] = nearest[j] - free[j] * (radius - (1.0 - lever) * x)
+    ax, ay, az = point[0] - pose[0], point[1] - pose[1], point[2] - pose[2]
+    v[0] = twist[0] + twist[4] * az - twist[5] * ay
+    v[1] = twist[1] + twist[5] * ax - twist[3] * az
+    v[2] = twist[2] + twist[3] * ay - twist[4] * ax
+    into = -(v[0] * free[0] + v[1] * free[1] + v[2] * free[2])
+    for j in range(3):
+        slip[j] = v[j] + into * free[j]
+    return x, into
+
+
+@njit(cache=True)
+def _beyond(row, start, end, ball):
+    """Least that the axis can be away from the surface by the ball that holds it [m]; 0 or less where that says nothing."""
+    bound = row[BOUND]
+    if not bound < math.inf:
+        return 0.0
+    away, half = 0.0, 0.0
+    for j in range(3):
+        away += (0.5 * (start[j] + end[j]) - row[CENTRE + j]) ** 2
+        if not ball:
+            half += (0.5 * (end[j] - start[j])) ** 2
+    return math.sqrt(away) - bound - math.sqrt(half)
+
+
+@njit(cache=True)
+def arm(values, count):
+    """Largest distance of a round from the origin of its frame [m]."""
+    longest = 0.0
+    for c in range(count):
+        row = values[c * VALUES : (c + 1) * VALUES]
+        for e in (END_0, END_1):
+            longest = max(longest, row[RADIUS] + math.sqrt(row[e] ** 2 + row[e + 1] ** 2 + row[e + 2] ** 2))
+    return longest

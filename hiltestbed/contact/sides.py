@@ -1,0 +1,294 @@
+"""Both sides of a mechanism as their MJCF has them: what may touch what, and where it is.
+
+A rule of the mechanism names geoms of both sides; without rules a geom touches where MuJoCo would let it collide (``contype`` and
+``conaffinity`` not both 0). Of each pair of geoms that may touch one of two things is made:
+
+- a ball against any surface, a rod (capsule) against a cylinder, an ellipsoid or a mesh: a *facet*. The nearest point of the surface is
+  found in closed form (of a mesh that was turned about an axis on its profile, of any other on its triangles), and MuJoCo gets a facet
+  in the tangent plane there (:mod:`hiltestbed.contact.engagement`);
+- any other two collide as MuJoCo collides them, their stiffness shared by the points that it finds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import mujoco
+import numpy as np
+
+from hiltestbed.contact.description import matching
+from hiltestbed.contact.geometry import ACTIVE, FRAMES, PASSIVE, Geometry, Placed, Round, packed
+from hiltestbed.contact.surfaces import Finding, Surface, of_geom, of_mesh
+from hiltestbed.contact.surfaces.shapes import KINDS
+from hiltestbed.errors import InputError
+from hiltestbed.frames import Array, quat_from_mujoco
+
+if TYPE_CHECKING:
+    from hiltestbed.contact.settings import Mechanism
+
+_G = mujoco.mjtGeom
+SPHERE, CAPSULE, CYLINDER, ELLIPSOID, MESH = (
+    int(g) for g in (_G.mjGEOM_SPHERE, _G.mjGEOM_CAPSULE, _G.mjGEOM_CYLINDER, _G.mjGEOM_ELLIPSOID, _G.mjGEOM_MESH)
+)
+ROD_FACETS = (CYLINDER, ELLIPSOID, MESH)  # a rod that lies on a plane or a box touches at both of its ends, which MuJoCo knows
+EXACT = tuple(int(g) for g in (_G.mjGEOM_PLANE, _G.mjGEOM_SPHERE, _G.mjGEOM_CAPSULE, _G.mjGEOM_BOX))  # closed form against a ball
+MOST_PAIRS = 4000
+
+
+class Rule(NamedTuple):
+    """Geoms of both sides that may touch, by name (``*``: any ending); both None: those that MuJoCo would let collide.
+
+    Attributes:
+        reach: [m] pairs that are farther apart across the axis, ports aligned, are left out; None: none is.
+    """
+
+    active: str | None = None
+    passive: str | None = None
+    reach: float | None = None
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Two geoms that may touch.
+
+    Attributes:
+        active, passive: their names. rule: number of the rule that they fall under. swapped: the round is on the passive side.
+        single: whether they touch at one point at most.
+    """
+
+    active: str
+    passive: str
+    rule: int
+    swapped: bool = False
+    single: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Sides:
+    """A mechanism as its MJCF has it.
+
+    Attributes:
+        facets: pairs that touch by facets; geometry: theirs, in the same order. native: pairs that MuJoCo collides itself.
+        frames: of each frame beyond A and S, the side and the name of the body that it is.
+        exact: whether MuJoCo's own collision has a closed form and one point for each of the pairs, facets among them.
+        ports: (2, 7) pose of A in the file of the active side, of P in that of the passive one.
+        moving: whether a side has joints of its own. findings: on the meshes that touch, with the name of the geom.
+    """
+
+    facets: tuple[Pair, ...]
+    geometry: Geometry
+    native: tuple[Pair, ...]
+    frames: tuple[tuple[str, str], ...]
+    exact: bool
+    ports: Array
+    moving: bool
+    findings: tuple[tuple[str, Finding], ...]
+
+    @property
+    def rigid(self) -> bool:
+        """Whether all that touches stands still on its side and does so by facets: its wrench then follows from the pose of A in S."""
+        return not self.native and not self.frames and not self.moving
+
+
+def sides_of(mechanism: Mechanism) -> Sides:
+    """What the MJCF of a mechanism says of its contacts. Raises InputError."""
+    stamps = tuple((str(f), f.stat().st_mtime_ns if f.is_file() else 0) for f in mechanism.files())
+    return _sides(stamps, mechanism.rules(), mechanism.captured)
+
+
+@lru_cache(maxsize=32)
+def _sides(stamps: tuple[tuple[str, int], ...], rules: tuple[Rule, ...], captured: bool) -> Sides:
+    active, passive = (_Side(file, site) for (file, _), site in zip(stamps, ("A", "P"), strict=True))
+    pairs = [] if captured else [(a, p, k) for k, rule in enumerate(rules) for a, p in _meeting(active, passive, rule)]
+    if not pairs and not captured:
+        raise InputError(_nothing_touches(active, passive, rules))
+    if len(pairs) > MOST_PAIRS:
+        raise InputError(
+            f"{active.file}, {passive.file}: {len(pairs)} pairs of geoms may touch (at most {MOST_PAIRS}); name those that do in rules, "
+            "or give a rule its reach"
+        )
+    facets, native, candidates, frames = [], [], [], _Frames()
+    for a, p, k in pairs:
+        names = active.name(a), passive.name(p)
+        if _facets(active.type(a), passive.type(p)):
+            facets.append(Pair(*names, k))
+            candidates.append(_candidate(active, a, passive, p, frames))
+        elif _facets(passive.type(p), active.type(a)):
+            facets.append(Pair(*names, k, swapped=True))
+            candidates.append(_candidate(passive, p, active, a, frames))
+        else:
+            native.append(Pair(*names, k))
+    exact = not native and all(SPHERE in types and set(types) <= set(EXACT) for types in ((active.type(a), passive.type(p)) for a, p, _ in pairs))
+    moving = bool(active.model.njnt or passive.model.njnt)
+    findings = (*active.findings.items(), *passive.findings.items())
+    return Sides(
+        tuple(facets), packed(candidates), tuple(native), tuple(frames.names), exact and not moving,
+        np.array([active.pose(), passive.pose()]), moving,
+        tuple((name, f) for name, found in findings for f in found),
+    )  # fmt: skip
+
+
+def _facets(round_: int, surface: int) -> bool:
+    return round_ == SPHERE and (surface in KINDS or surface == MESH) or round_ == CAPSULE and surface in ROD_FACETS
+
+
+def _candidate(one: _Side, round_: int, other: _Side, surface: int, frames: _Frames) -> tuple[Round, Placed]:
+    frame_a, ends = one.in_frame(round_, frames)
+    half = one.model.geom_size[round_, 1] if one.type(round_) == CAPSULE else 0.0
+    along = ends[1][:, 2] * half
+    places = np.array([ends[0] + along, ends[0] - along])
+    frame_p, (position, turn) = other.in_frame(surface, frames)
+    place = np.concatenate([position, _quaternion(turn)])
+    return Round(float(one.model.geom_size[round_, 0]), places, frame_a), Placed(other.surface(surface), place, frame_p, other.port == "P")
+
+
+class _Frames:
+    """Numbers of the frames in which geoms stand still: A, S, and bodies that move on a side."""
+
+    def __init__(self) -> None:
+        self.names: list[tuple[str, str]] = []
+
+    def number(self, side: str, body: str) -> int:
+        if (side, body) not in self.names:
+            self.names.append((side, body))
+        return FRAMES + self.names.index((side, body))
+
+
+class _Side:
+    """One side as compiled alone."""
+
+    def __init__(self, file: str, site: str) -> None:
+        self.file, self.port = file, site
+        self.model = m = compiled(Path(file))
+        self.data = mujoco.MjData(m)
+        mujoco.mj_kinematics(m, self.data)
+        found = mujoco.mj_name2id(m, mujoco.mjtObj.mjOBJ_SITE, site)
+        if found < 0:
+            have = ", ".join(m.site(i).name for i in range(m.nsite)) or "none"
+            raise InputError(
+                f"{file}: has no site {site!r} (sites: {have}); the port's frame is a site of that name, its +z along the insertion"
+            )
+        if m.body_weldid[m.site_bodyid[found]] != 0:
+            raise InputError(f"{file}: the site {site!r} is on a part that moves; the port's frame stands still on its side")
+        self.origin, self.axes = self.data.site_xpos[found].copy(), self.data.site_xmat[found].reshape(3, 3).copy()
+        self.findings: dict[str, list[Finding]] = {}
+        self._surfaces: dict[int, Surface] = {}
+
+    def pose(self) -> Array:
+        """``(7,)`` of the port in the file's frame."""
+        return np.concatenate([self.origin, _quaternion(self.axes)])
+
+    def name(self, geom: int) -> str:
+        return self.model.geom(geom).name
+
+    def names(self) -> list[str]:
+        return [self.name(g) for g in range(self.model.ngeom)]
+
+    def type(self, geom: int) -> int:
+        return int(self.model.geom_type[geom])
+
+    def touching(self) -> list[int]:
+        """Geoms that MuJoCo would let collide with something."""
+        m = self.model
+        return [g for g in range(m.ngeom) if m.geom_contype[g] or m.geom_conaffinity[g]]
+
+    def in_frame(self, geom: int, frames: _Frames) -> tuple[int, tuple[Array, Array]]:
+        """Number of the frame in which a geom stands still, and its place (3,) and axes (3, 3) in it."""
+        m, d = self.model, self.data
+        root = int(m.body_weldid[m.geom_bodyid[geom]])
+        place, turn = d.geom_xpos[geom], d.geom_xmat[geom].reshape(3, 3)
+        if root == 0:
+            return (ACTIVE if self.port == "A" else PASSIVE), ((place - self.origin) @ self.axes, self.axes.T @ turn)
+        axes = d.xmat[root].reshape(3, 3)
+        return frames.number(self.port, m.body(root).name), ((place - d.xpos[root]) @ axes, axes.T @ turn)
+
+    def surface(self, geom: int) -> Surface:
+        """What a facet is put on. Raises InputError for a mesh that cannot be touched."""
+        m = self.model
+        if m.geom_type[geom] != MESH:
+            return of_geom(int(m.geom_type[geom]), m.geom_size[geom])
+        mesh = int(m.geom_dataid[geom])
+        if mesh in self._surfaces:
+            return self._surfaces[mesh]
+        vertices = m.mesh_vert[m.mesh_vertadr[mesh] :][: m.mesh_vertnum[mesh]].astype(float)
+        found, self.findings[self.name(geom)] = of_mesh(vertices, m.mesh_face[m.mesh_faceadr[mesh] :][: m.mesh_facenum[mesh]])
+        if found is None:
+            raise InputError(f"{self.file}: mesh of the geom {self.name(geom)!r}: " + "; ".join(f.message for f in self.findings[self.name(geom)] if not f.usable))
+        self._surfaces[mesh] = found
+        return found
+
+    def ends(self, geom: int) -> Array:
+        """``(k, 2)`` places across the port's axis of what bounds a geom: points along a rod, the middle of anything else [m]."""
+        half = self.model.geom_size[geom, 1] if self.type(geom) == CAPSULE else 0.0
+        along = self.data.geom_xmat[geom].reshape(3, 3)[:, 2] * half
+        points = self.data.geom_xpos[geom] + np.linspace(-1.0, 1.0, 9)[:, None] * along
+        return ((points - self.origin) @ self.axes)[:, :2]
+
+
+def _meeting(active: _Side, passive: _Side, rule: Rule) -> list[tuple[int, int]]:
+    """Numbers of the geoms of a rule."""
+    chosen = []
+    for side, pattern in ((active, rule.active), (passive, rule.passive)):
+        if pattern is None:
+            chosen.append(side.touching())
+        else:
+            names = side.names()
+            chosen.append([names.index(name) for name in matching(pattern, names)])
+    pairs = [(a, p) for a in chosen[0] for p in chosen[1]]
+    if rule.reach is None:
+        return pairs
+    return [(a, p) for a, p in pairs if _apart(active.ends(a), passive.ends(p)) < rule.reach]
+
+
+def _apart(a: Array, p: Array) -> float:
+    return float(np.linalg.norm(a[:, None] - p[None], axis=2).min())
+
+
+def _nothing_touches(active: _Side, passive: _Side, rules: Sequence[Rule]) -> str:
+    for rule in rules:
+        for side, pattern in ((active, rule.active), (passive, rule.passive)):
+            if pattern is not None and not matching(pattern, side.names()):
+                have = ", ".join(side.names()[:20])
+                return f"{side.file}: no geom is called {pattern!r}; its geoms are {have}"
+    return (
+        f"{active.file}, {passive.file}: no geom of one can meet one of the other; a geom touches where contype and conaffinity are not 0: "
+        'give at least one geom of each side contype="1" conaffinity="1"'
+    )
+
+
+def compiled(file: Path) -> mujoco.MjModel:
+    """The model of one side alone, its geoms and bodies named. Raises InputError."""
+    spec = named(file)
+    try:
+        return spec.compile()
+    except ValueError as error:
+        raise InputError(f"{file}: MuJoCo cannot compile it: {_first_line(error)}") from error
+
+
+def named(file: Path) -> mujoco.MjSpec:
+    """The MJCF of one side; geoms and bodies without a name are called by their number. Raises InputError."""
+    if not Path(file).is_file():
+        raise InputError(f"{file}: no such file")
+    try:
+        spec = mujoco.MjSpec.from_file(str(file))
+    except ValueError as error:
+        raise InputError(f"{file}: is no MJCF that MuJoCo can read: {_first_line(error)}") from error
+    for what, things in (("geom", spec.geoms), ("body", spec.bodies)):
+        for i, thing in enumerate(things):
+            if not thing.name:
+                thing.name = f"{what}_{i}"
+    return spec
+
+
+def _first_line(error: Exception) -> str:
+    return " ".join(str(error).split())
+
+
+def _quaternion(axes: Array) -> Array:
+    q = np.empty(4)
+    mujoco.mju_mat2Quat(q, np.ascontiguousarray(axes).ravel())
+    return quat_from_mujoco(q)

@@ -1,0 +1,205 @@
+"""The contact wrench at an instant: what the law makes of where the surfaces meet.
+
+Normal force by the law (:mod:`hiltestbed.contact.law`); friction mu |F| v/sqrt(v^2 + v_0^2) with v_0 = 1e-4 m/s, in a servo no less than
+what one physics step can follow. A latch holds A at a place in S by a spring and a damper on each of six axes, along z by the law.
+
+The kernels serve the loop, where MuJoCo exerts the force that they ask for (:mod:`hiltestbed.contact.engagement`), and the replay, where
+nothing but the wrench is wanted.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from hiltestbed.contact.geometry import ACTIVE, PASSIVE, ROUND_FRAME, ROW, SIDE, SURFACE_FRAME, meet
+from hiltestbed.contact.law import contact_force
+from hiltestbed.contact.parameters import BLUNT, DAMPING, FRICTION, LEVER, STIFFNESS, TILT_X, TILT_Y
+from hiltestbed.frames import Array, pose_between, quat_mul, rotate, rotate_back, rotation_vector
+
+CREEP = 1e-4  # [m/s] speed below which friction is viscous
+LATCH_RADIUS = 0.15  # [m] of the ring of latches: stiffness against turning is k LATCH_RADIUS^2
+
+
+def tilts(parameters: Array) -> Array:
+    """``(n, 7)`` pose of the passive port in its nominal place, for contacts of the ``parameters`` (n, PARAMETERS): R_y R_x."""
+    x, y = 0.5 * parameters[:, TILT_X], 0.5 * parameters[:, TILT_Y]
+    out = np.zeros((len(parameters), 7))
+    out[:, 3], out[:, 4] = np.sin(x) * np.cos(y), np.cos(x) * np.sin(y)
+    out[:, 5], out[:, 6] = -np.sin(x) * np.sin(y), np.cos(x) * np.cos(y)
+    return out
+
+
+@njit(cache=True)
+def relate_one(pose, twist, place, motion, pose_out, twist_out, work):
+    """One run: pose and twist of A in S; positions, and velocities relative to S as it moves and turns, in S. ``work`` (1, 3): scratch."""
+    v = work[0]
+    pose_between(place, pose, pose_out)
+    ax, ay, az = pose[0] - place[0], pose[1] - place[1], pose[2] - place[2]
+    wx, wy, wz = motion[3], motion[4], motion[5]
+    v[0] = twist[0] - motion[0] - (wy * az - wz * ay)
+    v[1] = twist[1] - motion[1] - (wz * ax - wx * az)
+    v[2] = twist[2] - motion[2] - (wx * ay - wy * ax)
+    rotate_back(place[3:7], v, twist_out[0:3])
+    for j in range(3):
+        v[j] = twist[3 + j] - motion[3 + j]
+    rotate_back(place[3:7], v, twist_out[3:6])
+
+
+@njit(cache=True)
+def relate(pose, twist, place, motion, pose_out, twist_out):
+    """All runs: pose (n, 7) and twist (n, 6) of A in S."""
+    work = np.empty((1, 3))
+    for i in range(pose.shape[0]):
+        relate_one(pose[i], twist[i], place[i], motion[i], pose_out[i], twist_out[i], work)
+
+
+@njit(cache=True)
+def meet_all(index, values, p, frames, motions, work, depth, rate, point, normal, slip):
+    """Where the candidates of one run meet, with the parameters ``p`` (C, PARAMETERS).
+
+    Args:
+        frames, motions: (F, 7), (F, 6) poses and twists of the frames in W. work: (9, 7) scratch.
+        depth, rate: (C,) penetration [m], negative while apart, and its rate [m/s].
+        point, normal, slip: (C, 3) in the frame of the surface: where the force acts [m], the direction in which the surface is pushed,
+            and the velocity of what touches it across that [m/s].
+    """
+    pose, twist, scratch = work[5], work[6][:6], work[:5, :3]
+    a, s = -1, -1
+    for c in range(depth.shape[0]):
+        frame_a, frame_s = index[c * ROW + ROUND_FRAME], index[c * ROW + SURFACE_FRAME]
+        if frame_a != a or frame_s != s:
+            a, s = frame_a, frame_s
+            relate_one(frames[a], motions[a], frames[s], motions[s], pose, twist, scratch)
+        depth[c], rate[c] = meet(
+            index, values, c, pose, twist, p[c, LEVER], p[c, BLUNT], scratch, point[c], normal[c], slip[c]
+        )  # fmt: skip
+
+
+@njit(cache=True)
+def law_of(dt, least_creep, p, state, depth, rate, slip):
+    """Normal force [N] of a contact and what friction is worth [N s/m]: the force across is that times the ``slip`` (3,)."""
+    push = contact_force(depth, rate, dt, p, state, False)
+    if push == 0.0 or p[FRICTION] == 0.0:
+        return push, 0.0
+    limit = p[FRICTION] * abs(push)
+    creep = max(CREEP, least_creep * limit)
+    return push, limit / math.sqrt(slip[0] ** 2 + slip[1] ** 2 + slip[2] ** 2 + creep * creep)
+
+
+@njit(cache=True)
+def add_contact(push, drag, point, normal, slip, place, side, f, wrench):
+    """Add to ``wrench`` (6,), in W at W's origin on the passive side, a contact on a surface whose frame is at ``place`` (7,).
+
+    ``side``: 1 where the surface is on the passive side, else -1. ``f`` (6,) is scratch.
+    """
+    for j in range(3):
+        f[j] = push * normal[j] + drag * slip[j]
+    at = f[3:6]
+    rotate(place[3:7], f[0:3], f[0:3])
+    rotate(place[3:7], point, at)
+    for j in range(3):
+        at[j] += place[j]
+        f[j] *= side
+    add_at(at, f, wrench)
+
+
+@njit(cache=True)
+def contact_wrench(
+    index, values, dt, least_creep, p, frames, motions, latched, hold, state, depth, rate, point, normal, slip, work, wrench
+):  # fmt: skip
+    """The contacts of one run at an instant: ``wrench`` (6,) on the passive side, in W at W's origin. Returns whether they touch.
+
+    Args:
+        dt: time since the last instant [s]. p: (C + 1, PARAMETERS), of each candidate and of the latch. frames, motions: (F, 7), (F, 6).
+        state: (C + 1, STATES) of the laws, moved on. depth ... slip: see :func:`meet_all`. work: (9, 7) scratch.
+    """
+    wrench[:] = 0.0
+    count = depth.shape[0]
+    if latched:
+        pose, twist = work[5], work[6][:6]
+        relate_one(frames[ACTIVE], motions[ACTIVE], frames[PASSIVE], motions[PASSIVE], pose, twist, work[:5, :3])
+        latch_wrench(p[count], dt, pose, twist, hold, state[count], work[7][:6])
+        to_frame(frames[PASSIVE], work[7], wrench)
+        return True
+    meet_all(index, values, p, frames, motions, work, depth, rate, point, normal, slip)
+    return surface_wrench(index, dt, least_creep, p, frames, state, depth, rate, point, normal, slip, work[7], wrench)
+
+
+@njit(cache=True)
+def surface_wrench(index, dt, least_creep, p, frames, state, depth, rate, point, normal, slip, f, wrench):
+    """Add to ``wrench`` (6,) what the laws make of a geometry; returns whether the surfaces touch. ``f`` (6,) is scratch."""
+    touching = False
+    for c in range(depth.shape[0]):
+        push, drag = law_of(dt, least_creep, p[c], state[c], depth[c], rate[c], slip[c])
+        touching |= depth[c] > 0.0 or push != 0.0
+        if push != 0.0:
+            frame, side = frames[index[c * ROW + SURFACE_FRAME]], index[c * ROW + SIDE]
+            add_contact(push, drag, point[c], normal[c], slip[c], frame, side, f, wrench)
+    return touching
+
+
+@njit(cache=True)
+def to_frame(place, local, wrench):
+    """``wrench`` (6,) in W at W's origin of a wrench ``local`` (6,) in S at S's origin, S at ``place`` (7,) in W."""
+    rotate(place[3:7], local[0:3], wrench[0:3])
+    rotate(place[3:7], local[3:6], wrench[3:6])
+    fx, fy, fz = wrench[0], wrench[1], wrench[2]
+    wrench[3] += place[1] * fz - place[2] * fy
+    wrench[4] += place[2] * fx - place[0] * fz
+    wrench[5] += place[0] * fy - place[1] * fx
+
+
+@njit(cache=True)
+def add_at(point, f, wrench):
+    """Add to ``wrench`` (6,) a force ``f`` (3,) that acts at ``point`` (3,)."""
+    for j in range(3):
+        wrench[j] += f[j]
+    wrench[3] += point[1] * f[2] - point[2] * f[1]
+    wrench[4] += point[2] * f[0] - point[0] * f[2]
+    wrench[5] += point[0] * f[1] - point[1] * f[0]
+
+
+@njit(cache=True)
+def latch_wrench(p, dt, pose, twist, hold, state, local):
+    """``local`` (6,) in S at S's origin: springs and dampers between A and where it is held in S, at A's origin; along z the law."""
+    turn, q, inverse, f = np.empty(3), np.empty(4), np.empty(4), np.empty(3)
+    k, c = p[STIFFNESS], p[DAMPING]
+    for j in range(3):
+        inverse[j] = -hold[3 + j]
+        f[j] = k * (pose[j] - hold[j]) + c * twist[j]
+    inverse[3] = hold[6]
+    f[2] = contact_force(pose[2] - hold[2], twist[2], dt, p, state, True)
+    quat_mul(pose[3:7], inverse, q)
+    rotation_vector(q, turn)
+    for j in range(3):
+        local[j] = 0.0
+        local[3 + j] = LATCH_RADIUS**2 * (k * turn[j] + c * twist[3 + j])
+    add_at(pose[0:3], f, local)
+
+
+@njit(cache=True)
+def held_at(pose, wrench, place, p, hold):
+    """Where a latch that closes at ``pose`` (7,) holds A in S so that its springs bear the force of the ``wrench`` (6,) in W."""
+    f = np.empty(3)
+    rotate_back(place[3:7], wrench[0:3], f)
+    hold[:] = pose
+    for j in range(3):
+        hold[j] -= f[j] / p[STIFFNESS]
+
+
+@njit(cache=True)
+def load_body(sign, wrench, body, centre, xfrc):
+    """Write ``sign`` times the wrench (n, 6), in W at W's origin, to ``xfrc`` (n, nbody, 6) of a body.
+
+    MuJoCo's ``xfrc_applied`` is force and torque at the body's centre of mass, ``centre`` (n, 3) in W.
+    """
+    for i in range(wrench.shape[0]):
+        c, f, out = centre[i], wrench[i], xfrc[i, body]
+        for j in range(3):
+            out[j] = sign * f[j]
+        out[3] = sign * (f[3] - (c[1] * f[2] - c[2] * f[1]))
+        out[4] = sign * (f[4] - (c[2] * f[0] - c[0] * f[2]))
+        out[5] = sign * (f[5] - (c[0] * f[1] - c[1] * f[0]))
