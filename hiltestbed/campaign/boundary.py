@@ -116,7 +116,7 @@ def applies(scenario: Scenario) -> bool:
 
 def margin(scenario: Scenario) -> tuple[float, float]:
     """The scenario's delay less that of the closed contact, and less that of the bounce [s]; positive: the rig gives energy."""
-    contact = ContactParameters.believed(scenario.mechanism).with_effects(scenario.effects)
+    contact = ContactParameters.believed(scenario.mechanism.contact).with_effects(scenario.effects)
     delay = SensorParameters.believed(scenario.sensor, scenario.tick).with_effects(scenario.effects).delay
     law = (contact.stiffness, contact.damping, effective_mass(scenario))
     return delay - closed_contact_delay(*law), delay - bounce_delay(*law)

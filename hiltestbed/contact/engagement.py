@@ -29,7 +29,7 @@ from hiltestbed.contact import composition
 from hiltestbed.contact.composition import AWAY, DIST, FACET, FOUND, IMPEDANCE, LATCH, LINVEL, NORMAL, POS, READ, Structure
 from hiltestbed.contact.geometry import ACTIVE, FRAMES, PASSIVE, RADIUS, ROUND_FRAME, ROW, SIDE, SURFACE_FRAME, VALUES
 from hiltestbed.contact.law import STATES, contact_force
-from hiltestbed.contact.parameters import ADHESION, DAMPING, FRICTION, LINEAR, MODE, OFFSET, STIFFNESS, ContactParameters
+from hiltestbed.contact.parameters import ADHESION, DAMPING, FRICTION, LINEAR, MODE, OFFSET, STIFFNESS, ContactParameters, believed_contacts, contact_rows
 from hiltestbed.contact.solref import NO_DAMPING
 from hiltestbed.contact.wrench import LATCH_RADIUS, add_at, add_contact, held_at, law_of, meet_all, relate_one, tilts
 from hiltestbed.frames import Array, quat_mul, rotate, rotate_back
@@ -63,7 +63,7 @@ class Engagement:
         self._dt, self._least_creep = dt, least_creep
         self._geometry, self._facets = sides.geometry, len(sides.facets)
         pairs = (*sides.facets, *sides.native)
-        self.parameters = np.array([[p.row() for p in _numbers(s, [pair.rule for pair in pairs])] for s in scenarios])
+        self.parameters = np.array([_rows(s, sides.rules) for s in scenarios])
         self._linear = _linear(self.parameters[:, :-1])
         self._live = np.ones((n, len(pairs)), dtype=bool)
         self.tilt = tilts(self.parameters[:, -1])
@@ -134,11 +134,10 @@ class Engagement:
         return self._pose, self._twist
 
 
-def _numbers(scenario: Scenario, rules: Sequence[int]) -> list[ContactParameters]:
-    """The numbers of each pair, effects included, and last those of the latch."""
-    mechanism = scenario.mechanism
-    contacts = [mechanism.contacts()[rule] for rule in rules]
-    return [ContactParameters.believed(c, mechanism.captured).with_effects(scenario.effects) for c in (*contacts, mechanism.latch_contact())]
+def _rows(scenario: Scenario, rules: Sequence[int]) -> Array:
+    """``(T + 1, PARAMETERS)`` of each pair and of the latch, effects included."""
+    contacts = [c.with_effects(scenario.effects) for c in believed_contacts(scenario.mechanism)]
+    return contact_rows(contacts, rules, scenario.mechanism.captured)
 
 
 def _linear(rows: Array) -> NDArray[np.bool_]:
@@ -310,7 +309,7 @@ def _touch_facets(
                 geom_pos[i, ids[c, 1], 2] = AWAY
                 continue
             push, drag = law_of(dt, least_creep, row, state[i, c], depth[c], rate[c], slip[c])
-            if depth[c] <= 0.0 and push == 0.0:
+            if depth[c] <= row[OFFSET] and push == 0.0:
                 geom_pos[i, ids[c, 1], 2] = AWAY
                 continue
             touching[i] = True
@@ -320,7 +319,7 @@ def _touch_facets(
             add_contact(push, drag, point[c], normal[c], slip[c], frames[i, surface], side, f, wrench[i])
             if push < 0.0:
                 add_contact(push, drag, point[c], normal[c], slip[c], frames[i, surface], side, f, pull[i])
-            if push < 0.0 or depth[c] <= row[OFFSET] and push == 0.0:
+            if push < 0.0:
                 geom_pos[i, ids[c, 1], 2] = AWAY
                 continue
             show = max(depth[c] - row[OFFSET], LEAST)

@@ -54,7 +54,7 @@ def _law(x, v, branch, p, held):
     elastic = p[POWER_STIFFNESS] * depth ** p[EXPONENT] if p[POWER_STIFFNESS] > 0.0 else p[STIFFNESS] * depth
     if x < 0.0:
         elastic = -elastic
-    force = elastic * (1.0 + p[ALPHA] * v) if p[ALPHA] >= 0.0 else elastic + p[DAMPING] * v
+    force = elastic + abs(elastic) * p[ALPHA] * v if p[ALPHA] >= 0.0 else elastic + p[DAMPING] * v
     if p[DRY] != 0.0 and p[DRAG] <= 0.0:
         force += p[DRY] * math.tanh(v / SLIP_SPEED)
     if depth > p[STOP]:

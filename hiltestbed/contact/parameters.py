@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass, fields
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,7 +12,7 @@ from hiltestbed.effects.base import Effect
 from hiltestbed.frames import Array
 
 if TYPE_CHECKING:
-    from hiltestbed.contact.settings import Contact
+    from hiltestbed.contact.settings import Contact, Mechanism
 
 
 @dataclass
@@ -72,9 +72,31 @@ class ContactParameters:
                 effect.apply(self)
         return self
 
+    def after_capture(self) -> ContactParameters:
+        """The same object as a latch that closed in the course of a run knows it: no touch, no step at it, no stop past a depth."""
+        self.offset = self.preload = self.stop_stiffness = 0.0
+        self.stop = np.inf
+        return self
+
     def row(self) -> Array:
         """``(PARAMETERS,)`` as the kernels take it."""
         return np.array([getattr(self, f.name) for f in fields(self)], dtype=float)
+
+
+def believed_contacts(mechanism: Mechanism) -> list[ContactParameters]:
+    """Of each rule of a mechanism, and last of its latch, without any effect."""
+    found = [ContactParameters.believed(c) for c in mechanism.contacts()]
+    return [*found, ContactParameters.believed(mechanism.latch_contact(), mechanism.captured)]
+
+
+def contact_rows(contacts: Sequence[ContactParameters], rules: Sequence[int], captured: bool) -> Array:
+    """``(T + 1, PARAMETERS)`` of each pair, which falls under one of the ``rules`` (T,), and last of the latch.
+
+    ``contacts``: of each rule and of the latch, effects included. captured: whether the latch holds from the start.
+    """
+    latch = contacts[-1] if captured else replace(contacts[-1]).after_capture()
+    rows = np.array([c.row() for c in (*contacts[:-1], latch)])
+    return rows[[*rules, len(rows) - 1]]
 
 
 # The columns of a row, by the names of the fields.

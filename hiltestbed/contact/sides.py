@@ -89,6 +89,11 @@ class Sides:
     findings: tuple[tuple[str, Finding], ...]
 
     @property
+    def rules(self) -> tuple[int, ...]:
+        """Number of the rule of each facet, then of each native pair."""
+        return tuple(pair.rule for pair in (*self.facets, *self.native))
+
+    @property
     def rigid(self) -> bool:
         """Whether all that touches stands still on its side and does so by facets: its wrench then follows from the pose of A in S."""
         return not self.native and not self.frames and not self.moving

@@ -16,7 +16,7 @@ from numba import njit
 
 from hiltestbed.contact.geometry import ACTIVE, PASSIVE, ROUND_FRAME, ROW, SIDE, SURFACE_FRAME, meet
 from hiltestbed.contact.law import contact_force
-from hiltestbed.contact.parameters import BLUNT, DAMPING, FRICTION, LEVER, STIFFNESS, TILT_X, TILT_Y
+from hiltestbed.contact.parameters import BLUNT, DAMPING, FRICTION, LEVER, OFFSET, STIFFNESS, TILT_X, TILT_Y
 from hiltestbed.frames import Array, pose_between, quat_mul, rotate, rotate_back, rotation_vector
 
 CREEP = 1e-4  # [m/s] speed below which friction is viscous
@@ -134,7 +134,7 @@ def surface_wrench(index, dt, least_creep, p, frames, state, depth, rate, point,
     touching = False
     for c in range(depth.shape[0]):
         push, drag = law_of(dt, least_creep, p[c], state[c], depth[c], rate[c], slip[c])
-        touching |= depth[c] > 0.0 or push != 0.0
+        touching |= depth[c] > p[c, OFFSET] or push != 0.0
         if push != 0.0:
             frame, side = frames[index[c * ROW + SURFACE_FRAME]], index[c * ROW + SIDE]
             add_contact(push, drag, point[c], normal[c], slip[c], frame, side, f, wrench)

@@ -10,14 +10,14 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from hiltestbed.contact.cone import PLANE, TIP_RADIUS, Surfaces, beyond_rim, cone_distance, meet
+from hiltestbed.contact.geometry import Geometry, arm
 from hiltestbed.contact.latch import closes
 from hiltestbed.contact.law import STATES
 from hiltestbed.contact.mount import mount_place
-from hiltestbed.contact.mount_dynamics import MountDynamics, mount_reading, mount_step
-from hiltestbed.contact.parameters import BRANCH_STIFFNESS, DRAG, LEVER, MODE, OFFSET, STIFFNESS, TILT_X, TILT_Y, ContactParameters
-from hiltestbed.contact.touch import contact_wrench, relate_one, surface_wrench, tilts, to_frame
-from hiltestbed.frames import Array, quat_exp, quat_mul, rotate, rotate_back, twist_between
+from hiltestbed.contact.mount_dynamics import BODY, SCRATCH, MountDynamics, mount_reading, mount_step
+from hiltestbed.contact.parameters import BRANCH_STIFFNESS, DRAG, LEVER, MODE, OFFSET, PARAMETERS, TILT_X, TILT_Y
+from hiltestbed.contact.wrench import contact_wrench, held_at, meet_all, relate_one, surface_wrench, tilts
+from hiltestbed.frames import Array, quat_exp, quat_mul, twist_between
 from hiltestbed.log import LogParameters
 from hiltestbed.sensor.chain import condition, passes
 from hiltestbed.sensor.parameters import SensorParameters, stack
@@ -31,45 +31,57 @@ class Felt:
     """What the lanes of a replay share: recorded paths and the mechanism that moved along them.
 
     Attributes:
-        poses: (R, N, 7) of A in P at t_k. before: (R, 7) at t_(-1). tick: [s]. surfaces: of the mechanism.
+        poses: (R, N, 7) of A in P at t_k. before: (R, 7) at t_(-1). tick: [s]. geometry: of the mechanism, both of whose sides are rigid.
         captured: (R,) bool, latched from the start. latch: (R, 3) least depth [m], cosine, speed [m/s] of the latch condition; never met
             where there is no latch. mount: of the runs, or None for a rigid one.
         substeps: instants of the physics a tick, at which a compliant mount is integrated.
-        twists: (R, N, 6) over the tick that ends at each row. near: (R, N) whether the surfaces may touch in it.
-        lever: where in the overlap the force acts. met: geometry at t_k while nothing is tilted, see :func:`hiltestbed.contact.cone.meet`:
-        it does not depend on what the law is thought to be.
+        lever: where in the overlap the force acts. rates: (R, N, 6) twist at t_k, where it is known, as under a servo; None: the slope of
+            the pose over the tick that ends there.
+        twists: (R, N, 6) over the tick that ends at each row. clear: (R, N) least distance of the surfaces in that tick [m].
+        met: geometry at t_k while nothing is tilted and the surfaces are near, see :func:`hiltestbed.contact.wrench.meet_all`: it does
+            not depend on what the law is thought to be.
     """
 
     poses: Array
     before: Array
     tick: float
-    surfaces: Surfaces
+    geometry: Geometry
     captured: np.ndarray
     latch: Array
     mount: MountDynamics | None
     substeps: int
     lever: float = 0.5
+    rates: Array | None = None
     twists: Array = field(init=False)
-    near: np.ndarray = field(init=False)
+    clear: Array = field(init=False)
     met: tuple[Array, Array, Array, Array, Array] = field(init=False)
 
     def __post_init__(self) -> None:
-        rows = self.poses.shape[:2]
-        twists, near = np.empty((*rows, 6)), np.empty(rows, dtype=bool)
-        met = (np.full((*rows, 2), -1.0), np.zeros((*rows, 2)), np.zeros((*rows, 2, 3)), np.zeros((*rows, 2, 3)), np.zeros((*rows, 2, 3)))
+        runs, rows = self.poses.shape[:2]
+        count = self.geometry.count
+        twists, clear = np.empty((runs, rows, 6)), np.empty((runs, rows))
+        scalars, vectors = (runs, rows, count), (runs, rows, count, 3)
+        met = (np.full(scalars, -1.0), np.zeros(scalars), np.zeros(vectors), np.zeros(vectors), np.zeros(vectors))
         _slopes(self.poses, self.before, self.tick, twists)
-        _near(self.surfaces.kind, self.surfaces.sizes, self.poses, self.before, NEAR, near)
         object.__setattr__(self, "twists", twists)
-        _meet(self.surfaces.kind, self.surfaces.sizes, self.lever, self.poses, twists, near, *met)
-        object.__setattr__(self, "near", near)
+        _meet(*self.geometry, self.lever, self.poses, self.ends, self.before, clear, *met)
+        object.__setattr__(self, "clear", clear)
         object.__setattr__(self, "met", met)
+
+    @property
+    def ends(self) -> Array:
+        """(R, N, 6) twist with which the contact is felt at t_k."""
+        return self.twists if self.rates is None else self.rates
 
 
 class Lane(NamedTuple):
-    """One lane: the run that drives it and the numbers of contact, sensor and record; later: [s] that it is read later than those say."""
+    """One lane: the run that drives it and the numbers of contact, sensor and record; later: [s] that it is read later than those say.
+
+    ``contact``: (C + 1, PARAMETERS) of each candidate and of the latch.
+    """
 
     run: int
-    contact: ContactParameters
+    contact: Array
     sensor: SensorParameters
     log: LogParameters
     later: float = 0.0
@@ -94,17 +106,17 @@ def replay_wrench(felt: Felt, lanes: Sequence[Lane], grid: int | None = None) ->
     else:
         parts = np.ones((len(lanes), 2))
         parts[:, 0] = np.where(whole, 1.0, 1.0 - (ticks - np.floor(ticks)))
-    rows = np.array([lane.contact.row() for lane in lanes])
+    rows = np.array([lane.contact for lane in lanes])
     chain = stack([lane.sensor for lane in lanes])
     if chain.tone.shape[1]:
         again = np.array([lane.log.skew * lane.log.reread for lane in lanes])
         chain.tone[:, :, 4] -= 2.0 * math.pi * chain.tone[:, :, 3] * again[:, None]  # a tone goes on until it is read anew
     run = np.array([lane.run for lane in lanes])
     out = np.empty((len(lanes), felt.poses.shape[1], 6))
-    dynamics = felt.mount.arrays(h / parts.shape[1]) if felt.mount is not None else _RIGID
+    dynamics = (felt.mount.stiffness, felt.mount.damping, felt.mount.body) if felt.mount is not None else _RIGID
     _replay(
-        run, felt.poses, felt.twists, felt.before, felt.near, felt.met, felt.lever, h, felt.surfaces.kind, felt.surfaces.sizes,
-        felt.captured, felt.latch, dynamics, parts, bool(instants), ticks, rows, tilts(rows), chain.elements(), out,
+        run, felt.poses, felt.twists, felt.ends, felt.rates is not None, felt.before, felt.clear, felt.met, felt.lever, h, felt.geometry,
+        felt.captured, felt.latch, dynamics, parts, bool(instants), ticks, rows, tilts(rows[:, -1]), chain.elements(), out,
     )  # fmt: skip
     for i, lane in enumerate(lanes):
         if lane.log.skew and not lane.log.reread:
@@ -112,7 +124,7 @@ def replay_wrench(felt: Felt, lanes: Sequence[Lane], grid: int | None = None) ->
     return out
 
 
-_RIGID = (np.zeros((0, 6)), np.zeros((0, 6)), np.zeros((0, 6, 6)), np.zeros((0, 6, 6)))
+_RIGID = (np.zeros((0, 6)), np.zeros((0, 6)), np.zeros(BODY))
 
 
 def shifted(values: Array, ticks: float) -> Array:
@@ -125,8 +137,9 @@ def shifted(values: Array, ticks: float) -> Array:
 
 @njit(cache=True)
 def _replay(
-    run, poses, twists, before, near, met, lever, h, kind, sizes, captured, latch, mount, parts, between, ticks, p, tilt, elements, out
-):
+    run, poses, twists, ends, bent, before, clear, met, lever, h, geometry, captured, latch, mount, parts, between, ticks, p, tilt, elements,
+    out,
+):  # fmt: skip
     """All lanes, one after the other: each is a run from its first row to its last."""
     calibration, lag, leak, offset, drift, tone, deadzone, limit, step = elements
     stages = max(lag.shape[1], leak.shape[1])
@@ -136,8 +149,8 @@ def _replay(
     for i in range(len(run)):
         r = run[i]
         _contact(
-            poses[r], twists[r], before[r], near[r], met, lever, h, kind, sizes, captured[r], latch[r], r, mount, parts[i], between, p[i],
-            tilt[i], sub,
+            poses[r], twists[r], ends[r], bent, before[r], clear[r], met, lever, h, geometry, captured[r], latch[r], r, mount, parts[i],
+            between, p[i], tilt[i], sub,
         )  # fmt: skip
         low[:], high[:], last_in[:] = 0.0, 0.0, 0.0
         back = int(math.floor(ticks[i]))
@@ -174,32 +187,35 @@ def _interpolated(sub, at, late):
 
 
 @njit(cache=True)
-def _contact(poses, twists, before, near, met, lever, h, kind, sizes, captured, latch, r, mount, parts, between, p, tilt, sub):
+def _contact(poses, twists, ends, bent, before, clear, met, lever, h, geometry, captured, latch, r, mount, parts, between, p, tilt, sub):
     """What the sensor feels along one path: ``sub`` (N, m, 6) at the instants ``parts`` (m,) of the tick that ends at each row."""
-    stiffness, damping, mass, implicit = mount
-    mounted = stiffness.shape[0] > 0
-    state, hold = np.zeros((2, STATES)), np.zeros(7)
+    index, values = geometry
+    stiffness, damping, body = mount
+    mounted, count = stiffness.shape[0] > 0, p.shape[0] - 1
+    state, hold = np.zeros((count + 1, STATES)), np.zeros(7)
     hold[6] = 1.0
-    depth, rate, point, normal, slip = np.zeros(2), np.zeros(2), np.zeros((2, 3)), np.zeros((2, 3)), np.zeros((2, 3))
-    at, local_pose, local_twist, turn = np.empty(7), np.empty(7), np.empty(6), np.empty(7)
-    wrench, local, work, place, motion = np.zeros(6), np.empty(6), np.empty((6, 3)), tilt.copy(), np.zeros(6)
-    q, qd = np.zeros(6), np.zeros(6)
+    depth, closing = np.zeros(count), np.zeros(count)
+    point, normal, slip = np.zeros((count, 3)), np.zeros((count, 3)), np.zeros((count, 3))
+    frames, motions, turn = np.zeros((2, 7)), np.zeros((2, 6)), np.empty(7)
+    wrench, work, local_pose, local_twist = np.zeros(6), np.empty((9, 7)), np.empty(7), np.empty(6)
+    frames[1] = tilt
+    q, qd, joints = np.zeros(6), np.zeros(6), np.empty((SCRATCH, 3))
     latched, touched = captured, False
     sub[:] = 0.0
-    m = parts.shape[0]
+    m, last_row = parts.shape[0], p[count]
     depths, rates, points, normals, slips = met
-    level = p[TILT_X] == 0.0 and p[TILT_Y] == 0.0
-    remembers = p[BRANCH_STIFFNESS] > 0.0 or p[DRAG] > 0.0 or p[MODE] > 0.0 or latch[1] < 1.5
-    plain = level and not mounted and latch[1] > 1.5 and p[LEVER] == lever and -p[OFFSET] <= NEAR
+    lean = abs(last_row[TILT_X]) + abs(last_row[TILT_Y])
+    reach, longest = max(0.0, -last_row[OFFSET] if count == 0 else -p[0, OFFSET]), arm(values, count)
+    remembers = last_row[BRANCH_STIFFNESS] > 0.0 or last_row[DRAG] > 0.0 or last_row[MODE] > 0.0 or latch[1] < 1.5
+    plain = lean == 0.0 and not mounted and latch[1] > 1.5 and last_row[LEVER] == lever and reach <= NEAR
     for k in range(poses.shape[0]):
         last = before if k == 0 else poses[k - 1]
-        if not latched and not mounted and p[MODE] == 0.0:
-            if level and -p[OFFSET] <= NEAR:
-                apart = not near[k] or (
-                    k > 0 and max(met[0][r, k, 0], met[0][r, k, 1], met[0][r, k - 1, 0], met[0][r, k - 1, 1]) <= p[OFFSET]
-                )
+        if not latched and not mounted and last_row[MODE] == 0.0:
+            if lean == 0.0 and reach <= NEAR:
+                apart = clear[k] > NEAR or (k > 0 and _outside(depths[r, k], depths[r, k - 1], p))
             else:
-                apart = _apart(kind, sizes, p, tilt, last, poses[k], work)
+                away = math.sqrt(poses[k, 0] ** 2 + poses[k, 1] ** 2 + poses[k, 2] ** 2) + longest
+                apart = clear[k] > reach + lean * away
             if apart:
                 if touched:
                     state[:] = 0.0
@@ -216,88 +232,78 @@ def _contact(poses, twists, before, near, met, lever, h, kind, sizes, captured, 
             passed = parts[s]
             if parts[s] == 1.0 and plain and not latched:
                 surface_wrench(
-                    dt, 0.0, p, state, depths[r, k], rates[r, k], points[r, k], normals[r, k], slips[r, k], work[5], sub[k, s]
+                    index, dt, 0.0, p, frames, state, depths[r, k], rates[r, k], points[r, k], normals[r, k], slips[r, k], work[7], sub[k, s]
                 )  # fmt: skip
                 continue
             if parts[s] < 1.0:
-                _along(last, twist, h * parts[s], turn, at)
+                _within(last, twist, ends[k - 1] if bent and k > 0 else ends[k], ends[k], h, parts[s], turn, frames[0], motions[0])
             else:
-                at[:] = poses[k]
-            if mounted:
-                mount_step(stiffness[r], mass[r], implicit[r], dt, wrench, q, qd)
-                mount_place(q, qd, tilt, place, motion)
-            relate_one(at, twist, place, motion, local_pose, local_twist, work)
+                frames[0], motions[0] = poses[k], ends[k]
+            if mounted and k > 0:  # at t = 0 the mount is at rest, and has borne nothing yet
+                mount_step(stiffness[r], damping[r], body, dt, wrench, q, qd, joints)
+                mount_place(q, qd, tilt, frames[1], motions[1])
             contact_wrench(
-                kind, sizes, dt, 0.0, p, local_pose, local_twist, latched, hold, state, depth, rate, point, normal, slip, work, local
+                index, values, dt, 0.0, p, frames, motions, latched, hold, state, depth, closing, point, normal, slip, work, wrench
             )  # fmt: skip
-            to_frame(place, local, wrench)
             if mounted:
                 mount_reading(stiffness[r], damping[r], q, qd, sub[k, s])
             else:
                 sub[k, s] = wrench
-        if not latched and closes(local_pose, local_twist, latch):
-            latched = True
-            hold[:] = local_pose
-            for j in range(3):
-                hold[j] -= wrench[j] / p[STIFFNESS]
+        if not latched and latch[1] < 1.5:
+            relate_one(frames[0], motions[0], frames[1], motions[1], local_pose, local_twist, work[:5, :3])
+            if closes(local_pose, local_twist, latch):
+                latched = True
+                held_at(local_pose, wrench, frames[1], last_row, hold)
 
 
 @njit(cache=True)
-def _along(pose, twist, time, turn, out):
-    """``out`` (7,): ``pose`` moved for ``time`` [s] by a constant twist; ``turn`` (7,) is scratch."""
-    for j in range(3):
-        out[j] = pose[j] + time * twist[j]
-        turn[j] = time * twist[3 + j]
-    quat_exp(turn[0:3], turn[3:7])
-    quat_mul(turn[3:7], pose[3:7], out[3:7])
-
-
-@njit(cache=True)
-def _apart(kind, sizes, p, tilt, pose_0, pose_1, work):
-    """Whether the surfaces are so far apart at both ends of a tick that they cannot touch within it."""
-    return _clear(kind, sizes, p[OFFSET], tilt, pose_0, pose_1, 0.0, work)
-
-
-@njit(cache=True)
-def _clear(kind, sizes, offset, tilt, pose_0, pose_1, spare, work):
-    reach = max(0.0, -offset) + spare
-    centre, axis, free = work[0], work[1], work[2]
-    way = math.sqrt((pose_1[0] - pose_0[0]) ** 2 + (pose_1[1] - pose_0[1]) ** 2 + (pose_1[2] - pose_0[2]) ** 2)
-    for e in range(2):
-        pose = pose_0 if e == 0 else pose_1
-        axis[0] = axis[1] = 0.0
-        axis[2] = 1.0
-        rotate(pose[3:7], axis, axis)
-        for j in range(3):
-            centre[j] = pose[j] - sizes[TIP_RADIUS] * axis[j]
-        rotate_back(tilt[3:7], centre, centre)
-        if kind == PLANE:
-            if -centre[2] - sizes[TIP_RADIUS] <= reach:
-                return False
-        elif beyond_rim(sizes, centre) or cone_distance(sizes, centre, free) - sizes[TIP_RADIUS] <= reach + way:
+def _outside(now, before, p):
+    """Whether no candidate is in its surface at either end of a tick: penetrations (C,) against offsets."""
+    for c in range(now.shape[0]):
+        if max(now[c], before[c]) > p[c, OFFSET]:
             return False
     return True
 
 
 @njit(cache=True)
-def _near(kind, sizes, poses, before, spare, out):
-    """``out`` (R, N) bool: whether the surfaces may touch in the tick that ends at a row, were they ``spare`` [m] nearer."""
-    level, work = np.zeros(7), np.empty((6, 3))
-    level[6] = 1.0
-    for r in range(poses.shape[0]):
-        for k in range(poses.shape[1]):
-            out[r, k] = not _clear(kind, sizes, 0.0, level, before[r] if k == 0 else poses[r, k - 1], poses[r, k], spare, work)
+def _within(pose, slope, start, end, h, part, turn, out, rate):
+    """Pose ``out`` (7,) and twist ``rate`` (6,) at a ``part`` of a tick that leaves ``pose`` with the twist ``start`` and ends with
+    ``end``: a parabola about the straight path of the twist ``slope``. ``turn`` (7,) is scratch."""
+    for j in range(6):
+        bend = end[j] - start[j]
+        way = h * part * (slope[j] + 0.5 * (part - 1.0) * bend)
+        rate[j] = end[j] + (part - 1.0) * bend
+        if j < 3:
+            out[j] = pose[j] + way
+        else:
+            turn[j - 3] = way
+    quat_exp(turn[0:3], turn[3:7])
+    quat_mul(turn[3:7], pose[3:7], out[3:7])
 
 
 @njit(cache=True)
-def _meet(kind, sizes, lever, poses, twists, near, depth, rate, point, normal, slip):
-    work = np.empty((6, 3))
+def _meet(index, values, lever, poses, twists, before, clear, depth, rate, point, normal, slip):
+    """Geometry of the rows at which the surfaces may touch, and how far they stay apart in the tick that ends at each row."""
+    count = depth.shape[2]
+    frames, motions, work, p = np.zeros((2, 7)), np.zeros((2, 6)), np.empty((9, 7)), np.ones((max(count, 1), PARAMETERS))
+    frames[1, 6] = 1.0
+    p[:, LEVER] = lever
+    longest = arm(values, count)
     for r in range(poses.shape[0]):
+        nearest = -np.inf
         for k in range(poses.shape[1]):
-            if near[r, k]:
-                meet(
-                    kind, sizes, poses[r, k], twists[r, k], lever, 1.0, work, depth[r, k], rate[r, k], point[r, k], normal[r, k], slip[r, k]
-                )  # fmt: skip
+            frames[0], motions[0] = poses[r, k], twists[r, k]
+            meet_all(index, values, p, frames, motions, work, depth[r, k], rate[r, k], point[r, k], normal[r, k], slip[r, k])
+            last = before[r] if k == 0 else poses[r, k - 1]
+            way, turned = 0.0, 0.0
+            for j in range(3):
+                way += (poses[r, k, j] - last[j]) ** 2
+                turned += (poses[r, k, 3 + j] - last[3 + j]) ** 2
+            now = -np.inf
+            for c in range(count):
+                now = max(now, depth[r, k, c])
+            clear[r, k] = -max(now, nearest if k > 0 else now) - math.sqrt(way) - 2.0 * longest * math.sqrt(turned)
+            nearest = now
 
 
 @njit(cache=True)

@@ -10,8 +10,8 @@ import numpy as np
 
 from hiltestbed.contact.latch import latch_limits
 from hiltestbed.contact.mount_dynamics import MountDynamics
-from hiltestbed.contact.parameters import ContactParameters
-from hiltestbed.contact.touch import SURFACES
+from hiltestbed.contact.parameters import ContactParameters, believed_contacts, contact_rows
+from hiltestbed.contact.sides import sides_of
 from hiltestbed.diagnosis.links.base import Effects, Lane, Later, Link, LinkRun, padded
 from hiltestbed.frames import Array, pose_step
 from hiltestbed.log import log_parameters
@@ -29,11 +29,10 @@ WEIGHTS = np.exp(-0.5 * NODES**2) / np.sum(np.exp(-0.5 * NODES**2))
 _PROMPT = log_parameters(())
 
 
-def _numbers(scenario: Scenario, lever: float) -> tuple[ContactParameters, SensorParameters]:
-    """Contact and sensor as a scenario believes them to be."""
-    contact = ContactParameters.believed(scenario.mechanism)
-    contact.lever = lever
-    return contact, SensorParameters.believed(scenario.sensor, scenario.tick)
+def _numbers(scenario: Scenario, lever: float) -> tuple[list[ContactParameters], SensorParameters]:
+    """Contacts and sensor as a scenario believes them to be."""
+    contacts = [replace(c, lever=lever) for c in believed_contacts(scenario.mechanism)]
+    return contacts, SensorParameters.believed(scenario.sensor, scenario.tick)
 
 
 class WrenchLink(Link):
@@ -59,7 +58,7 @@ class WrenchLink(Link):
             pose_step(path[0], approach_state(scenario)[7:], -scenario.tick, before[i])
         captured = np.array([s.mechanism.captured for s in scenarios])
         self._felt = Felt(
-            padded(paths), before, first.tick, SURFACES[first.mechanism.kind], captured, latch_limits(scenarios),
+            padded(paths), before, first.tick, sides_of(first.mechanism).geometry, captured, latch_limits(scenarios),
             MountDynamics.of(scenarios), first.substeps,
         )  # fmt: skip
 
@@ -78,13 +77,14 @@ class WrenchLink(Link):
 
     def _lane(self, i: int, effects: Effects) -> FeltLane:
         links = {e.link for e in effects}
-        contact, sensor, later = self._believed[i][0], self._believed[i][1], 0.0
+        mechanism, contacts, sensor, later = self.runs[i].scenario.mechanism, self._believed[i][0], self._believed[i][1], 0.0
         if "contact" in links:
-            contact = replace(contact).with_effects(effects)
+            contacts = [replace(c).with_effects(effects) for c in contacts]
         if "sensor" in links:
             sensor = sensor.copy().with_effects(effects)
             later = sum(e.delay for e in effects if isinstance(e, Later))
-        return FeltLane(i, contact, sensor, log_parameters(effects) if "log" in links else _PROMPT, later)
+        rows = contact_rows(contacts, sides_of(mechanism).rules, mechanism.captured)
+        return FeltLane(i, rows, sensor, log_parameters(effects) if "log" in links else _PROMPT, later)
 
     def lateness(self, i: int, effects: Effects) -> float:
         """[s] by which the reading of run i is later than the contact."""
