@@ -41,6 +41,15 @@ def quat_conj_mul(a, b, out):
 
 
 @njit(cache=True, inline="always")
+def quat_mul_conj(a, b, out):
+    """``out = a * conj(b)``: the turn that takes ``b`` to ``a``; ``out`` may be neither."""
+    out[0] = -a[3] * b[0] + a[0] * b[3] - a[1] * b[2] + a[2] * b[1]
+    out[1] = -a[3] * b[1] + a[0] * b[2] + a[1] * b[3] - a[2] * b[0]
+    out[2] = -a[3] * b[2] - a[0] * b[1] + a[1] * b[0] + a[2] * b[3]
+    out[3] = a[3] * b[3] + a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@njit(cache=True, inline="always")
 def rotate(q, v, out):
     """``out = R(q) v``; ``out`` may be ``v``."""
     x, y, z = v[0], v[1], v[2]

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from hiltestbed.contact import mount
 from hiltestbed.contact.sides import Pair, Sides, sides_of
@@ -131,6 +132,17 @@ def add_side(
     back, offset = quat_to_mujoco(port[3:7] * [-1.0, -1.0, -1.0, 1.0]), np.zeros(3)
     mujoco.mju_rotVecQuat(offset, port[:3], back)
     spec.attach(mechanism.sides()[which], prefix=prefix, frame=body.add_frame(pos=plane + (height - offset), quat=back))
+
+
+def inverse_mass(model: mujoco.MjModel, bodies: NDArray[np.int_], placed: bool) -> Array:
+    """``(2, k)`` what a stiffness [N/m] is multiplied with in a direct solref between ``bodies`` (2, k): for shifts and for turns [1/kg].
+
+    That is A, the sum of both inverse weights, less d times the part of it that belongs to a body which is put in place (``placed``):
+    such a body does not yield, though MuJoCo is told that it had the inverse weight of 1/kg.
+    """
+    weight = model.body_invweight0[bodies]
+    immovable = placed & (model.body_weldid[bodies] == model.body_weldid[model.site_bodyid[model.site(ACTIVE + "A").id]])
+    return (weight.sum(axis=0) - IMPEDANCE * np.where(immovable[..., None], weight, 0.0).sum(axis=0)).T
 
 
 def _pair(spec: mujoco.MjSpec, name: str, active: str, passive: str, rubs: bool) -> None:

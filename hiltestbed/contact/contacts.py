@@ -9,7 +9,6 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch
 from numba import njit
-from numpy.typing import NDArray
 
 from hiltestbed.contact import solref
 from hiltestbed.contact.composition import ACTIVE, IMPEDANCE, Structure

@@ -84,6 +84,11 @@ class Phase(_Strict):
     )
     drop_contacts: list[str] = Field(default_factory=list, description="geoms of the active side that touch no more")
 
+    def sites(self) -> list[tuple[str, str]]:
+        """Port of its side (A, P) and name of each site that the phase names."""
+        pairs = [*self.when.pairs, *([(self.close.active, self.close.passive)] if self.close else [])]
+        return [(port, name) for pair in pairs for port, name in zip("AP", pair, strict=True)]
+
 
 class Mechanism(_Strict):
     """The whole of ``mechanism.yaml``."""

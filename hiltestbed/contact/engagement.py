@@ -7,7 +7,7 @@ A step of MuJoCo's takes what a pair's ``solref`` says at its start for F = K x 
 - friction is written as its secant: the pair's ``solreffriction`` is (-0, -mu |F|/sqrt(v^2 + v_0^2) g), with a cone ten times as wide,
   which never acts;
 - a native pair of c points gets a share 1/c of all that;
-- a weld holds A in S by springs and dampers. A law that is not linear moves the weld's anchor along z: K (z - z_hold) + C v = F.
+- what holds one side in the other is moved on with them (:mod:`hiltestbed.contact.latches`).
 
 What pulls without being latched (adhesion, a frame that rings) cannot come from a contact of MuJoCo's: that part is :attr:`pull`, to be
 applied from outside.
@@ -25,13 +25,19 @@ from mujoco.batch import Batch
 from numba import njit
 from numpy.typing import NDArray
 
-from hiltestbed.contact import composition
-from hiltestbed.contact.composition import AWAY, DIST, FACET, FOUND, IMPEDANCE, LATCH, LINVEL, NORMAL, POS, READ, Structure
-from hiltestbed.contact.geometry import ACTIVE, FRAMES, PASSIVE, RADIUS, ROUND_FRAME, ROW, SIDE, SURFACE_FRAME, VALUES
-from hiltestbed.contact.law import STATES, contact_force
-from hiltestbed.contact.parameters import ADHESION, DAMPING, FRICTION, LINEAR, MODE, OFFSET, STIFFNESS, ContactParameters, believed_contacts, contact_rows
+from hiltestbed.contact.composition import (
+    ACTIVE, AWAY, DIST, FACET, FOUND, LATCH, LINVEL, NORMAL, PASSIVE, POS, READ, Structure, inverse_mass,
+)  # fmt: skip
+from hiltestbed.contact.geometry import ACTIVE as A
+from hiltestbed.contact.geometry import FRAMES, RADIUS, ROUND_FRAME, ROW, SIDE, SURFACE_FRAME, VALUES
+from hiltestbed.contact.geometry import PASSIVE as S
+from hiltestbed.contact.latches import Latches
+from hiltestbed.contact.law import STATES
+from hiltestbed.contact.parameters import (
+    ADHESION, DAMPING, FRICTION, LINEAR, MODE, OFFSET, STIFFNESS, ContactParameters, believed_contacts, contact_rows,
+)  # fmt: skip
 from hiltestbed.contact.solref import NO_DAMPING
-from hiltestbed.contact.wrench import LATCH_RADIUS, add_at, add_contact, held_at, law_of, meet_all, relate_one, tilts
+from hiltestbed.contact.wrench import add_at, add_contact, law_of, meet_all, tilts
 from hiltestbed.frames import Array, quat_mul, rotate, rotate_back
 
 if TYPE_CHECKING:
@@ -50,7 +56,7 @@ class Engagement:
         met: (n, T, MET) of each facet and each native pair: penetration [m], negative while apart, and its rate [m/s]; where the force
             acts [m], the direction in which the passive side is pushed and the slip of the active side [m/s], all (3,) in W; normal force
             [N] and what friction is worth [N s/m].
-        touching: (n,) bool. latched: (n,) bool; hold: (n, 7) the pose of A in S that the latch holds.
+        touching: (n,) bool. latched: (n,) bool, whether something holds. latches: what does.
         pull: (n, 6) the part of the wrench on the passive side that MuJoCo's contacts do not exert, in W at W's origin; pulls: whether
             there can be any. stage: up to which MuJoCo has to be forward before :meth:`update`.
         tilt: (n, 7) pose of S in the passive side's nominal place.
@@ -59,7 +65,7 @@ class Engagement:
     def __init__(self, batch: Batch, scenarios: Sequence[Scenario], structure: Structure, dt: float, least_creep: float, placed: bool) -> None:
         """``dt`` [s] between two instants; ``least_creep`` [m/s per N] bounds the slope of friction from above by that of a step,
         v_0 >= least_creep mu |F|; ``placed``: the active side is put in place, it does not yield."""
-        n, model, sides = len(scenarios), batch.model, structure.sides
+        n, sides = len(scenarios), structure.sides
         self._dt, self._least_creep = dt, least_creep
         self._geometry, self._facets = sides.geometry, len(sides.facets)
         pairs = (*sides.facets, *sides.native)
@@ -73,10 +79,9 @@ class Engagement:
         self.met = np.zeros((n, len(pairs), MET))
         self.wrench, self.pull, self.touching = np.zeros((n, 6)), np.zeros((n, 6)), np.zeros(n, dtype=bool)
         self.pulls = bool((self.parameters[:, :-1, ADHESION] > 0.0).any() or (self.parameters[:, :-1, MODE] > 0.0).any())
+        self.latches = Latches(batch, structure, self.parameters[:, -1], placed)
         self._captured = scenarios[0].mechanism.captured
-        self.latched, self.hold = np.zeros(n, dtype=bool), np.zeros((n, 7))
-        self._latch = _Latch(batch, structure, self.parameters[:, -1], placed) if structure.latched else None
-        self._pose, self._twist = np.zeros((n, 7)), np.zeros((n, 6))
+        self.latched = np.zeros(n, dtype=bool)
         self._reading = self._pairs.reading
         moves = bool(sides.native or sides.frames)
         self.stage = int(mujoco.mjtStage.mjSTAGE_VEL if moves else mujoco.mjtStage.mjSTAGE_NONE)
@@ -85,14 +90,9 @@ class Engagement:
     def reset(self) -> None:
         """Unlatched, or latched with A at P where the mechanism always is."""
         self.state[:] = 0.0
-        self.latched[:] = False
+        self.latched[:] = self._captured
         self._live[:] = True
-        self.hold[:] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
-        if self._latch is not None:
-            self._latch.open()
-        if self._captured and self._latch is not None:
-            self.latched[:] = True
-            self._latch.close(self.latched, self.hold, self._bodies.carry)
+        self.latches.open(captured=self._captured)
 
     def update(self, pose: Array, twist: Array, place: Array, motion: Array) -> None:
         """Make MuJoCo's contacts those of the state: pose (n, 7) and twist (n, 6) of A in W, and those of S; once an instant."""
@@ -112,26 +112,35 @@ class Engagement:
                 self._facets, p.ids, self._dt, self._least_creep, self.parameters, self._linear, self._live, p.gain, self.state, self._reading,
                 self.met, p.solref, p.friction, self.wrench, self.pull, self.touching,
             )  # fmt: skip
-        if self._latch is not None:
-            relate_all(b.frames, b.motions, self._pose, self._twist)
+        if self.latches.closures:
+            self.latches.update(self._dt, b.frames, b.motions, b.carry)
             self.touching |= self.latched
-            self._latch.hold(self._pose, self._twist, self._dt, self.latched, self.hold, self.state, b.carry)
 
-    def close(self, which: NDArray[np.bool_]) -> None:
-        """Latch the runs ``which`` (n,) where they are, under the force that they bear; what touched touches no more."""
+    def capture(self, which: NDArray[np.bool_]) -> None:
+        """Latch the runs ``which`` (n,) where they are, under the force that they bear, from the next instant on; what touched lets go."""
         new = which & ~self.latched
-        if self._latch is None or not new.any():
+        if not new.any():
             return
+        b, k = self._bodies, self.latches.number(LATCH)
+        force = np.zeros((len(new), 3))
         for i in np.flatnonzero(new):
-            held_at(self._pose[i], self.wrench[i], self._bodies.frames[i, PASSIVE], self.parameters[i, -1], self.hold[i])
-        self._latch.close(new, self.hold, self._bodies.carry)
-        self.latched |= new
+            rotate_back(b.frames[i, S, 3:7], self.wrench[i, :3], force[i])
+        self.close(k, new, force)
         self._live[new] = False
-        self._pairs.part(new)
+
+    def close(self, k: int, which: NDArray[np.bool_], force: Array) -> None:
+        """Close the closure ``k`` in the runs ``which`` (n,); its springs bear the ``force`` (n, 3) in the passive site."""
+        self.latches.close(k, which, force)
+        self.latched |= which
+
+    def release(self, which: NDArray[np.bool_], contacts: NDArray[np.int_]) -> None:
+        """Let the ``contacts`` touch no more in the runs ``which`` (n,) from the next instant on."""
+        self._live[np.ix_(which, contacts)] = False
 
     def relative(self) -> tuple[Array, Array]:
-        """Pose (n, 7) and twist (n, 6) of A in S at the last update, of a mechanism that latches."""
-        return self._pose, self._twist
+        """Pose (n, 7) and twist (n, 6) of A in S at the last update, of a mechanism with a latch."""
+        k = self.latches.number(LATCH)
+        return self.latches.pose[:, k], self.latches.twist[:, k]
 
 
 def _rows(scenario: Scenario, rules: Sequence[int]) -> Array:
@@ -160,15 +169,15 @@ class _Bodies:
         self.frames, self.motions = np.zeros((n, FRAMES + len(names), 7)), np.zeros((n, FRAMES + len(names), 6))
         self.carry = np.zeros((n, FRAMES + len(names), 7))
         self.carry[..., 6] = 1.0
-        for f, (prefix, port) in enumerate(((composition.ACTIVE, "A"), (composition.PASSIVE, "P"))):
+        for f, (prefix, port) in enumerate(((ACTIVE, "A"), (PASSIVE, "P"))):
             site = m.site(prefix + port)
             self.carry[:, f, :3] = site.pos
             self.carry[:, f, 3:] = site.quat[[1, 2, 3, 0]]
         for i in range(n):
             q = np.empty(4)
-            quat_mul(self.carry[i, PASSIVE, 3:7], tilt[i, 3:7], q)
-            self.carry[i, PASSIVE, 3:7] = q
-        prefixes = {"A": composition.ACTIVE, "P": composition.PASSIVE}
+            quat_mul(self.carry[i, S, 3:7], tilt[i, 3:7], q)
+            self.carry[i, S, 3:7] = q
+        prefixes = {"A": ACTIVE, "P": PASSIVE}
         self._ids = np.array([m.body(prefixes[side] + body).id for side, body in names], dtype=np.int64)
         if names:
             self._root = m.body_rootid[self._ids].astype(np.int64)
@@ -178,8 +187,8 @@ class _Bodies:
 
     def observe(self, pose: Array, twist: Array, place: Array, motion: Array) -> None:
         """Move on to the state: A, S and the parts that move."""
-        self.frames[:, ACTIVE], self.motions[:, ACTIVE] = pose, twist
-        self.frames[:, PASSIVE], self.motions[:, PASSIVE] = place, motion
+        self.frames[:, A], self.motions[:, A] = pose, twist
+        self.frames[:, S], self.motions[:, S] = place, motion
         if len(self._ids):
             _parts(self._ids, self._root, self._xpos, self._xquat, self._cvel, self._com, self.frames, self.motions)
 
@@ -199,7 +208,7 @@ class _Pairs:
         facets = [(m.geom(f"facet_{k}").id, m.geom(f"ball_{k}").id) for k in range(len(sides.facets))] + [(-1, -1)] * len(sides.native)
         self.ids = np.array([(p, *f) for p, f in zip(pairs, facets, strict=True)], dtype=np.int64).reshape(len(pairs), 3)
         bodies = m.geom_bodyid[np.stack([m.pair_geom1[pairs], m.pair_geom2[pairs]])] if pairs else np.zeros((2, 0), dtype=int)
-        self.gain = gain(m, bodies, placed)[0]
+        self.gain = inverse_mass(m, bodies, placed)[0]
         self.geom_pos, self.geom_quat = batch.expand("geom_pos"), batch.expand("geom_quat")
         self.solref, self.friction = batch.expand("pair_solref"), batch.expand("pair_solreffriction")
         self.friction[:] = 2.0 * NO_DAMPING
@@ -210,64 +219,6 @@ class _Pairs:
         reading = batch.bind("sensordata")
         first = int(m.sensor("native_0").adr[0]) if sides.native else 0
         self.reading = reading[:, first : first + READ * len(sides.native)]
-
-
-    def part(self, which: NDArray[np.bool_]) -> None:
-        """Let nothing touch in the runs ``which`` (n,)."""
-        facets = self.ids[self.ids[:, 1] >= 0, 1]
-        self.geom_pos[np.ix_(which, facets, [2])] = AWAY
-        self.solref[np.ix_(which, self.ids[:, 0])] = NO_DAMPING
-
-
-def gain(model: mujoco.MjModel, bodies: NDArray[np.int_], placed: bool) -> Array:
-    """``(2, k)`` what a stiffness [N/m] is multiplied with in a direct solref between ``bodies`` (2, k): for shifts and for turns [1/kg].
-
-    That is A, the sum of both inverse weights, less d times the part of it that belongs to a body which is put in place (``placed``):
-    such a body does not yield, though MuJoCo is told that it had the inverse weight of 1/kg.
-    """
-    weight = model.body_invweight0[bodies]
-    immovable = placed & (model.body_weldid[bodies] == model.body_weldid[model.site_bodyid[model.site(composition.ACTIVE + "A").id]])
-    total = weight.sum(axis=0)
-    return (total - IMPEDANCE * np.where(immovable[..., None], weight, 0.0).sum(axis=0)).T
-
-
-class _Latch:
-    """The weld that holds A in S."""
-
-    def __init__(self, batch: Batch, structure: Structure, rows: Array, placed: bool) -> None:
-        m = batch.model
-        self._id = e = m.equality(LATCH).id
-        bodies = np.array([[m.eq_obj1id[e]], [m.eq_obj2id[e]]])
-        shift = float(gain(m, bodies, placed)[0, 0])
-        a, b = m.body_invweight0[bodies[:, 0]].sum(axis=0)
-        solref, data = batch.expand("eq_solref"), batch.expand("eq_data")
-        solref[:, e, 0] = -rows[:, STIFFNESS] * shift
-        solref[:, e, 1] = np.minimum(-rows[:, DAMPING] * shift, NO_DAMPING)
-        data[:, e, 10] = 2.0 * LATCH_RADIUS * math.sqrt(b / a)
-        self._rows, self._data, self._active = rows, data, batch.bind("eq_active")
-        self._straight = bool(_linear(rows).all())
-
-    def open(self) -> None:
-        """Hold nothing."""
-        self._active[:, self._id] = 0
-
-    def close(self, which: NDArray[np.bool_], hold: Array, carry: Array) -> None:
-        """Hold A where ``hold`` (n, 7) says, in the runs ``which`` (n,)."""
-        _anchor(which, hold, carry, self._id, self._data)
-        self._active[which, self._id] = 1
-
-    def hold(self, pose: Array, twist: Array, dt: float, latched: NDArray[np.bool_], hold: Array, state: Array, carry: Array) -> None:
-        """Move the anchors so that the weld exerts the law along z."""
-        if not self._straight:
-            _follow_law(self._rows, dt, pose, twist, latched, hold, state, carry, self._id, self._data)
-
-
-@njit(cache=True)
-def relate_all(frames, motions, pose, twist):
-    """Pose (n, 7) and twist (n, 6) of A in S."""
-    work = np.empty((1, 3))
-    for i in range(pose.shape[0]):
-        relate_one(frames[i, ACTIVE], motions[i, ACTIVE], frames[i, PASSIVE], motions[i, PASSIVE], pose[i], twist[i], work)
 
 
 @njit(cache=True)
@@ -415,37 +366,3 @@ def _touch_natively(
             add_at(out[POINT : POINT + 3], f, wrench[i])
             if push < 0.0:
                 add_at(out[POINT : POINT + 3], f, pull[i])
-
-
-@njit(cache=True)
-def _anchor(which, hold, carry, e, data):
-    """Write into ``data`` (n, neq, 11) of a weld between the passive and the active body where it holds A: ``hold`` (n, 7) in S."""
-    q, back, at = np.empty(4), np.empty(4), np.empty(3)
-    for i in range(hold.shape[0]):
-        if not which[i]:
-            continue
-        s, a = carry[i, PASSIVE], carry[i, ACTIVE]
-        rotate(s[3:7], hold[i, 0:3], at)
-        for j in range(3):
-            data[i, e, j] = a[j]
-            data[i, e, 3 + j] = at[j] + s[j]
-            back[j] = -a[3 + j]
-        back[3] = a[6]
-        quat_mul(s[3:7], hold[i, 3:7], q)
-        whole = np.empty(4)
-        quat_mul(q, back, whole)
-        data[i, e, 6], data[i, e, 7], data[i, e, 8], data[i, e, 9] = whole[3], whole[0], whole[1], whole[2]
-
-
-@njit(cache=True)
-def _follow_law(rows, dt, pose, twist, latched, hold, state, carry, e, data):
-    """Move the anchor along z of S so that K (z - z_hold) + C v is what the law asks for."""
-    last, moved = state.shape[1] - 1, np.empty((1, 7))
-    on = np.ones(1, dtype=np.bool_)
-    for i in range(pose.shape[0]):
-        if not latched[i]:
-            continue
-        force = contact_force(pose[i, 2] - hold[i, 2], twist[i, 2], dt, rows[i], state[i, last], True)
-        moved[0] = hold[i]
-        moved[0, 2] = pose[i, 2] - (force - rows[i, DAMPING] * twist[i, 2]) / rows[i, STIFFNESS]
-        _anchor(on, moved, carry[i : i + 1], e, data[i : i + 1])

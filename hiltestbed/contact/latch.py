@@ -33,7 +33,7 @@ class LatchCondition:
         """Latch the runs whose condition holds at the state of the last update."""
         pose, twist = engagement.relative()
         if _due(pose, twist, self._limits, engagement.latched, self._closing):
-            engagement.close(self._closing)
+            engagement.capture(self._closing)
 
 
 @njit(cache=True)

@@ -73,7 +73,8 @@ class Sides:
 
     Attributes:
         facets: pairs that touch by facets; geometry: theirs, in the same order. native: pairs that MuJoCo collides itself.
-        frames: of each frame beyond A and S, the side and the name of the body that it is.
+        frames: of each frame beyond A and S, the port of its side and the name of the body that it is.
+        sites: of each site that a phase of capture names, by port and name, the number of its frame and its pose (7,) in it.
         exact: whether MuJoCo's own collision has a closed form and one point for each of the pairs, facets among them.
         ports: (2, 7) pose of A in the file of the active side, of P in that of the passive one.
         moving: whether a side has joints of its own. findings: on the meshes that touch, with the name of the geom.
@@ -83,6 +84,7 @@ class Sides:
     geometry: Geometry
     native: tuple[Pair, ...]
     frames: tuple[tuple[str, str], ...]
+    sites: dict[tuple[str, str], tuple[int, Array]]
     exact: bool
     ports: Array
     moving: bool
@@ -102,11 +104,14 @@ class Sides:
 def sides_of(mechanism: Mechanism) -> Sides:
     """What the MJCF of a mechanism says of its contacts. Raises InputError."""
     stamps = tuple((str(f), f.stat().st_mtime_ns if f.is_file() else 0) for f in mechanism.files())
-    return _sides(stamps, mechanism.rules(), mechanism.captured)
+    sites = {site for phase in mechanism.phases() for site in phase.sites()}
+    return _sides(stamps, mechanism.rules(), tuple(sorted(sites)), mechanism.captured)
 
 
 @lru_cache(maxsize=32)
-def _sides(stamps: tuple[tuple[str, int], ...], rules: tuple[Rule, ...], captured: bool) -> Sides:
+def _sides(
+    stamps: tuple[tuple[str, int], ...], rules: tuple[Rule, ...], sites: tuple[tuple[str, str], ...], captured: bool
+) -> Sides:  # fmt: skip
     active, passive = (_Side(file, site) for (file, _), site in zip(stamps, ("A", "P"), strict=True))
     pairs = [] if captured else [(a, p, k) for k, rule in enumerate(rules) for a, p in _meeting(active, passive, rule)]
     if not pairs and not captured:
@@ -127,18 +132,19 @@ def _sides(stamps: tuple[tuple[str, int], ...], rules: tuple[Rule, ...], capture
             candidates.append(_candidate(passive, p, active, a, frames))
         else:
             native.append(Pair(*names, k))
+    placed = {(port, name): (active if port == "A" else passive).site(name, frames) for port, name in sites}
     exact = not native and all(SPHERE in types and set(types) <= set(EXACT) for types in ((active.type(a), passive.type(p)) for a, p, _ in pairs))
     moving = bool(active.model.njnt or passive.model.njnt)
     findings = (*active.findings.items(), *passive.findings.items())
     return Sides(
-        tuple(facets), packed(candidates), tuple(native), tuple(frames.names), exact and not moving,
+        tuple(facets), packed(candidates), tuple(native), tuple(frames.names), placed, exact and not moving,
         np.array([active.pose(), passive.pose()]), moving,
         tuple((name, f) for name, found in findings for f in found),
     )  # fmt: skip
 
 
 def _facets(round_: int, surface: int) -> bool:
-    return round_ == SPHERE and (surface in KINDS or surface == MESH) or round_ == CAPSULE and surface in ROD_FACETS
+    return (round_ == SPHERE and (surface in KINDS or surface == MESH)) or (round_ == CAPSULE and surface in ROD_FACETS)
 
 
 def _candidate(one: _Side, round_: int, other: _Side, surface: int, frames: _Frames) -> tuple[Round, Placed]:
@@ -203,13 +209,26 @@ class _Side:
 
     def in_frame(self, geom: int, frames: _Frames) -> tuple[int, tuple[Array, Array]]:
         """Number of the frame in which a geom stands still, and its place (3,) and axes (3, 3) in it."""
+        d = self.data
+        return self._in_frame(self.model.geom_bodyid[geom], d.geom_xpos[geom], d.geom_xmat[geom].reshape(3, 3), frames)
+
+    def _in_frame(self, body: int, place: Array, turn: Array, frames: _Frames) -> tuple[int, tuple[Array, Array]]:
         m, d = self.model, self.data
-        root = int(m.body_weldid[m.geom_bodyid[geom]])
-        place, turn = d.geom_xpos[geom], d.geom_xmat[geom].reshape(3, 3)
+        root = int(m.body_weldid[body])
         if root == 0:
             return (ACTIVE if self.port == "A" else PASSIVE), ((place - self.origin) @ self.axes, self.axes.T @ turn)
         axes = d.xmat[root].reshape(3, 3)
         return frames.number(self.port, m.body(root).name), ((place - d.xpos[root]) @ axes, axes.T @ turn)
+
+    def site(self, name: str, frames: _Frames) -> tuple[int, Array]:
+        """Number of the frame in which a site stands still, and its pose (7,) in it. Raises InputError where there is none."""
+        m, d = self.model, self.data
+        found = mujoco.mj_name2id(m, mujoco.mjtObj.mjOBJ_SITE, name)
+        if found < 0:
+            have = ", ".join(m.site(i).name for i in range(m.nsite))
+            raise InputError(f"{self.file}: has no site {name!r}, which a phase of capture names; its sites are {have}")
+        frame, (place, turn) = self._in_frame(m.site_bodyid[found], d.site_xpos[found], d.site_xmat[found].reshape(3, 3), frames)
+        return frame, np.concatenate([place, _quaternion(turn)])
 
     def surface(self, geom: int) -> Surface:
         """What a facet is put on. Raises InputError for a mesh that cannot be touched."""

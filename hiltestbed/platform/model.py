@@ -14,6 +14,7 @@ from hiltestbed.contact.settings import Mechanism
 from hiltestbed.models import load
 
 PRESCRIBED_MASS = 1e15  # [kg], [kg m^2]
+INTEGRATED_MASS = 1e8  # likewise where something beside it is integrated: from 1e12 on MuJoCo's solver does not move at all
 PORT = np.array([0.0, 0.0, 0.60])  # [m] A above the platform's mounting plane; an adapter makes up for what a mechanism is shorter
 
 
@@ -51,11 +52,15 @@ def ideal_model(structure: Structure, timestep: float) -> mujoco.MjModel:
     add_passive(spec, structure, _carrier(spec))
     body = spec.worldbody.add_body(name="A_body")
     body.add_freejoint(name="A_joint")
-    body.mass, body.inertia, body.explicitinertial = PRESCRIBED_MASS, np.full(3, PRESCRIBED_MASS), True
+    integrated = structure.mounted or structure.sides.moving
+    mass = INTEGRATED_MASS if integrated else PRESCRIBED_MASS
+    body.mass, body.inertia, body.explicitinertial = mass, np.full(3, mass), True
     add_active(spec, structure, body, np.zeros(3), np.zeros(3))
     add_contact(spec, structure)
     model = spec.compile()
     model.body_invweight0[model.body_weldid == model.body("A_body").id] = 1.0
+    if integrated:
+        model.opt.tolerance = 0.0  # the solver judges its progress by the mean inertia: beside such a mass it would never see any
     return model
 
 

@@ -1,0 +1,211 @@
+"""What holds one side in the other: welds and ball joints of MuJoCo's, which exert what springs, dampers and the law ask for.
+
+A closure holds a site of the active side at a place in a site of the passive one. Its force in the passive site's frame is K (r - r_hold)
++ C r', along z that of the contact's law where the closure is the contact itself; its torque K radius^2 times the rotation vector, and
+likewise with C. MuJoCo's equality takes spring and damper from its ``solref``; its two anchors are placed before each step, a
+STIFFER-th of the deflection apart, so that force and reaction act along one line and a law of any shape is exerted.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from mujoco.batch import Batch
+from numba import njit
+from numpy.typing import NDArray
+
+from hiltestbed.contact.composition import LATCH, Structure, inverse_mass
+from hiltestbed.contact.geometry import ACTIVE, PASSIVE
+from hiltestbed.contact.law import STATES, contact_force
+from hiltestbed.contact.parameters import DAMPING, STIFFNESS
+from hiltestbed.contact.solref import NO_DAMPING
+from hiltestbed.contact.wrench import LATCH_RADIUS, relate_one
+from hiltestbed.frames import Array, quat_exp, quat_mul, quat_mul_conj, rotate, rotation_vector
+
+STIFFER = 1e4  # times the stiffness of a closure: that of MuJoCo's spring between anchors that are so much nearer
+SITE = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+
+
+@dataclass(frozen=True)
+class Closure:
+    """One of a mechanism's closures.
+
+    Attributes:
+        name: of MuJoCo's equality. turns: whether it holds against turning. law: along z acts the contact's law. together: it draws the
+        sites into one place, else it holds them where they are when it closes. stiffness [N/m], damping [N s/m] and radius [m]; None where
+        they are those of the contact. frames: of the active and of the passive site; places: (2, 7) of the sites in them.
+    """
+
+    name: str
+    turns: bool
+    law: bool
+    together: bool
+    stiffness: float | None
+    damping: float | None
+    radius: float
+    frames: tuple[int, int]
+    places: Array
+
+
+def closures_of(structure: Structure) -> list[Closure]:
+    """What may hold the sides of a mechanism."""
+    found = [Closure(LATCH, True, True, False, None, None, LATCH_RADIUS, (ACTIVE, PASSIVE), np.array([SITE, SITE]))] if structure.latched else []
+    sites = structure.sides.sites
+    for phase in structure.mechanism.phases():
+        if (close := phase.close) is not None:
+            (a, at_a), (p, at_p) = sites["A", close.active], sites["P", close.passive]
+            found.append(
+                Closure(
+                    phase.name, close.kind == "weld", False, close.hold == "together", close.stiffness, close.damping, close.radius or 0.0,
+                    (a, p), np.array([at_a, at_p]),
+                )
+            )  # fmt: skip
+    return found
+
+
+class Latches:
+    """The closures of `n` runs.
+
+    Attributes:
+        closed: (n, K) bool. hold: (n, K, 7) the pose of the active site in the passive one that each holds.
+    """
+
+    def __init__(self, batch: Batch, structure: Structure, rows: Array, placed: bool) -> None:
+        """``rows``: (n, PARAMETERS) of the closure that is the contact itself. placed: the active side does not yield."""
+        m, n, self.closures = batch.model, len(rows), closures_of(structure)
+        count = len(self.closures)
+        self._ids = np.array([m.equality(c.name).id for c in self.closures], dtype=np.int64)
+        bodies = np.stack([m.eq_obj1id[self._ids], m.eq_obj2id[self._ids]])
+        gain, weight = inverse_mass(m, bodies, placed)[0], m.body_invweight0[bodies].sum(axis=0)
+        self._spring = np.zeros((n, count, 3))  # stiffness, damping, radius
+        for k, c in enumerate(self.closures):
+            self._spring[:, k, 0] = rows[:, STIFFNESS] if c.stiffness is None else c.stiffness
+            self._spring[:, k, 1] = rows[:, DAMPING] if c.damping is None else c.damping
+            self._spring[:, k, 2] = c.radius
+        solref, self._data = batch.expand("eq_solref"), batch.expand("eq_data")
+        solref[:, self._ids, 0] = -STIFFER * self._spring[..., 0] * gain
+        solref[:, self._ids, 1] = np.minimum(-self._spring[..., 1] * gain, NO_DAMPING)
+        turning = 2.0 * self._spring[..., 2] * np.sqrt(weight[:, 1] / weight[:, 0])
+        self._turns, self._law, self._together = (
+            np.array([getattr(c, name) for c in self.closures], dtype=bool) for name in ("turns", "law", "together")
+        )  # fmt: skip
+        self._data[:, self._ids[self._turns], 10] = turning[:, self._turns]
+        self._frames = np.array([c.frames for c in self.closures], dtype=np.int64).reshape(count, 2)
+        self._places = np.array([c.places for c in self.closures]).reshape(count, 2, 7)
+        self._rows, self._active = rows, batch.bind("eq_active")
+        self.state = np.zeros((n, STATES))
+        self.closed, self.hold = np.zeros((n, count), dtype=bool), np.zeros((n, count, 7))
+        self._closing = np.zeros((n, count), dtype=bool)
+        self.pose, self.twist = np.zeros((n, count, 7)), np.zeros((n, count, 6))
+
+    def open(self, captured: bool) -> None:
+        """Hold nothing; or A at P, where the mechanism is ``captured`` from the start."""
+        self.closed[:] = captured
+        self._closing[:] = False
+        self.state[:] = 0.0
+        self.hold[:] = SITE
+        self._active[:, self._ids] = captured
+
+    def number(self, name: str) -> int:
+        """Which closure has a name."""
+        return [c.name for c in self.closures].index(name)
+
+    def close(self, k: int, which: NDArray[np.bool_], force: Array) -> None:
+        """Let closure ``k`` hold where its sites are, in the runs ``which`` (n,), from the next :meth:`update` on.
+
+        Its springs bear the ``force`` (n, 3) on the passive side, in the passive site.
+        """
+        self.hold[which, k] = SITE if self._together[k] else self.pose[which, k]
+        if not self._together[k]:
+            self.hold[which, k, :3] -= force[which] / self._spring[which, k, :1]
+        self.closed[which, k] = self._closing[which, k] = True
+
+    def update(self, dt: float, frames: Array, motions: Array, carry: Array) -> None:
+        """Where the sites are in each other, and the anchors of what is closed; once an instant."""
+        if self._closing.any():
+            self._active[:, self._ids] = self.closed
+            self._closing[:] = False
+        _hold(
+            dt, self._rows, self._spring, self._law, self._turns, self._frames, self._places, self._ids, frames, motions, carry, self.closed,
+            self.hold, self.state, self.pose, self.twist, self._data,
+        )  # fmt: skip
+
+
+@njit(cache=True)
+def _hold(dt, rows, spring, law, turns, pairs, places, ids, frames, motions, carry, closed, hold, state, pose, twist, data):
+    """Relative pose and twist of the sites of each closure, and the anchors of those that are closed."""
+    site = np.empty((2, 7))
+    velocity = np.empty((2, 6))
+    work, turn, f, q, r = np.empty((1, 3)), np.empty(3), np.empty(3), np.empty(4), np.empty(4)
+    for i in range(pose.shape[0]):
+        for k in range(ids.shape[0]):
+            for side in range(2):
+                _site(frames[i, pairs[k, side]], motions[i, pairs[k, side]], places[k, side], site[side], velocity[side])
+            at, rate = pose[i, k], twist[i, k]
+            relate_one(site[0], velocity[0], site[1], velocity[1], at, rate, work)
+            if not closed[i, k]:
+                continue
+            stiffness, damping, out = spring[i, k, 0], spring[i, k, 1], data[i, ids[k]]
+            for j in range(3):
+                f[j] = stiffness * (at[j] - hold[i, k, j])
+            if law[k]:
+                f[2] = contact_force(at[2] - hold[i, k, 2], rate[2], dt, rows[i], state[i], True) - damping * rate[2]
+            active, passive = carry[i, pairs[k, 0]], carry[i, pairs[k, 1]]
+            first, second = (0, 3) if turns[k] else (3, 0)  # where the anchors of the active and of the passive body stand
+            _anchor(active, places[k, 0], 0.0 * f, out[first : first + 3], r)
+            for j in range(3):
+                f[j] = at[j] - f[j] / (STIFFER * stiffness)
+            _anchor(passive, places[k, 1], f, out[second : second + 3], r)
+            if turns[k]:
+                _less(at[3:7], hold[i, k, 3:7], turn, q)
+                _attitude(active, passive, places[k], q, r, out[6:10])
+
+
+@njit(cache=True)
+def _site(frame, motion, place, pose, twist):
+    """Pose (7,) and twist (6,) in W of a site at ``place`` (7,) in a frame."""
+    rotate(frame[3:7], place[0:3], pose[0:3])
+    quat_mul(frame[3:7], place[3:7], pose[3:7])
+    x, y, z = pose[0], pose[1], pose[2]
+    twist[:] = motion
+    twist[0] += motion[4] * z - motion[5] * y
+    twist[1] += motion[5] * x - motion[3] * z
+    twist[2] += motion[3] * y - motion[4] * x
+    for j in range(3):
+        pose[j] += frame[j]
+
+
+@njit(cache=True)
+def _anchor(carry, place, at, out, scratch):
+    """``out`` (3,) in a body of a point ``at`` (3,) in a site at ``place`` (7,) of a frame, the frame at ``carry`` (7,) in the body."""
+    v = scratch[0:3]
+    rotate(place[3:7], at, v)
+    for j in range(3):
+        v[j] += place[j]
+    rotate(carry[3:7], v, out)
+    for j in range(3):
+        out[j] += carry[j]
+
+
+@njit(cache=True)
+def _less(now, hold, turn, out):
+    """``out`` (4,): the attitude from which ``now`` (4,) has turned a STIFFER-th of what it has turned from ``hold`` (4,)."""
+    q = np.empty(4)
+    quat_mul_conj(now, hold, q)
+    rotation_vector(q, turn)
+    for j in range(3):
+        turn[j] /= -STIFFER
+    quat_exp(turn, q)
+    quat_mul(q, now, out)
+
+
+@njit(cache=True)
+def _attitude(active, passive, places, hold, r, out):
+    """``out`` (4,), w first: the active body in the passive one where the active site has the attitude ``hold`` (4,) in the passive."""
+    q = np.empty(4)
+    quat_mul(passive[3:7], places[1, 3:7], q)
+    quat_mul(q, hold, r)
+    quat_mul_conj(r, places[0, 3:7], q)
+    quat_mul_conj(q, active[3:7], r)
+    out[0], out[1], out[2], out[3] = r[3], r[0], r[1], r[2]
