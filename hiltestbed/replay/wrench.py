@@ -35,7 +35,8 @@ class Felt:
             where there is no latch. mount: of the runs, or None for a rigid one.
         substeps: instants of the physics a tick, at which a compliant mount is integrated.
         twists: (R, N, 6) over the tick that ends at each row. near: (R, N) whether the surfaces may touch in it.
-        lever: where in the overlap the force acts. rates: (R, N, 6) twist at t_k, where it is known, as under a servo; None: the slope of
+        lever: where in the overlap the force acts. least_creep: bounds the slope of friction [m/s per N], see
+        :class:`hiltestbed.contact.touch.Touch`. rates: (R, N, 6) twist at t_k, where it is known, as under a servo; None: the slope of
         the pose over the tick that ends there.
         met: geometry at t_k while nothing is tilted, see :func:`hiltestbed.contact.cone.meet`: it does not depend on what the law is
         thought to be.
@@ -50,6 +51,7 @@ class Felt:
     mount: MountDynamics | None
     substeps: int
     lever: float = 0.5
+    least_creep: float = 0.0
     rates: Array | None = None
     twists: Array = field(init=False)
     near: np.ndarray = field(init=False)
@@ -110,7 +112,7 @@ def replay_wrench(felt: Felt, lanes: Sequence[Lane], grid: int | None = None) ->
     out = np.empty((len(lanes), felt.poses.shape[1], 6))
     dynamics = (felt.mount.stiffness, felt.mount.damping, felt.mount.body) if felt.mount is not None else _RIGID
     _replay(
-        run, felt.poses, felt.twists, felt.ends, felt.rates is not None, felt.before, felt.near, felt.met, felt.lever, h,
+        run, felt.poses, felt.twists, felt.ends, felt.rates is not None, felt.before, felt.near, felt.met, felt.lever, felt.least_creep, h,
         felt.surfaces.kind, felt.surfaces.sizes, felt.captured, felt.latch, dynamics, parts, bool(instants), ticks, rows, tilts(rows),
         chain.elements(), out,
     )  # fmt: skip
@@ -133,8 +135,8 @@ def shifted(values: Array, ticks: float) -> Array:
 
 @njit(cache=True)
 def _replay(
-    run, poses, twists, ends, bent, before, near, met, lever, h, kind, sizes, captured, latch, mount, parts, between, ticks, p, tilt,
-    elements, out,
+    run, poses, twists, ends, bent, before, near, met, lever, least_creep, h, kind, sizes, captured, latch, mount, parts, between, ticks,
+    p, tilt, elements, out,
 ):  # fmt: skip
     """All lanes, one after the other: each is a run from its first row to its last."""
     calibration, lag, leak, offset, drift, tone, deadzone, limit, step = elements
@@ -145,8 +147,8 @@ def _replay(
     for i in range(len(run)):
         r = run[i]
         _contact(
-            poses[r], twists[r], ends[r], bent, before[r], near[r], met, lever, h, kind, sizes, captured[r], latch[r], r, mount, parts[i],
-            between, p[i], tilt[i], sub,
+            poses[r], twists[r], ends[r], bent, before[r], near[r], met, lever, least_creep, h, kind, sizes, captured[r], latch[r], r,
+            mount, parts[i], between, p[i], tilt[i], sub,
         )  # fmt: skip
         low[:], high[:], last_in[:] = 0.0, 0.0, 0.0
         back = int(math.floor(ticks[i]))
@@ -183,7 +185,10 @@ def _interpolated(sub, at, late):
 
 
 @njit(cache=True)
-def _contact(poses, twists, ends, bent, before, near, met, lever, h, kind, sizes, captured, latch, r, mount, parts, between, p, tilt, sub):
+def _contact(
+    poses, twists, ends, bent, before, near, met, lever, least_creep, h, kind, sizes, captured, latch, r, mount, parts, between, p, tilt,
+    sub,
+):  # fmt: skip
     """What the sensor feels along one path: ``sub`` (N, m, 6) at the instants ``parts`` (m,) of the tick that ends at each row."""
     stiffness, damping, body = mount
     mounted = stiffness.shape[0] > 0
@@ -211,13 +216,19 @@ def _contact(poses, twists, ends, bent, before, near, met, lever, h, kind, sizes
                 apart = _apart(kind, sizes, p, tilt, last, poses[k], work)
             if apart:
                 if touched:
-                    state[:] = 0.0
+                    state[:], wrench[:] = 0.0, 0.0
                     touched = False
+                if latch[1] < 1.5:  # latches may close on a probe that touches nothing
+                    relate_one(poses[k], ends[k], place, motion, local_pose, local_twist, work)
+                    latched = _caught(local_pose, local_twist, latch, p, wrench, hold)
                 continue
             touched = True
         twist = twists[k]
         passed = 0.0
         for s in range(m):
+            if k == 0 and parts[s] < 1.0:  # forces start from zero at t = 0
+                passed = parts[s]
+                continue
             if s > 0 and (parts[s] == parts[s - 1] or not (between or remembers)):
                 sub[k, s] = sub[k, s - 1]
                 continue
@@ -225,7 +236,7 @@ def _contact(poses, twists, ends, bent, before, near, met, lever, h, kind, sizes
             passed = parts[s]
             if parts[s] == 1.0 and plain and not latched:
                 surface_wrench(
-                    dt, 0.0, p, state, depths[r, k], rates[r, k], points[r, k], normals[r, k], slips[r, k], work[5], sub[k, s]
+                    dt, least_creep, p, state, depths[r, k], rates[r, k], points[r, k], normals[r, k], slips[r, k], work[5], sub[k, s]
                 )  # fmt: skip
                 continue
             if parts[s] < 1.0:
@@ -237,18 +248,27 @@ def _contact(poses, twists, ends, bent, before, near, met, lever, h, kind, sizes
                 mount_place(q, qd, tilt, place, motion)
             relate_one(at, rate, place, motion, local_pose, local_twist, work)
             contact_wrench(
-                kind, sizes, dt, 0.0, p, local_pose, local_twist, latched, hold, state, depth, closing, point, normal, slip, work, local
+                kind, sizes, dt, least_creep, p, local_pose, local_twist, latched, hold, state, depth, closing, point, normal, slip, work,
+                local,
             )  # fmt: skip
             to_frame(place, local, wrench)
             if mounted:
                 mount_reading(stiffness[r], damping[r], q, qd, sub[k, s])
             else:
                 sub[k, s] = wrench
-        if not latched and closes(local_pose, local_twist, latch):
-            latched = True
-            hold[:] = local_pose
-            for j in range(3):
-                hold[j] -= wrench[j] / p[STIFFNESS]
+        if not latched:
+            latched = _caught(local_pose, local_twist, latch, p, wrench, hold)
+
+
+@njit(cache=True)
+def _caught(pose, twist, latch, p, wrench, hold):
+    """Whether the latch closes; then ``hold`` (7,) becomes where its springs hold A so that they bear what the contact bore."""
+    if not closes(pose, twist, latch):
+        return False
+    hold[:] = pose
+    for j in range(3):
+        hold[j] -= wrench[j] / p[STIFFNESS]
+    return True
 
 
 @njit(cache=True)
