@@ -34,7 +34,7 @@ class LogSkew(Effect):
     """The force record alone is stamped late; the loop itself is untouched."""
 
     kind: Literal["log.skew"] = "log.skew"
-    delay: float = quantity("s", ge=0.0, le=1.0, search=(0.0, 0.03))
+    delay: float = quantity("s", "Time by which the force is stamped late", ge=0.0, le=1.0, search=(0.0, 0.03))
     link = "log"
     equation = "logged w_meas(t) = w_meas(t - delay)"
     reference = "clock of the recorder"

@@ -24,7 +24,7 @@ from pathlib import Path
 from pkgutil import iter_modules
 from typing import Any, Generic, TypeVar, get_args
 
-from pydantic import GetCoreSchemaHandler
+from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic_core import CoreSchema, core_schema
 
 from hiltestbed.errors import InputError
@@ -203,3 +203,15 @@ class OneOf:
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         choices = {kind: handler.generate_schema(cls) for kind, cls in self.registry.items()}
         return core_schema.tagged_union_schema(choices, discriminator=self.pick)
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        """The union as JSON Schema: ``kind`` tells its members apart, and says what each one is."""
+        found = handler(schema)
+        for member in found["oneOf"]:
+            own = handler.resolve_ref_schema(member)
+            kind = own["properties"]["kind"]
+            kind["description"] = own.get("description", "").partition("\n")[0]
+            if kind["const"] != self.default and "kind" not in own.get("required", ()):
+                own["required"] = ["kind", *own.get("required", ())]
+        found["discriminator"] = {"propertyName": "kind"}
+        return found

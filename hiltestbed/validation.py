@@ -195,7 +195,7 @@ def _pick(annotation: Any, data: Any) -> type[BaseModel] | None:
     table = next((m for m in get_args(annotation)[1:] if isinstance(m, OneOf)), None) if get_origin(annotation) is Annotated else None
     if table is not None:
         kind = table.pick(data)
-        return table.registry[kind] if kind in table.registry else table.registry.base
+        return table.registry[kind] if kind is not None and kind in table.registry else table.registry.base
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return annotation
     origin, members = get_origin(annotation), get_args(annotation)

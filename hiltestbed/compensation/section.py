@@ -11,5 +11,10 @@ from hiltestbed.validation import Strictly
 class Compensation(Strictly):
     """What is done against the delays of the loop."""
 
-    force: AnyForceMethod = Field(default_factory=lambda: FORCE_METHODS["resynchronised"](kind="resynchronised"))
-    motion: AnyMotionMethod = Field(default_factory=lambda: MOTION_METHODS["feedforward"](kind="feedforward"))
+    force: AnyForceMethod = Field(
+        default_factory=lambda: FORCE_METHODS["resynchronised"](kind="resynchronised"),
+        description="How the delay of the measured force is compensated",
+    )
+    motion: AnyMotionMethod = Field(
+        default_factory=lambda: MOTION_METHODS["feedforward"](kind="feedforward"), description="How the lag of the platform is compensated"
+    )

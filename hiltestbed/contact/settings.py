@@ -21,19 +21,19 @@ if TYPE_CHECKING:
 class Contact(Strictly):
     """Contact of the mechanism's surfaces: F = stiffness x + damping v, never pulling in a bumper or a cone."""
 
-    stiffness: Positive = Field(description="[N/m]")
-    damping: NotNegative = Field(default=0.0, description="[N s/m]")
-    friction: Annotated[float, Field(ge=0, le=2)] = Field(default=0.0, description="Coulomb coefficient [-]")
+    stiffness: Positive = Field(description="Stiffness of the surfaces [N/m]")
+    damping: NotNegative = Field(default=0.0, description="Damping of the surfaces [N s/m]")
+    friction: Annotated[float, Field(ge=0, le=2)] = Field(default=0.0, description="Coulomb coefficient between the surfaces [-]")
 
 
 class Mount(Strictly):
     """Compliance of the passive side between the mechanism and the sensor: x, y, z, rx, ry, rz."""
 
     stiffness: Annotated[tuple[Positive, ...], Field(strict=False, min_length=6, max_length=6)] = Field(
-        description="3 x [N/m], 3 x [N m/rad]"
+        description="Stiffness of each axis, 3 x [N/m] and 3 x [N m/rad]"
     )
     damping: Annotated[tuple[NotNegative, ...], Field(strict=False, min_length=6, max_length=6)] = Field(
-        default=(0.0,) * 6, description="3 x [N s/m], 3 x [N m s/rad]"
+        default=(0.0,) * 6, description="Damping of each axis, 3 x [N s/m] and 3 x [N m s/rad]"
     )
 
 
@@ -41,10 +41,12 @@ class Latch(Strictly):
     """When the latches of a probe in its cone close: all three hold at once. From then on the mechanism pulls as well as pushes."""
 
     depth: Annotated[float, Field(ge=0, le=0.1)] = Field(
-        default=0.004, description="the tip is within this of the nominal touch, pz >= -depth [m]"
+        default=0.004, description="Distance of the tip from the nominal touch up to which the latches close [m]: pz >= -depth"
     )
-    angle_deg: Annotated[float, Field(gt=0, le=30)] = Field(default=5.0, description="angle between the axes of both sides [deg]")
-    speed: Positive = Field(default=0.02, description="relative speed of A's origin [m/s]")
+    angle_deg: Annotated[float, Field(gt=0, le=30)] = Field(
+        default=5.0, description="Largest angle between the axes of both sides at which the latches close [deg]"
+    )
+    speed: Positive = Field(default=0.02, description="Highest relative speed of A's origin at which the latches close [m/s]")
 
 
 class Mechanism(Strictly):
@@ -58,9 +60,9 @@ class Mechanism(Strictly):
     PARTS: ClassVar[tuple[str, ...]] = ("docstring", "files")
 
     kind: str
-    contact: Contact
-    mount: Mount | None = Field(default=None, description="null: rigid")
-    latch: Latch | None = Field(default=None, description="of a mechanism that captures; null: none")
+    contact: Contact = Field(description="Stiffness, damping and friction of the surfaces that touch")
+    mount: Mount | None = Field(default=None, description="Compliance between the passive mechanism and the sensor; null: rigid")
+    latch: Latch | None = Field(default=None, description="When the latches of a mechanism that captures close; null: it has none")
     captured: ClassVar[bool] = False
     flat: ClassVar[bool] = False
     latches: ClassVar[bool] = False

@@ -25,7 +25,7 @@ LINKS: tuple[Link, ...] = ("platform", "contact", "sensor", "compensation", "dyn
 
 def quantity(
     unit: str,
-    meaning: str = "",
+    meaning: str,
     *,
     default: Any = ...,
     gt: float | None = None,
@@ -35,8 +35,14 @@ def quantity(
     search: tuple[float, float] | None = None,
     ratio: bool = False,
 ) -> Any:
-    """A field of an effect: its unit, range, and the range [unit] that a diagnosis searches, by ``ratio`` or by difference."""
-    text = f"{meaning} [{unit}]".strip() if unit not in ("", "-") else meaning
+    """A field of an effect.
+
+    Args:
+        unit: "-" for none. meaning: what it is, in words that need no others; after a semicolon what a special value stands for.
+        gt, ge, lt, le: its range. search: the range [unit] that a diagnosis searches, by ``ratio`` or by difference.
+    """
+    what, sign, note = meaning.partition(";")
+    text = f"{what} [{unit}]{sign}{note}"
     extra = {"unit": unit} | ({"search": list(search), "search_by_ratio": ratio} if search else {})
     return Field(default, description=text, gt=gt, ge=ge, lt=lt, le=le, json_schema_extra=extra)
 

@@ -18,13 +18,17 @@ class Actuator(Strictly):
 
     kind: Literal["ideal", "single", "dual"] = Field(
         default="ideal",
-        description="ideal: no friction; single: one motor; dual: two summed by a differential screw, each kept turning by bias_speed",
+        description="Motors of a drive. ideal: without friction; single: one; dual: two summed by a differential screw, kept turning",
     )
-    coulomb: NotNegative = Field(default=200.0, description="sliding friction [N]")
-    stiction: NotNegative = Field(default=300.0, description="break-away [N], at least coulomb")
-    stribeck_speed: Positive = Field(default=0.005, description="speed at which the break-away excess has fallen to 1/e [m/s]")
-    viscous: NotNegative = Field(default=400.0, description="[N s/m]")
-    bias_speed: Positive = Field(default=0.3, description="of each of the two motors at rest, in terms of the slider [m/s]; dual alone")
+    coulomb: NotNegative = Field(default=200.0, description="Sliding friction of a motor [N]")
+    stiction: NotNegative = Field(default=300.0, description="Break-away friction of a motor [N], at least coulomb")
+    stribeck_speed: Positive = Field(
+        default=0.005, description="Speed at which the excess of the break-away friction has fallen to 1/e [m/s]"
+    )
+    viscous: NotNegative = Field(default=400.0, description="Viscous friction of a motor [N s/m]")
+    bias_speed: Positive = Field(
+        default=0.3, description="Speed at which both motors of a dual drive turn at rest, in terms of the slider [m/s]"
+    )
 
     @model_validator(mode="after")
     def _breaks_away(self) -> Actuator:
@@ -36,27 +40,33 @@ class Actuator(Strictly):
 class Platform(Strictly):
     """The motion platform and how it follows."""
 
-    kind: Literal["pss33"] = "pss33"
-    tracking: Literal["servo", "ideal"] = Field(default="servo", description="ideal: the pose reaches the command exactly, one tick later")
+    kind: Literal["pss33"] = Field(default="pss33", description="Motion platform. pss33: 3-3 PSS, six sliders")
+    tracking: Literal["servo", "ideal"] = Field(
+        default="servo",
+        description="How it follows. servo: its dynamics under its drives; ideal: the pose reaches the command exactly, one tick later",
+    )
     bandwidth: Positive = Field(
         default=40.0,
-        description="of the drives' position loop [Hz]; a quarter of the first mode that large parallel rigs have in their limbs",
+        description="Bandwidth of the drives' position loop [Hz]; the default is a quarter of the first mode of a large rig's limbs",
     )
-    damping_ratio: Positive = Field(default=1.0, description="of the drives' position loop [-]")
-    actuator: Actuator = Field(default=Actuator(), description="with tracking servo")
+    damping_ratio: Positive = Field(default=1.0, description="Damping ratio of the drives' position loop [-]")
+    actuator: Actuator = Field(default=Actuator(), description="Motors and friction of the drives; with tracking servo alone")
 
 
 class UpperPlatform(Strictly):
     """What carries the passive side and the force sensor."""
 
     kind: Literal["fixed", "prs3"] = Field(
-        default="fixed", description="prs3: heave of 2 m and two tilts while the ports are more than 0.19 m apart, clamped below that"
+        default="fixed",
+        description="Upper platform. fixed: none; prs3: heave of 2 m and two tilts, clamped while the ports are less than 0.19 m apart",
     )
-    tracking: Literal["servo", "ideal"] = Field(default="servo", description="of prs3; ideal: it is where it is planned to be")
+    tracking: Literal["servo", "ideal"] = Field(
+        default="servo", description="How the upper platform follows. servo: under its drives; ideal: it is where it is planned to be"
+    )
 
 
 class Rig(Strictly):
-    """The physical side."""
+    """The physical side: the motion platform, and what carries the passive port."""
 
-    platform: Platform = Platform()
-    upper: UpperPlatform = UpperPlatform()
+    platform: Platform = Field(default=Platform(), description="The motion platform that carries the active side")
+    upper: UpperPlatform = Field(default=UpperPlatform(), description="What carries the passive side and the force sensor")

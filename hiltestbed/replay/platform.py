@@ -83,7 +83,7 @@ def _replay(commands, run, start, velocity, h, late, parts, count, steps, speed,
             memory[:] = before
             lagged[:, 0] = shaken[:, 0] = before
             lagged[:, 1] = shaken[:, 1] = velocity[i, axis]
-            out[i, 0, axis] = before if late[i] > 0.0 else start[i, axis]
+            out[i, 0, axis] = start[i, axis]
             for k in range(out.shape[1] - 1):
                 reached = before
                 for s in range(count[i]):

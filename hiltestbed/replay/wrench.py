@@ -37,6 +37,7 @@ class Felt:
         substeps: instants of the physics a tick, at which a compliant mount is integrated.
         lever: where in the overlap the force acts. rates: (R, N, 6) twist at t_k, where it is known, as under a servo; None: the slope of
             the pose over the tick that ends there.
+        least_creep: [m/s per N] bounds the slope of friction from above, see :class:`hiltestbed.contact.contacts.Contacts`.
         twists: (R, N, 6) over the tick that ends at each row. clear: (R, N) least distance of the surfaces in that tick [m].
         met: geometry at t_k while nothing is tilted and the surfaces are near, see :func:`hiltestbed.contact.wrench.meet_all`: it does
             not depend on what the law is thought to be.
@@ -52,6 +53,7 @@ class Felt:
     substeps: int
     lever: float = 0.5
     rates: Array | None = None
+    least_creep: float = 0.0
     twists: Array = field(init=False)
     clear: Array = field(init=False)
     met: tuple[Array, Array, Array, Array, Array] = field(init=False)
@@ -115,8 +117,8 @@ def replay_wrench(felt: Felt, lanes: Sequence[Lane], grid: int | None = None) ->
     out = np.empty((len(lanes), felt.poses.shape[1], 6))
     dynamics = (felt.mount.stiffness, felt.mount.damping, felt.mount.body) if felt.mount is not None else _RIGID
     _replay(
-        run, felt.poses, felt.twists, felt.ends, felt.rates is not None, felt.before, felt.clear, felt.met, felt.lever, h, felt.geometry,
-        felt.captured, felt.latch, dynamics, parts, bool(instants), ticks, rows, tilts(rows[:, -1]), chain.elements(), out,
+        run, felt.poses, felt.twists, felt.ends, felt.rates is not None, felt.before, felt.clear, felt.met, felt.lever, felt.least_creep, h,
+        felt.geometry, felt.captured, felt.latch, dynamics, parts, bool(instants), ticks, rows, tilts(rows[:, -1]), chain.elements(), out,
     )  # fmt: skip
     for i, lane in enumerate(lanes):
         if lane.log.skew and not lane.log.reread:
@@ -137,8 +139,8 @@ def shifted(values: Array, ticks: float) -> Array:
 
 @njit(cache=True)
 def _replay(
-    run, poses, twists, ends, bent, before, clear, met, lever, h, geometry, captured, latch, mount, parts, between, ticks, p, tilt, elements,
-    out,
+    run, poses, twists, ends, bent, before, clear, met, lever, least_creep, h, geometry, captured, latch, mount, parts, between, ticks, p, tilt,
+    elements, out,
 ):  # fmt: skip
     """All lanes, one after the other: each is a run from its first row to its last."""
     calibration, lag, leak, offset, drift, tone, deadzone, limit, step = elements
@@ -187,7 +189,9 @@ def _interpolated(sub, at, late):
 
 
 @njit(cache=True)
-def _contact(poses, twists, ends, bent, before, clear, met, lever, h, geometry, captured, latch, r, mount, parts, between, p, tilt, sub):
+def _contact(
+    poses, twists, ends, bent, before, clear, met, lever, least_creep, h, geometry, captured, latch, r, mount, parts, between, p, tilt, sub
+):  # fmt: skip
     """What the sensor feels along one path: ``sub`` (N, m, 6) at the instants ``parts`` (m,) of the tick that ends at each row."""
     index, values = geometry
     stiffness, damping, body = mount
@@ -218,13 +222,19 @@ def _contact(poses, twists, ends, bent, before, clear, met, lever, h, geometry, 
                 apart = clear[k] > reach + lean * away
             if apart:
                 if touched:
-                    state[:] = 0.0
+                    state[:], wrench[:] = 0.0, 0.0
                     touched = False
+                if latch[1] < 1.5:  # latches may close on a probe that touches nothing
+                    frames[0], motions[0] = poses[k], ends[k]
+                    latched = _caught(frames, motions, latch, last_row, wrench, hold, local_pose, local_twist, work)
                 continue
             touched = True
         twist = twists[k]
         passed = 0.0
         for s in range(m):
+            if k == 0 and parts[s] < 1.0:  # forces start from zero at t = 0
+                passed = parts[s]
+                continue
             if s > 0 and (parts[s] == parts[s - 1] or not (between or remembers)):
                 sub[k, s] = sub[k, s - 1]
                 continue
@@ -232,7 +242,8 @@ def _contact(poses, twists, ends, bent, before, clear, met, lever, h, geometry, 
             passed = parts[s]
             if parts[s] == 1.0 and plain and not latched:
                 surface_wrench(
-                    index, dt, 0.0, p, frames, state, depths[r, k], rates[r, k], points[r, k], normals[r, k], slips[r, k], work[7], sub[k, s]
+                    index, dt, least_creep, p, frames, state, depths[r, k], rates[r, k], points[r, k], normals[r, k], slips[r, k], work[7],
+                    sub[k, s],
                 )  # fmt: skip
                 continue
             if parts[s] < 1.0:
@@ -243,17 +254,24 @@ def _contact(poses, twists, ends, bent, before, clear, met, lever, h, geometry, 
                 mount_step(stiffness[r], damping[r], body, dt, wrench, q, qd, joints)
                 mount_place(q, qd, tilt, frames[1], motions[1])
             contact_wrench(
-                index, values, dt, 0.0, p, frames, motions, latched, hold, state, depth, closing, point, normal, slip, work, wrench
+                index, values, dt, least_creep, p, frames, motions, latched, hold, state, depth, closing, point, normal, slip, work, wrench
             )  # fmt: skip
             if mounted:
                 mount_reading(stiffness[r], damping[r], q, qd, sub[k, s])
             else:
                 sub[k, s] = wrench
         if not latched and latch[1] < 1.5:
-            relate_one(frames[0], motions[0], frames[1], motions[1], local_pose, local_twist, work[:5, :3])
-            if closes(local_pose, local_twist, latch):
-                latched = True
-                held_at(local_pose, wrench, frames[1], last_row, hold)
+            latched = _caught(frames, motions, latch, last_row, wrench, hold, local_pose, local_twist, work)
+
+
+@njit(cache=True)
+def _caught(frames, motions, latch, row, wrench, hold, pose, twist, work):
+    """Whether the latch closes; then ``hold`` (7,) becomes where its springs hold A so that they bear what the contact bore."""
+    relate_one(frames[0], motions[0], frames[1], motions[1], pose, twist, work[:5, :3])
+    if not closes(pose, twist, latch):
+        return False
+    held_at(pose, wrench, frames[1], row, hold)
+    return True
 
 
 @njit(cache=True)

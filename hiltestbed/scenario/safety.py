@@ -10,13 +10,18 @@ from hiltestbed.validation import Positive, Strictly
 class Safety(Strictly):
     """Limits past which the run stops; null: not watched."""
 
-    stroke: Positive | None = Field(default=0.72, description="of a slider from home [m]; the travel of the 3-3 PSS platform's")
-    speed: Positive | None = Field(default=2.0, description="of a slider [m/s]")
-    acceleration: Positive | None = Field(default=None, description="of a slider [m/s^2]")
-    limb_angle_deg: Positive | None = Field(
-        default=50.0, description="between a link and its slider [deg]; past it the drives lose their grip"
+    stroke: Positive | None = Field(
+        default=0.72, description="Largest travel of a slider from home [m]; the default is that of the 3-3 PSS platform; null: not watched"
     )
-    tracking_error: Positive | None = Field(default=None, description="distance between the pose commanded and reached [m]")
-    force: Positive | None = Field(default=5.0e4, description="on the sensor [N]")
-    torque: Positive | None = Field(default=5.0e4, description="on the sensor, at P's origin [N m]")
-    energy: Positive | None = Field(default=None, description="that the rig may create in a run [J]")
+    speed: Positive | None = Field(default=2.0, description="Highest speed of a slider [m/s]; null: not watched")
+    acceleration: Positive | None = Field(default=None, description="Highest acceleration of a slider [m/s^2]; null: not watched")
+    limb_angle_deg: Positive | None = Field(
+        default=50.0,
+        description="Largest angle between a link and its slider [deg], past which the drives lose their grip; null: not watched",
+    )
+    tracking_error: Positive | None = Field(
+        default=None, description="Largest distance between the commanded and the reached position [m]; null: not watched"
+    )
+    force: Positive | None = Field(default=5.0e4, description="Largest force on the sensor [N]; null: not watched")
+    torque: Positive | None = Field(default=5.0e4, description="Largest torque on the sensor, at P's origin [N m]; null: not watched")
+    energy: Positive | None = Field(default=None, description="Largest energy that the rig may create in a run [J]; null: not watched")

@@ -30,25 +30,30 @@ from hiltestbed.yaml_source import Source, dump_yaml, read_source
 class Scenario(Strictly):
     """One run: two vehicles, how they meet, the rig that plays it, and what is done about the rig's faults."""
 
-    name: Annotated[str, Field(min_length=1, max_length=200)]
-    description: str = ""
-    seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
-    duration: Positive = Field(default=3.0, description="[s]")
-    rate: Annotated[float, Field(gt=0, le=1e6)] = Field(default=2000.0, description="passes of the loop [Hz]")
+    name: Annotated[str, Field(min_length=1, max_length=200)] = Field(description="Name of the scenario, of which a run folder's is made")
+    description: str = Field(default="", description="What the scenario shows, in a sentence or two")
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = Field(default=0, description="Seed of the random numbers; the same seed, the same trace")
+    duration: Positive = Field(default=3.0, description="Simulated time [s]")
+    rate: Annotated[float, Field(gt=0, le=1e6)] = Field(
+        default=2000.0, description="Rate of the loop [Hz]: one reading, one step of the numerical model, one command a tick"
+    )
     physics_rate: Annotated[float, Field(gt=0, le=4e6)] = Field(
         default_factory=lambda given: 2.0 * given["rate"],  # type: ignore[arg-type]
-        description="steps of the physics [Hz], a whole multiple of rate; left out: twice rate",
+        description="Rate of the steps of the physics [Hz], a whole multiple of rate; left out: twice rate",
     )
-    spacecraft: Spacecraft
-    approach: Approach
-    mechanism: AnyMechanism
-    rig: Rig = Rig()
-    sensor: Sensor = Sensor()
-    compensation: Compensation = Compensation()
-    identification: AnyIdentifier = Field(default_factory=lambda: IDENTIFIERS["rls"](kind="rls"))
-    safety: Safety = Safety()
+    spacecraft: Spacecraft = Field(description="Both vehicles as the numerical model has them")
+    approach: Approach = Field(description="Where the active port starts and how it moves, relative to the passive one")
+    mechanism: AnyMechanism = Field(description="The docking mechanism: which surfaces meet, and how stiff they are")
+    rig: Rig = Field(default=Rig(), description="The motion platform, and what carries the passive side")
+    sensor: Sensor = Field(default=Sensor(), description="The force and torque sensor below the passive port, in the order of its chain")
+    compensation: Compensation = Field(default=Compensation(), description="What is done against the delays of the loop")
+    identification: AnyIdentifier = Field(
+        default_factory=lambda: IDENTIFIERS["rls"](kind="rls"),
+        description="How stiffness and damping are estimated while the contact lasts",
+    )
+    safety: Safety = Field(default=Safety(), description="Limits past which the run stops; null: not watched")
     effects: Annotated[tuple[AnyEffect, ...], Field(strict=False)] = Field(
-        default=(), description="departures from the nominal rig: {kind: ID, parameter: value}"
+        default=(), description="Departures of the rig from what is believed of it: a list of {kind: ID, parameter: value}"
     )
 
     @property

@@ -15,18 +15,20 @@ _ORIGIN = (0.0, 0.0, 0.0)
 class Port(Strictly):
     """Pose of a docking port in its body; its z axis points along the insertion."""
 
-    position: Vector3 = Field(default=_ORIGIN, description="origin of the port in the body [m], from the centre of mass")
-    attitude_deg: Vector3 = Field(default=_ORIGIN, description="roll, pitch, yaw about the body's fixed x, y, z [deg]")
+    position: Vector3 = Field(default=_ORIGIN, description="Origin of the port from the body's centre of mass [m], body axes")
+    attitude_deg: Vector3 = Field(
+        default=_ORIGIN, description="Attitude of the port in the body [deg]: roll, pitch, yaw about the body's fixed x, y, z"
+    )
 
 
 class Body(Strictly):
     """One vehicle as the numerical model believes it to be."""
 
-    mass: Positive = Field(description="[kg]")
+    mass: Positive = Field(description="Mass of the vehicle [kg]")
     inertia: Annotated[tuple[float, ...], Field(strict=False, min_length=3, max_length=6)] = Field(
-        description="about the centre of mass, body axes [kg m^2]: xx, yy, zz or xx, yy, zz, xy, xz, yz"
+        description="Moments of inertia about the centre of mass, body axes [kg m^2]: xx, yy, zz or xx, yy, zz, xy, xz, yz"
     )
-    port: Port = Port()
+    port: Port = Field(default=Port(), description="Docking port in the body; its z axis points along the insertion")
 
     @model_validator(mode="after")
     def _inertia_is_possible(self) -> Body:
@@ -53,15 +55,17 @@ def _inertia_faults(inertia: tuple[float, ...]) -> Iterator[str]:
 class Spacecraft(Strictly):
     """Both vehicles: the chaser carries the active port A, the target the passive port P."""
 
-    chaser: Body
-    target: Body
+    chaser: Body = Field(description="The vehicle that approaches; it carries the active port A")
+    target: Body = Field(description="The vehicle that is approached; it carries the passive port P")
 
 
 class Approach(Strictly):
     """Where the active port starts, relative to the passive one, and how it moves."""
 
-    gap: float = Field(default=0.01, description="distance from the nominal first touch along the insertion [m]; the start is at pz = -gap")
-    velocity: Vector3 = Field(description="relative velocity of A's origin, in P [m/s]")
-    offset: Vector2 = Field(default=(0.0, 0.0), description="lateral start position, px and py [m]")
-    attitude_deg: Vector3 = Field(default=_ORIGIN, description="start attitude of A in P: roll, pitch, yaw about fixed x, y, z [deg]")
-    rate_deg: Vector3 = Field(default=_ORIGIN, description="angular velocity of A relative to P, in P [deg/s]")
+    gap: float = Field(default=0.01, description="Distance of the start from the nominal first touch, along the insertion [m]: pz = -gap")
+    velocity: Vector3 = Field(description="Velocity of A's origin relative to P, in P [m/s]")
+    offset: Vector2 = Field(default=(0.0, 0.0), description="Lateral position of the start, px and py [m]")
+    attitude_deg: Vector3 = Field(
+        default=_ORIGIN, description="Attitude of A in P at the start [deg]: roll, pitch, yaw about fixed x, y, z"
+    )
+    rate_deg: Vector3 = Field(default=_ORIGIN, description="Angular velocity of A relative to P at the start, in P [deg/s]")

@@ -10,13 +10,15 @@ from hiltestbed.validation import NotNegative, Positive, Strictly, Vector3
 class Sensor(Strictly):
     """The force and torque sensor below the passive port, in the order of its chain."""
 
-    delay: NotNegative = Field(default=0.0, description="pure delay [s], any length, not only whole ticks")
-    lowpass: Positive | None = Field(default=None, description="cut-off of the first-order low-pass [Hz]; null: none")
-    time_constant: Positive | None = Field(default=None, description="of the charge amplifier's high-pass [s]; null: none")
-    noise: NotNegative = Field(default=0.0, description="1 sigma of each force axis [N]")
-    torque_noise: NotNegative = Field(default=0.0, description="1 sigma of each torque axis [N m]")
-    drift: Vector3 = Field(default=(0.0, 0.0, 0.0), description="linear drift of the force axes [N/s]")
-    quantisation: NotNegative = Field(default=0.0, description="step of the force reading [N]; 0: none")
-    torque_quantisation: NotNegative = Field(default=0.0, description="step of the torque reading [N m]; 0: none")
-    range: Positive | None = Field(default=None, description="each force axis clips here [N]; null: none")
-    torque_range: Positive | None = Field(default=None, description="each torque axis clips here [N m]; null: none")
+    delay: NotNegative = Field(default=0.0, description="Pure delay of the reading [s]; it need not be a whole number of ticks")
+    lowpass: Positive | None = Field(default=None, description="Cut-off frequency of the first-order low-pass [Hz]; null: none")
+    time_constant: Positive | None = Field(default=None, description="Time constant of the charge amplifier's high-pass [s]; null: none")
+    noise: NotNegative = Field(default=0.0, description="Standard deviation of the noise of each force axis [N]")
+    torque_noise: NotNegative = Field(default=0.0, description="Standard deviation of the noise of each torque axis [N m]")
+    drift: Vector3 = Field(default=(0.0, 0.0, 0.0), description="Linear drift of the force axes from the start of the run [N/s]")
+    quantisation: NotNegative = Field(default=0.0, description="Quantisation step of the force reading [N]; 0: none")
+    torque_quantisation: NotNegative = Field(default=0.0, description="Quantisation step of the torque reading [N m]; 0: none")
+    range: Positive | None = Field(default=None, description="Range of each force axis, at which its reading clips [N]; null: unlimited")
+    torque_range: Positive | None = Field(
+        default=None, description="Range of each torque axis, at which its reading clips [N m]; null: unlimited"
+    )

@@ -20,7 +20,7 @@ class LoopDeadzone(Effect):
     """Small forces are not passed on to the numerical model."""
 
     kind: Literal["loop.deadzone"] = "loop.deadzone"
-    width: float = quantity("N", gt=0.0, search=(0.2, 60.0), ratio=True)
+    width: float = quantity("N", "Force below which an axis is not passed on", gt=0.0, search=(0.2, 60.0), ratio=True)
     link = "compensation"
     equation = "f_axis = 0 where |f_axis| < width, before the compensation"
     reference = "guard against drift of the numerical model"

@@ -40,9 +40,11 @@ class CorDesigned(ForceMethod):
     """A virtual damper along the insertion, designed for a desired coefficient of restitution."""
 
     kind: Literal["cor_designed"] = "cor_designed"
-    stiffness: Positive = Field(description="of the contact that it is designed for [N/m]")
-    damping: NotNegative = Field(default=0.0, description="[N s/m]")
-    cor: Positive | None = Field(default=None, description="desired; null: that of the contact without a delay")
+    stiffness: Positive = Field(description="Stiffness of the contact that the damper is designed for [N/m]")
+    damping: NotNegative = Field(default=0.0, description="Damping of the contact that the damper is designed for [N s/m]")
+    cor: Positive | None = Field(
+        default=None, description="Desired coefficient of restitution [-]; null: that of the contact without a delay"
+    )
     reads: ClassVar[frozenset[Input]] = frozenset({"wrench", "pose", "twist"})
 
     @classmethod

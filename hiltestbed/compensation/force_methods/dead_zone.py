@@ -25,10 +25,10 @@ if TYPE_CHECKING:
 
 @register
 class DeadZone(ForceMethod):
-    """A force below the width is taken as none."""
+    """A dead zone: a measured force below the width is taken as none."""
 
     kind: Literal["dead_zone"] = "dead_zone"
-    width: NotNegative = Field(description="[N]")
+    width: NotNegative = Field(description="Force below which an axis is taken as zero [N]")
     reads: ClassVar[frozenset[Input]] = frozenset({"wrench"})
 
     @classmethod

@@ -38,7 +38,7 @@ DAMPING_LIMIT = 0.5  # of what one tick can carry without turning the velocity r
 
 @register
 class PassivityControl(ForceMethod):
-    """Time-domain passivity observer and controller."""
+    """Time-domain passivity control: damping is injected once the contact has given back more energy than it took."""
 
     kind: Literal["passivity_control"] = "passivity_control"
     reads: ClassVar[frozenset[Input]] = frozenset({"wrench", "model"})
@@ -50,11 +50,11 @@ class PassivityControl(ForceMethod):
 
 @register
 class NormalisedPassivity(ForceMethod):
-    """Damping by the normalised power that the delay creates."""
+    """Normalised passivity control: a damping force in proportion to the normalised power that the delay creates."""
 
     kind: Literal["normalised_passivity"] = "normalised_passivity"
-    gain: NotNegative = Field(default=1.0, description="of the damping force; 1 balances the delay to first order")
-    smoothing: Positive = Field(default=0.005, description="time constant of the power's low-pass [s]")
+    gain: NotNegative = Field(default=1.0, description="Gain of the damping force [-]; 1 balances the delay to first order")
+    smoothing: Positive = Field(default=0.005, description="Time constant of the low-pass on the power [s]")
     reads: ClassVar[frozenset[Input]] = frozenset({"wrench", "pose", "model"})
 
     @classmethod

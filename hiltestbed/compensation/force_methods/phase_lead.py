@@ -34,11 +34,11 @@ LAG = 0.0005  # [s] T2, where a method does not set its own
 
 @register
 class PhaseLead(ForceMethod):
-    """(T1 s + 1)/(T2 s + 1) on the measured wrench."""
+    """First-order phase lead of the measured wrench, (T1 s + 1)/(T2 s + 1)."""
 
     kind: Literal["phase_lead"] = "phase_lead"
-    lead: NotNegative | None = Field(default=None, description="T1 [s]; null: sensor.delay + lag")
-    lag: Positive = Field(default=0.0005, description="T2 [s]")
+    lead: NotNegative | None = Field(default=None, description="Time constant T1 of the lead [s]; null: sensor.delay + lag")
+    lag: Positive = Field(default=0.0005, description="Time constant T2 of the lead's pole [s]")
     reads: ClassVar[frozenset[Input]] = frozenset({"wrench"})
 
     @classmethod

@@ -31,10 +31,10 @@ if TYPE_CHECKING:
 
 @register
 class Polynomial(ForceMethod):
-    """Polynomial through the last samples a delay apart, extrapolated by the delay."""
+    """Polynomial extrapolation of the measured wrench over the delay, through samples that are a delay apart."""
 
     kind: Literal["polynomial"] = "polynomial"
-    order: Annotated[int, Field(ge=1, le=5)] = Field(default=3, description="of the polynomial")
+    order: Annotated[int, Field(ge=1, le=5)] = Field(default=3, description="Order of the polynomial")
     reads: ClassVar[frozenset[Input]] = frozenset({"wrench"})
 
     @classmethod

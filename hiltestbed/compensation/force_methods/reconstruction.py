@@ -34,11 +34,14 @@ if TYPE_CHECKING:
 
 @register
 class Reconstruction(ForceMethod):
-    """F_meas + M(x, v) - M(x, v at t - delay), M as identified so far; an axis without an estimate passes the lead."""
+    """The measured force plus what an identified spring and damper M gained over the delay: F_meas + M(x, v) - M(x, v at t - delay).
+
+    An axis that has no estimate yet passes the first-order phase lead.
+    """
 
     kind: Literal["reconstruction"] = "reconstruction"
-    lead: NotNegative | None = Field(default=None, description="T1 of the lead [s]; null: sensor.delay + lag")
-    lag: Positive = Field(default=0.0005, description="T2 of the lead [s]")
+    lead: NotNegative | None = Field(default=None, description="Time constant T1 of the phase lead [s]; null: sensor.delay + lag")
+    lag: Positive = Field(default=0.0005, description="Time constant T2 of the phase lead's pole [s]")
     reads: ClassVar[frozenset[Input]] = frozenset({"wrench", "pose", "twist", "identified"})
 
     @classmethod
@@ -54,14 +57,16 @@ class Reconstruction(ForceMethod):
 
 @register
 class SmithPredictor(ForceMethod):
-    """The same with a contact that is given, along the insertion."""
+    """Smith predictor: the measured force plus what a given spring and damper along the insertion gained over the delay."""
 
     kind: Literal["smith_predictor"] = "smith_predictor"
-    stiffness: Positive = Field(description="of the contact as predicted [N/m]")
-    damping: NotNegative = Field(default=0.0, description="[N s/m]")
-    lead_rest: bool = Field(default=False, description="what the prediction does not explain passes the phase lead")
-    lead: NotNegative | None = Field(default=None, description="T1 of the lead [s]; null: sensor.delay + lag")
-    lag: Positive = Field(default=0.0005, description="T2 of the lead [s]")
+    stiffness: Positive = Field(description="Stiffness of the contact as predicted [N/m]")
+    damping: NotNegative = Field(default=0.0, description="Damping of the contact as predicted [N s/m]")
+    lead_rest: bool = Field(
+        default=False, description="Whether the part of the force that the prediction does not explain passes the phase lead"
+    )
+    lead: NotNegative | None = Field(default=None, description="Time constant T1 of the phase lead [s]; null: sensor.delay + lag")
+    lag: Positive = Field(default=0.0005, description="Time constant T2 of the phase lead's pole [s]")
     reads: ClassVar[frozenset[Input]] = frozenset({"wrench", "pose", "twist"})
 
     @classmethod

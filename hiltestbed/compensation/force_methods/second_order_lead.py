@@ -29,10 +29,10 @@ if TYPE_CHECKING:
 
 @register
 class SecondOrderLead(ForceMethod):
-    """The Taylor expansion of exp(delay s) to its second term, over (T2 s + 1)^2."""
+    """Second-order phase lead of the measured wrench: exp(delay s) to its second Taylor term, over (T2 s + 1)^2."""
 
     kind: Literal["second_order_lead"] = "second_order_lead"
-    lag: Positive = Field(default=0.0005, description="T2 [s]")
+    lag: Positive = Field(default=0.0005, description="Time constant T2 of the lead's double pole [s]")
     reads: ClassVar[frozenset[Input]] = frozenset({"wrench"})
 
     @classmethod

@@ -31,8 +31,10 @@ class VirtualContact(ForceMethod):
     """A virtual spring and damper along the insertion, beside the measured force."""
 
     kind: Literal["virtual_contact"] = "virtual_contact"
-    stiffness: NotNegative = Field(default=0.0, description="[N/m]")
-    damping: NotNegative = Field(description="[N s/m]; the contact's stiffness times the delay gives back what the delay takes")
+    stiffness: NotNegative = Field(default=0.0, description="Stiffness of the virtual spring [N/m]")
+    damping: NotNegative = Field(
+        description="Damping of the virtual damper [N s/m]; stiffness times delay of the contact gives back what the delay takes"
+    )
     reads: ClassVar[frozenset[Input]] = frozenset({"wrench", "pose", "twist"})
 
     @classmethod

@@ -34,11 +34,11 @@ PRIOR = 1e-6  # [m^2] weight of what is believed at the start, against the sum o
 
 @register
 class AdaptiveTimeSeries(MotionMethod):
-    """The commanded pose passes a0 x + a1 x' + a2 x'', fitted to what the platform made of its last commands."""
+    """Adaptive time series: the command passes a0 x + a1 x' + a2 x'', fitted to what the platform made of its last commands."""
 
     kind: Literal["adaptive_time_series"] = "adaptive_time_series"
-    window: Positive = Field(default=1.0, description="memory of the fit [s]")
-    delay: NotNegative = Field(default=0.008, description="of the platform as believed at the start [s]")
+    window: Positive = Field(default=1.0, description="Memory of the fit [s]")
+    delay: NotNegative = Field(default=0.008, description="Delay of the platform as believed at the start [s]")
     reads: ClassVar[frozenset[Input]] = frozenset({"pose"})
 
     @classmethod

@@ -35,11 +35,11 @@ AIM = 0.95  # of the limit: what is left is for the error of k as identified
 
 @register
 class Admittance(MotionMethod):
-    """Feed-forward, and a platform that yields along the insertion where the contact as identified would press harder than a limit."""
+    """Compliant contact: feed-forward, and the platform yields along the insertion where the contact would press harder than a limit."""
 
     kind: Literal["admittance"] = "admittance"
-    limit: Positive = Field(description="of the contact force [N]")
-    speed: Positive = Field(default=0.1, description="with which the platform yields at most [m/s]")
+    limit: Positive = Field(description="Contact force at which the platform begins to yield [N]")
+    speed: Positive = Field(default=0.1, description="Highest speed with which the platform yields [m/s]")
     reads: ClassVar[frozenset[Input]] = frozenset({"identified"})
     feeds: ClassVar[bool] = True
 

@@ -20,7 +20,7 @@ from hiltestbed.plugins import register
 
 @register
 class ContactCorrection(MotionMethod):
-    """The force is corrected for where the platform is not: + k (x_cmd - x_act) + c (v_cmd - v_act), k and c as identified."""
+    """The force is corrected for the error of the platform, by k (x_cmd - x_act) + c (v_cmd - v_act) with k and c as identified."""
 
     kind: Literal["contact_correction"] = "contact_correction"
     reads: ClassVar[frozenset[Input]] = frozenset({"wrench", "pose", "twist", "identified"})

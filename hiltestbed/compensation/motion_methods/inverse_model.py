@@ -29,13 +29,15 @@ if TYPE_CHECKING:
 
 @register
 class InverseModel(MotionMethod):
-    """The commanded pose passes the inverse of the platform's response, (1 + T s)(1 + 2 zeta s/w + s^2/w^2), cut after an order."""
+    """Inverse model: the command passes the inverse of the platform's response, (1 + T s)(1 + 2 zeta s/w + s^2/w^2) cut at an order."""
 
     kind: Literal["inverse_model"] = "inverse_model"
-    order: Annotated[int, Field(ge=1, le=3)] = Field(default=2, description="highest derivative of the command that is used")
-    bandwidth: Positive = Field(default=40.0, description="w/2 pi of the platform [Hz]")
-    damping_ratio: Positive = Field(default=1.0, description="zeta of the platform")
-    time_constant: NotNegative = Field(default=0.0, description="T, of what makes its response third-order [s]")
+    order: Annotated[int, Field(ge=1, le=3)] = Field(default=2, description="Highest derivative of the command that is used")
+    bandwidth: Positive = Field(default=40.0, description="Bandwidth w/(2 pi) of the platform's response [Hz]")
+    damping_ratio: Positive = Field(default=1.0, description="Damping ratio zeta of the platform's response [-]")
+    time_constant: NotNegative = Field(
+        default=0.0, description="Time constant T of the platform's response [s], which makes it third-order; 0: second-order"
+    )
     reads: ClassVar[frozenset[Input]] = frozenset()
 
     @classmethod

@@ -10,7 +10,7 @@ from hiltestbed.plugins import register
 
 @register
 class NoMotionCompensation(MotionMethod):
-    """The platform is commanded with the pose alone."""
+    """No compensation: the platform is commanded with the pose alone."""
 
     kind: Literal["none"] = "none"
     reads: ClassVar[frozenset[Input]] = frozenset()
@@ -19,7 +19,7 @@ class NoMotionCompensation(MotionMethod):
 
 @register
 class Feedforward(MotionMethod):
-    """Velocity and acceleration feed-forward of the platform's servo."""
+    """Feed-forward: the platform's servo is told velocity and acceleration, too."""
 
     kind: Literal["feedforward"] = "feedforward"
     reads: ClassVar[frozenset[Input]] = frozenset()

@@ -21,19 +21,24 @@ if TYPE_CHECKING:
 class KnownContact(Strictly):
     """A contact that was identified before."""
 
-    stiffness: Positive = Field(description="[N/m]")
-    damping: NotNegative = Field(default=0.0, description="[N s/m]")
-    touch: float = Field(default=0.0, description="where along the insertion it is touched first [m]")
+    stiffness: Positive = Field(description="Stiffness of the contact as it is known [N/m]")
+    damping: NotNegative = Field(default=0.0, description="Damping of the contact as it is known [N s/m]")
+    touch: float = Field(default=0.0, description="Place of the first touch along the insertion [m]")
 
 
 @register
 class Resynchronised(ForceMethod):
-    """The numerical model at t - delay, driven by the measured wrench as what it is, and predicted from there."""
+    """Resynchronised prediction: a delayed numerical model is driven by the measured wrench, and the present is predicted from it."""
 
     kind: Literal["resynchronised"] = "resynchronised"
-    contact: KnownContact | None = Field(default=None, description="null: nothing is known of it, it is identified as it is met")
-    delay: Literal["known", "estimate"] = Field(default="known", description="estimate: correct sensor.delay by the instant of first touch")
-    blending: Positive = Field(default=0.002, description="time constant with which a corrected prediction reaches the platform [s]")
+    contact: KnownContact | None = Field(
+        default=None, description="Contact that was identified before; null: nothing is known of it, it is identified as it is met"
+    )
+    delay: Literal["known", "estimate"] = Field(
+        default="known",
+        description="Delay of the force. known: sensor.delay as it stands; estimate: corrected by the instant of first touch",
+    )
+    blending: Positive = Field(default=0.002, description="Time constant with which a corrected prediction reaches the platform [s]")
     reads: ClassVar[frozenset[Input]] = frozenset({"wrench", "pose", "twist", "identified", "captured", "model"})
     corrects_platform: ClassVar[bool] = True
 

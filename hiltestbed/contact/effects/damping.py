@@ -20,7 +20,7 @@ class ContactDamping(Effect):
     """The contact damper is stronger or weaker than believed."""
 
     kind: Literal["contact.damping"] = "contact.damping"
-    factor: float = quantity("-", "true value over the one believed", ge=0.0, search=(0.0, 6.0))
+    factor: float = quantity("-", "True damping over the one believed", ge=0.0, search=(0.0, 6.0))
     link = "contact"
     equation = "c -> factor c"
     reference = "viscous damper"
@@ -41,7 +41,7 @@ class ContactHuntCrossley(Effect):
     """The damping grows with the penetration: no force step at touch."""
 
     kind: Literal["contact.hunt_crossley"] = "contact.hunt_crossley"
-    alpha: float = quantity("s/m", ge=0.0, search=(0.0, 30.0))
+    alpha: float = quantity("s/m", "Growth of the force with the rate of penetration", ge=0.0, search=(0.0, 30.0))
     link = "contact"
     equation = "F = k x (1 + alpha v)"
     reference = "K. H. Hunt, F. R. E. Crossley, ASME J. Appl. Mech. 42, 1975"
@@ -61,8 +61,10 @@ class ContactDryFriction(Effect):
     """Dry friction in the buffer: a loop whose width depends on neither speed nor stroke."""
 
     kind: Literal["contact.dry_friction"] = "contact.dry_friction"
-    force: float = quantity("N", ge=0.0, search=(0.0, 300.0))
-    stiffness: float = quantity("N/m", "before it slips; 0: rigid", default=0.0, ge=0.0, search=(1e2, 1e9), ratio=True)
+    force: float = quantity("N", "Friction while it slides", ge=0.0, search=(0.0, 300.0))
+    stiffness: float = quantity(
+        "N/m", "Stiffness of the spring that drags the slider before it slips; 0: rigid", default=0.0, ge=0.0, search=(1e2, 1e9), ratio=True
+    )
     link = "contact"
     equation = "F += force tanh(v/2e-4); with a stiffness F += f, f' = stiffness v while |f| < force"
     reference = "Coulomb; with a stiffness G. M. Jenkins, J. Br. Nucl. Energy Soc. 1, 1962"
@@ -87,8 +89,8 @@ class ContactRelaxation(Effect):
     """The contact is stiffer when fast and relaxes when held."""
 
     kind: Literal["contact.relaxation"] = "contact.relaxation"
-    stiffness: float = quantity("N/m", gt=0.0, search=(1e2, 1e7), ratio=True)
-    time_constant: float = quantity("s", gt=0.0, search=(1e-3, 10.0), ratio=True)
+    stiffness: float = quantity("N/m", "Stiffness of the branch", gt=0.0, search=(1e2, 1e7), ratio=True)
+    time_constant: float = quantity("s", "Time constant with which the branch relaxes", gt=0.0, search=(1e-3, 10.0), ratio=True)
     link = "contact"
     equation = "F += z, z' = stiffness v - z/time_constant"
     reference = "Maxwell branch of the standard linear solid"

@@ -22,7 +22,7 @@ class FrameCompliance(Effect):
     """The frame of the sensor gives way, quasi-statically."""
 
     kind: Literal["frame.compliance"] = "frame.compliance"
-    stiffness: float = quantity("N/m", gt=0.0, search=(1e5, 1e9), ratio=True)
+    stiffness: float = quantity("N/m", "Stiffness of the frame", gt=0.0, search=(1e5, 1e9), ratio=True)
     link = "contact"
     equation = "x = pz - F/stiffness"
     reference = "springs in series"
@@ -54,9 +54,9 @@ class FrameMode(Effect):
     """The frame of the sensor rings: it moves under the contact force, and the sensor reads the frame."""
 
     kind: Literal["frame.mode"] = "frame.mode"
-    frequency: float = quantity("Hz", gt=0.0, search=(3.0, 200.0), ratio=True)
-    damping_ratio: float = quantity("-", gt=0.0, le=1.0, search=(0.002, 0.3), ratio=True)
-    mass: float = quantity("kg", gt=0.0, search=(1.0, 2000.0), ratio=True)
+    frequency: float = quantity("Hz", "Natural frequency of the frame", gt=0.0, search=(3.0, 200.0), ratio=True)
+    damping_ratio: float = quantity("-", "Damping ratio of the frame", gt=0.0, le=1.0, search=(0.002, 0.3), ratio=True)
+    mass: float = quantity("kg", "Mass of the frame that moves", gt=0.0, search=(1.0, 2000.0), ratio=True)
     link = "contact"
     equation = "m q'' + 2 zeta w m q' + w^2 m q = F, x = pz - q, measured: w^2 m q + 2 zeta w m q'"
     reference = "single structural mode"

@@ -20,7 +20,7 @@ class ContactStiffness(Effect):
     """The contact spring is stiffer or softer than believed."""
 
     kind: Literal["contact.stiffness"] = "contact.stiffness"
-    factor: float = quantity("-", "true value over the one believed", gt=0.0, search=(0.3, 3.0), ratio=True)
+    factor: float = quantity("-", "True stiffness over the one believed", gt=0.0, search=(0.3, 3.0), ratio=True)
     link = "contact"
     equation = "k -> factor k"
     reference = "Hooke"
@@ -42,8 +42,10 @@ class ContactPowerLaw(Effect):
     """The elastic force follows a power of the penetration, whatever spring is fitted."""
 
     kind: Literal["contact.power_law"] = "contact.power_law"
-    exponent: float = quantity("-", "n", gt=0.0, le=5.0, search=(1.02, 2.5))
-    stiffness: float = quantity("N/m^n", gt=0.0, search=(1e3, 1e10), ratio=True)
+    exponent: float = quantity("-", "Exponent n of the penetration", gt=0.0, le=5.0, search=(1.02, 2.5))
+    stiffness: float = quantity(
+        "N/m^n", "Coefficient of the law, the force at a penetration of 1 m", gt=0.0, search=(1e3, 1e10), ratio=True
+    )
     link = "contact"
     equation = "F = stiffness x^exponent + c v"
     reference = "Hertz for exponent 1.5"
@@ -59,8 +61,10 @@ class ContactPowerLaw(Effect):
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:
         k, x = scales.stiffness, scales.depth
         starts = [(n, k * x ** (1.0 - n) * g) for n in (1.1, 1.25, 1.5, 1.8) for g in (0.6, 1.0, 1.6)]
+        low, high, _ = cls.searched("stiffness")
+        bounds = {"stiffness": (low, max(high, 2.0 * max(stiffness for _, stiffness in starts)))}
         for variant in ({}, {"damper": "none"}):
-            yield candidate(cls, {"exponent": [], "stiffness": []}, starts=starts, variant=variant)
+            yield candidate(cls, {"exponent": [], "stiffness": []}, starts=starts, bounds=bounds, variant=variant)
 
 
 @register
@@ -68,8 +72,8 @@ class ContactHardStop(Effect):
     """A second spring past a position."""
 
     kind: Literal["contact.hard_stop"] = "contact.hard_stop"
-    position: float = quantity("m", ge=0.0, search=(0.0, 0.05))
-    stiffness: float = quantity("N/m", gt=0.0, search=(1e3, 1e8), ratio=True)
+    position: float = quantity("m", "Penetration at which the stop is met", ge=0.0, search=(0.0, 0.05))
+    stiffness: float = quantity("N/m", "Stiffness of the stop", gt=0.0, search=(1e3, 1e8), ratio=True)
     link = "contact"
     equation = "F += stiffness (x - position) while x > position"
     reference = "bilinear buffer"
@@ -93,7 +97,7 @@ class ContactPreload(Effect):
     """A force step at touch that does not depend on the speed."""
 
     kind: Literal["contact.preload"] = "contact.preload"
-    force: float = quantity("N", ge=0.0, search=(0.0, 300.0))
+    force: float = quantity("N", "Force of the preload", ge=0.0, search=(0.0, 300.0))
     link = "contact"
     equation = "F += force while x > 0"
     reference = "preloaded buffer spring"

@@ -25,7 +25,7 @@ class ContactSurfaceFriction(Effect):
     """The tangential friction coefficient is not the one believed."""
 
     kind: Literal["contact.surface_friction"] = "contact.surface_friction"
-    coefficient: float = quantity("-", "the true coefficient", ge=0.0, le=10.0, search=(0.0, 1.0))
+    coefficient: float = quantity("-", "True coefficient of friction", ge=0.0, le=10.0, search=(0.0, 1.0))
     link = "contact"
     equation = "F_t = coefficient |F| v_t/sqrt(v_t^2 + (1e-4)^2)"
     reference = "Coulomb, regularised"
@@ -48,7 +48,7 @@ class ContactAdhesion(Effect):
     """The contact pulls at separation."""
 
     kind: Literal["contact.adhesion"] = "contact.adhesion"
-    force: float = quantity("N", ge=0.0, search=(0.0, 300.0))
+    force: float = quantity("N", "Largest pull", ge=0.0, search=(0.0, 300.0))
     link = "contact"
     equation = "F may fall to -force while x > 0"
     reference = "magnet or latch pull"
@@ -76,7 +76,7 @@ class ContactTouchOffset(Effect):
     """The mechanisms touch later (or earlier) than believed."""
 
     kind: Literal["contact.touch_offset"] = "contact.touch_offset"
-    offset: float = quantity("m", "positive: touches later", search=(-2e-3, 2e-3))
+    offset: float = quantity("m", "Penetration by which it touches later; negative: earlier", search=(-2e-3, 2e-3))
     link = "contact"
     equation = "x = pz - offset"
     reference = "place of the surface"
@@ -98,7 +98,7 @@ class ContactBacklash(Effect):
     """Play in a captured mechanism: no force within it."""
 
     kind: Literal["contact.backlash"] = "contact.backlash"
-    width: float = quantity("m", "whole play", ge=0.0, search=(0.0, 5e-3))
+    width: float = quantity("m", "Whole play", ge=0.0, search=(0.0, 5e-3))
     link = "contact"
     equation = "x = pz outside +-width/2 less the half play, 0 within; friction that gives before it slips carries its play along"
     reference = "play of a joint"
@@ -126,7 +126,7 @@ class ContactMisalignment(Effect):
     """The passive port is tilted: the contact force tilts with it."""
 
     kind: Literal["contact.misalignment"] = "contact.misalignment"
-    angles_deg: Tilt = quantity("deg", "about x, about y", search=(-8.0, 8.0))
+    angles_deg: Tilt = quantity("deg", "Tilt of the port about x and about y", search=(-8.0, 8.0))
     link = "contact"
     equation = "surface normal n = R_y R_x e_z"
     reference = "mounting error"

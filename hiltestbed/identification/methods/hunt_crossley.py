@@ -33,7 +33,7 @@ DAMPING_SHARE = 4.0 / (3.0 * math.pi)
 
 @register
 class HuntCrossley(Identifier):
-    """Single-stage fit of F = k x^n (1 + alpha v), on aligned samples."""
+    """Single-stage fit of F = k x^n (1 + alpha v), with the pose at the time the force was felt."""
 
     kind: Literal["hunt_crossley"] = "hunt_crossley"
 

@@ -28,10 +28,10 @@ MINIMUM_TRAVEL = 1e-6  # [m, rad] standard deviation of x below which an axis is
 
 @register
 class Instrumental(Identifier):
-    """Batch least squares with instrument variables, on aligned samples: the yardstick where the pose is noisy."""
+    """Batch least squares with instrument variables: the yardstick where the pose is noisy."""
 
     kind: Literal["instrumental"] = "instrumental"
-    lag: Annotated[int, Field(ge=1)] = Field(default=2, description="ticks by which the instruments are older than the samples")
+    lag: Annotated[int, Field(ge=1)] = Field(default=2, description="Ticks by which the instruments are older than the samples")
 
     @classmethod
     def start(cls, scenarios: Sequence[Scenario]) -> InstrumentVariables:

@@ -34,10 +34,10 @@ ACCEPTED = 0.3  # relative standard deviation from which k is given out
 
 @register
 class Kalman(Identifier):
-    """Adaptive Kalman filter of k, c and an intercept that wander, on aligned samples."""
+    """Adaptive Kalman filter of k, c and an intercept that may wander."""
 
     kind: Literal["kalman"] = "kalman"
-    wander: NotNegative = Field(default=1e-6, description="part of an innovation's correction that is taken for wandering")
+    wander: NotNegative = Field(default=1e-6, description="Part of an innovation's correction that is taken for wandering of k and c [-]")
 
     @classmethod
     def start(cls, scenarios: Sequence[Scenario]) -> AdaptiveKalman:

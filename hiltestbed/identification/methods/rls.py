@@ -23,8 +23,12 @@ class Rls(Identifier):
     """Recursive least squares of k and c on each axis, in contact alone, with the pose at the time the force was felt."""
 
     kind: Literal["rls"] = "rls"
-    forgetting: Annotated[float, Field(gt=0, le=1)] = Field(default=1.0, description="forgetting factor a tick; 1: none")
-    delay: Literal["known", "estimate"] = Field(default="known", description="estimate: sensor.delay is found from the instant of touch")
+    forgetting: Annotated[float, Field(gt=0, le=1)] = Field(
+        default=1.0, description="Forgetting factor a tick [-]; 1: nothing is forgotten"
+    )
+    delay: Literal["known", "estimate"] = Field(
+        default="known", description="Delay of the force. known: sensor.delay as it stands; estimate: found from the instant of touch"
+    )
 
     @classmethod
     def start(cls, scenarios: Sequence[Scenario]) -> RecursiveLeastSquares:
@@ -34,10 +38,12 @@ class Rls(Identifier):
 
 @register
 class RlsRaw(Identifier):
-    """The same on the force as it is read, beside the pose of the same tick."""
+    """Recursive least squares of k and c on the force as it is read, with the pose of the same tick: the delay goes into c."""
 
     kind: Literal["rls_raw"] = "rls_raw"
-    forgetting: Annotated[float, Field(gt=0, le=1)] = Field(default=1.0, description="forgetting factor a tick; 1: none")
+    forgetting: Annotated[float, Field(gt=0, le=1)] = Field(
+        default=1.0, description="Forgetting factor a tick [-]; 1: nothing is forgotten"
+    )
 
     @classmethod
     def start(cls, scenarios: Sequence[Scenario]) -> RecursiveLeastSquares:
@@ -46,11 +52,13 @@ class RlsRaw(Identifier):
 
 @register
 class RlsLead(Identifier):
-    """The same on the force after the first-order phase lead."""
+    """Recursive least squares of k and c on the force after a first-order phase lead, with the pose of the same tick."""
 
     kind: Literal["rls_lead"] = "rls_lead"
-    forgetting: Annotated[float, Field(gt=0, le=1)] = Field(default=1.0, description="forgetting factor a tick; 1: none")
-    lag: Positive = Field(default=0.0005, description="T2 of the lead [s]; T1 is sensor.delay + T2")
+    forgetting: Annotated[float, Field(gt=0, le=1)] = Field(
+        default=1.0, description="Forgetting factor a tick [-]; 1: nothing is forgotten"
+    )
+    lag: Positive = Field(default=0.0005, description="Time constant T2 of the phase lead's pole [s]; its T1 is sensor.delay + T2")
 
     @classmethod
     def start(cls, scenarios: Sequence[Scenario]) -> RecursiveLeastSquares:

@@ -26,8 +26,8 @@ class DynamicsMass(Effect):
     """The numerical model's mass is not the one believed."""
 
     kind: Literal["dynamics.mass"] = "dynamics.mass"
-    factor: float = quantity("-", "true value over the one believed", gt=0.0, search=(0.3, 3.0), ratio=True)
-    body: Body = Field(default="chaser", description="the body concerned")
+    factor: float = quantity("-", "True mass over the one believed", gt=0.0, search=(0.3, 3.0), ratio=True)
+    body: Body = Field(default="chaser", description="Body that the departure concerns")
     link = "dynamics"
     equation = "m -> factor m in the numerical model"
     reference = "Newton"
@@ -48,8 +48,8 @@ class DynamicsInertia(Effect):
     """The numerical model's inertia is not the one believed."""
 
     kind: Literal["dynamics.inertia"] = "dynamics.inertia"
-    factor: float = quantity("-", "true value over the one believed", gt=0.0, search=(0.3, 3.0), ratio=True)
-    body: Body = Field(default="chaser", description="the body concerned")
+    factor: float = quantity("-", "True inertia over the one believed", gt=0.0, search=(0.3, 3.0), ratio=True)
+    body: Body = Field(default="chaser", description="Body that the departure concerns")
     link = "dynamics"
     equation = "I -> factor I in the numerical model"
     reference = "Euler"
@@ -70,8 +70,8 @@ class DynamicsPortOffset(Effect):
     """The numerical model has the port in another place: a wrong lever arm."""
 
     kind: Literal["dynamics.port_offset"] = "dynamics.port_offset"
-    offset: Offset = quantity("m", "body axes", search=(-0.5, 0.5))
-    body: Body = Field(default="chaser", description="the body concerned")
+    offset: Offset = quantity("m", "Offset of the port, body axes", search=(-0.5, 0.5))
+    body: Body = Field(default="chaser", description="Body that the departure concerns")
     link = "dynamics"
     equation = "port position += offset (body axes) in the numerical model"
     reference = "lever of the contact force"
@@ -93,10 +93,10 @@ class DynamicsAppendage(Effect):
     """A part of the body's mass hangs on a spring."""
 
     kind: Literal["dynamics.appendage"] = "dynamics.appendage"
-    mass_ratio: float = quantity("-", "of the body's mass", gt=0.0, le=1.0, search=(0.005, 0.6), ratio=True)
-    frequency: float = quantity("Hz", gt=0.0, search=(0.05, 20.0), ratio=True)
-    damping_ratio: float = quantity("-", ge=0.0, le=1.0, search=(0.001, 0.5), ratio=True)
-    body: Body = Field(default="chaser", description="the body concerned")
+    mass_ratio: float = quantity("-", "Part of the body's mass that swings", gt=0.0, le=1.0, search=(0.005, 0.6), ratio=True)
+    frequency: float = quantity("Hz", "Natural frequency with the body held", gt=0.0, search=(0.05, 20.0), ratio=True)
+    damping_ratio: float = quantity("-", "Damping ratio with the body held", ge=0.0, le=1.0, search=(0.001, 0.5), ratio=True)
+    body: Body = Field(default="chaser", description="Body that the departure concerns")
     link = "dynamics"
     equation = "m_a q'' = -k_a q - d_a q' - m_a a_body, m_a = mass_ratio m, k_a = m_a (2 pi f)^2"
     reference = "slosh or flexible panel, pendulum model"

@@ -23,7 +23,7 @@ class DynamicsStepDelay(Effect):
     """Whole ticks of extra transport in the numerical model."""
 
     kind: Literal["dynamics.step_delay"] = "dynamics.step_delay"
-    ticks: Annotated[int, Field(ge=0, le=100)] = Field(description="whole ticks", json_schema_extra={"unit": "-"})
+    ticks: Annotated[int, Field(ge=0, le=100)] = Field(description="Whole ticks of delay", json_schema_extra={"unit": "-"})
     link = "dynamics"
     equation = "pose_cmd is `ticks` rows late"
     reference = "transport within the loop"
@@ -47,7 +47,9 @@ class DynamicsIntegrator(Effect):
     """The integrator adds energy: it acts as one step of delay."""
 
     kind: Literal["dynamics.integrator"] = "dynamics.integrator"
-    scheme: Literal["explicit_euler"] = Field(default="explicit_euler", description="first-order scheme")
+    scheme: Literal["explicit_euler"] = Field(
+        default="explicit_euler", description="Integration scheme that runs in place of the semi-implicit one"
+    )
     link = "dynamics"
     equation = "pose with the old twist, then the twist"
     reference = "explicit Euler"

@@ -30,7 +30,7 @@ class PlatformDelay(Effect):
     """Transport delay of the motion platform."""
 
     kind: Literal["platform.delay"] = "platform.delay"
-    delay: float = quantity("s", ge=0.0, le=1.0, search=(0.0, 0.05))
+    delay: float = quantity("s", "Transport delay of the platform", ge=0.0, le=1.0, search=(0.0, 0.05))
     link = "platform"
     equation = "x(t) = x_cmd(t - delay)"
     reference = "pure transport delay"
@@ -55,7 +55,7 @@ class PlatformLag(Effect):
     """Second-order response of the platform, damping ratio 0.7."""
 
     kind: Literal["platform.lag"] = "platform.lag"
-    bandwidth: float = quantity("Hz", gt=0.0, search=(2.0, 400.0), ratio=True)
+    bandwidth: float = quantity("Hz", "Natural frequency of the response", gt=0.0, search=(2.0, 400.0), ratio=True)
     link = "platform"
     equation = "x'' = w^2 (x_cmd - x) - 1.4 w x', w = 2 pi bandwidth"
     reference = "second-order servo"
@@ -85,8 +85,8 @@ class PlatformMode(Effect):
     """A lightly damped mode between drive and port."""
 
     kind: Literal["platform.mode"] = "platform.mode"
-    frequency: float = quantity("Hz", gt=0.0, search=(2.0, 400.0), ratio=True)
-    damping_ratio: float = quantity("-", gt=0.0, le=1.0, search=(0.002, 0.5), ratio=True)
+    frequency: float = quantity("Hz", "Natural frequency of the mode", gt=0.0, search=(2.0, 400.0), ratio=True)
+    damping_ratio: float = quantity("-", "Damping ratio of the mode", gt=0.0, le=1.0, search=(0.002, 0.5), ratio=True)
     link = "platform"
     equation = "x'' = w^2 (x_cmd - x) + 2 zeta w (x_cmd' - x')"
     reference = "structural mode excited at its base"

@@ -24,7 +24,7 @@ class PlatformBacklash(Effect):
     """Play that is crossed at each reversal."""
 
     kind: Literal["platform.backlash"] = "platform.backlash"
-    width: float = quantity("m", "whole play", ge=0.0, search=(0.0, 2e-3))
+    width: float = quantity("m", "Whole play", ge=0.0, search=(0.0, 2e-3))
     link = "platform"
     equation = "x = min(max(x, x_cmd - width/2), x_cmd + width/2)"
     reference = "play operator"
@@ -45,7 +45,7 @@ class PlatformFriction(Effect):
     """The platform moves in jumps."""
 
     kind: Literal["platform.friction"] = "platform.friction"
-    stick: float = quantity("m", ge=0.0, search=(0.0, 1e-3))
+    stick: float = quantity("m", "Distance of the command from the axis at which it moves", ge=0.0, search=(0.0, 1e-3))
     link = "platform"
     equation = "x holds until |x_cmd - x| > stick, then x = x_cmd, and holds again"
     reference = "stiction"
@@ -70,8 +70,8 @@ class PlatformScale(Effect):
     """One axis of translation is scaled."""
 
     kind: Literal["platform.scale"] = "platform.scale"
-    factor: float = quantity("-", gt=0.0, search=(0.8, 1.25), ratio=True)
-    axis: Literal["x", "y", "z"] = Field(default="z", description="axis of translation")
+    factor: float = quantity("-", "Reached over commanded translation", gt=0.0, search=(0.8, 1.25), ratio=True)
+    axis: Literal["x", "y", "z"] = Field(default="z", description="Axis of translation that is scaled")
     link = "platform"
     equation = "x_axis = factor x_cmd_axis"
     reference = "geometric calibration error"
@@ -92,7 +92,7 @@ class PlatformSpeedLimit(Effect):
     """Each axis follows no faster than a limit."""
 
     kind: Literal["platform.speed_limit"] = "platform.speed_limit"
-    speed: float = quantity("m/s", gt=0.0, search=(1e-3, 1.0), ratio=True)
+    speed: float = quantity("m/s", "Highest speed of each axis", gt=0.0, search=(1e-3, 1.0), ratio=True)
     link = "platform"
     equation = "|x'| <= speed"
     reference = "limit of an actuator"

@@ -1,8 +1,8 @@
 """The upper platform of `n` rigs: where it holds the passive port, tick by tick, and when it is clamped.
 
 Over a tick its coordinates run along the cubic that reaches the allocated ones (:mod:`hiltestbed.platform.prs3.allocation`) at
-t_(k+1) and leaves them with the velocity that they have there. It is clamped SETTLE after it has come to rest at home, and away as soon as it is told to
-move: docking happens against a platform that cannot yield.
+t_(k+1) and leaves them with the velocity that they have there. It is clamped SETTLE after it has come to rest at home, and away as
+soon as it is told to move: docking happens against a platform that cannot yield.
 """
 
 from __future__ import annotations

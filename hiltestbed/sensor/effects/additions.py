@@ -27,8 +27,8 @@ class SensorBias(Effect):
     """A constant offset on the wrench."""
 
     kind: Literal["sensor.bias"] = "sensor.bias"
-    force: Vector3 = quantity("N", default=(0.0, 0.0, 0.0), search=(-50.0, 50.0))
-    torque: Vector3 = quantity("N m", default=(0.0, 0.0, 0.0), search=(-20.0, 20.0))
+    force: Vector3 = quantity("N", "Offset of the force, x, y, z", default=(0.0, 0.0, 0.0), search=(-50.0, 50.0))
+    torque: Vector3 = quantity("N m", "Offset of the torque, x, y, z", default=(0.0, 0.0, 0.0), search=(-20.0, 20.0))
     link = "sensor"
     equation = "w += (force, torque)"
     reference = "tare error"
@@ -51,8 +51,8 @@ class SensorDrift(Effect):
     """One force axis drifts linearly from the start of the run."""
 
     kind: Literal["sensor.drift"] = "sensor.drift"
-    rate: float = quantity("N/s", search=(-20.0, 20.0))
-    axis: Literal["x", "y", "z"] = Field(default="z", description="force axis")
+    rate: float = quantity("N/s", "Rate of the drift", search=(-20.0, 20.0))
+    axis: Literal["x", "y", "z"] = Field(default="z", description="Force axis that drifts")
     link = "sensor"
     equation = "f_axis += rate t"
     reference = "charge-amplifier leakage current"
@@ -74,10 +74,10 @@ class SensorHum(Effect):
     """A tone on the force reading, contact or not."""
 
     kind: Literal["sensor.hum"] = "sensor.hum"
-    frequency: float = quantity("Hz", gt=0.0, search=(1.0, 400.0), ratio=True)
-    amplitude: float = quantity("N", ge=0.0, search=(0.0, 20.0))
-    phase: float = quantity("rad", default=0.0, search=(-math.pi, math.pi))
-    axis: Literal["x", "y", "z", "all"] = Field(default="z", description="force axis, or all three")
+    frequency: float = quantity("Hz", "Frequency of the tone", gt=0.0, search=(1.0, 400.0), ratio=True)
+    amplitude: float = quantity("N", "Amplitude of the tone", ge=0.0, search=(0.0, 20.0))
+    phase: float = quantity("rad", "Phase of the tone at t = 0", default=0.0, search=(-math.pi, math.pi))
+    axis: Literal["x", "y", "z", "all"] = Field(default="z", description="Force axis that shows the tone, or all three")
     link = "sensor"
     equation = "f_axis += amplitude sin(2 pi frequency t + phase)"
     reference = "mains pick-up or a structural tone"

@@ -23,8 +23,8 @@ class SensorGain(Effect):
     """One axis of the wrench is scaled."""
 
     kind: Literal["sensor.gain"] = "sensor.gain"
-    factor: float = quantity("-", "true value over the one believed", gt=0.0, search=(0.3, 3.0), ratio=True)
-    axis: WrenchAxis = Field(default="z", description="axis of the wrench")
+    factor: float = quantity("-", "True gain over the one believed", gt=0.0, search=(0.3, 3.0), ratio=True)
+    axis: WrenchAxis = Field(default="z", description="Axis of the wrench that is scaled")
     link = "sensor"
     equation = "w_axis *= factor"
     reference = "calibration error"
@@ -45,9 +45,9 @@ class SensorCrosstalk(Effect):
     """A fraction of one axis shows on another."""
 
     kind: Literal["sensor.crosstalk"] = "sensor.crosstalk"
-    ratio: float = quantity("-", "part of the source that shows", ge=-1.0, le=1.0, search=(-0.3, 0.3))
-    source: WrenchAxis = Field(default="z", description="axis that leaks")
-    axis: WrenchAxis = Field(default="x", description="axis on which it shows")
+    ratio: float = quantity("-", "Part of the source axis that shows on the other", ge=-1.0, le=1.0, search=(-0.3, 0.3))
+    source: WrenchAxis = Field(default="z", description="Axis of the wrench that leaks")
+    axis: WrenchAxis = Field(default="x", description="Axis of the wrench on which it shows")
     link = "sensor"
     equation = "w_axis += ratio w_source"
     reference = "calibration-matrix error"

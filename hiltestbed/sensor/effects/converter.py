@@ -20,7 +20,7 @@ class SensorDeadzone(Effect):
     """Force axes read zero below a threshold."""
 
     kind: Literal["sensor.deadzone"] = "sensor.deadzone"
-    width: float = quantity("N", gt=0.0, search=(0.2, 60.0), ratio=True)
+    width: float = quantity("N", "Force below which an axis reads zero", gt=0.0, search=(0.2, 60.0), ratio=True)
     link = "sensor"
     equation = "f_axis = 0 where |f_axis| < width"
     reference = "dead zone of an analogue-to-digital conversion"
@@ -40,10 +40,10 @@ class SensorDeadzone(Effect):
 
 @register
 class SensorSaturation(Effect):
-    """Force axes clip."""
+    """Force axes clip at the range of the sensor."""
 
     kind: Literal["sensor.saturation"] = "sensor.saturation"
-    limit: float = quantity("N", gt=0.0, search=(5.0, 5000.0), ratio=True)
+    limit: float = quantity("N", "Force at which an axis clips", gt=0.0, search=(5.0, 5000.0), ratio=True)
     link = "sensor"
     equation = "f_axis = min(max(f_axis, -limit), limit)"
     reference = "range of the sensor or of its amplifier"

@@ -23,7 +23,7 @@ class SensorDelay(Effect):
     """The force reading is late by a fixed time."""
 
     kind: Literal["sensor.delay"] = "sensor.delay"
-    delay: float = quantity("s", "added to the nominal delay", ge=0.0, le=1.0, search=(0.0, 0.03))
+    delay: float = quantity("s", "Delay on top of the nominal one", ge=0.0, le=1.0, search=(0.0, 0.03))
     link = "sensor"
     equation = "w_meas(t) = w(t - delay_nominal - delay)"
     reference = "pure transport delay"
@@ -49,7 +49,7 @@ class SensorJitter(Effect):
     """The delay of the reading varies from sample to sample."""
 
     kind: Literal["sensor.jitter"] = "sensor.jitter"
-    sigma: float = quantity("s", "standard deviation of the delay", ge=0.0, le=0.1, search=(0.0, 0.005))
+    sigma: float = quantity("s", "Standard deviation of the delay", ge=0.0, le=0.1, search=(0.0, 0.005))
     link = "sensor"
     equation = "w_meas(t_k) = w(t_k - delay - sigma n_k), n_k standard normal, total delay >= 0"
     reference = "sampling jitter"

@@ -22,7 +22,7 @@ class SensorLag(Effect):
     """The force reading passes a first-order low-pass."""
 
     kind: Literal["sensor.lag"] = "sensor.lag"
-    time_constant: float = quantity("s", gt=0.0, search=(1e-4, 0.05), ratio=True)
+    time_constant: float = quantity("s", "Time constant of the low-pass", gt=0.0, search=(1e-4, 0.05), ratio=True)
     link = "sensor"
     equation = "y_k = y_(k-1) + (u_k - y_(k-1)) (1 - exp(-h/T))"
     reference = "first-order low-pass, exact for an input that holds over the tick"
@@ -48,7 +48,7 @@ class SensorHighpass(Effect):
     """The charge leaks away: a steady force fades, an undershoot follows the contact."""
 
     kind: Literal["sensor.highpass"] = "sensor.highpass"
-    time_constant: float = quantity("s", gt=0.0, search=(0.02, 100.0), ratio=True)
+    time_constant: float = quantity("s", "Time constant with which the charge leaks away", gt=0.0, search=(0.02, 100.0), ratio=True)
     link = "sensor"
     equation = "y_k = exp(-h/T) (y_(k-1) + u_k - u_(k-1))"
     reference = "charge amplifier, s T/(1 + s T)"

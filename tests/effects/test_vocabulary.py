@@ -1,0 +1,236 @@
+"""The vocabulary of effects: each one is described, searched and acts; a new effect that lacks a part fails here."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, get_args
+
+import numpy as np
+import pytest
+
+from hiltestbed.compensation.input import InputParameters
+from hiltestbed.contact.parameters import ContactParameters
+from hiltestbed.effects import EFFECTS, Effect
+from hiltestbed.effects.base import LINKS
+from hiltestbed.effects.search import Candidate, Scales
+from hiltestbed.log import LogParameters
+from hiltestbed.numerical_model.parameters import DynamicsParameters
+from hiltestbed.platform.parameters import PlatformParameters
+from hiltestbed.scenario import Scenario, load_scenario
+from hiltestbed.sensor.parameters import SensorParameters
+from tests.effects.examples import EXAMPLES, example
+
+SCENARIOS = Path(__file__).parents[2] / "scenarios"
+
+# Parameters and units as users, scripts and data sets rely on them; None: a choice, not a quantity.
+VOCABULARY: dict[str, dict[str, str | None]] = {
+    "sensor.delay": {"delay": "s"},
+    "sensor.lag": {"time_constant": "s"},
+    "sensor.highpass": {"time_constant": "s"},
+    "sensor.drift": {"rate": "N/s", "axis": None},
+    "sensor.bias": {"force": "N", "torque": "N m"},
+    "sensor.gain": {"factor": "-", "axis": None},
+    "sensor.crosstalk": {"ratio": "-", "source": None, "axis": None},
+    "sensor.deadzone": {"width": "N"},
+    "sensor.saturation": {"limit": "N"},
+    "sensor.hum": {"frequency": "Hz", "amplitude": "N", "phase": "rad", "axis": None},
+    "sensor.jitter": {"sigma": "s"},
+    "contact.stiffness": {"factor": "-"},
+    "contact.damping": {"factor": "-"},
+    "contact.power_law": {"exponent": "-", "stiffness": "N/m^n"},
+    "contact.hunt_crossley": {"alpha": "s/m"},
+    "contact.dry_friction": {"force": "N", "stiffness": "N/m"},
+    "contact.preload": {"force": "N"},
+    "contact.hard_stop": {"position": "m", "stiffness": "N/m"},
+    "contact.relaxation": {"stiffness": "N/m", "time_constant": "s"},
+    "contact.adhesion": {"force": "N"},
+    "contact.surface_friction": {"coefficient": "-"},
+    "contact.touch_offset": {"offset": "m"},
+    "contact.backlash": {"width": "m"},
+    "contact.misalignment": {"angles_deg": "deg"},
+    "frame.compliance": {"stiffness": "N/m"},
+    "frame.mode": {"frequency": "Hz", "damping_ratio": "-", "mass": "kg"},
+    "platform.delay": {"delay": "s"},
+    "platform.lag": {"bandwidth": "Hz"},
+    "platform.backlash": {"width": "m"},
+    "platform.friction": {"stick": "m"},
+    "platform.mode": {"frequency": "Hz", "damping_ratio": "-"},
+    "platform.scale": {"factor": "-", "axis": None},
+    "platform.speed_limit": {"speed": "m/s"},
+    "dynamics.mass": {"factor": "-", "body": None},
+    "dynamics.inertia": {"factor": "-", "body": None},
+    "dynamics.port_offset": {"offset": "m", "body": None},
+    "dynamics.appendage": {"mass_ratio": "-", "frequency": "Hz", "damping_ratio": "-", "body": None},
+    "dynamics.step_delay": {"ticks": "-"},
+    "dynamics.integrator": {"scheme": None},
+    "loop.deadzone": {"width": "N"},
+    "log.skew": {"delay": "s"},
+}
+
+# The size at which an effect does nothing; None where there is none: a limit (the larger the less), or a law in place of another.
+NEUTRAL: dict[str, dict[str, Any] | None] = {
+    "sensor.delay": {"delay": 0.0},
+    "sensor.lag": None,
+    "sensor.highpass": None,
+    "sensor.drift": {"rate": 0.0},
+    "sensor.bias": {"force": (0.0, 0.0, 0.0), "torque": (0.0, 0.0, 0.0)},
+    "sensor.gain": {"factor": 1.0},
+    "sensor.crosstalk": {"ratio": 0.0},
+    "sensor.deadzone": None,
+    "sensor.saturation": None,
+    "sensor.hum": {"amplitude": 0.0},
+    "sensor.jitter": {"sigma": 0.0},
+    "contact.stiffness": {"factor": 1.0},
+    "contact.damping": {"factor": 1.0},
+    "contact.power_law": None,
+    "contact.hunt_crossley": None,
+    "contact.dry_friction": {"force": 0.0, "stiffness": 0.0},
+    "contact.preload": {"force": 0.0},
+    "contact.hard_stop": None,
+    "contact.relaxation": None,
+    "contact.adhesion": {"force": 0.0},
+    "contact.surface_friction": None,
+    "contact.touch_offset": {"offset": 0.0},
+    "contact.backlash": {"width": 0.0},
+    "contact.misalignment": {"angles_deg": (0.0, 0.0)},
+    "frame.compliance": None,
+    "frame.mode": None,
+    "platform.delay": {"delay": 0.0},
+    "platform.lag": None,
+    "platform.backlash": {"width": 0.0},
+    "platform.friction": {"stick": 0.0},
+    "platform.mode": None,
+    "platform.scale": {"factor": 1.0},
+    "platform.speed_limit": None,
+    "dynamics.mass": {"factor": 1.0},
+    "dynamics.inertia": {"factor": 1.0},
+    "dynamics.port_offset": {"offset": (0.0, 0.0, 0.0)},
+    "dynamics.appendage": None,
+    "dynamics.step_delay": {"ticks": 0},
+    "dynamics.integrator": None,
+    "loop.deadzone": None,
+    "log.skew": {"delay": 0.0},
+}
+
+HEAD_ON = load_scenario(SCENARIOS / "02-bumper.yaml")
+HELD = load_scenario(SCENARIOS / "13-ring-down.yaml")
+PARAMETERS: dict[str, Callable[[], Any]] = {
+    "platform": lambda: PlatformParameters.believed(HEAD_ON),
+    "contact": lambda: ContactParameters.believed(HEAD_ON.mechanism),
+    "sensor": lambda: SensorParameters.believed(HEAD_ON.sensor, HEAD_ON.tick),
+    "compensation": InputParameters,
+    "dynamics": DynamicsParameters,
+    "log": LogParameters,
+}
+SCALES = Scales(
+    force=200.0, depth=2e-3, stiffness=1e5, tick=5e-4, noise=0.3, slow=0.02, fast=0.06, reading=(190.0, 120.0), travel=0.02, substeps=2,
+    lines={"z": (50.0, 2.0, 0.4)}, sticks={2: (1e-5, 3e-5)},
+)  # fmt: skip
+HELD_SCALES = Scales(force=150.0, depth=5e-4, stiffness=5e7, tick=5e-4, noise=0.1, slow=4e-3, fast=5e-3, captured=True, slides=False)
+Kind = type[Effect]
+EVERY = list(EFFECTS.items())
+
+
+def candidates(effect: Kind) -> list[Candidate]:
+    return [*effect.candidates(SCALES), *effect.candidates(HELD_SCALES)]
+
+
+def flat(parameters: Any) -> dict[str, Any]:
+    """Numbers of a link in a form that can be compared."""
+    return {name: value.tolist() if isinstance(value, np.ndarray) else copy.deepcopy(value) for name, value in vars(parameters).items()}
+
+
+def test_names_parameters_and_units_stay_what_users_rely_on() -> None:
+    found = {kind: {name: effect.unit(name) or None for name in effect.model_fields if name != "kind"} for kind, effect in EFFECTS.items()}
+    assert found == VOCABULARY
+
+
+def test_every_effect_has_an_example_and_its_neutral_size_is_known() -> None:
+    assert set(EXAMPLES) == set(EFFECTS)
+    assert set(NEUTRAL) == set(EFFECTS)
+
+
+@pytest.mark.parametrize(("kind", "effect"), EVERY, ids=EFFECTS)
+class TestEveryEffect:
+    def test_says_what_it_is(self, kind: str, effect: Kind) -> None:
+        assert get_args(effect.model_fields["kind"].annotation) == (kind,)
+        assert effect.__module__ != "hiltestbed.effects.base"
+        assert effect.meaning().endswith(".")
+        assert len(effect.meaning().split()) >= 3
+        assert effect.link in LINKS
+        assert effect.equation
+        assert effect.reference
+        assert effect.leading in effect.model_fields
+        assert not effect.jumps or effect.jumps in effect.model_fields
+
+    def test_names_what_it_is_taken_for(self, kind: str, effect: Kind) -> None:
+        assert effect.resembles
+        assert set(effect.resembles) <= set(EFFECTS)
+        assert kind not in effect.resembles
+
+    def test_each_quantity_has_a_unit_a_meaning_and_each_that_is_searched_a_range(self, kind: str, effect: Kind) -> None:
+        searched = {name.partition(".")[0] for c in candidates(effect) for name in c.names}
+        for name, field in effect.model_fields.items():
+            if name == "kind":
+                continue
+            assert field.description
+            assert VOCABULARY[kind][name] is None or effect.unit(name)
+            if name in searched:
+                low, high, ratio = effect.searched(name)
+                assert low < high
+                assert low > 0.0 or not ratio
+
+    def test_a_search_for_it_starts_within_its_bounds_at_effects_that_act(self, kind: str, effect: Kind) -> None:
+        found = candidates(effect)
+        if not found:
+            assert (effect.candidates.__doc__ or "").startswith("None: "), "an effect that no search finds says how it is found"
+            return
+        assert len({c.key for c in found}) >= len(found) // 2, "candidates can be told apart"
+        for c in found:
+            assert c.kind == kind
+            assert c.choices >= 1
+            assert len(c.low) == len(c.high) == len(c.log) == len(c.names)
+            assert (c.low < c.high).all()
+            assert c.grid
+            for start in c.grid:
+                inside = (np.array(start) >= c.low - 1e-12) & (np.array(start) <= c.high + 1e-12)
+                assert len(start) == len(c.names)
+                assert inside.all() or not c.names, (c.names, start, c.low, c.high)
+                c.at(np.array(start)).apply(PARAMETERS[effect.link]())
+
+    def test_it_changes_the_parameters_of_its_link_and_no_others(self, kind: str, effect: Kind) -> None:
+        believed, departing = PARAMETERS[effect.link](), PARAMETERS[effect.link]()
+        effect(**example(kind)).apply(departing)
+        assert flat(believed) != flat(departing)
+
+    def test_at_its_neutral_size_it_changes_nothing(self, kind: str, effect: Kind) -> None:
+        size = NEUTRAL[kind]
+        if size is None:
+            return
+        believed, departing = PARAMETERS[effect.link](), PARAMETERS[effect.link]()
+        effect(**example(kind) | size).apply(departing)
+        if kind == "sensor.hum":  # a tone of no amplitude stands in the list
+            assert departing.tone.pop()[:3] == (0.0, 0.0, 0.0)
+        assert flat(believed) == flat(departing)
+
+    def test_it_stands_in_a_scenario_and_comes_back_the_same(self, kind: str, effect: Kind) -> None:
+        base = HELD if kind == "contact.backlash" else HEAD_ON
+        s = base.model_copy(update={"effects": (effect(**example(kind)),)})
+        again = Scenario.model_validate(s.model_dump(mode="json"))
+        assert again.effects == s.effects
+        assert again.effects[0].parameters() == {name: getattr(s.effects[0], name) for name in VOCABULARY[kind]}
+        assert s.effects[0].unfit(base) is None
+
+    def test_the_delay_that_it_is_worth_is_a_time_or_none(self, kind: str, effect: Kind) -> None:
+        worth = effect(**example(kind)).worth(HEAD_ON, 15.0)
+        assert worth is None or abs(worth) < 1.0
+
+
+def test_a_hypothesis_may_leave_what_a_scenario_allows() -> None:
+    """A search passes through sizes that no scenario has."""
+    late = EFFECTS["sensor.delay"].hypothesis({}, delay=-1e-4)
+    p = PARAMETERS["sensor"]()
+    late.apply(p)
+    assert p.delay == HEAD_ON.sensor.delay - 1e-4

@@ -1,0 +1,96 @@
+"""The schema of a scenario: what it lists, what it says of each key, and that it takes what the loader takes."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import pytest
+from ruamel.yaml import YAML
+
+from hiltestbed.check import json_schema
+from hiltestbed.compensation.settings import FORCE_METHODS, MOTION_METHODS
+from hiltestbed.contact.settings import MECHANISMS
+from hiltestbed.effects import EFFECTS
+from hiltestbed.identification.settings import IDENTIFIERS
+from hiltestbed.scenario import load_scenario, resolved
+from tests.effects.examples import EXAMPLES, example
+
+ROOT = Path(__file__).parents[2]
+SHIPPED = sorted(p for p in (ROOT / "scenarios").rglob("*.yaml") if "campaigns" not in p.parts)
+SCHEMA = json_schema("scenario")
+CHECK = jsonschema.Draft202012Validator(SCHEMA)
+
+
+def plain(path: Path) -> Any:
+    return YAML(typ="safe").load(path)
+
+
+def union(where: dict[str, Any]) -> list[str]:
+    """The kinds of a discriminated union."""
+    assert where["discriminator"]["propertyName"] == "kind"
+    return [SCHEMA["$defs"][m["$ref"].rpartition("/")[2]]["properties"]["kind"]["const"] for m in where["oneOf"]]
+
+
+def test_it_is_a_json_schema() -> None:
+    jsonschema.Draft202012Validator.check_schema(SCHEMA)
+
+
+def test_what_is_told_apart_by_kind_is_listed_whole() -> None:
+    keys, compensation = SCHEMA["properties"], SCHEMA["$defs"]["Compensation"]["properties"]
+    assert set(union(keys["effects"]["items"])) == set(EFFECTS)
+    assert set(union(keys["mechanism"])) == set(MECHANISMS)
+    assert set(union(keys["identification"])) == set(IDENTIFIERS)
+    assert set(union(compensation["force"])) == set(FORCE_METHODS)
+    assert set(union(compensation["motion"])) == set(MOTION_METHODS)
+
+
+@pytest.mark.parametrize("path", SHIPPED, ids=lambda p: p.stem)
+def test_it_takes_every_shipped_scenario_and_its_resolved_form(path: Path) -> None:
+    assert not list(CHECK.iter_errors(plain(path)))
+    assert not list(CHECK.iter_errors(resolved(load_scenario(path))))
+
+
+@pytest.mark.parametrize("kind", EXAMPLES)
+def test_it_takes_every_effect_and_no_other_parameter(kind: str) -> None:
+    data = plain(ROOT / "scenarios" / "reference-bumper.yaml")
+    assert not list(CHECK.iter_errors(data | {"effects": [example(kind)]}))
+    assert list(CHECK.iter_errors(data | {"effects": [example(kind) | {"sise": 1.0}]}))
+    assert list(CHECK.iter_errors(data | {"effects": [EXAMPLES[kind]]})), "an effect has a kind"
+
+
+def keys(node: dict[str, Any], where: str) -> Iterator[tuple[str, str]]:
+    """Every key of an object and what is said of it."""
+    for key, value in node.get("properties", {}).items():
+        yield f"{where}.{key}", value.get("description", "")
+
+
+EVERY_KEY = [*keys(SCHEMA, "Scenario"), *(pair for name, node in SCHEMA["$defs"].items() for pair in keys(node, name))]
+
+
+@pytest.mark.parametrize(("key", "said"), EVERY_KEY, ids=[k for k, _ in EVERY_KEY])
+def test_every_key_is_described_in_words_that_need_no_others(key: str, said: str) -> None:
+    """A text begins with what the key is: no bare unit, no fragment, no word that points at another text."""
+    assert len(said.split()) >= 2, said
+    assert re.match(r"[A-Z]", said), said
+    assert not re.search(r"\bthe same\b(?! (seed|trace|tick|time))|\blikewise\b|\bditto\b|\bas above\b|\bidem\b", said, re.IGNORECASE), said
+
+
+def test_every_object_is_described() -> None:
+    assert SCHEMA["description"]
+    for name, node in SCHEMA["$defs"].items():
+        assert len(node.get("description", "").split()) > 3, name
+        assert not re.match(r"The same\b", node["description"]), name
+
+
+def test_numbers_of_a_unit_say_so() -> None:
+    """Of the keys that are a number or a list of numbers each names its unit in brackets, or is a count, a name or a switch."""
+    counts = {"seed", "order", "lag", "ticks"}
+    for name, node in {"Scenario": SCHEMA, **SCHEMA["$defs"]}.items():
+        for key, value in node.get("properties", {}).items():
+            kinds = {value.get("type"), *(v.get("type") for v in value.get("anyOf", ()))}
+            if "number" in kinds or value.get("items", {}).get("type") == "number":
+                assert "[" in value["description"] or key in counts, f"{name}.{key}"
