@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, Strict, ValidationError
 from pydantic_core import ErrorDetails, PydanticCustomError
 
 from hiltestbed.errors import Fault, InputError
+from hiltestbed.plugins import OneOf
 from hiltestbed.yaml_source import KeyPath, Source, describe
 
 Model = TypeVar("Model", bound=BaseModel)
@@ -59,7 +60,8 @@ def validate(model: type[Model], source: Source, specimen: Mapping[str, Any] | N
             raise InputError(sorted((source.fault(*item) for item in problems if not _is_misspelt(item, problems)), key=_order))
         data = copy.deepcopy(data)
         for path, _ in new:
-            _repair(data, path, specimen or {})
+            known = not path or path[-1] != "kind" or _holds(specimen or {}, path)
+            _repair(data, path if known else path[:-1], specimen or {})
 
 
 def _overlaps(path: KeyPath, problems: list[Problem]) -> bool:
@@ -110,6 +112,8 @@ def _problems(model: type[BaseModel], data: Any, error: ValidationError) -> Iter
         path = _path(data, detail["loc"])
         if detail["type"] == "problems":
             yield from (((*path, *below), message) for below, message in detail["ctx"]["problems"])  # type: ignore[typeddict-item]
+        elif detail["type"] == "union_tag_invalid":
+            yield (*path, "kind"), _message(detail)
         elif detail["type"] == "extra_forbidden":
             yield path, _unknown(path, _model_at(model, data, path[:-1]))
         else:
@@ -142,18 +146,29 @@ def nearest(name: str, allowed: Iterable[str]) -> str:
     return f" (did you mean {close[0]!r}?)" if close else ""
 
 
-def _model_at(model: Any, data: Any, path: KeyPath) -> type[BaseModel] | None:
+def _model_at(model: type[BaseModel], data: Any, path: KeyPath) -> type[BaseModel] | None:
     """The model that `path` leads to; among the members of a union, the one whose `kind` the data names."""
-    found = _pick(model, data)
+    annotation: Any = model
     for part in path:
-        if found is None:
-            return None
-        annotation = found.model_fields[str(part)].annotation if isinstance(found, type) and str(part) in found.model_fields else None
+        found = _pick(annotation, data)
+        inside = _annotation(found, str(part)) if found is not None else None
+        annotation = inside if inside is not None else _items(annotation)
         data = data[part] if _holds(data, (part,)) else None
-        if annotation is None and not isinstance(part, int):
+        if annotation is None:
             return None
-        found = _pick(annotation if annotation is not None else found, data)
-    return found if isinstance(found, type) else None
+    return _pick(annotation, data)
+
+
+def _items(annotation: Any) -> Any:
+    """The annotation of what a list or a mapping holds; None for anything else."""
+    origin, members = get_origin(annotation), get_args(annotation)
+    if origin is Annotated:
+        return _items(members[0])
+    if origin in (Union, types.UnionType):
+        return next((found for found in map(_items, members) if found is not None), None)
+    if origin in (list, tuple, dict) and members:
+        return members[-1] if origin is dict else members[0]
+    return None
 
 
 def unit_of(model: Any, key: str) -> str:
@@ -162,11 +177,25 @@ def unit_of(model: Any, key: str) -> str:
     for part in key.split("."):
         found = _pick(model, {})
         if found is not None and part in found.model_fields:
-            model, description = found.model_fields[part].annotation, found.model_fields[part].description or ""
+            model, description = _annotation(found, part), found.model_fields[part].description or ""
     return description.partition("[")[2].partition("]")[0]
 
 
-def _pick(annotation: Any, data: Any) -> Any:
+def _annotation(model: type[BaseModel], key: str) -> Any:
+    """The annotation of a field with what stands beside it; None where there is no such field."""
+    field = model.model_fields.get(key)
+    if field is None:
+        return None
+    table = next((m for m in field.metadata if isinstance(m, OneOf)), None)
+    return field.annotation if table is None else Annotated[field.annotation, table]  # type: ignore[valid-type]
+
+
+def _pick(annotation: Any, data: Any) -> type[BaseModel] | None:
+    """The model that an annotation stands for; among several, the one whose `kind` the data names."""
+    table = next((m for m in get_args(annotation)[1:] if isinstance(m, OneOf)), None) if get_origin(annotation) is Annotated else None
+    if table is not None:
+        kind = table.pick(data)
+        return table.registry[kind] if kind in table.registry else table.registry.base
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return annotation
     origin, members = get_origin(annotation), get_args(annotation)
@@ -175,8 +204,6 @@ def _pick(annotation: Any, data: Any) -> Any:
         kind = data.get("kind") if isinstance(data, dict) else None
         named = [found for found in models if "kind" in found.model_fields and kind in get_args(found.model_fields["kind"].annotation)]
         return (named or models or [None])[0]
-    if origin in (list, tuple, dict) and members:
-        return _pick(members[-1] if origin is dict else members[0], data)
     return None
 
 
@@ -210,8 +237,8 @@ def _message(detail: ErrorDetails) -> str:
         choices = context["expected"].replace("'", "").replace(" or ", ", ").split(", ")
         return f"unknown value{nearest(str(detail['input']), choices)} (got {got}); allowed: {', '.join(choices)}"
     if kind == "union_tag_invalid":
-        hint = nearest(str(context["tag"]), context["expected_tags"].replace("'", "").split(", "))
-        return f"unknown kind{hint} (got {context['tag']!r}); allowed: {context['expected_tags']}"
+        choices = sorted(context["expected_tags"].replace("'", "").split(", "))
+        return f"unknown kind{nearest(str(context['tag']), choices)} (got {context['tag']!r}); allowed: {', '.join(choices)}"
     if kind == "union_tag_not_found":
         return f"has no kind (got {got}); give it as {{kind: ...}}"
     if kind in ("too_short", "too_long"):

@@ -51,6 +51,7 @@ class Source:
         for end in range(len(path), -1, -1):
             if path[:end] in self.overridden:
                 return Fault(f"--set {dotted(path[:end])}", None, None, key, message)
+        for end in range(len(path), -1, -1):
             if path[:end] in self.marks:
                 line, column = self.marks[path[:end]]
                 return Fault(self.file, line, column, key, message)

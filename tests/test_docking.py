@@ -73,7 +73,7 @@ def test_a_docking_turned_about_the_axis_is_the_same_docking(turn_deg: float) ->
 
 
 def test_a_ring_down_gives_stiffness_and_damping_of_all_six_axes() -> None:
-    """Captured, 5 ms delay, noise: k within 1 %, c within 5 %. That one axis does not load another is tests/rig/test_mount.py's."""
+    """Captured, 5 ms delay, noise: k within 1 %, c within 5 %. That one axis does not load another is tests/contact/test_mount.py's."""
     result = run(docking("13-ring-down"))
     for axis, found in result.summary["identification"].items():
         assert found["stiffness"] == pytest.approx(found["stiffness_true"], rel=1e-2), axis

@@ -152,7 +152,7 @@ def bounce(scenarios: list[Scenario], nthread: int = 1, trace: bool = False) -> 
     loop = Loop(scenarios, nthread)
     ticks = max(s.ticks for s in scenarios)
     rows = Trace(ticks, len(scenarios), RATE) if trace else None
-    craft = loop.drive.spacecraft  # type: ignore[attr-defined]
+    craft = loop.model
     start, velocity = craft.v.copy(), np.full_like(craft.v, np.nan)
     seen = np.zeros(len(scenarios), dtype=bool)
     while loop.k < ticks and loop.alive.any():

@@ -115,7 +115,7 @@ def _tracking(result: Bounce, i: int) -> dict[str, float]:
     products = [float(np.dot(wanted[max(0, -n) : len(wanted) - max(0, n)], reached[max(0, n) : len(reached) + min(0, n)])) for n in lags]
     error = wanted - reached
     return {
-        "J1": 1e3 * lags[int(np.argmax(products))] * result.loop.drive.spacecraft.tick,  # type: ignore[attr-defined]
+        "J1": 1e3 * lags[int(np.argmax(products))] * result.loop.model.tick,
         "J2": 100.0 * float(np.sqrt(np.mean(error**2) / np.mean(wanted**2))),
         "J3": 100.0 * float(np.abs(error).max() / np.abs(wanted).max()),
     }
@@ -166,7 +166,7 @@ def cost(contender: Contender, ticks: int = COST_TICKS) -> float:
     """Microseconds a sim-tick in a batch of 64 that the method takes beyond the numerical model, in contact."""
     contacts = [Contact(4.0, 0.02, 0.05, seed=i) for i in range(COST_RUNS)]
     loop = Loop([c.scenario(contender.force(c)) for c in contacts])
-    craft = loop.drive.spacecraft  # type: ignore[attr-defined]
+    craft = loop.model
     times = []
     for k in range(ticks):
         loop.sensor.read(loop.k, loop.plant.wrench_sub)

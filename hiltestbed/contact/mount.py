@@ -127,15 +127,16 @@ def _centre(q, offset, centre):
 
 @dataclass(frozen=True)
 class MountDynamics:
-    """The mounts of R runs in closed form, for motions so small that the axes stay where they are.
+    """The mounts of R runs as MuJoCo integrates them: six joints, one rigid body on them whose weight is balanced at its centre of mass.
 
     Attributes:
-        stiffness, damping: (R, 6) [N/m, N m/rad; N s/m, N m s/rad]. mass: (6, 6) of what moves, at P's origin [kg, kg m, kg m^2].
+        stiffness, damping: (R, 6) [N/m, N m/rad; N s/m, N m s/rad].
+        body: (BODY,) mass [kg], centre of mass (3,) [m] and inertia (3, 3) [kg m^2] about P's origin, in the passive mechanism's axes.
     """
 
     stiffness: Array
     damping: Array
-    mass: Array
+    body: Array
 
     @classmethod
     def of(cls, scenarios: Sequence[Scenario]) -> MountDynamics | None:
@@ -143,65 +144,149 @@ class MountDynamics:
         if scenarios[0].mechanism.mount is None:
             return None
         mounts = [s.mechanism.mount for s in scenarios if s.mechanism.mount is not None]
-        spec = scenarios[0].mechanism.sides()[1]
-        mass = mass_at_origin(spec.compile(), "mechanism")
-        return cls(np.array([m.stiffness for m in mounts]), np.array([m.damping for m in mounts]), mass)
-
-    def arrays(self, dt: float) -> tuple[Array, Array, Array, Array]:
-        """Stiffness, damping (R, 6), mass and (M + dt C)^-1 (R, 6, 6) for steps of ``dt`` [s]."""
-        n = len(self.stiffness)
-        mass = np.tile(self.mass, (n, 1, 1))
-        implicit = np.asarray(np.linalg.inv(mass + dt * self.damping[:, :, None] * np.eye(6)), dtype=np.float64)
-        return self.stiffness, self.damping, mass, implicit
+        body = carried(scenarios[0].mechanism.sides()[1].compile(), "mechanism")
+        return cls(np.array([m.stiffness for m in mounts]), np.array([m.damping for m in mounts]), body)
 
 
-def mass_at_origin(model: mujoco.MjModel, body: str) -> Array:
-    """``(6, 6)`` inertia of a body and all that it carries, at the body's origin in its axes: force and torque against acceleration."""
+MASS, CENTRE, INERTIA, BODY = 0, 1, 4, 13  # where each part of a body begins, and its length
+SCRATCH = 10  # rows of 3 that a step of one mount needs
+
+
+def carried(model: mujoco.MjModel, body: str) -> Array:
+    """``(BODY,)`` a body and all that it carries, as one rigid body, about the body's origin in its axes."""
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     root = model.body(body).id
-    origin = data.xpos[root]
-    out = np.zeros((6, 6))
+    origin, axes = data.xpos[root], data.xmat[root].reshape(3, 3)
+    mass, moment, inertia = 0.0, np.zeros(3), np.zeros((3, 3))
     for b in range(model.nbody):
         ancestor = b
         while ancestor not in (0, root):
             ancestor = model.body_parentid[ancestor]
         if ancestor != root:
             continue
-        m, r = model.body_mass[b], data.xipos[b] - origin
-        axes = data.ximat[b].reshape(3, 3)
-        cross = np.array([[0.0, -r[2], r[1]], [r[2], 0.0, -r[0]], [-r[1], r[0], 0.0]])
-        out[:3, :3] += m * np.eye(3)
-        out[:3, 3:] -= m * cross
-        out[3:, :3] += m * cross
-        out[3:, 3:] += axes @ np.diag(model.body_inertia[b]) @ axes.T - m * cross @ cross
-    return out
+        m, r = model.body_mass[b], axes.T @ (data.xipos[b] - origin)
+        own = axes.T @ data.ximat[b].reshape(3, 3)
+        mass += m
+        moment += m * r
+        inertia += own @ np.diag(model.body_inertia[b]) @ own.T + m * (r @ r * np.eye(3) - np.outer(r, r))
+    return np.concatenate([[mass], moment / mass if mass > 0.0 else moment, inertia.ravel()])
 
 
 @njit(cache=True)
-def mount_step(stiffness, mass, implicit, dt, wrench, q, qd):
-    """One step of one mount under ``wrench`` (6,) on the passive side, in W at W's origin: rates first, dampers implicit, as MuJoCo's."""
-    push = np.empty(6)
-    for j in range(6):
-        push[j] = dt * (wrench[j] - stiffness[j] * q[j])
-        for k in range(6):
-            push[j] += mass[j, k] * qd[k]
-    push[3] -= dt * (q[1] * wrench[2] - q[2] * wrench[1])
-    push[4] -= dt * (q[2] * wrench[0] - q[0] * wrench[2])
-    push[5] -= dt * (q[0] * wrench[1] - q[1] * wrench[0])
-    for j in range(6):
-        qd[j] = 0.0
-        for k in range(6):
-            qd[j] += implicit[j, k] * push[k]
+def _axes(q, axes, turn):
+    """``axes`` (3, 3): a row for each hinge, turned by those before it; ``turn`` (3, 3): the attitude that they make together."""
+    cx, sx, cy, sy, cz, sz = math.cos(q[3]), math.sin(q[3]), math.cos(q[4]), math.sin(q[4]), math.cos(q[5]), math.sin(q[5])
+    axes[0, 0], axes[0, 1], axes[0, 2] = 1.0, 0.0, 0.0
+    axes[1, 0], axes[1, 1], axes[1, 2] = 0.0, cx, sx
+    axes[2, 0], axes[2, 1], axes[2, 2] = sy, -sx * cy, cx * cy
+    turn[0, 0], turn[0, 1], turn[0, 2] = cy * cz, -cy * sz, sy
+    turn[1, 0], turn[1, 1], turn[1, 2] = cx * sz + sx * sy * cz, cx * cz - sx * sy * sz, -sx * cy
+    turn[2, 0], turn[2, 1], turn[2, 2] = sx * sz - cx * sy * cz, sx * cz + cx * sy * sz, cx * cy
+
+
+@njit(cache=True)
+def mount_step(stiffness, damping, body, dt, wrench, q, qd, work):
+    """One step of one mount under ``wrench`` (6,) on the passive side, in W at W's origin: rates first, dampers implicit, as MuJoCo's.
+
+    Newton and Euler for the body about the point that the slides carry, projected on the joints (R. Featherstone, Rigid Body Dynamics
+    Algorithms, 2008, chapter 3). ``q``, ``qd`` (6,) are moved on; ``work`` (SCRATCH, 3) is scratch.
+    """
+    axes, turn, inertia = work[0:3], work[3:6], work[6:9]
+    w, m = work[9], body[MASS]
+    _axes(q, axes, turn)
+    ax, ay, az = axes[0], axes[1], axes[2]
+    for j in range(3):
+        w[j] = qd[3] * ax[j] + qd[4] * ay[j] + qd[5] * az[j]
+    cx = turn[0, 0] * body[1] + turn[0, 1] * body[2] + turn[0, 2] * body[3]  # centre of mass from the hinges' point
+    cy = turn[1, 0] * body[1] + turn[1, 1] * body[2] + turn[1, 2] * body[3]
+    cz = turn[2, 0] * body[1] + turn[2, 1] * body[2] + turn[2, 2] * body[3]
+    for a in range(3):
+        for b in range(a, 3):
+            total = 0.0
+            for i in range(3):
+                for j in range(3):
+                    total += turn[a, i] * body[INERTIA + 3 * i + j] * turn[b, j]
+            inertia[a, b] = inertia[b, a] = total
+    # What the hinges' axes turn each other by: the part of the angular acceleration that no joint's acceleration makes
+    ux, uy, uz = qd[3] * ax[0] + qd[4] * ay[0], qd[3] * ax[1] + qd[4] * ay[1], qd[3] * ax[2] + qd[4] * ay[2]
+    bx = qd[4] * qd[3] * (ax[1] * ay[2] - ax[2] * ay[1]) + qd[5] * (uy * az[2] - uz * az[1])
+    by = qd[4] * qd[3] * (ax[2] * ay[0] - ax[0] * ay[2]) + qd[5] * (uz * az[0] - ux * az[2])
+    bz = qd[4] * qd[3] * (ax[0] * ay[1] - ax[1] * ay[0]) + qd[5] * (ux * az[1] - uy * az[0])
+    spin_x = inertia[0, 0] * w[0] + inertia[0, 1] * w[1] + inertia[0, 2] * w[2]
+    spin_y = inertia[1, 0] * w[0] + inertia[1, 1] * w[1] + inertia[1, 2] * w[2]
+    spin_z = inertia[2, 0] * w[0] + inertia[2, 1] * w[1] + inertia[2, 2] * w[2]
+    tx = wrench[3] - (q[1] * wrench[2] - q[2] * wrench[1]) - (w[1] * spin_z - w[2] * spin_y)
+    ty = wrench[4] - (q[2] * wrench[0] - q[0] * wrench[2]) - (w[2] * spin_x - w[0] * spin_z)
+    tz = wrench[5] - (q[0] * wrench[1] - q[1] * wrench[0]) - (w[0] * spin_y - w[1] * spin_x)
+    tx -= inertia[0, 0] * bx + inertia[0, 1] * by + inertia[0, 2] * bz
+    ty -= inertia[1, 0] * bx + inertia[1, 1] * by + inertia[1, 2] * bz
+    tz -= inertia[2, 0] * bx + inertia[2, 1] * by + inertia[2, 2] * bz
+    along = w[0] * cx + w[1] * cy + w[2] * cz
+    square = w[0] * w[0] + w[1] * w[1] + w[2] * w[2]
+    fx = wrench[0] - m * (by * cz - bz * cy + w[0] * along - cx * square) - stiffness[0] * q[0] - damping[0] * qd[0]
+    fy = wrench[1] - m * (bz * cx - bx * cz + w[1] * along - cy * square) - stiffness[1] * q[1] - damping[1] * qd[1]
+    fz = wrench[2] - m * (bx * cy - by * cx + w[2] * along - cz * square) - stiffness[2] * q[2] - damping[2] * qd[2]
+    _accelerate(stiffness, damping, m, cx, cy, cz, dt, (fx, fy, fz), (tx, ty, tz), axes, inertia, q, qd)
     for j in range(6):
         q[j] += dt * qd[j]
 
 
 @njit(cache=True)
+def _accelerate(stiffness, damping, m, cx, cy, cz, dt, force, torque, axes, inertia, q, qd):
+    """Add ``dt (M + dt C)^-1`` times force (3,) and torque (3,) to the rates, the slides eliminated first: their block is diagonal."""
+    ix, iy, iz = 1.0 / (m + dt * damping[0]), 1.0 / (m + dt * damping[1]), 1.0 / (m + dt * damping[2])
+    fx, fy, fz = force
+    matrix, side = np.empty((3, 3)), np.empty(3)
+    for a in range(3):
+        wx, wy, wz = axes[a, 0], axes[a, 1], axes[a, 2]
+        px, py, pz = m * (wy * cz - wz * cy), m * (wz * cx - wx * cz), m * (wx * cy - wy * cx)  # force that the hinge's acceleration takes
+        hinge = 3 + a
+        load = wx * torque[0] + wy * torque[1] + wz * torque[2] - stiffness[hinge] * q[hinge] - damping[hinge] * qd[hinge]
+        side[a] = load - (px * ix * fx + py * iy * fy + pz * iz * fz)
+        for b in range(3):
+            vx, vy, vz = axes[b, 0], axes[b, 1], axes[b, 2]
+            rx, ry, rz = m * (vy * cz - vz * cy), m * (vz * cx - vx * cz), m * (vx * cy - vy * cx)
+            total = -(px * ix * rx + py * iy * ry + pz * iz * rz)
+            for i in range(3):
+                total += axes[a, i] * (inertia[i, 0] * vx + inertia[i, 1] * vy + inertia[i, 2] * vz)
+            matrix[a, b] = total + (dt * damping[hinge] if a == b else 0.0)
+    _solve(matrix, side)
+    for a in range(3):
+        wx, wy, wz = axes[a, 0], axes[a, 1], axes[a, 2]
+        fx -= side[a] * m * (wy * cz - wz * cy)
+        fy -= side[a] * m * (wz * cx - wx * cz)
+        fz -= side[a] * m * (wx * cy - wy * cx)
+        qd[3 + a] += dt * side[a]
+    qd[0] += dt * ix * fx
+    qd[1] += dt * iy * fy
+    qd[2] += dt * iz * fz
+
+
+@njit(cache=True)
+def _solve(matrix, x):
+    """``x`` (3,) becomes the solution for itself as right-hand side of a symmetric positive definite ``matrix`` (3, 3)."""
+    a, b, c, d, e, f = matrix[0, 0], matrix[0, 1], matrix[0, 2], matrix[1, 1], matrix[1, 2], matrix[2, 2]
+    aa, ab, ac = d * f - e * e, c * e - b * f, b * e - c * d
+    dd, de, ff = a * f - c * c, b * c - a * e, a * d - b * b
+    scale = 1.0 / (a * aa + b * ab + c * ac)
+    u, v, w = x[0], x[1], x[2]
+    x[0] = scale * (aa * u + ab * v + ac * w)
+    x[1] = scale * (ab * u + dd * v + de * w)
+    x[2] = scale * (ac * u + de * v + ff * w)
+
+
+@njit(cache=True)
 def mount_reading(stiffness, damping, q, qd, out):
-    """``out`` (6,): what the mount hands on to the sensor, in W at W's origin."""
+    """``out`` (6,): what the mount hands on to the sensor, in W at W's origin.
+
+    A hinge's torque is the component of the moment along its axis: of the three, which are not at right angles, the moment is found.
+    """
     for j in range(6):
         out[j] = stiffness[j] * q[j] + damping[j] * qd[j]
+    cx, sx, cy, sy = math.cos(q[3]), math.sin(q[3]), math.cos(q[4]), math.sin(q[4])
+    across = (out[5] - sy * out[3]) / cy
+    out[4], out[5] = cx * out[4] - sx * across, sx * out[4] + cx * across
     out[3] += q[1] * out[2] - q[2] * out[1]
     out[4] += q[2] * out[0] - q[0] * out[2]
     out[5] += q[0] * out[1] - q[1] * out[0]

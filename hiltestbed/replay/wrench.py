@@ -13,7 +13,7 @@ from numba import njit
 from hiltestbed.contact.cone import PLANE, TIP_RADIUS, Surfaces, beyond_rim, cone_distance, meet
 from hiltestbed.contact.latch import closes
 from hiltestbed.contact.law import STATES
-from hiltestbed.contact.mount import MountDynamics, mount_place, mount_reading, mount_step
+from hiltestbed.contact.mount import BODY, SCRATCH, MountDynamics, mount_place, mount_reading, mount_step
 from hiltestbed.contact.parameters import BRANCH_STIFFNESS, DRAG, LEVER, MODE, OFFSET, STIFFNESS, TILT_X, TILT_Y, ContactParameters
 from hiltestbed.contact.touch import contact_wrench, relate_one, surface_wrench, tilts, to_frame
 from hiltestbed.frames import Array, quat_exp, quat_mul, rotate, rotate_back, twist_between
@@ -35,8 +35,10 @@ class Felt:
             where there is no latch. mount: of the runs, or None for a rigid one.
         substeps: instants of the physics a tick, at which a compliant mount is integrated.
         twists: (R, N, 6) over the tick that ends at each row. near: (R, N) whether the surfaces may touch in it.
-        lever: where in the overlap the force acts. met: geometry at t_k while nothing is tilted, see :func:`hiltestbed.contact.cone.meet`:
-        it does not depend on what the law is thought to be.
+        lever: where in the overlap the force acts. rates: (R, N, 6) twist at t_k, where it is known, as under a servo; None: the slope of
+        the pose over the tick that ends there.
+        met: geometry at t_k while nothing is tilted, see :func:`hiltestbed.contact.cone.meet`: it does not depend on what the law is
+        thought to be.
     """
 
     poses: Array
@@ -48,6 +50,7 @@ class Felt:
     mount: MountDynamics | None
     substeps: int
     lever: float = 0.5
+    rates: Array | None = None
     twists: Array = field(init=False)
     near: np.ndarray = field(init=False)
     met: tuple[Array, Array, Array, Array, Array] = field(init=False)
@@ -59,9 +62,14 @@ class Felt:
         _slopes(self.poses, self.before, self.tick, twists)
         _near(self.surfaces.kind, self.surfaces.sizes, self.poses, self.before, NEAR, near)
         object.__setattr__(self, "twists", twists)
-        _meet(self.surfaces.kind, self.surfaces.sizes, self.lever, self.poses, twists, near, *met)
+        _meet(self.surfaces.kind, self.surfaces.sizes, self.lever, self.poses, self.ends, near, *met)
         object.__setattr__(self, "near", near)
         object.__setattr__(self, "met", met)
+
+    @property
+    def ends(self) -> Array:
+        """(R, N, 6) twist with which the contact is felt at t_k."""
+        return self.twists if self.rates is None else self.rates
 
 
 class Lane(NamedTuple):
@@ -100,10 +108,11 @@ def replay_wrench(felt: Felt, lanes: Sequence[Lane], grid: int | None = None) ->
         chain.tone[:, :, 4] -= 2.0 * math.pi * chain.tone[:, :, 3] * again[:, None]  # a tone goes on until it is read anew
     run = np.array([lane.run for lane in lanes])
     out = np.empty((len(lanes), felt.poses.shape[1], 6))
-    dynamics = felt.mount.arrays(h / parts.shape[1]) if felt.mount is not None else _RIGID
+    dynamics = (felt.mount.stiffness, felt.mount.damping, felt.mount.body) if felt.mount is not None else _RIGID
     _replay(
-        run, felt.poses, felt.twists, felt.before, felt.near, felt.met, felt.lever, h, felt.surfaces.kind, felt.surfaces.sizes,
-        felt.captured, felt.latch, dynamics, parts, bool(instants), ticks, rows, tilts(rows), chain.elements(), out,
+        run, felt.poses, felt.twists, felt.ends, felt.rates is not None, felt.before, felt.near, felt.met, felt.lever, h,
+        felt.surfaces.kind, felt.surfaces.sizes, felt.captured, felt.latch, dynamics, parts, bool(instants), ticks, rows, tilts(rows),
+        chain.elements(), out,
     )  # fmt: skip
     for i, lane in enumerate(lanes):
         if lane.log.skew and not lane.log.reread:
@@ -111,7 +120,7 @@ def replay_wrench(felt: Felt, lanes: Sequence[Lane], grid: int | None = None) ->
     return out
 
 
-_RIGID = (np.zeros((0, 6)), np.zeros((0, 6)), np.zeros((0, 6, 6)), np.zeros((0, 6, 6)))
+_RIGID = (np.zeros((0, 6)), np.zeros((0, 6)), np.zeros(BODY))
 
 
 def shifted(values: Array, ticks: float) -> Array:
@@ -124,8 +133,9 @@ def shifted(values: Array, ticks: float) -> Array:
 
 @njit(cache=True)
 def _replay(
-    run, poses, twists, before, near, met, lever, h, kind, sizes, captured, latch, mount, parts, between, ticks, p, tilt, elements, out
-):
+    run, poses, twists, ends, bent, before, near, met, lever, h, kind, sizes, captured, latch, mount, parts, between, ticks, p, tilt,
+    elements, out,
+):  # fmt: skip
     """All lanes, one after the other: each is a run from its first row to its last."""
     calibration, lag, leak, offset, drift, tone, deadzone, limit, step = elements
     stages = max(lag.shape[1], leak.shape[1])
@@ -135,8 +145,8 @@ def _replay(
     for i in range(len(run)):
         r = run[i]
         _contact(
-            poses[r], twists[r], before[r], near[r], met, lever, h, kind, sizes, captured[r], latch[r], r, mount, parts[i], between, p[i],
-            tilt[i], sub,
+            poses[r], twists[r], ends[r], bent, before[r], near[r], met, lever, h, kind, sizes, captured[r], latch[r], r, mount, parts[i],
+            between, p[i], tilt[i], sub,
         )  # fmt: skip
         low[:], high[:], last_in[:] = 0.0, 0.0, 0.0
         back = int(math.floor(ticks[i]))
@@ -173,16 +183,16 @@ def _interpolated(sub, at, late):
 
 
 @njit(cache=True)
-def _contact(poses, twists, before, near, met, lever, h, kind, sizes, captured, latch, r, mount, parts, between, p, tilt, sub):
+def _contact(poses, twists, ends, bent, before, near, met, lever, h, kind, sizes, captured, latch, r, mount, parts, between, p, tilt, sub):
     """What the sensor feels along one path: ``sub`` (N, m, 6) at the instants ``parts`` (m,) of the tick that ends at each row."""
-    stiffness, damping, mass, implicit = mount
+    stiffness, damping, body = mount
     mounted = stiffness.shape[0] > 0
     state, hold = np.zeros((2, STATES)), np.zeros(7)
     hold[6] = 1.0
-    depth, rate, point, normal, slip = np.zeros(2), np.zeros(2), np.zeros((2, 3)), np.zeros((2, 3)), np.zeros((2, 3))
-    at, local_pose, local_twist, turn = np.empty(7), np.empty(7), np.empty(6), np.empty(7)
+    depth, closing, point, normal, slip = np.zeros(2), np.zeros(2), np.zeros((2, 3)), np.zeros((2, 3)), np.zeros((2, 3))
+    at, rate, local_pose, local_twist, turn = np.empty(7), np.empty(6), np.empty(7), np.empty(6), np.empty(7)
     wrench, local, work, place, motion = np.zeros(6), np.empty(6), np.empty((6, 3)), tilt.copy(), np.zeros(6)
-    q, qd = np.zeros(6), np.zeros(6)
+    q, qd, joints = np.zeros(6), np.zeros(6), np.empty((SCRATCH, 3))
     latched, touched = captured, False
     sub[:] = 0.0
     m = parts.shape[0]
@@ -219,15 +229,15 @@ def _contact(poses, twists, before, near, met, lever, h, kind, sizes, captured, 
                 )  # fmt: skip
                 continue
             if parts[s] < 1.0:
-                _along(last, twist, h * parts[s], turn, at)
+                _within(last, twist, ends[k - 1] if bent and k > 0 else ends[k], ends[k], h, parts[s], turn, at, rate)
             else:
-                at[:] = poses[k]
-            if mounted:
-                mount_step(stiffness[r], mass[r], implicit[r], dt, wrench, q, qd)
+                at[:], rate[:] = poses[k], ends[k]
+            if mounted and k > 0:  # at t = 0 the mount is at rest, and has borne nothing yet
+                mount_step(stiffness[r], damping[r], body, dt, wrench, q, qd, joints)
                 mount_place(q, qd, tilt, place, motion)
-            relate_one(at, twist, place, motion, local_pose, local_twist, work)
+            relate_one(at, rate, place, motion, local_pose, local_twist, work)
             contact_wrench(
-                kind, sizes, dt, 0.0, p, local_pose, local_twist, latched, hold, state, depth, rate, point, normal, slip, work, local
+                kind, sizes, dt, 0.0, p, local_pose, local_twist, latched, hold, state, depth, closing, point, normal, slip, work, local
             )  # fmt: skip
             to_frame(place, local, wrench)
             if mounted:
@@ -242,11 +252,17 @@ def _contact(poses, twists, before, near, met, lever, h, kind, sizes, captured, 
 
 
 @njit(cache=True)
-def _along(pose, twist, time, turn, out):
-    """``out`` (7,): ``pose`` moved for ``time`` [s] by a constant twist; ``turn`` (7,) is scratch."""
-    for j in range(3):
-        out[j] = pose[j] + time * twist[j]
-        turn[j] = time * twist[3 + j]
+def _within(pose, slope, start, end, h, part, turn, out, rate):
+    """Pose ``out`` (7,) and twist ``rate`` (6,) at a ``part`` of a tick that leaves ``pose`` with the twist ``start`` and ends with
+    ``end``: a parabola about the straight path of the twist ``slope``. ``turn`` (7,) is scratch."""
+    for j in range(6):
+        bend = end[j] - start[j]
+        way = h * part * (slope[j] + 0.5 * (part - 1.0) * bend)
+        rate[j] = end[j] + (part - 1.0) * bend
+        if j < 3:
+            out[j] = pose[j] + way
+        else:
+            turn[j - 3] = way
     quat_exp(turn[0:3], turn[3:7])
     quat_mul(turn[3:7], pose[3:7], out[3:7])
 

@@ -10,7 +10,7 @@ def read_wrench(reading, tare, runs, wrench_sub, sub):
     """``wrench_sub[runs, sub] = tare - reading``, both ``(n, 6)``, for the ``runs`` (r,).
 
     MuJoCo's sensors give what the parent exerts on the child: weight carried reads positive, a push of the active side reads
-    negative (tests/rig/test_sensor_sign.py hangs a known weight on it).
+    negative (tests/sensor/test_force_sensor.py hangs a known weight on it).
     """
     for i in runs:
         for j in range(6):

@@ -11,11 +11,11 @@ import pytest
 from hiltestbed import load_scenario
 from hiltestbed.bench.contacts import Contact, bounce
 from hiltestbed.bench.contenders import CONTENDERS
-from hiltestbed.compensation.cor_designed import bounce as design_bounce
+from hiltestbed.compensation.force_methods.cor_designed import bounce as design_bounce
+from hiltestbed.compensation.force_methods.phase_lead import PhaseLeadBlock
+from hiltestbed.compensation.force_methods.polynomial import PolynomialBlock
+from hiltestbed.compensation.force_methods.second_order_lead import SecondOrderLeadBlock
 from hiltestbed.compensation.measurement import Measurement
-from hiltestbed.compensation.phase_lead import PhaseLead
-from hiltestbed.compensation.polynomial import PolynomialExtrapolation
-from hiltestbed.compensation.second_order_lead import SecondOrderLead
 from hiltestbed.scenario import Scenario
 from hiltestbed.simulation import log_error, reference_scenario, simulate
 from tests.physics.closed_forms import cor_at_zero_force
@@ -46,7 +46,7 @@ def _cors(scenarios: list[Scenario]) -> list[float]:
     return [float(c) for c in cors if c is not None]
 
 
-def _filtered(method: PhaseLead | SecondOrderLead | PolynomialExtrapolation, signal: np.ndarray) -> np.ndarray:
+def _filtered(method: PhaseLeadBlock | SecondOrderLeadBlock | PolynomialBlock, signal: np.ndarray) -> np.ndarray:
     nothing, out = np.zeros((1, 7)), np.empty_like(signal)
     for k, value in enumerate(signal):
         wrench = np.full((1, 6), value)
@@ -83,7 +83,7 @@ def test_the_lead_turns_active_at_the_published_threshold() -> None:
 def test_a_lead_of_order_p_errs_by_the_power_p_plus_1(kind: str, order: int) -> None:
     """On a late sine of half the frequency the error is 2^(p+1) times smaller."""
     scenario = _scenario(10.0, 0.0, 0.01, {"kind": kind}, rate=20000.0)
-    method = PhaseLead if kind == "phase_lead" else SecondOrderLead
+    method = PhaseLeadBlock if kind == "phase_lead" else SecondOrderLeadBlock
     t, errors = np.arange(0, 2.0, 1.0 / scenario.rate), []
     for w in (12.0, 6.0):
         late = np.sin(w * (t - 0.01))
@@ -96,7 +96,7 @@ def test_a_polynomial_is_extrapolated_exactly(order: int) -> None:
     scenario = _scenario(10.0, 0.0, 0.01, {"kind": "polynomial", "order": order}, rate=1000.0)
     t = np.arange(0.0, 0.5, 1e-3)
     late, now = (t - 0.01) ** order, t**order
-    assert _filtered(PolynomialExtrapolation([scenario]), late)[100:] == pytest.approx(now[100:], rel=1e-9)
+    assert _filtered(PolynomialBlock([scenario]), late)[100:] == pytest.approx(now[100:], rel=1e-9)
 
 
 def test_the_smith_predictor_is_stable_and_slightly_convergent_past_the_leads_threshold() -> None:

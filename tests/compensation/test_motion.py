@@ -11,6 +11,7 @@ import pytest
 from hiltestbed.bench.contacts import Contact, bounce
 from hiltestbed.scenario import Scenario
 from hiltestbed.simulation import log_error, reference_scenario
+from hiltestbed.state import arrays_of
 
 BARE = {"kind": "none"}
 
@@ -51,7 +52,7 @@ def test_the_adaptive_series_finds_the_platforms_response() -> None:
     """A position loop 1/(1 + s/w)^2, w = 2 pi 40 Hz: a0 = 1, a1 = 2/w = 8.0 ms, from a start of 4 ms."""
     contact = Contact(2.0, 0.0, 0.05, tracking="servo", changes={"compensation.motion": {"kind": "adaptive_time_series", "delay": 0.004}})
     result = bounce([contact.scenario(BARE)])
-    found = result.loop.motion.buffers()["coefficients"][0]
+    found = arrays_of(result.loop.motion)["_method.coefficients"][0]
     assert found[0] == pytest.approx(1.0, abs=0.01)
     assert found[1] == pytest.approx(2.0 / (2.0 * math.pi * 40.0), rel=0.05)
 

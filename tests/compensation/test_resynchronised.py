@@ -10,9 +10,9 @@ import pytest
 
 from hiltestbed import load_scenario
 from hiltestbed.bench.contacts import Contact, bounce, grid
+from hiltestbed.numerical_model.model import NumericalModel
 from hiltestbed.scenario import Scenario
 from hiltestbed.simulation import log_error, reference_scenario, simulate
-from hiltestbed.numerical_model.bodies import Spacecraft
 
 SCENARIOS = Path(__file__).parents[2] / "scenarios"
 
@@ -87,7 +87,7 @@ def test_the_wrench_that_is_recorded_explains_the_commanded_motion() -> None:
     scenario = load_scenario(SCENARIOS / "05-off-centre.yaml", set={"compensation.force.kind": "resynchronised", "duration": 0.6})
     trace = simulate([scenario], trace=True).trace
     assert trace is not None
-    craft = Spacecraft([scenario])
+    craft = NumericalModel([scenario])
     for k in range(scenario.ticks):
         craft.advance(trace["wrench_comp"][k])
         assert np.array_equal(craft.pose, trace["pose_cmd"][k])

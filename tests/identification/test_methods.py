@@ -9,10 +9,10 @@ import pytest
 
 from hiltestbed.bench.contacts import Contact, bounce, grid
 from hiltestbed.bench.identification import interval_coverage
-from hiltestbed.identification import make_identification
-from hiltestbed.identification.hunt_crossley import HuntCrossley
-from hiltestbed.identification.instrumental import InstrumentVariables
 from hiltestbed.identification.least_squares import RecursiveLeastSquares
+from hiltestbed.identification.methods.hunt_crossley import HuntCrossleyFit
+from hiltestbed.identification.methods.instrumental import InstrumentVariables
+from hiltestbed.identification.settings import IDENTIFIERS
 
 RESYNCHRONISED = {"kind": "resynchronised"}
 
@@ -80,7 +80,9 @@ def test_where_the_force_rises_slowly_the_delay_is_told_to_be_uncertain() -> Non
     assert abs(float(estimate.source.delay[0]) - contact.delay) < 2.0 * sd
 
 
-def _feed(estimator: HuntCrossley | InstrumentVariables | RecursiveLeastSquares, x: np.ndarray, v: np.ndarray, force: np.ndarray) -> None:
+def _feed(
+    estimator: HuntCrossleyFit | InstrumentVariables | RecursiveLeastSquares, x: np.ndarray, v: np.ndarray, force: np.ndarray
+) -> None:
     pose, twist, wrench = np.zeros((1, 7)), np.zeros((1, 6)), np.zeros((1, 6))
     pose[0, 6] = 1.0
     for position, speed, f in zip(x, v, force, strict=True):
@@ -99,8 +101,8 @@ def test_hunt_crossley_finds_its_own_law() -> None:
     x, v = _half_sine(400)
     force = np.where(x > 0, k * np.abs(x) ** n * (1.0 + alpha * v), 0.0)
     scenario = Contact(4.0, 0.0, 0.05, noise=0.0).scenario({"kind": "none"}, {"kind": "hunt_crossley"})
-    estimator = make_identification([scenario])
-    assert isinstance(estimator, HuntCrossley)
+    estimator = IDENTIFIERS[scenario.identification.kind].start([scenario])
+    assert isinstance(estimator, HuntCrossleyFit)
     _feed(estimator, x, v, force)
     assert estimator.exponent[0, 2] == pytest.approx(n, abs=2e-3)
     assert estimator.alpha[0, 2] == pytest.approx(alpha, rel=0.03)
@@ -119,7 +121,7 @@ def test_instruments_take_out_the_bias_of_a_noisy_pose() -> None:
     errors = {}
     for kind in ("rls", "instrumental"):
         scenario = Contact(4.0, 0.0, 0.05, noise=0.0).scenario({"kind": "none"}, {"kind": kind})
-        estimator = make_identification([scenario])
+        estimator = IDENTIFIERS[scenario.identification.kind].start([scenario])
         assert isinstance(estimator, InstrumentVariables | RecursiveLeastSquares)
         _feed(estimator, *noisy, force)
         errors[kind] = abs(estimator.stiffness[0, 2] / 1e5 - 1.0)

@@ -10,9 +10,9 @@ import pytest
 
 from hiltestbed.ledger import delay_ledger, predicted_log_error
 from hiltestbed.loop import Loop
+from hiltestbed.numerical_model.bodies import pair_momentum
 from hiltestbed.scenario import Scenario, load_scenario
 from hiltestbed.simulation import run_batch, simulate
-from hiltestbed.numerical_model.bodies import pair_momentum
 from tests.physics.closed_forms import cor_at_zero_force, cor_pure_delay
 
 SCENARIOS = Path(__file__).parents[2] / "scenarios"
@@ -64,7 +64,7 @@ def test_the_coupling_adds_no_delay(rate: int) -> None:
 def test_momentum_is_constant_off_centre() -> None:
     scenario = load_scenario(SCENARIOS / "05-off-centre.yaml", set={"rig.platform.tracking": "ideal", "rate": 8000, "physics_rate": 16000})
     loop = Loop([scenario])
-    craft = loop.drive.spacecraft  # type: ignore[attr-defined]
+    craft = loop.model
     before = pair_momentum(craft.mass, craft.inertia, craft.q, craft.v)[0]
     arm = np.abs(craft.q[0, :, :3]).max()
     for _ in range(scenario.ticks):

@@ -13,8 +13,9 @@ from scipy.spatial.transform import Rotation
 
 from hiltestbed import load_scenario
 from hiltestbed.loop import Loop
+from hiltestbed.numerical_model.bodies import approach_state, inertia_matrix
+from hiltestbed.numerical_model.kernels import CHASER, TARGET
 from hiltestbed.scenario import Scenario
-from hiltestbed.numerical_model.bodies import CHASER, TARGET, approach_state, inertia_matrix
 
 SCENARIO = Path(__file__).parents[2] / "scenarios" / "05-off-centre.yaml"
 TIP = 0.02  # [m] radius of the bumper's tip, models/bumper
@@ -93,7 +94,7 @@ def test_the_rebound_of_both_bodies_is_that_of_an_independent_integration(change
     for _ in range(scenario.ticks):
         loop.step()
     truth = TwoBodies(scenario).rebound(scenario)
-    craft = loop.drive.spacecraft  # type: ignore[attr-defined]
+    craft = loop.model
     start = TwoBodies(scenario).start(scenario).reshape(2, 13)
     assert loop.tally.contacts[0] == 1
     for body in (CHASER, TARGET):

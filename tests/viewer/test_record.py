@@ -14,8 +14,8 @@ from rerun.chunk import RrdReader
 
 import hiltestbed
 from hiltestbed.frames import Array, rotation_matrix
-from hiltestbed.platform.pss33.kinematics import Platform
 from hiltestbed.platform.prs3.geometry import Upper
+from hiltestbed.platform.pss33.kinematics import Platform
 from hiltestbed.scenario import Scenario
 from hiltestbed.signals import RunTrace
 from hiltestbed.simulation import Run, run

@@ -1,13 +1,13 @@
-"""The contact is a spring and a damper in N/m and N s/m, or any law that is put in its place."""
+"""The contact is a spring and a damper in N/m and N s/m, or the law that effects put in its place."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from hiltestbed.frames import Array
 from hiltestbed.platform.plant import Plant
-from tests.rig.rigs import K, Press, fitted, pose, scenario
+from hiltestbed.scenario import scenario_from
+from tests.platform.rigs import K, Press, fitted, pose, scenario
 
 
 @pytest.mark.parametrize("place", [(0.0, 0.0), (0.1, 0.05), (0.3, 0.0), (0.0, -0.3)])
@@ -45,20 +45,14 @@ def test_the_contact_never_pulls(tracking: str) -> None:
     assert wrench[:, 2].min() > -1e-6
 
 
-class PowerLaw:
-    """F = 3e6 x^1.5 (1 + 2 v)."""
-
-    def force(self, x: Array, v: Array) -> Array:
-        return 3.0e6 * np.maximum(x, 0.0) ** 1.5 * (1.0 + 2.0 * v)
-
-
 @pytest.mark.parametrize("tracking", ["ideal", "servo"])
 @pytest.mark.parametrize("place", [0.0, 0.2])
 def test_a_law_in_place_of_the_linear_contact_acts_as_written(tracking: str, place: float) -> None:
-    s = scenario(tracking)
-    plant = Plant([s], contact_law=PowerLaw())
-    depth, rate, wrench = Press(plant, s.rate, place).run(800).columns()
-    expected = PowerLaw().force(depth, rate)
+    """Two effects that make F = 3e6 x^1.5 (1 + 2 v) of the contact."""
+    power, rise = {"kind": "contact.power_law", "exponent": 1.5, "stiffness": 3.0e6}, {"kind": "contact.hunt_crossley", "alpha": 2.0}
+    s = scenario_from(scenario(tracking).model_dump(mode="json") | {"effects": [power, rise]})
+    depth, rate, wrench = Press(Plant([s]), s.rate, place).run(800).columns()
+    expected = 3.0e6 * np.maximum(depth, 0.0) ** 1.5 * (1.0 + 2.0 * rate)
     assert expected.max() > 100.0
     np.testing.assert_allclose(wrench[:, 2], expected, rtol=1e-9, atol=1e-9)
 

@@ -10,9 +10,10 @@ import pytest
 
 from hiltestbed import load_scenario
 from hiltestbed.identification.least_squares import RecursiveLeastSquares
-from hiltestbed.sensor import Sensor
+from hiltestbed.identification.methods.rls import Rls
+from hiltestbed.sensor.sensor import Sensor
 
-SCENARIO = Path(__file__).parents[1] / "scenarios" / "04-bumper-delay-compensated.yaml"
+SCENARIO = Path(__file__).parents[2] / "scenarios" / "04-bumper-delay-compensated.yaml"
 K, C, MU, V0 = 1.0e5, 400.0, 400.0, 0.03
 
 
@@ -35,7 +36,7 @@ def _identify(scenarios, offset: float = 0.0) -> RecursiveLeastSquares:
     x, v, force = _bounce(int(first.rate), first.substeps)
     n, m = len(scenarios), first.substeps
     sensor = Sensor(scenarios, [np.random.default_rng(s.seed) for s in scenarios])
-    estimator = RecursiveLeastSquares(scenarios)
+    estimator = Rls.start(scenarios)
     pose, twist, wrench = np.zeros((n, 7)), np.zeros((n, 6)), np.zeros((n, m, 6))
     pose[:, 6] = 1.0
     for k in range(1, len(x) // m):

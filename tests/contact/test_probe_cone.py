@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from hiltestbed.contact.cone import GENERATOR, HALF_ANGLE, PROBE_CONE, ROD_RADIUS, SHELL, SOCKET_RADIUS, TIP_RADIUS
 from hiltestbed.frames import Array
 from hiltestbed.platform.plant import Plant
-from hiltestbed.contact.cone import GENERATOR, HALF_ANGLE, PROBE_CONE, ROD_RADIUS, SHELL, SOCKET_RADIUS, TIP_RADIUS
 from hiltestbed.scenario import Scenario
-from tests.rig.rigs import pose, scenario
+from tests.platform.rigs import pose, scenario
 
 R, ALPHA, LENGTH, EDGE, BALL = (PROBE_CONE.sizes[k] for k in (SOCKET_RADIUS, HALF_ANGLE, GENERATOR, SHELL, TIP_RADIUS))
 K = 1e5

@@ -8,7 +8,8 @@ import pytest
 from hiltestbed.errors import InputError
 from hiltestbed.platform.plant import Plant
 from hiltestbed.platform.pss33.servo import Servo
-from tests.rig.rigs import Press, pose, scenario
+from hiltestbed.state import arrays_of
+from tests.platform.rigs import Press, pose, scenario
 
 OUTPUTS = ("pose_act", "twist_act", "wrench_sub", "slider_cmd", "slider_act", "contact")
 
@@ -109,9 +110,9 @@ def test_the_state_between_two_ticks_is_all_of_it() -> None:
     s = scenario(friction=0.1)
     first, second = Plant([s]), Plant([s])
     driven(first, 0, 40)
-    kept = {name: array.copy() for name, array in first.buffers().items()}
+    kept = {name: array.copy() for name, array in arrays_of(first).items()}
     second.reset(pose(z=-0.02), np.zeros((1, 6)))
-    for name, array in second.buffers().items():
+    for name, array in arrays_of(second).items():
         array[...] = kept[name]
     goal, twist = pose(0.1, 0.0, 9e-4), np.array([[0.0, 0.0, 0.02, 0.0, 0.0, 0.0]])
     for _ in range(20):
@@ -158,8 +159,8 @@ def test_what_the_servo_takes_from_a_rebound_is_its_drives_damping() -> None:
         twist[0, 2] += h * accel[0, 2]
         position[0, 2] += h * twist[0, 2]
         plant.advance(position, twist, accel)
-    gains = Servo(plant.model, 1, h, 2, np.ones(1, dtype=bool))
-    taken = 1e5**2 * gains.kv / (3.0 * gains.kp**2)
+    gains = Servo(plant.model, [s], np.ones(1, dtype=bool))
+    taken = 1e5**2 * float(gains.kv[0]) / (3.0 * float(gains.kp[0]) ** 2)
     expected = -np.pi * taken / (2.0 * np.sqrt(1e5 * mu))
     assert np.log(-twist[0, 2] / 0.03) == pytest.approx(expected, abs=abs(expected) / 3.0)
     assert abs(expected) < 1e-3

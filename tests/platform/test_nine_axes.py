@@ -12,12 +12,13 @@ from hiltestbed.errors import InputError
 from hiltestbed.frames import Array
 from hiltestbed.platform.plant import Plant
 from hiltestbed.platform.prs3.allocation import BLEND, DOCKING
-from hiltestbed.platform.pss33.dynamics import GRAVITY
 from hiltestbed.platform.prs3.nine_axes import NineAxes
 from hiltestbed.platform.prs3.payload import carry
+from hiltestbed.platform.pss33.dynamics import GRAVITY
 from hiltestbed.scenario import Scenario, scenario_from
 from hiltestbed.simulation import run
-from tests.rig.rigs import scenario
+from hiltestbed.state import arrays_of
+from tests.platform.rigs import scenario
 
 
 def nine_axes(tracking: str = "servo", upper: str = "servo", **keys: Any) -> Scenario:
@@ -160,8 +161,8 @@ def test_the_state_between_two_ticks_is_all_of_it(tracking: str) -> None:
     first, second = Plant([s]), Plant([s])
     shaken(first, 0.3)
     shaken(second, 0.1)
-    for name, array in second.buffers().items():
-        array[...] = first.buffers()[name]
+    for name, array in arrays_of(second).items():
+        array[...] = arrays_of(first)[name]
     pose, twist, accel = relative(np.arange(0.2, 0.5, 1.0 / 2000.0))
     for k in range(200, 260):
         for plant in (first, second):

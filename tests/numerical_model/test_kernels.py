@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from hiltestbed import load_scenario
-from hiltestbed.compensation.twin import SCRATCH, carry, mobility, solve, step, wrench_at_A, wrench_at_P
-from hiltestbed.numerical_model.bodies import Spacecraft
+from hiltestbed.numerical_model.kernels import SCRATCH, carry, mobility, solve, step, wrench_at_A, wrench_at_P
+from hiltestbed.numerical_model.model import NumericalModel
 
 SCENARIO = load_scenario(Path(__file__).parents[2] / "scenarios" / "05-off-centre.yaml")
 H = 1.0 / SCENARIO.rate
@@ -17,15 +17,15 @@ WRENCH = np.array([30.0, -20.0, 200.0, 5.0, -8.0, 2.0])
 
 
 @pytest.fixture
-def craft() -> Spacecraft:
-    return Spacecraft([SCENARIO])
+def craft() -> NumericalModel:
+    return NumericalModel([SCENARIO])
 
 
-def _bodies(craft: Spacecraft) -> tuple[np.ndarray, ...]:
+def _bodies(craft: NumericalModel) -> tuple[np.ndarray, ...]:
     return craft.port[0], craft.mass[0], craft.inertia[0], np.linalg.inv(craft.inertia[0])
 
 
-def test_a_step_is_pinocchios(craft: Spacecraft) -> None:
+def test_a_step_is_pinocchios(craft: NumericalModel) -> None:
     port, mass, inertia, inverse = _bodies(craft)
     q, v, work = craft.q[0].copy(), craft.v[0].copy(), np.empty((SCRATCH, 7))
     for _ in range(200):
@@ -35,7 +35,7 @@ def test_a_step_is_pinocchios(craft: Spacecraft) -> None:
     assert np.abs(q - craft.q[0]).max() < 1e-12
 
 
-def test_carrying_is_stepping_where_nothing_turns_much(craft: Spacecraft) -> None:
+def test_carrying_is_stepping_where_nothing_turns_much(craft: NumericalModel) -> None:
     """40 ticks under a wrench: bodies turn by some 1e-4 rad, so that positions agree to 1e-4 of what the wrench moves them by."""
     port, mass, _, inverse = _bodies(craft)
     q, v, work = craft.q[0].copy(), craft.v[0].copy(), np.empty((SCRATCH, 7))
@@ -50,13 +50,13 @@ def test_carrying_is_stepping_where_nothing_turns_much(craft: Spacecraft) -> Non
     assert np.abs(q - craft.q[0]).max() < 2e-3 * moved
 
 
-def test_mobility_is_the_change_of_the_twist_by_a_wrench_at_A(craft: Spacecraft) -> None:
+def test_mobility_is_the_change_of_the_twist_by_a_wrench_at_A(craft: NumericalModel) -> None:
     port, mass, _, inverse = _bodies(craft)
     work, matrix = np.empty((SCRATCH, 7)), np.empty((6, 6))
     mobility(craft.q[0], port, craft.pose[0, :3], mass, inverse, work, matrix)
     assert np.abs(matrix - matrix.T).max() < 1e-12 * np.abs(matrix).max()
     assert np.linalg.eigvalsh(matrix).min() > 0.0
-    free, pushed, at_A, at_P = Spacecraft([SCENARIO]), Spacecraft([SCENARIO]), WRENCH.copy(), np.empty(6)
+    free, pushed, at_A, at_P = NumericalModel([SCENARIO]), NumericalModel([SCENARIO]), WRENCH.copy(), np.empty(6)
     free.tick = pushed.tick = 1e-6
     wrench_at_P(at_A, craft.pose[0, :3], at_P)
     free.advance(np.zeros((1, 6)))

@@ -6,15 +6,16 @@ import mujoco
 import numpy as np
 import pytest
 
-from hiltestbed.platform.plant import Plant, model
-from tests.rig.rigs import pose, scenario
+from hiltestbed.platform.model import rig_spec
+from hiltestbed.platform.plant import Plant, structure
+from tests.platform.rigs import pose, scenario
 
 GRAVITY = 9.81
 
 
 def sensor_reading(added: float, x: float) -> np.ndarray:
     """The six readings of the rig's sensor with ``added`` [kg] hung on the passive side at ``x`` [m] from the axis."""
-    spec = model.rig_spec(model.Structure("bumper", mounted=False, paired=True), timestep=1e-3)
+    spec = rig_spec(structure(scenario()), timestep=1e-3)
     weight = spec.body("passive_mechanism").add_body(name="weight", pos=[x, 0.0, 0.1])
     weight.explicitinertial, weight.mass, weight.ipos, weight.inertia = True, max(added, 1e-9), [0.0, 0.0, 0.0], np.full(3, 1e-9)
     m = spec.compile()

@@ -8,8 +8,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from hiltestbed.frames import Array
+from hiltestbed.models import load, models_folder
 from hiltestbed.platform.pss33.kinematics import Platform, inverse, jacobian, joints
-from hiltestbed.platform.model import load, models_folder
 
 PLATFORM = Platform.load()
 HOME = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])

@@ -10,14 +10,16 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 from hiltestbed import load_scenario
-from hiltestbed.numerical_model.bodies import CHASER, TARGET, Spacecraft, inertia_matrix, pair_momentum
+from hiltestbed.numerical_model.bodies import inertia_matrix, pair_momentum
+from hiltestbed.numerical_model.kernels import CHASER, TARGET
+from hiltestbed.numerical_model.model import NumericalModel
 
-SCENARIO = Path(__file__).parents[1] / "scenarios" / "05-off-centre.yaml"
+SCENARIO = Path(__file__).parents[2] / "scenarios" / "05-off-centre.yaml"
 
 
 def test_the_start_is_what_approach_says() -> None:
     scenario = load_scenario(SCENARIO)
-    craft = Spacecraft([scenario])
+    craft = NumericalModel([scenario])
     a = scenario.approach
     np.testing.assert_allclose(craft.pose[0, :3], [*a.offset, -a.gap], atol=1e-15)
     np.testing.assert_allclose(craft.twist[0], [*a.velocity, *np.radians(a.rate_deg)], atol=1e-15)
@@ -28,7 +30,7 @@ def test_the_start_is_what_approach_says() -> None:
 
 def _newton_euler(scenario, wrench, duration):
     """Both bodies under a constant wrench in P at P's origin, by an eighth-order integrator, from the same start."""
-    craft = Spacecraft([scenario])
+    craft = NumericalModel([scenario])
     bodies = (scenario.spacecraft.chaser, scenario.spacecraft.target)
     inertia = [inertia_matrix(b.inertia) for b in bodies]
     port = Rotation.from_euler("xyz", bodies[TARGET].port.attitude_deg, degrees=True)
@@ -55,7 +57,7 @@ def test_the_step_converges_to_newton_and_euler_in_first_order() -> None:
     wrench, duration, errors = np.array([20.0, -10.0, 100.0, 3.0, 2.0, -4.0]), 0.5, []
     for rate in (1000, 2000, 4000):
         scenario = load_scenario(SCENARIO, set={"rate": rate, "physics_rate": rate})
-        craft = Spacecraft([scenario])
+        craft = NumericalModel([scenario])
         for _ in range(round(duration * rate)):
             craft.advance(wrench[None])
         truth = _newton_euler(scenario, wrench, duration)
@@ -67,7 +69,7 @@ def test_the_step_converges_to_newton_and_euler_in_first_order() -> None:
 
 def test_the_relative_twist_is_the_derivative_of_the_relative_pose() -> None:
     scenario = load_scenario(SCENARIO, set={"rate": 100000, "physics_rate": 100000, "duration": 0.01})
-    craft = Spacecraft([scenario])
+    craft = NumericalModel([scenario])
     craft.v[0, TARGET, 3:] = [0.02, -0.03, 0.01]  # P turns: the rate is that of the components in P
     craft.advance(np.zeros((1, 6)))
     before = craft.pose.copy()
@@ -82,7 +84,7 @@ def test_a_batch_of_any_size_takes_the_same_steps() -> None:
     """Across the limit of runs that one Pinocchio model holds."""
     scenario = load_scenario(SCENARIO)
     wrench = np.array([[5.0, -3.0, 50.0, 1.0, 2.0, 0.5]])
-    one, many = Spacecraft([scenario]), Spacecraft([scenario] * 37)
+    one, many = NumericalModel([scenario]), NumericalModel([scenario] * 37)
     for _ in range(20):
         one.advance(wrench)
         many.advance(np.repeat(wrench, 37, axis=0))
@@ -92,7 +94,7 @@ def test_a_batch_of_any_size_takes_the_same_steps() -> None:
 
 
 def test_no_wrench_changes_the_momentum_of_the_pair() -> None:
-    craft = Spacecraft([load_scenario(SCENARIO)])
+    craft = NumericalModel([load_scenario(SCENARIO)])
     before = pair_momentum(craft.mass, craft.inertia, craft.q, craft.v)
     rng = np.random.default_rng(3)
     for _ in range(1000):

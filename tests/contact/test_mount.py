@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from hiltestbed.contact.touch import LATCH_RADIUS
 from hiltestbed.frames import Array
 from hiltestbed.platform.plant import Plant
-from hiltestbed.contact.touch import LATCH_RADIUS
 from hiltestbed.scenario import Scenario
-from tests.rig.rigs import scenario
+from tests.platform.rigs import scenario
 
 STIFFNESS = (4.0e5, 5.0e5, 1.0e5, 2.0e4, 2.5e4, 1.5e4)
 DAMPING = (400.0, 500.0, 300.0, 40.0, 50.0, 30.0)

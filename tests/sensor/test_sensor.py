@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hiltestbed.scenario import scenario_from
-from hiltestbed.sensor import Sensor
+from hiltestbed.sensor.sensor import Sensor
 
 RATE, SUBSTEPS = 1000.0, 4
 
