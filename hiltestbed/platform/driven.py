@@ -30,6 +30,11 @@ YIELDING = 150.0  # [kg] half of what a point of the platform weighs against a p
 NONE, VEL, ACC = (int(stage) for stage in (mujoco.mjtStage.mjSTAGE_NONE, mujoco.mjtStage.mjSTAGE_VEL, mujoco.mjtStage.mjSTAGE_ACC))
 
 
+def least_creep(dt: float) -> float:
+    """[m/s per N] by which a friction is viscous at least where it acts on driven masses in steps of ``dt`` [s]."""
+    return dt / YIELDING
+
+
 class ServoTracking:
     """The rigs of `n` runs under servo tracking; arrays as in :class:`hiltestbed.platform.plant.Plant`.
 
@@ -55,7 +60,7 @@ class ServoTracking:
         self.batch = Batch(self.model, n, nthread, persistent=True)
         if structure.paired:
             solref.set_linear(self.batch, scenarios, scale=1.0)
-        self.touch = None if structure.paired else Touch.of(scenarios, least_creep=dt / YIELDING)
+        self.touch = None if structure.paired else Touch.of(scenarios, least_creep=least_creep(dt))
         self._force = force
         self.mount = Mount(self.batch, scenarios)
         self.path = PlatformResponse(scenarios)

@@ -36,9 +36,10 @@ class Felt:
         substeps: instants of the physics a tick, at which a compliant mount is integrated.
         twists: (R, N, 6) over the tick that ends at each row. near: (R, N) whether the surfaces may touch in it.
         lever: where in the overlap the force acts. rates: (R, N, 6) twist at t_k, where it is known, as under a servo; None: the slope of
-        the pose over the tick that ends there.
+            the pose over the tick that ends there.
+        least_creep: [m/s per N] bounds the slope of friction from above, see :class:`hiltestbed.contact.touch.Touch`.
         met: geometry at t_k while nothing is tilted, see :func:`hiltestbed.contact.cone.meet`: it does not depend on what the law is
-        thought to be.
+            thought to be.
     """
 
     poses: Array
@@ -51,6 +52,7 @@ class Felt:
     substeps: int
     lever: float = 0.5
     rates: Array | None = None
+    least_creep: float = 0.0
     twists: Array = field(init=False)
     near: np.ndarray = field(init=False)
     met: tuple[Array, Array, Array, Array, Array] = field(init=False)
@@ -111,7 +113,7 @@ def replay_wrench(felt: Felt, lanes: Sequence[Lane], grid: int | None = None) ->
     dynamics = (felt.mount.stiffness, felt.mount.damping, felt.mount.body) if felt.mount is not None else _RIGID
     _replay(
         run, felt.poses, felt.twists, felt.ends, felt.rates is not None, felt.before, felt.near, felt.met, felt.lever, h,
-        felt.surfaces.kind, felt.surfaces.sizes, felt.captured, felt.latch, dynamics, parts, bool(instants), ticks, rows, tilts(rows),
+        felt.least_creep, felt.surfaces.kind, felt.surfaces.sizes, felt.captured, felt.latch, dynamics, parts, bool(instants), ticks, rows, tilts(rows),
         chain.elements(), out,
     )  # fmt: skip
     for i, lane in enumerate(lanes):
@@ -133,8 +135,8 @@ def shifted(values: Array, ticks: float) -> Array:
 
 @njit(cache=True)
 def _replay(
-    run, poses, twists, ends, bent, before, near, met, lever, h, kind, sizes, captured, latch, mount, parts, between, ticks, p, tilt,
-    elements, out,
+    run, poses, twists, ends, bent, before, near, met, lever, h, creep, kind, sizes, captured, latch, mount, parts, between, ticks, p,
+    tilt, elements, out,
 ):  # fmt: skip
     """All lanes, one after the other: each is a run from its first row to its last."""
     calibration, lag, leak, offset, drift, tone, deadzone, limit, step = elements
@@ -145,8 +147,8 @@ def _replay(
     for i in range(len(run)):
         r = run[i]
         _contact(
-            poses[r], twists[r], ends[r], bent, before[r], near[r], met, lever, h, kind, sizes, captured[r], latch[r], r, mount, parts[i],
-            between, p[i], tilt[i], sub,
+            poses[r], twists[r], ends[r], bent, before[r], near[r], met, lever, h, creep, kind, sizes, captured[r], latch[r], r, mount,
+            parts[i], between, p[i], tilt[i], sub,
         )  # fmt: skip
         low[:], high[:], last_in[:] = 0.0, 0.0, 0.0
         back = int(math.floor(ticks[i]))
@@ -183,7 +185,9 @@ def _interpolated(sub, at, late):
 
 
 @njit(cache=True)
-def _contact(poses, twists, ends, bent, before, near, met, lever, h, kind, sizes, captured, latch, r, mount, parts, between, p, tilt, sub):
+def _contact(
+    poses, twists, ends, bent, before, near, met, lever, h, creep, kind, sizes, captured, latch, r, mount, parts, between, p, tilt, sub
+):  # fmt: skip
     """What the sensor feels along one path: ``sub`` (N, m, 6) at the instants ``parts`` (m,) of the tick that ends at each row."""
     stiffness, damping, body = mount
     mounted = stiffness.shape[0] > 0
@@ -225,7 +229,7 @@ def _contact(poses, twists, ends, bent, before, near, met, lever, h, kind, sizes
             passed = parts[s]
             if parts[s] == 1.0 and plain and not latched:
                 surface_wrench(
-                    dt, 0.0, p, state, depths[r, k], rates[r, k], points[r, k], normals[r, k], slips[r, k], work[5], sub[k, s]
+                    dt, creep, p, state, depths[r, k], rates[r, k], points[r, k], normals[r, k], slips[r, k], work[5], sub[k, s]
                 )  # fmt: skip
                 continue
             if parts[s] < 1.0:
@@ -237,7 +241,7 @@ def _contact(poses, twists, ends, bent, before, near, met, lever, h, kind, sizes
                 mount_place(q, qd, tilt, place, motion)
             relate_one(at, rate, place, motion, local_pose, local_twist, work)
             contact_wrench(
-                kind, sizes, dt, 0.0, p, local_pose, local_twist, latched, hold, state, depth, closing, point, normal, slip, work, local
+                kind, sizes, dt, creep, p, local_pose, local_twist, latched, hold, state, depth, closing, point, normal, slip, work, local
             )  # fmt: skip
             to_frame(place, local, wrench)
             if mounted:
