@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -136,17 +136,17 @@ def wrench_link(
     rows: Sequence[int],
     jumps: Sequence[Array] | None = None,
     rates: Sequence[Array] | None = None,
-    extra: Callable[[int, LinkRun], Array] | None = None,
+    extra: Sequence[Array] | None = None,
 ) -> WrenchLink:
     """Contact and sensor on the paths (N, 7) that A took in each run; jumps: (N,) [m] of it within a tick.
 
-    rates: (N, 6) twist at t_k, None: the slope of the tick. extra: of a run (N, 6) noise that the path itself brings to the reading [N, N m].
+    rates: (N, 6) twist at t_k, None: the slope of the tick. extra: (N, 6) noise that the path itself brings to the reading [N, N m].
     """
     least = layout.scales.force * np.array([NO_FORCE_NOISE] * 3 + [ARM_UNKNOWN] * 3)
     runs = []
     for i, (run, n) in enumerate(zip(layout.runs, rows, strict=True)):
         link_run = _measured_run(run, "wrench_meas", layout.noise, n, least)
-        runs.append(link_run if extra is None else replace(link_run, sigma=np.hypot(link_run.sigma, extra(i, link_run))))
+        runs.append(link_run if extra is None else replace(link_run, sigma=np.hypot(link_run.sigma, extra[i][:n])))
     return WrenchLink(runs, *(None if a is None else _cut(a, rows) for a in (paths, jumps, rates)))
 
 

@@ -1,24 +1,26 @@
 """The path of A in P on which contact and sensor are replayed.
 
-The measured pose is the path, and hides nothing that the platform did. Differentiated, its noise drowns the force (2 um at 1 kHz in a damper of
-400 N s/m make 1 N), so where it brings more than a part of the force's own noise the explained platform's answer to the command takes its
-place, which carries none; and where the platform is not explained, the measured pose smoothed.
+The measured pose is the path, and hides nothing that the platform did. Differentiated, its noise drowns the force: 2 um at 1 kHz in a
+damper of 400 N s/m make 1 N. So where it brings more than a part of the force's own noise the explained platform's answer to the command
+takes its place, which carries none; and where the platform is not explained, the measured pose smoothed.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 from scipy.signal import savgol_coeffs, savgol_filter
 
 from hiltestbed.diagnosis.decimation import decimated
-from hiltestbed.diagnosis.layout import Layout, platform_link, wrench_link
-from hiltestbed.diagnosis.links import LinkRun, WrenchLink, flat_pose
+from hiltestbed.diagnosis.layout import Layout, platform_link, touching, wrench_link
+from hiltestbed.diagnosis.links import WrenchLink, flat_pose
 from hiltestbed.diagnosis.links.platform import poses_of
 from hiltestbed.diagnosis.search import Explanation
-from hiltestbed.diagnosis.settings import CLEAN_PATH, LEVER_ARM, SMOOTHING
+from hiltestbed.diagnosis.settings import CLEAN_PATH, LEVER_ARM, SHAKEN_PATHS, SMOOTHING
 from hiltestbed.frames import Array
 from hiltestbed.measured import MeasuredRun
 from hiltestbed.measured.noise import finest_noise
@@ -26,7 +28,20 @@ from hiltestbed.numerical_model.bodies import approach_state
 from hiltestbed.replay import moves_linearly
 from hiltestbed.replay.compensation import slopes
 
-CREEP = 1e-4  # [m/s] slip at which friction has most of its size
+
+@dataclass(frozen=True)
+class Path:
+    """Where A went in each run.
+
+    Attributes:
+        poses: (N, 7) at t_k. rates: (N, 6) twist at t_k; None: the slope of the tick that ends. place, rate: noise of both [m], [m/s],
+        an attitude's by its lever; how it is spread over the rows is known where it is white.
+    """
+
+    poses: Sequence[Array]
+    rates: Sequence[Array] | None
+    place: float = 0.0
+    rate: float = 0.0
 
 
 def make_wrench_link(layout: Layout, platform: Explanation | None, rows: Sequence[int], decimate: bool = False) -> WrenchLink:
@@ -34,34 +49,78 @@ def make_wrench_link(layout: Layout, platform: Explanation | None, rows: Sequenc
 
     ``decimate``: in fewer rows, where nothing is lost and no other link goes on from them.
     """
-    stuck = platform is not None and platform.adequate and "platform.friction" in platform.chosen.kinds
-    extra: Callable[[int, LinkRun], Array] | None = None
-    jumps = None
-    if measured_is_clean(layout):
-        paths, rates = [r.record.filled("pose_act") for r in layout.runs], _measured_rates(layout)
+    explained = platform is not None and platform.adequate
+    known = [(path, _noise_of(layout, path)) for path in _measured(layout)]
+    measured, brought = next(((p, b) for p, b in known if _share(layout, b) < CLEAN_PATH), known[-1] if known else (None, None))
+    if measured is not None and brought is not None and not _replays_better(layout, measured, brought, explained):
+        path, extra = measured, brought
     elif platform is not None and platform.adequate:
-        paths = platform_link(layout, layout.whole).paths(platform.chosen.effects())
-        rates = _central_rates(layout, paths)
+        poses = platform_link(layout, layout.whole).paths(platform.chosen.effects())
+        path, extra = Path(poses, _central_rates(layout, poses)), None
     else:
-        paths, rates = _smooth_paths(layout, platform), None
-        if platform is not None or any(r.record.has("pose_act") for r in layout.runs):
-            extra = lambda i, run: _path_noise(layout, run)  # noqa: E731
-    if stuck:
-        jumps = [_jumps(p) for p in paths]
-    link = wrench_link(layout, paths, rows, jumps, rates, extra)
+        path = Path(_smooth_paths(layout, platform), None)
+        noisy = platform is not None or any(r.record.has("pose_act") for r in layout.runs)
+        extra = [_smoothed_noise(layout, run) for run in layout.runs] if noisy else None
+    sticks = explained and "platform.friction" in platform.chosen.kinds
+    jumps = [_jumps(p) for p in path.poses] if sticks else None
+    link = wrench_link(layout, path.poses, rows, jumps, path.rates, extra)
     return decimated(link) if decimate and jumps is None else link
 
 
-def measured_is_clean(layout: Layout) -> bool:
-    """Whether the noise of the measured poses brings next to nothing to the force that the contact makes of them."""
-    runs = layout.runs
+def _measured(layout: Layout) -> list[Path]:
+    """The measured poses, with the rates that were measured and with those of the poses themselves; none where some were not measured."""
+    runs, tick = layout.runs, layout.scales.tick
     if not all(r.record.has("pose_act") and r.record.valid["pose_act"].all() for r in runs):
+        return []
+    poses = [r.record.filled("pose_act") for r in runs]
+    place = max(_finest(r, "pose_act") for r in runs)
+    if all(moves_linearly(r.scenario) for r in runs):
+        return [Path(poses, None, place, math.sqrt(2.0) * place / tick)]
+    out = [Path(poses, _central_rates(layout, poses), place, math.sqrt(0.5) * place / tick)]
+    if all(r.record.has("twist_act") and r.record.valid["twist_act"].all() for r in runs):
+        twists = [r.record.filled("twist_act") for r in runs]
+        out.insert(0, Path(poses, twists, place, max(_finest(r, "twist_act") for r in runs)))
+    return out
+
+
+def _replays_better(layout: Layout, measured: Path, brought: Sequence[Array], explained: bool) -> bool:
+    """Whether the replayed platform carries less noise than the measured pose, or, where it is not explained, the smoothed pose does."""
+    share = _share(layout, brought)
+    if share < CLEAN_PATH:
         return False
-    levels = [_finest(r, "pose_act") for r in runs]
-    tick = layout.scales.tick
-    brought = [math.hypot(_stiffness(r) * x, _damping(r) * math.sqrt(2.0) * x / tick) for r, x in zip(runs, levels, strict=True)]
+    if not explained or layout.deflection is None:
+        return share > 1.0
+    return max(d.noise for d in layout.deflection) < measured.place
+
+
+def _share(layout: Layout, brought: Sequence[Array]) -> float:
+    """The noise that a path brings over that of the force, rms in contact, of the force axis where it is largest."""
+    inside = [b[touching(r, len(b)), :3] for r, b in zip(layout.runs, brought, strict=True)]
+    squares = np.mean(np.concatenate(inside) ** 2, axis=0)
     own = max(layout.noise.get("wrench_meas.fz", 0.0), layout.least_force)
-    return max(brought) < CLEAN_PATH * own
+    return float(np.sqrt(squares.max())) / own if np.isfinite(squares).all() else math.inf
+
+
+def _noise_of(layout: Layout, path: Path) -> list[Array]:
+    """(N, 6) noise of the reading of each run that the noise of a path brings, by replays of paths that are shaken by as much."""
+    rng, count = np.random.default_rng(0), range(len(layout.runs))
+    shaken, rates = [], []
+    for i, pose in enumerate(path.poses * SHAKEN_PATHS):
+        moved = pose.copy()
+        moved[:, :3] += path.place * rng.standard_normal((len(pose), 3))
+        moved[:, 3:6] += 0.5 * path.place / LEVER_ARM * rng.standard_normal((len(pose), 3))
+        shaken.append(moved)
+        if path.rates is not None:
+            noise = rng.standard_normal((len(pose), 6)) * path.rate
+            noise[:, 3:] /= LEVER_ARM
+            rates.append(path.rates[i % len(layout.runs)] + noise)
+    link = wrench_link(layout, path.poses, layout.whole, None, path.rates)
+    many = WrenchLink([link.runs[i] for _ in range(SHAKEN_PATHS) for i in count], shaken, None, rates or None)
+    shown = link.predict([(i, ()) for i in count])
+    squares = [np.zeros_like(s) for s in shown]
+    for i, found in enumerate(many.predict([(i, ()) for i in range(len(shaken))])):
+        squares[i % len(layout.runs)] += (found - shown[i % len(layout.runs)]) ** 2 / SHAKEN_PATHS
+    return [np.sqrt(np.maximum(uniform_filter1d(s, SMOOTHING, axis=0), 0.0)) for s in squares]
 
 
 def _finest(run: MeasuredRun, group: str) -> float:
@@ -70,29 +129,6 @@ def _finest(run: MeasuredRun, group: str) -> float:
     levels = [finest_noise(values[:, j]) for j in range(values.shape[1])]
     turned = 2.0 if group.startswith("pose") else 1.0
     return max([*levels[:3], *(turned * LEVER_ARM * v for v in levels[3:])])
-
-
-def _stiffness(run: MeasuredRun) -> float:
-    return run.scenario.mechanism.contact.stiffness
-
-
-def _damping(run: MeasuredRun) -> float:
-    """[N s/m] of damper and friction together: the friction of a tip that hardly slips is a damper of mu |F|/v_0."""
-    contact = run.scenario.mechanism.contact
-    force = max([abs(c.peak_force or 0.0) for c in run.survey.contacts], default=0.0)
-    return contact.damping + contact.friction * force / CREEP
-
-
-def _measured_rates(layout: Layout) -> list[Array] | None:
-    """(N, 6) twists at t_k on clean poses: as recorded, if that is as clean; else from the poses about each row."""
-    if all(moves_linearly(r.scenario) for r in layout.runs):
-        return None
-    runs = layout.runs
-    if all(r.record.has("twist_act") and r.record.valid["twist_act"].all() for r in runs):
-        brought = max(_damping(r) * _finest(r, "twist_act") for r in runs)
-        if brought < CLEAN_PATH * max(layout.noise.get("wrench_meas.fz", 0.0), layout.least_force):
-            return [r.record.filled("twist_act") for r in runs]
-    return _central_rates(layout, [r.record.filled("pose_act") for r in runs])
 
 
 def _central_rates(layout: Layout, paths: Sequence[Array]) -> list[Array] | None:
@@ -141,11 +177,10 @@ def _attitude(run: MeasuredRun) -> Array:
     return poses_of(flat)[:, 3:]
 
 
-def _path_noise(layout: Layout, run: LinkRun) -> Array:
+def _smoothed_noise(layout: Layout, run: MeasuredRun) -> Array:
     """(N, 6) what the noise of a smoothed pose makes of k x + c v: noise of the forces in contact [N]."""
     noise, contact = layout.noise.get("pose_act.pz", 0.0), run.scenario.mechanism.contact
     place = float(np.linalg.norm(savgol_coeffs(SMOOTHING, 3))) * noise
     rate = float(np.linalg.norm(savgol_coeffs(SMOOTHING, 3, deriv=1))) * noise / layout.scales.tick
     extra = 2.0 * math.hypot(contact.stiffness * place, contact.damping * rate)
-    return np.where(run.touching[:, None] & (np.arange(6) < 3), extra, 0.0)
-
+    return np.where(touching(run, run.record.ticks)[:, None] & (np.arange(6) < 3), extra, 0.0)

@@ -81,7 +81,9 @@ def _replay(commands, run, start, velocity, h, late, parts, count, steps, speed,
                 out[i, 1:, axis] *= scale[i, axis]
                 continue
             if _sticks_alone(speed[i], play[i], stick[i], lag[i], mode[i], late[i]):
-                _stick(command, start[i, axis], velocity[i, axis], h, int(round(late[i])), count[i], stick[i], scale[i, axis], out[i, :, axis])
+                _stick(
+                    command, start[i, axis], velocity[i, axis], h, int(round(late[i])), count[i], stick[i], scale[i, axis], out[i, :, axis]
+                )
                 continue
             before = _commanded(command, start[i, axis], velocity[i, axis], -late[i], h)
             memory[:] = before

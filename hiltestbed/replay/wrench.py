@@ -113,8 +113,8 @@ def replay_wrench(felt: Felt, lanes: Sequence[Lane], grid: int | None = None) ->
     dynamics = (felt.mount.stiffness, felt.mount.damping, felt.mount.body) if felt.mount is not None else _RIGID
     _replay(
         run, felt.poses, felt.twists, felt.ends, felt.rates is not None, felt.before, felt.near, felt.met, felt.lever, h,
-        felt.least_creep, felt.surfaces.kind, felt.surfaces.sizes, felt.captured, felt.latch, dynamics, parts, bool(instants), ticks, rows, tilts(rows),
-        chain.elements(), out,
+        felt.least_creep, felt.surfaces.kind, felt.surfaces.sizes, felt.captured, felt.latch, dynamics, parts, bool(instants), ticks, rows,
+        tilts(rows), chain.elements(), out,
     )  # fmt: skip
     for i, lane in enumerate(lanes):
         if lane.log.skew and not lane.log.reread:
