@@ -21,7 +21,8 @@ One run by hand:
     records = simulate(rig, silence(rig.ticks))             # no noise; pose_cmd=..., wrench_comp=... cut the loop
 """
 
-from hiltestbed.bench.independent_rig.closed_loop import Noise, Records, Rig, silence, simulate
+from hiltestbed.bench.independent_rig.closed_loop import simulate
+from hiltestbed.bench.independent_rig.links import Noise, Records, Rig, silence
 from hiltestbed.bench.independent_rig.facility import Facility, draw_facility
 from hiltestbed.bench.independent_rig.foreign import FOREIGN
 from hiltestbed.bench.independent_rig.hidden import EFFECTS

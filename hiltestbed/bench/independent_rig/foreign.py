@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from numpy.random import Generator
 
-from hiltestbed.bench.independent_rig.closed_loop import Rig
+from hiltestbed.bench.independent_rig.links import Rig
 from hiltestbed.bench.independent_rig.facility import Facility
 from hiltestbed.bench.independent_rig.hidden import bodies, compensator, contact, platform, sensor
 

@@ -9,7 +9,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.random import Generator
 
-from hiltestbed.bench.independent_rig.closed_loop import Noise, Records, Rig, silence, simulate
+from hiltestbed.bench.independent_rig.closed_loop import simulate
+from hiltestbed.bench.independent_rig.links import Noise, Records, Rig, silence
 from hiltestbed.bench.independent_rig.facility import Facility, draw_facility
 from hiltestbed.bench.independent_rig.foreign import FOREIGN
 from hiltestbed.bench.independent_rig.hidden import EFFECTS
