@@ -22,13 +22,21 @@ One run by hand:
 """
 
 from hiltestbed.bench.independent_rig.closed_loop import simulate
-from hiltestbed.bench.independent_rig.links import Noise, Records, Rig, silence
+from hiltestbed.bench.independent_rig.compensation import METHODS
+from hiltestbed.bench.independent_rig.docking_facility import DockingFacility, draw_docking_facility
 from hiltestbed.bench.independent_rig.facility import Facility, draw_facility
 from hiltestbed.bench.independent_rig.foreign import FOREIGN
+from hiltestbed.bench.independent_rig.further_foreign import foreign_in
 from hiltestbed.bench.independent_rig.hidden import EFFECTS
-from hiltestbed.bench.independent_rig.rig import nominal_rig, overridden
+from hiltestbed.bench.independent_rig.links import Noise, Records, Rig, silence
+from hiltestbed.bench.independent_rig.log import Log, log_of
+from hiltestbed.bench.independent_rig.look_alikes import LOOK_ALIKES, draw_look_alike
+from hiltestbed.bench.independent_rig.noise_kinds import NOISE_KINDS, NoiseKind
+from hiltestbed.bench.independent_rig.nuisances import Nuisances, draw_nuisances, with_nuisances
+from hiltestbed.bench.independent_rig.rig import docking_rig, nominal_rig, overridden
 from hiltestbed.bench.independent_rig.sets import (
     HiddenSet,
+    acting_in,
     draw_effects,
     draw_noise,
     draw_set,
@@ -36,13 +44,14 @@ from hiltestbed.bench.independent_rig.sets import (
     link_of,
     strength,
     with_effect,
-    write_set,
 )
 from hiltestbed.bench.independent_rig.sizes import SIZES, alike
+from hiltestbed.bench.independent_rig.writing import write_set
 
 __all__ = [
-    "EFFECTS", "FOREIGN", "SIZES",
-    "Facility", "HiddenSet", "Noise", "Records", "Rig",
-    "alike", "draw_effects", "draw_facility", "draw_noise", "draw_set", "generate", "link_of", "nominal_rig", "overridden",
-    "silence", "simulate", "strength", "with_effect", "write_set",
+    "EFFECTS", "FOREIGN", "LOOK_ALIKES", "METHODS", "NOISE_KINDS", "SIZES",
+    "DockingFacility", "Facility", "HiddenSet", "Log", "Noise", "NoiseKind", "Nuisances", "Records", "Rig",
+    "acting_in", "alike", "docking_rig", "draw_docking_facility", "draw_effects", "draw_facility", "draw_look_alike", "draw_noise",
+    "draw_nuisances", "draw_set", "foreign_in", "generate", "link_of", "log_of", "nominal_rig", "overridden", "silence", "simulate",
+    "strength", "with_effect", "with_nuisances", "write_set",
 ]  # fmt: skip

@@ -13,6 +13,8 @@ from hiltestbed.bench.independent_rig import sensor as gauge
 from hiltestbed.bench.independent_rig import six_axes
 from hiltestbed.bench.independent_rig.links import Noise, Records, Rig
 from hiltestbed.bench.independent_rig.measured_pose import all_noisy, noisy, slope
+from hiltestbed.bench.independent_rig.rotation import inverse, product, turn, turn_of
+
 
 @njit(cache=True)
 def _physical(law, place, states, approach, t, h, timing, out, where):
@@ -87,7 +89,7 @@ def _loop(bodies, platform, law, sensor, comp, state, start, velocity, h, ticks,
     chain, record, last = np.zeros((4, 6)), np.zeros((4, 6)), np.zeros((2, 6))
     model_pose = np.empty((ticks + 1, 7))
     model_pose[0] = start
-    attitude = start[3:].copy()
+    attitude, attitude_before = start[3:].copy(), start[3:].copy()
     origin = state[model.CHASER, model.R].copy()
     raw, where, driven = np.empty(6), np.empty(3), np.zeros(6)
     pushed, still, zero = np.zeros(2), 0, np.zeros(6)
@@ -97,6 +99,8 @@ def _loop(bodies, platform, law, sensor, comp, state, start, velocity, h, ticks,
         pose_act[k, :3], pose_act[k, 3:] = place[k * substeps], attitude
         if timing.encoder > 0.0:
             _read_before(place, k, timing, velocity, h, pose_act[k])
+        if timing.encoder + timing.move > 0.0:
+            pose_act[k, 3:] = _between(attitude_before, attitude, 1.0 - min(timing.encoder + timing.move, 1.0))
         _physical(law, place, states, velocity, t, h, timing, physical[k], where)
         touching[k] = np.any(physical[k] != 0.0)
         pushed[0], pushed[1] = pushed[1], physical[k, 2]
@@ -134,7 +138,7 @@ def _loop(bodies, platform, law, sensor, comp, state, start, velocity, h, ticks,
             pose_cmd[k, :3] = start[:3] + velocity * (source * h)
         towards = imposed_cmd[k] if len(imposed_cmd) else pose_cmd[k]
         node[k + 1] = towards[:3]
-        attitude = towards[3:].copy()
+        attitude_before, attitude = attitude, towards[3:].copy()
         _advance(platform, law, node, velocity, k, h, timing, axes, place, states, pushed)
     return pose_cmd, pose_act, logged, comp_out, used, physical, touching
 
@@ -148,6 +152,12 @@ def _read_before(place, k, timing, velocity, h, out):
         return
     j = int(np.floor(at))
     out[:3] = place[j] + (at - j) * (place[min(j + 1, k * timing.substeps)] - place[j])
+
+
+@njit(cache=True)
+def _between(first, then, part):
+    """Attitude (4,) `part` of the way from one to the next."""
+    return product(turn(part * turn_of(product(then, inverse(first)))), first)
 
 
 def simulate(rig: Rig, noise: Noise, pose_cmd: np.ndarray | None = None, wrench_comp: np.ndarray | None = None) -> Records:

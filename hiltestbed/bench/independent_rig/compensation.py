@@ -72,9 +72,7 @@ class Memory(NamedTuple):
 def memory(comp: Compensator, h: float) -> Memory:
     """An empty memory for a tick h [s]."""
     length = math.ceil(comp.delay / h * max(comp.order, 1)) + 3
-    return Memory(
-        np.zeros((4, 6)), np.zeros((length, 12)), np.zeros(4), np.zeros((6, SUMS)), np.full((6, 2), np.nan), np.zeros((2, 6, 3))
-    )
+    return Memory(np.zeros((4, 6)), np.zeros((length, 12)), np.zeros(4), np.zeros((6, SUMS)), np.full((6, 2), np.nan), np.zeros((2, 6, 3)))
 
 
 @njit(cache=True)

@@ -56,4 +56,3 @@ def estimate(gated, sums, found):
             found[i] = math.nan
         else:
             found[i, 0], found[i, 1] = stiffness, damping
-

@@ -95,7 +95,10 @@ def docking_rig(scenario: dict) -> Rig:
         response = {"response_w": 2.0 * np.pi * float(platform["bandwidth"]), "response_zeta": float(platform["damping_ratio"])}
     contact = flat.contact._replace(latched=False, lever=MIDDLE)
     rig = flat._replace(
-        contact=contact, platform=flat.platform._replace(**response), compensator=compensator_of(scenario), docking=_docking(mechanism, contact)
+        contact=contact,
+        platform=flat.platform._replace(**response),
+        compensator=compensator_of(scenario),
+        docking=_docking(mechanism, contact),
     )
     return with_held(rig)
 

@@ -169,13 +169,16 @@ def _follow(platform, node, turned, aim, velocity, k, h, timing, axes, trail, pu
             trail.place[j, a] = drive.follow(platform, axes[a], u0[a], u1[a], dt, a)
         trail.place[j, 2] -= platform.give * (pushed[0] + i / m * (pushed[1] - pushed[0]))
         if platform.response_w > 0.0:
-            w0 = drive.command_at(turned, velocity[3:], t0, h)
-            w1 = drive.command_at(turned, velocity[3:], t1, h)
+            w0 = drive.command_at(turned, velocity[3:], t0 - timing.move * h, h)
+            w1 = drive.command_at(turned, velocity[3:], t1 - timing.move * h, h)
             for a in range(3):
                 wheel[a, 0], wheel[a, 1] = drive.respond(
                     platform, wheel[a, 0], wheel[a, 1], w0[a], (w1[a] - w0[a]) / dt, dt, platform.response_w, platform.response_zeta, 0.0
                 )  # fmt: skip
     trail.attitude[k + 1] = aim
+    if timing.move > 0.0:
+        late = drive.command_at(turned, velocity[3:], (k + 1.0 - timing.move) * h, h)
+        trail.attitude[k + 1] = product(turn(late), trail.attitude[0])
     if platform.response_w > 0.0:
         trail.attitude[k + 1] = product(turn(wheel[:, 0].copy()), trail.attitude[0])
     first, last = trail.place[(k * m) % length], trail.place[((k + 1) * m) % length]
