@@ -80,9 +80,14 @@ SIZES: dict[str, Draw] = AXIAL | {
     "frame.mode": _frame_mode,
     "platform.delay": lambda rng, f, s: {"delay": _lateness(rng, f, s)},
     "platform.lag": lambda rng, f, s: {"bandwidth": rounded(1.4 / (2.0 * math.pi * _lateness(rng, f, s)))},
-    "platform.mode": lambda rng, f, s: {"frequency": rounded(rng.uniform(8.0, 25.0) / math.sqrt(s)), "damping_ratio": rounded(rng.uniform(0.03, 0.1))},
+    "platform.mode": lambda rng, f, s: {
+        "frequency": rounded(rng.uniform(8.0, 25.0) / math.sqrt(s)), "damping_ratio": rounded(rng.uniform(0.03, 0.1)),
+    },
     "platform.scale": lambda rng, f, s: {"factor": _factor(rng, s, 0.005, 0.02), "axis": _axis(rng)},
     "platform.speed_limit": lambda rng, f, s: {"speed": rounded(f.top_speed * (1.0 - min(s * rng.uniform(0.1, 0.3), 0.9)))},
+    "contact.misalignment": lambda rng, f, s: {"angles_deg": [rounded(s * _sign(rng) * rng.uniform(0.3, 1.5), 3) for _ in range(2)]},
+    "dynamics.mass": lambda rng, f, s: {"factor": _factor(rng, s, 0.05, 0.2), "body": str(rng.choice(["chaser", "target"]))},
+    "dynamics.inertia": lambda rng, f, s: {"factor": _factor(rng, s, 0.1, 0.3), "body": str(rng.choice(["chaser", "target"]))},
     "dynamics.port_offset": _port_offset,
     "dynamics.appendage": lambda rng, f, s: {
         "mass_ratio": rounded(min(s * rng.uniform(0.08, 0.2), 0.5)), "frequency": rounded(rng.uniform(0.6, 3.0)),

@@ -77,6 +77,11 @@ def _resized(name: str, draw) -> Foreign:
 
 
 LONGER: dict[str, Foreign] = {
+    # A platform that gives answers a tick later with its rate: past 1/(c rate) it shakes itself up.
+    "unknown.platform_gives": _resized(
+        "unknown.platform_gives",
+        lambda rng, f, s: {"compliance": s * min(rng.uniform(0.03, 0.1) / f.stiffness, rng.uniform(0.1, 0.2) * f.tick / f.damping)},
+    ),
     "unknown.ageing": _resized("unknown.ageing", lambda rng, f, s: {"rate": s * _sign(rng) * rng.uniform(0.15, 0.4) / f.span}),
     "unknown.warming": _resized("unknown.warming", lambda rng, f, s: {"rate": s * rng.uniform(0.08, 0.2) / f.span}),
     "unknown.sample_hold": _resized("unknown.sample_hold", lambda rng, f, s: {"time": s * rng.uniform(0.006, 0.012)}),
@@ -89,7 +94,7 @@ LONGER: dict[str, Foreign] = {
     ),
     "unknown.acceleration_limit": Foreign(
         "platform", lambda rig, e: platform(rig, acceleration=e["limit"]),
-        lambda rng, f, s: {"limit": rng.uniform(0.4, 0.7) / s * f.peak / f.reduced_mass},
+        lambda rng, f, s: {"limit": rng.uniform(2.5, 4.0) / s * f.peak / f.reduced_mass},
     ),
     "unknown.drag": Foreign(
         "dynamics", lambda rig, e: bodies(rig, drag=e["coefficient"]),
@@ -100,15 +105,24 @@ LONGER: dict[str, Foreign] = {
         lambda rng, f, s: {"stiffness": s * rng.uniform(0.02, 0.06) * f.peak / max(f.side, 0.01)},
     ),
     "unknown.fuel_flow": Foreign(
-        "dynamics", lambda rig, e: bodies(rig, mass_rate=e["rate"]), lambda rng, f, s: {"rate": s * _sign(rng) * rng.uniform(0.05, 0.15) / f.span},
+        "dynamics", lambda rig, e: bodies(rig, mass_rate=e["rate"]),
+        lambda rng, f, s: {"rate": s * _sign(rng) * rng.uniform(0.05, 0.15) / f.span},
     ),
     "unknown.clock_stretch": _resized("unknown.clock_stretch", lambda rng, f, s: {"ratio": s * rng.uniform(0.004, 0.01)}),
 }  # fmt: skip
 
 IN_DOCKING: dict[str, Foreign] = FOREIGN | FURTHER | LONGER
 LEAD_ALONE = ("unknown.slow_pole",)  # acts in a phase lead alone
-ROUND_CONE = ("unknown.oval_cone", "unknown.loaded_friction")
-WHERE: dict[str, tuple[str, ...]] = {name: CONES if name in ROUND_CONE else EVERYWHERE for name in IN_DOCKING}
+ELSEWHERE = {
+    "unknown.oval_cone": CONES,
+    "unknown.loaded_friction": CONES,
+    "unknown.side_load": (BUMPER, *CONES),
+    "unknown.lead_slew": (BUMPER, *CONES),
+    # A step of the position over a tick, times the damping of a docking, is more than the docking's own force.
+    "unknown.quantised_platform": (BUMPER,),
+    "unknown.acceleration_limit": (BUMPER, *CONES),
+}
+WHERE: dict[str, tuple[str, ...]] = {name: ELSEWHERE.get(name, EVERYWHERE) for name in IN_DOCKING}
 
 
 def foreign_in(design: str) -> dict[str, Foreign]:

@@ -20,6 +20,9 @@ CONE_MASS = 120.0  # kg, with the next two as in models/probe_cone/passive.xml
 CONE_INERTIA = (8.0, 8.0, 10.0)  # kg m^2 about the centre of mass
 CONE_CENTRE = (0.0, 0.0, 0.30)  # m, of mass, from P
 
+ARM2 = 0.02  # m^2, square of the distance beside the centre of mass at which a contact pushes
+MOST_PHASE, MOST_LOSS = 0.5, 1.0  # of the swing and of the losses in one step
+
 
 class Mount(NamedTuple):
     """Springs and dampers x, y, z, rx, ry, rz of the mount and the body on it; there: whether there is one at all."""
@@ -106,11 +109,14 @@ def moved(y, v, a, dt, out):
 
 
 @njit(cache=True)
-def fastest(mount, contact_stiffness, contact_damping, rub):
-    """Largest rate [1/s] at which the mounted body can answer: what an inner step must follow."""
-    smallest = min(mount.inertia[0, 0], mount.inertia[1, 1], mount.inertia[2, 2])
-    turning = max(mount.stiffness[3], mount.stiffness[4], mount.stiffness[5]) + contact_stiffness * 0.04
-    pushing = max(mount.stiffness[0], mount.stiffness[1], mount.stiffness[2]) + contact_stiffness
-    swing = math.sqrt(max(turning / smallest, pushing / mount.mass))
-    most = max(mount.damping[0], mount.damping[1], mount.damping[2]) + contact_damping + rub
-    return swing + most / mount.mass + (max(mount.damping[3], mount.damping[4], mount.damping[5]) + 0.04 * rub) / smallest
+def inner_steps(mount, contact_stiffness, contact_damping, rub, dt):
+    """Into how many steps dt is divided so that the midpoint rule follows the mounted body's swing and stays stable in its losses.
+
+    rub: [N s/m] slope of the friction. The body is met beside its centre of mass: what it weighs there is less than its mass.
+    """
+    there = 1.0 / mount.mass + ARM2 * max(mount.answer[0, 0], mount.answer[1, 1], mount.answer[2, 2])
+    push = max(mount.stiffness[0], mount.stiffness[1], mount.stiffness[2]) + contact_stiffness
+    twist = max(mount.stiffness[3], mount.stiffness[4], mount.stiffness[5])
+    swing = math.sqrt(push * there + twist * max(mount.answer[0, 0], mount.answer[1, 1], mount.answer[2, 2]))
+    loss = (max(mount.damping[0], mount.damping[1], mount.damping[2]) + contact_damping + rub) * there
+    return max(1, int(math.ceil(dt * max(swing / MOST_PHASE, loss / MOST_LOSS))))

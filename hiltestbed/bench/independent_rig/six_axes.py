@@ -24,7 +24,6 @@ from hiltestbed.bench.independent_rig.measured_pose import all_noisy, noisy, slo
 from hiltestbed.bench.independent_rig.rotation import inverse, product, turn, turn_of
 
 KEPT = 0.2  # s, for how long the trail is kept beyond the delays: what a stretched or skewed record looks back
-FOLLOWED = 0.5  # rad, largest phase of the mounted body's fastest motion in one inner step of the midpoint rule
 
 
 class Trail(NamedTuple):
@@ -97,7 +96,7 @@ def _shake(law, docking, trail, latched, pose, twist, y, states, dt, scheme, out
     meeting.wrench_in_place(law, docking, pose, twist, y, latched, trail.hold, states, wrench, seen)
     rub = law.friction * math.sqrt(wrench[0] ** 2 + wrench[1] ** 2 + wrench[2] ** 2) / law_of.SLIDING
     stiff = law.stiffness + law.stop_stiffness + law.branch_stiffness + docking.latch_stiffness
-    inner = max(1, int(math.ceil(dt * mounting.fastest(docking.mount, stiff, law.damping, rub) / FOLLOWED)))
+    inner = mounting.inner_steps(docking.mount, stiff, law.damping, rub, dt)
     step = dt / inner
     out[:] = y
     for s in range(inner):
