@@ -20,9 +20,11 @@ from hiltestbed.bench.independent_rig.nuisances import shifted
 
 Apply = Callable[[Log, float, Generator], Log]
 FILTER_ORDER = 4
+SLOW_DELAY = 2.6131259  # rad: the delay of a fourth-order Butterworth filter at low frequency times its cut-off
 SPIKE = (10.0, 30.0)  # sigma
 LONGEST_HOLD = 5  # rows
 MAINS = 50.0  # Hz
+STAMP_DIGITS = 5
 HARMONICS = (1, 2, 3, 5)
 
 
@@ -81,10 +83,9 @@ def anti_aliasing(log: Log, strength: float, rng: Generator) -> Log:
     if strength >= 0.5 * rate:
         return log
     sections = signal.butter(FILTER_ORDER, strength, fs=rate, output="sos")
-    filtered = signal.sosfilt(sections, log.wrench_meas, axis=0)
-    numerator, denominator = signal.butter(FILTER_ORDER, strength, fs=rate)
-    delay = float(signal.group_delay((numerator, denominator), w=[0.01 * strength], fs=rate)[1][0])
-    return replace(log, wrench_meas=shifted(filtered, -delay))
+    filtered = np.asarray(signal.sosfilt(sections, log.wrench_meas, axis=0))
+    rows = SLOW_DELAY / (2.0 * np.tan(np.pi * strength / rate))  # by which slow changes come late
+    return replace(log, wrench_meas=shifted(filtered, -rows))
 
 
 def student_t(log: Log, strength: float, rng: Generator) -> Log:
@@ -153,16 +154,14 @@ def pose_steps(log: Log, strength: float, rng: Generator) -> Log:
 
 
 def digits(log: Log, strength: float, rng: Generator) -> Log:
-    """A text file with `strength` significant digits."""
+    """A text file with `strength` significant digits; stamps have five at least, so that they rise."""
     count = int(strength)
     found = {name: _rounded(rows, count) for name, rows in log.channels().items()}
-    return replace(log, t=_rounded(log.t, count), digits=count, **found)
+    return replace(log, t=_rounded(log.t, max(count, STAMP_DIGITS)), digits=count, **found)
 
 
 def _rounded(values: np.ndarray, count: int) -> np.ndarray:
-    size = np.where(values == 0.0, 1.0, np.abs(values))
-    unit = 10.0 ** (np.floor(np.log10(size)) - count + 1)
-    return np.round(values / unit) * unit
+    return np.array([float(f"{v:.{count}g}") for v in values.ravel()]).reshape(values.shape)
 
 
 def lost_rows(log: Log, strength: float, rng: Generator) -> Log:

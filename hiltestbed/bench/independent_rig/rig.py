@@ -12,7 +12,7 @@ from hiltestbed.bench.independent_rig.cone import Surfaces
 from hiltestbed.bench.independent_rig.contact import Contact
 from hiltestbed.bench.independent_rig.docking import Docking
 from hiltestbed.bench.independent_rig.links import Rig
-from hiltestbed.bench.independent_rig.mount import Mount, mount_of, no_mount
+from hiltestbed.bench.independent_rig.mount import CONE_CENTRE, CONE_INERTIA, CONE_MASS, Mount, mount_of, no_mount
 from hiltestbed.bench.independent_rig.platform import Platform
 from hiltestbed.bench.independent_rig.sensor import Sensor
 
@@ -20,7 +20,9 @@ LEAD_T2 = 0.0005  # s, unless the scenario sets it
 PLAIN = ("none", "phase_lead")  # methods that the loop on a plane computes by itself
 MIDDLE = 0.5  # lever of a healthy docking: the force acts in the middle of the overlap
 BUMPER_TIP = 0.02  # m, radius
-BUMPER_BODY = (120.0, (8.0, 8.0, 10.0), (0.0, 0.0, 0.30))  # of the bumper's passive side
+Body = tuple[float, tuple[float, float, float], tuple[float, float, float]]  # mass, inertia about its centre, centre from P
+CONE_BODY: Body = (CONE_MASS, CONE_INERTIA, CONE_CENTRE)
+BUMPER_BODY: Body = (120.0, (8.0, 8.0, 10.0), (0.0, 0.0, 0.30))  # as in models/bumper/passive.xml
 SIGMAS = 5.0  # of the force's noise, from which an identification believes in a contact
 
 
@@ -118,7 +120,7 @@ def _docking(mechanism: dict, contact: Contact) -> Docking:
 def _mount(mount: dict | None, kind: str) -> Mount:
     if mount is None:
         return no_mount()
-    return mount_of(mount["stiffness"], mount.get("damping", np.zeros(6)), *(() if kind == "probe_cone" else BUMPER_BODY))
+    return mount_of(mount["stiffness"], mount.get("damping", np.zeros(6)), *(CONE_BODY if kind == "probe_cone" else BUMPER_BODY))
 
 
 def with_held(rig: Rig) -> Rig:

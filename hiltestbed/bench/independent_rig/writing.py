@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hiltestbed.bench.independent_rig.log import POSES, TWISTS, WRENCHES, Log
+from hiltestbed.bench.independent_rig.noise_kinds import STAMP_DIGITS
 
 if TYPE_CHECKING:
     from hiltestbed.bench.independent_rig.sets import HiddenSet
@@ -53,7 +54,8 @@ def _write_log(folder: Path, log: Log) -> str:
         pq.write_table(pa.table(columns), folder / f"run_{log.run}.parquet")
         return f"run_{log.run}.parquet"
     with (folder / f"run_{log.run}.csv").open("w", encoding="utf-8") as file:
-        np.savetxt(file, np.stack(list(columns.values()), axis=1), f"%.{log.digits}g", ",", header=",".join(columns), comments="")
+        formats = [f"%.{max(log.digits, STAMP_DIGITS)}g", *[f"%.{log.digits}g"] * (len(columns) - 1)]
+        np.savetxt(file, np.stack(list(columns.values()), axis=1), formats, ",", header=",".join(columns), comments="")
     return f"run_{log.run}.csv"
 
 
