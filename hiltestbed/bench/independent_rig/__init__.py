@@ -1,15 +1,23 @@
 """A second rig that shares no code with the simulation: where the diagnosis gets its data to practise on.
 
-Two free bodies, platform, contact, sensor and compensator, written again from their definitions (`closed_loop` is the tick), with
-other sub-steps than the simulation has. Every effect of the vocabulary can be hidden in it, alone and in pairs, and so can others
-that the vocabulary has no name for.
+Two free bodies, platform, contact, sensor and compensator, written again from their definitions, with other sub-steps than the
+simulation has: `closed_loop` is the tick of a tip on a plane (three axes), `six_axes` that of probe and cone, bumper or latch, rigid or on
+a compliant mount. Every effect of the vocabulary can be hidden in it, alone and in pairs, and so can others that the vocabulary has no
+name for.
 
     rng = np.random.default_rng(7)
-    hidden = draw_set(rng, "single")                        # healthy | single | pair | foreign
+    hidden = draw_set(rng, "single")                        # healthy | single | pair | foreign | alike
     hidden = draw_set(rng, "pair", names=("contact.preload", "sensor.hum"))
     hidden = draw_set(rng, "single", names=("sensor.delay",), scale=0.2)      # how small can it be?
+    hidden = draw_set(rng, "single", design="docking")      # bumper | docking | mounted (on a compliant mount) | held (by a latch)
+    hidden = draw_set(rng, "healthy", noise=("coloured", 0.1), nuisances=draw_nuisances(rng), compensation="smith_predictor")
+    hidden = draw_set(rng, "alike", pair=("sensor.delay", "contact.damping"))  # the first hidden, the other in `hidden.rival`
     write_set("folder", hidden)                             # nominal.yaml, dataset.yaml, run_0.parquet ... run_5.parquet
     hidden.effects, hidden.links, hidden.strengths          # the truth; `write_set(..., truth=True)` writes truth.yaml too
+
+`acting_in(design)` lists the effects that can be hidden in a design, `foreign_in(design)` the departures without a name, `NOISE_KINDS` the
+kinds of noise and their strengths, `LOOK_ALIKES` the pairs, `METHODS` the compensation methods, `Nuisances` what a facility chooses when
+it computes; left out, sets are those of the plain rig under white noise.
 
 Contact and sensor (and the frame) are seen through the same records, pose_act and wrench_meas: either is the right link for the other.
 `hidden.strengths` says how far each effect stands above the noise of its link's records: drawn sets (scale 1) have at least 3.
@@ -17,7 +25,7 @@ Contact and sensor (and the frame) are seen through the same records, pose_act a
 
 One run by hand:
 
-    rig = with_effect(nominal_rig(scenario), {"kind": "contact.preload", "force": 12.0})
+    rig = with_effect(nominal_rig(scenario), {"kind": "contact.preload", "force": 12.0})      # or docking_rig(scenario)
     records = simulate(rig, silence(rig.ticks))             # no noise; pose_cmd=..., wrench_comp=... cut the loop
 """
 
