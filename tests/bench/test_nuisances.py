@@ -107,8 +107,8 @@ def test_a_share_of_the_old_twist_is_a_share_of_explicit_euler() -> None:
     assert gain(0.5) - gain(0.0) == pytest.approx(0.5 * 0.5 * math.pi * w * 1e-3, rel=0.05)
 
 
-def test_the_contacts_rate_is_the_slope_of_the_tick_or_of_the_sub_step() -> None:
-    """A platform that lags bends its path within a tick: there alone the two differ, by half a tick of its acceleration."""
+def test_the_contacts_rate_is_the_slope_of_the_tick_or_of_half_of_it() -> None:
+    """A platform that lags bends its path within a tick: there alone the two differ, by a quarter of a tick of its acceleration."""
     lag = ({"kind": "platform.lag", "bandwidth": 15.0},)
     tick, fine = (_flat(Nuisances(rate=r, substeps=200), {"rate": 250, "duration": 0.6}, lag).physical[:, 2] for r in (0.0, 1.0))
     touching = (tick > 0.0) & (fine > 0.0)

@@ -38,10 +38,7 @@ def _physical(law, place, states, approach, t, h, timing, out, where):
         for a in range(3):
             velocity[a] = (place[tick * substeps, a] - place[(tick - 1) * substeps, a]) / h
         if timing.rate > 0.0:
-            last = j + 1 if part > 1e-9 else j
-            for a in range(3):
-                finer = (place[last, a] - place[last - 1, a]) / h * substeps
-                velocity[a] += timing.rate * (finer - velocity[a])
+            _sharpen(place, j + 1 if part > 1e-9 else j, timing, h, velocity)
     state = states[j].copy()
     ahead = j + 1 if part > 1e-9 else j
     for a in range(3):
@@ -49,6 +46,15 @@ def _physical(law, place, states, approach, t, h, timing, out, where):
     for a in range(touch.STATES):
         state[a] += part * (states[ahead, a] - states[j, a])
     touch.wrench(law, where, velocity, state, out)
+
+
+@njit(cache=True)
+def _sharpen(place, last, timing, h, velocity):
+    """Move the slope of a tick towards that of the half tick that ends at sub-step `last`; changes `velocity` (3,)."""
+    first = max(last - max(timing.substeps // 2, 1), 0)
+    for a in range(3):
+        finer = (place[last, a] - place[first, a]) / (last - first) * timing.substeps / h
+        velocity[a] += timing.rate * (finer - velocity[a])
 
 
 @njit(cache=True)
@@ -69,8 +75,8 @@ def _advance(platform, law, node, velocity, k, h, timing, axes, place, states, p
         j = k * substeps + i
         states[j + 1] = states[j]
         if timing.rate > 0.0:
-            rate = (1.0 - timing.rate) * (place[(k + 1) * substeps] - place[k * substeps]) / h
-            rate += timing.rate * (place[j + 1] - place[j]) / dt
+            rate = (place[(k + 1) * substeps] - place[k * substeps]) / h
+            _sharpen(place, j + 1, timing, h, rate)
         touch.advance(law, place[j], place[j + 1], rate, states[j + 1], dt)
 
 

@@ -80,6 +80,8 @@ SIZES: dict[str, Draw] = AXIAL | {
     "frame.mode": _frame_mode,
     "platform.delay": lambda rng, f, s: {"delay": _lateness(rng, f, s)},
     "platform.lag": lambda rng, f, s: {"bandwidth": rounded(1.4 / (2.0 * math.pi * _lateness(rng, f, s)))},
+    # What a position that sticks does to a contact is its damping times the step over a tick: it is small where it can be borne.
+    "platform.friction": lambda rng, f, s: {"stick": rounded(s * rng.uniform(10.0, 25.0) * f.pose_noise)},
     "platform.mode": lambda rng, f, s: {
         "frequency": rounded(rng.uniform(8.0, 25.0) / math.sqrt(s)), "damping_ratio": rounded(rng.uniform(0.03, 0.1)),
     },

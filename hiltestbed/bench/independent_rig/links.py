@@ -22,7 +22,7 @@ class Timing(NamedTuple):
     substeps: int = SUBSTEPS
     move: float = 0.0  # part of a tick by which a new attitude is obeyed late; of the position that is a delay of the platform
     encoder: float = 0.0  # part of a tick by which pose_act is read before its stamp
-    rate: float = 0.0  # 0: the contact's rate is the slope of the tick, 1: that of the sub-step
+    rate: float = 0.0  # 0: the contact's rate is the slope of the tick, 1: that of the half tick that ends there
 
 
 class Rig(NamedTuple):

@@ -44,7 +44,7 @@ class Nuisances:
         read: the sensor samples this part of a tick before the stamp. move: a new command is obeyed this part of a tick late.
         encoder: pose_act is sampled this part of a tick before its stamp.
         step: part of the old twist in the numerical model's new pose: 0 semi-implicit, 1 would be explicit Euler.
-        rate: the contact's rate is the slope of the tick (0), of the sub-step (1), or between.
+        rate: the contact's rate is the slope of the tick (0), of the half tick that ends there (1), or between.
         scheme: how platform and sensor integrate their filters.
         stamps: channel to the rows by which its stamp is late: what stands in row k was measured that much before.
     """

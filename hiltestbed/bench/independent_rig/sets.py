@@ -39,7 +39,6 @@ Design = Literal["bumper", "docking", "mounted", "held"]
 FACILITIES = 200  # drawn at most before a set is given up
 STRONG_ENOUGH = 150  # draws, after which a weak effect is taken too
 WEAKEST = 0.3  # an effect of less strength cannot be observed
-UNSTATED = ("kind", "effects", "links", "strengths", "rival")
 
 __all__ = [
     "PLAIN", "Design", "HiddenSet", "Kind", "draw_effects", "draw_noise", "draw_set", "draw_variants", "generate", "link_of", "rig_of",

@@ -57,9 +57,9 @@ def pose_at(trail, t, h, timing, pose, twist):
         return
     pose[3:] = product(turn((t - (tick - 1) * h) * twist[3:6]), trail.attitude[tick - 1])
     if timing.rate > 0.0:
-        last = ahead if part > 1e-9 else j
+        first = max(ahead - max(m // 2, 1), 0)  # towards the slope of the half tick that ends there
         for i in range(3):
-            finer = (trail.place[last % length, i] - trail.place[(last - 1) % length, i]) / h * m
+            finer = (trail.place[ahead % length, i] - trail.place[first % length, i]) / (ahead - first) * m / h
             twist[i] += timing.rate * (finer - twist[i])
 
 
