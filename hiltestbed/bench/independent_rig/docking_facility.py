@@ -27,6 +27,8 @@ KNOWN = {4: 0.5, 5: 2.0}  # runs with other known springs, and their part of the
 LONGEST, SHORTEST = 4.0, 1.2  # s
 AFTER = 0.5  # s that a run goes on after the last capture
 SCREENED = 4.5  # s, of the runs from which the duration is taken
+LOWEST, HIGHEST = 10.0, 3000.0  # N, peak of a run
+FEWEST = 40  # rows in touch
 COARSE = 4  # sub-steps of those runs
 CONE_SHARE = 0.4  # of the reduced mass that meets a wall beside the axis: the vehicles turn as well
 BODY = 120.0  # kg on the mount
@@ -88,14 +90,14 @@ def draw_docking_facility(
         fast = _log(rng, 0.05, 0.1) if design != "held" else _log(rng, 0.01, 0.04)
         speeds = [rounded(fast * part, 3) for part in SPEEDS]
         runs = [_run(rng, i, v, touch_time, design, scenario) for i, v in enumerate(speeds)]
-        healthy = [_healthy(scenario, changes, SCREENED) for changes in runs]
-        if not all(np.all(np.isfinite(r.pose_cmd)) and r.touching.any() for r in healthy):
+        healthy = _all_healthy(scenario, runs)
+        if len(healthy) < len(runs):
             continue
         scenario["duration"] = _duration(healthy, scenario["rate"], design)
         ticks = round(scenario["duration"] * scenario["rate"])
         inside = [r.touching[:ticks] for r in healthy]
         peaks = [float(np.abs(r.physical[:ticks, :3]).max()) for r in healthy]
-        if min(t.sum() for t in inside) < 40 or not 10.0 < min(peaks) <= max(peaks) < 3000.0:
+        if min(t.sum() for t in inside) < FEWEST or min(peaks) < LOWEST:
             continue
         spans = tuple(float(t.sum() / scenario["rate"]) for t in inside)
         noise = rounded(min(max(_log(rng, 8e-4, 2.5e-3) * float(np.median(peaks)), 0.03), 1.0), 2)
@@ -159,10 +161,10 @@ def _scenario(rng: Generator, design: str, method: str, response) -> dict:
 
 
 def _mount(rng: Generator, stiffness: float) -> dict:
-    """Springs 5 to 20 times as stiff as the contact, lightly damped; those against turning as if they stood on a ring of 0.3 m."""
+    """Springs 5 to 20 times as stiff as the contact, damped as a bolted frame is with its cables; those against turning as if they stood on a ring of 0.3 m."""
     springs = [rounded(stiffness * rng.uniform(5.0, 20.0), 3) for _ in range(3)]
     springs += [rounded(springs[i] * 0.3**2 * rng.uniform(0.7, 1.4), 3) for i in range(3)]
-    ratio = rng.uniform(0.03, 0.1)
+    ratio = rng.uniform(0.08, 0.2)
     inertias = [BODY] * 3 + [20.0, 20.0, 10.0]  # about P
     return {"stiffness": springs, "damping": [rounded(2.0 * ratio * math.sqrt(k * m), 3) for k, m in zip(springs, inertias, strict=True)]}
 
@@ -217,6 +219,18 @@ def _healthy(scenario: dict, changes: dict, duration: float) -> Records:
     rig = docking_rig(overridden(scenario, changes | {"duration": duration}))
     rig = rig._replace(timing=rig.timing._replace(substeps=COARSE))
     return simulate(rig, silence(rig.ticks))
+
+
+def _all_healthy(scenario: dict, runs: list[dict]) -> list[Records]:
+    """The healthy runs, as far as each is stable and touches."""
+    found = []
+    for changes in runs:
+        records = _healthy(scenario, changes, SCREENED)
+        force = np.abs(records.physical[:, :3]).max()
+        if not force < HIGHEST or not records.touching.any():
+            break
+        found.append(records)
+    return found
 
 
 def _duration(healthy: list[Records], rate: float, design: str) -> float:

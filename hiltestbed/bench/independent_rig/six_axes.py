@@ -23,6 +23,7 @@ from hiltestbed.bench.independent_rig.links import Noise, Records, Rig
 from hiltestbed.bench.independent_rig.measured_pose import all_noisy, noisy, slope
 from hiltestbed.bench.independent_rig.rotation import inverse, product, turn, turn_of
 
+STOPPED = 5e4  # N, at which a facility stops its run: what comes after is not a number
 KEPT = 0.2  # s, for how long the trail is kept beyond the delays: what a stretched or skewed record looks back
 
 
@@ -223,6 +224,10 @@ def _loop(bodies, platform, law, docking, sensor, comp, state, start, velocity, 
         t = k * h
         _read_pose(trail, k, h, timing, velocity, pose_act[k])
         wrench_at(law, docking, trail, t, h, timing, physical[k], where)
+        if not np.max(np.abs(physical[k, :3])) < STOPPED:
+            for rows in (pose_cmd, pose_act, physical, used, logged, comp_out):
+                rows[k:] = np.nan
+            break
         here = (k * m) % length
         pose_at(trail, t, h, timing, felt, motion)
         meeting.wrench_in_place(law, docking, felt, motion, trail.mounted[here], latched, trail.hold, trail.states[here], local, trail.seen)
