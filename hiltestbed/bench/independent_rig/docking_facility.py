@@ -161,7 +161,10 @@ def _scenario(rng: Generator, design: str, method: str, response) -> dict:
 
 
 def _mount(rng: Generator, stiffness: float) -> dict:
-    """Springs 5 to 20 times as stiff as the contact, damped as a bolted frame is with its cables; those against turning as if they stood on a ring of 0.3 m."""
+    """Springs 5 to 20 times as stiff as the contact, those against turning as if they stood on a ring of 0.3 m.
+
+    Damped to 8 to 20 %: less, and the loop's delay drives most of them once the latch has closed.
+    """
     springs = [rounded(stiffness * rng.uniform(5.0, 20.0), 3) for _ in range(3)]
     springs += [rounded(springs[i] * 0.3**2 * rng.uniform(0.7, 1.4), 3) for i in range(3)]
     ratio = rng.uniform(0.08, 0.2)
