@@ -48,7 +48,8 @@ class Structure:
     Attributes:
         shape: of the mechanism. mounted: the passive side is on a compliant mount.
         constant: springs and dampers without friction, which MuJoCo's own collision computes exactly: nothing is written between steps.
-        rubs: there is friction. latched: the sides may be latched to each other. touches: the sides touch at all; else a wrench is applied from outside.
+        rubs: there is friction. latched: the sides may be latched to each other. touches: the sides touch at all; else a wrench is
+            applied from outside.
         mechanism: one of this shape.
     """
 
@@ -164,7 +165,9 @@ def _native(spec: mujoco.MjSpec, k: int, pair: Pair, rubs: bool) -> None:
     active, passive = ACTIVE + pair.active, PASSIVE + pair.passive
     _pair(spec, f"native_{k}", active, passive, rubs)
     geom = mujoco.mjtObj.mjOBJ_GEOM
-    sensor = spec.add_sensor(name=f"native_{k}", type=mujoco.mjtSensor.mjSENS_CONTACT, objtype=geom, objname=active, reftype=geom, refname=passive)
+    sensor = spec.add_sensor(
+        name=f"native_{k}", type=mujoco.mjtSensor.mjSENS_CONTACT, objtype=geom, objname=active, reftype=geom, refname=passive
+    )
     sensor.intprm = [sum(1 << int(part) for part in _READ), DEEPEST, 1]
 
 
@@ -178,4 +181,3 @@ def _latches(spec: mujoco.MjSpec, structure: Structure) -> None:
         spec.add_equality(
             name=name, type=type_, objtype=mujoco.mjtObj.mjOBJ_BODY, name1=bodies[0], name2=bodies[1], active=False, solimp=CONTACT_SOLIMP
         )  # fmt: skip
-

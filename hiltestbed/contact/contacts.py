@@ -70,7 +70,9 @@ class Contacts:
     def engagement(self) -> Engagement:
         """Where what touches. Raises InputError where MuJoCo's own collision does it all."""
         if self._engagement is None:
-            raise InputError("a spring and a damper without friction, mount or effects touch in MuJoCo's own contact: its force is all there is")
+            raise InputError(
+                "a spring and a damper without friction, mount or effects touch in MuJoCo's own contact: its force is all there is"
+            )
         return self._engagement
 
     def reset(self) -> None:
@@ -110,4 +112,3 @@ def _centres(pose, offset, out):
         rotate(pose[i, 3:7], offset, out[i])
         for j in range(3):
             out[i, j] += pose[i, j]
-

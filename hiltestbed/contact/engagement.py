@@ -26,7 +26,19 @@ from numba import njit
 from numpy.typing import NDArray
 
 from hiltestbed.contact.composition import (
-    ACTIVE, AWAY, DIST, FACET, FOUND, LATCH, LINVEL, NORMAL, PASSIVE, POS, READ, Structure, inverse_mass,
+    ACTIVE,
+    AWAY,
+    DIST,
+    FACET,
+    FOUND,
+    LATCH,
+    LINVEL,
+    NORMAL,
+    PASSIVE,
+    POS,
+    READ,
+    Structure,
+    inverse_mass,
 )  # fmt: skip
 from hiltestbed.contact.geometry import ACTIVE as A
 from hiltestbed.contact.geometry import FRAMES, RADIUS, ROUND_FRAME, ROW, SIDE, SURFACE_FRAME, VALUES
@@ -34,7 +46,16 @@ from hiltestbed.contact.geometry import PASSIVE as S
 from hiltestbed.contact.latches import Latches
 from hiltestbed.contact.law import STATES
 from hiltestbed.contact.parameters import (
-    ADHESION, DAMPING, FRICTION, LINEAR, MODE, OFFSET, STIFFNESS, ContactParameters, believed_contacts, contact_rows,
+    ADHESION,
+    DAMPING,
+    FRICTION,
+    LINEAR,
+    MODE,
+    OFFSET,
+    STIFFNESS,
+    ContactParameters,
+    believed_contacts,
+    contact_rows,
 )  # fmt: skip
 from hiltestbed.contact.solref import NO_DAMPING
 from hiltestbed.contact.wrench import add_at, add_contact, law_of, meet_all, tilts
@@ -62,7 +83,9 @@ class Engagement:
         tilt: (n, 7) pose of S in the passive side's nominal place.
     """
 
-    def __init__(self, batch: Batch, scenarios: Sequence[Scenario], structure: Structure, dt: float, least_creep: float, placed: bool) -> None:
+    def __init__(
+        self, batch: Batch, scenarios: Sequence[Scenario], structure: Structure, dt: float, least_creep: float, placed: bool
+    ) -> None:
         """``dt`` [s] between two instants; ``least_creep`` [m/s per N] bounds the slope of friction from above by that of a step,
         v_0 >= least_creep mu |F|; ``placed``: the active side is put in place, it does not yield."""
         n, sides = len(scenarios), structure.sides
@@ -109,8 +132,8 @@ class Engagement:
             self.touching[:] = False
         if self._reading.shape[1]:
             _touch_natively(
-                self._facets, p.ids, self._dt, self._least_creep, self.parameters, self._linear, self._live, p.gain, self.state, self._reading,
-                self.met, p.solref, p.friction, self.wrench, self.pull, self.touching,
+                self._facets, p.ids, self._dt, self._least_creep, self.parameters, self._linear, self._live, p.gain, self.state,
+                self._reading, self.met, p.solref, p.friction, self.wrench, self.pull, self.touching,
             )  # fmt: skip
         if self.latches.closures:
             self.latches.update(self._dt, b.frames, b.motions, b.carry)
@@ -355,7 +378,9 @@ def _touch_natively(
             slip[0], slip[1] = said[LINVEL + 1], said[LINVEL + 2]
             push, drag = law_of(dt, least_creep, row, state[i, c], depth, out[1], slip) if live[i, c] else (0.0, 0.0)
             show = max(depth + max(-row[OFFSET], 0.0), LEAST)
-            _spring(linear[i, c] and live[i, c], row, max(push, 0.0), drag, show, gain[c] / points, solref[i, ids[c, 0]], friction[i, ids[c, 0]])
+            _spring(
+                linear[i, c] and live[i, c], row, max(push, 0.0), drag, show, gain[c] / points, solref[i, ids[c, 0]], friction[i, ids[c, 0]]
+            )
             if push == 0.0 and depth <= 0.0:
                 continue
             touching[i] |= live[i, c]

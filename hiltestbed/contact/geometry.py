@@ -75,7 +75,8 @@ def packed(candidates: Sequence[tuple[Round, Placed]]) -> Geometry:
             values += [p.ravel() for p in parts]
             links.append(surface.tree.links.ravel())
             stored[key] = (
-                starts[0], len(surface.profile), starts[1], len(surface.tree.corners), starts[2], starts[3], len(surface.tree.boxes), at_link,
+                starts[0], len(surface.profile), starts[1], len(surface.tree.corners), starts[2], starts[3], len(surface.tree.boxes),
+                at_link,
             )  # fmt: skip
             at, at_link = int(starts[-1]), at_link + links[-1].size
         rows[c, :KIND] = round_.frame, placed.frame, 1 if placed.passive else -1

@@ -50,7 +50,11 @@ class Closure:
 
 def closures_of(structure: Structure) -> list[Closure]:
     """What may hold the sides of a mechanism."""
-    found = [Closure(LATCH, True, True, False, None, None, LATCH_RADIUS, (ACTIVE, PASSIVE), np.array([SITE, SITE]))] if structure.latched else []
+    found = (
+        [Closure(LATCH, True, True, False, None, None, LATCH_RADIUS, (ACTIVE, PASSIVE), np.array([SITE, SITE]))]
+        if structure.latched
+        else []
+    )
     sites = structure.sides.sites
     for phase in structure.mechanism.phases():
         if (close := phase.close) is not None:
@@ -127,8 +131,8 @@ class Latches:
             self._active[:, self._ids] = self.closed
             self._closing[:] = False
         _hold(
-            dt, self._rows, self._spring, self._law, self._turns, self._frames, self._places, self._ids, frames, motions, carry, self.closed,
-            self.hold, self.state, self.pose, self.twist, self._data,
+            dt, self._rows, self._spring, self._law, self._turns, self._frames, self._places, self._ids, frames, motions, carry,
+            self.closed, self.hold, self.state, self.pose, self.twist, self._data,
         )  # fmt: skip
 
 

@@ -133,7 +133,9 @@ def _sides(
         else:
             native.append(Pair(*names, k))
     placed = {(port, name): (active if port == "A" else passive).site(name, frames) for port, name in sites}
-    exact = not native and all(SPHERE in types and set(types) <= set(EXACT) for types in ((active.type(a), passive.type(p)) for a, p, _ in pairs))
+    exact = not native and all(
+        SPHERE in types and set(types) <= set(EXACT) for types in ((active.type(a), passive.type(p)) for a, p, _ in pairs)
+    )
     moving = bool(active.model.njnt or passive.model.njnt)
     findings = (*active.findings.items(), *passive.findings.items())
     return Sides(
@@ -241,7 +243,10 @@ class _Side:
         vertices = m.mesh_vert[m.mesh_vertadr[mesh] :][: m.mesh_vertnum[mesh]].astype(float)
         found, self.findings[self.name(geom)] = of_mesh(vertices, m.mesh_face[m.mesh_faceadr[mesh] :][: m.mesh_facenum[mesh]])
         if found is None:
-            raise InputError(f"{self.file}: mesh of the geom {self.name(geom)!r}: " + "; ".join(f.message for f in self.findings[self.name(geom)] if not f.usable))
+            raise InputError(
+                f"{self.file}: mesh of the geom {self.name(geom)!r}: "
+                + "; ".join(f.message for f in self.findings[self.name(geom)] if not f.usable)
+            )
         self._surfaces[mesh] = found
         return found
 

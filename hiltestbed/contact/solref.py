@@ -4,7 +4,7 @@ With a direct ``solref = (-K A, -C A)``, a constant impedance d = 1e-4 and ellip
 F = K x + C v, never negative, for penetration x and its rate v at the start of the step. A [1/kg] is the sum of the inverse
 weights of the two bodies that carry the geoms, ``body_invweight0``. Static stiffness is K/(1 - d).
 
-This serves contacts that push along the normal alone; friction, other laws and other surfaces are :mod:`hiltestbed.contact.touch`.
+This serves contacts that push along the normal alone; friction, other laws and other surfaces are :mod:`hiltestbed.contact.engagement`.
 """
 
 from __future__ import annotations

@@ -29,7 +29,12 @@ def decimated(link: WrenchLink) -> WrenchLink:
             count *= 2
     if count == 1:
         return link
-    out = WrenchLink([_run(r, count) for r in link.runs], [_means(p, count) for p in link.paths])
+    out = WrenchLink(
+        [_run(r, count) for r in link.runs],
+        [_means(p, count) for p in link.paths],
+        None,
+        link.rates and [_means(r, count) for r in link.rates],
+    )
     return out.reading(lever=link.lever)
 
 

@@ -2,31 +2,27 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.signal import savgol_coeffs, savgol_filter
 
 from hiltestbed.diagnosis import judges
-from hiltestbed.diagnosis.decimation import decimated
 from hiltestbed.diagnosis.fit import Fit, fit, inflation, nothing, refit
 from hiltestbed.diagnosis.jitter import JITTER, jitter_beside
-from hiltestbed.diagnosis.layout import Layout, compensation_link, dynamics_link, lay_out, platform_link, wrench_link
+from hiltestbed.diagnosis.layout import Layout, compensation_link, dynamics_link, lay_out, platform_link
 from hiltestbed.diagnosis.lines import hum_beside, lines
 from hiltestbed.diagnosis.links import CompensationLink, Link, LinkRun, PlatformLink, WrenchLink
-from hiltestbed.diagnosis.links.platform import poses_of
+from hiltestbed.diagnosis.paths import make_wrench_link
 from hiltestbed.diagnosis.residual import Residual
 from hiltestbed.diagnosis.search import Explanation, Progress, Search
-from hiltestbed.diagnosis.settings import DETECTION, MOST_NOISE, ONE_OF_TWO, RECORD_LEFT, SMOOTHING
+from hiltestbed.diagnosis.settings import DETECTION, MOST_NOISE, ONE_OF_TWO, RECORD_LEFT
 from hiltestbed.diagnosis.stiction import stick_starts
 from hiltestbed.effects.search import Candidate, Scales
 from hiltestbed.effects.table import EFFECTS
 from hiltestbed.frames import Array
 from hiltestbed.log import log_parameters
 from hiltestbed.measured import MeasuredDataset
-from hiltestbed.numerical_model.bodies import approach_state
 from hiltestbed.replay.wrench import shifted
 
 WRENCH = ("contact", "sensor")  # links of the vocabulary that act between the pose and the reading
@@ -205,68 +201,6 @@ def _without_end(run: LinkRun, ticks: int) -> LinkRun:
     sigma = run.sigma.copy()
     sigma[len(sigma) - ticks :] = np.inf
     return replace(run, sigma=sigma)
-
-
-def make_wrench_link(layout: Layout, platform: Explanation | None, rows: Sequence[int], decimate: bool = False) -> WrenchLink:
-    """Contact and sensor on the path through the explained platform; on the smoothed pose where the platform is not explained.
-
-    ``decimate``: in fewer rows, where nothing is lost and no other link goes on from them.
-    """
-    if platform is not None and platform.adequate:
-        effects = platform.chosen.effects()
-        paths = platform_link(layout, layout.whole).paths(effects)
-        jumps = [_jumps(p) for p in paths] if "platform.friction" in platform.chosen.kinds else None
-        link = wrench_link(layout, paths, rows, jumps)
-        return decimated(link) if decimate and jumps is None else link
-    clean = platform is None and not any(r.record.has("pose_act") for r in layout.runs)
-    extra: Callable[[int, LinkRun], Array] | None = None if clean else (lambda i, run: _path_noise(layout, run))
-    link = wrench_link(layout, _smooth_paths(layout, platform), rows, extra=extra)
-    return decimated(link) if decimate else link
-
-
-def _jumps(path: Array) -> Array:
-    """(N,) how far a tip that sticks and jumps along path (N, 7) moved [m] in the tick that ends at each row."""
-    return np.linalg.norm(np.diff(path[:, :3], axis=0, prepend=path[:1, :3]), axis=1)
-
-
-def _smooth_paths(layout: Layout, platform: Explanation | None) -> list[Array]:
-    """(N, 7) of each run: the measured pose, smoothed about the best explanation of the platform where there is one."""
-    near = platform_link(layout, layout.whole).paths(platform.chosen.effects()) if platform is not None else None
-    out = []
-    for i, run in enumerate(layout.runs):
-        if not run.record.has("pose_act"):  # the commanded pose, one row on: ideal tracking believed
-            command = run.record.filled("pose_cmd")
-            out.append(np.concatenate([approach_state(run.scenario)[None, :7], command[:-1]]))
-            continue
-        measured = run.record.filled("pose_act")
-        about = measured if near is None else near[i]
-        places = measured[:, :3] - (0.0 if near is None else about[:, :3])
-        smooth = np.asarray(savgol_filter(places, SMOOTHING, 3, axis=0)) + (0.0 if near is None else about[:, :3])
-        turns = _attitude(run) if near is None else about[:, 3:]
-        out.append(np.concatenate([smooth, turns], axis=1))
-    return out
-
-
-def _attitude(run: object) -> Array:
-    """(N, 4) the commanded attitude, one row on, where there is one; else the measured one, smoothed."""
-    from hiltestbed.diagnosis.links import flat_pose
-
-    record = run.record  # type: ignore[attr-defined]
-    if record.has("pose_cmd"):
-        start = approach_state(run.scenario)[None, :7]  # type: ignore[attr-defined]
-        return np.concatenate([start, record.filled("pose_cmd")[:-1]])[:, 3:]
-    flat = flat_pose(record.filled("pose_act"))
-    flat[:, 3:] = savgol_filter(flat[:, 3:], SMOOTHING, 3, axis=0)
-    return poses_of(flat)[:, 3:]
-
-
-def _path_noise(layout: Layout, run: LinkRun) -> Array:
-    """(N, 6) what the noise of a smoothed pose makes of k x + c v: noise of the forces in contact [N]."""
-    noise, contact = layout.noise.get("pose_act.pz", 0.0), run.scenario.mechanism.contact
-    place = float(np.linalg.norm(savgol_coeffs(SMOOTHING, 3))) * noise
-    rate = float(np.linalg.norm(savgol_coeffs(SMOOTHING, 3, deriv=1))) * noise / layout.scales.tick
-    extra = 2.0 * math.hypot(contact.stiffness * place, contact.damping * rate)
-    return np.where(run.touching[:, None] & (np.arange(6) < 3), extra, 0.0)
 
 
 def _choose_lever(link: WrenchLink) -> WrenchLink:

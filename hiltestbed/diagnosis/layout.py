@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -48,6 +48,11 @@ class Layout:
     noise: Mapping[str, float]
     deflection: tuple[Deflection, ...] | None
     missing: Mapping[str, str]
+
+    @property
+    def least_force(self) -> float:
+        """[N] below which no noise of a force is believed."""
+        return NO_FORCE_NOISE * self.scales.force
 
     @property
     def whole(self) -> tuple[int, ...]:
@@ -126,19 +131,27 @@ def dynamics_link(layout: Layout, rows: Sequence[int]) -> DynamicsLink:
 
 
 def wrench_link(
-    layout: Layout, paths: Sequence[Array], rows: Sequence[int], jumps: Sequence[Array] | None = None, extra: Callable | None = None
+    layout: Layout,
+    paths: Sequence[Array],
+    rows: Sequence[int],
+    jumps: Sequence[Array] | None = None,
+    rates: Sequence[Array] | None = None,
+    extra: Sequence[Array] | None = None,
 ) -> WrenchLink:
     """Contact and sensor on the paths (N, 7) that A took in each run; jumps: (N,) [m] of it within a tick.
 
-    extra: (run) to (N, 6) noise that the path itself brings to the reading [N, N m].
+    rates: (N, 6) twist at t_k, None: the slope of the tick. extra: (N, 6) noise that the path itself brings to the reading [N, N m].
     """
     least = layout.scales.force * np.array([NO_FORCE_NOISE] * 3 + [ARM_UNKNOWN] * 3)
     runs = []
     for i, (run, n) in enumerate(zip(layout.runs, rows, strict=True)):
         link_run = _measured_run(run, "wrench_meas", layout.noise, n, least)
-        runs.append(link_run if extra is None else replace(link_run, sigma=np.hypot(link_run.sigma, extra(i, link_run))))
-    within = None if jumps is None else [j[:n] for j, n in zip(jumps, rows, strict=True)]
-    return WrenchLink(runs, [np.ascontiguousarray(p[:n]) for p, n in zip(paths, rows, strict=True)], within)
+        runs.append(link_run if extra is None else replace(link_run, sigma=np.hypot(link_run.sigma, extra[i][:n])))
+    return WrenchLink(runs, *(None if a is None else _cut(a, rows) for a in (paths, jumps, rates)))
+
+
+def _cut(arrays: Sequence[Array], rows: Sequence[int]) -> list[Array]:
+    return [np.ascontiguousarray(a[:n]) for a, n in zip(arrays, rows, strict=True)]
 
 
 def _all(runs: Sequence[MeasuredRun], *groups: str) -> bool:

@@ -50,7 +50,10 @@ RECORD_LEFT = 0.2  # of what a late record does to the compensation, that its in
 SHAKEN = 1.2  # times the noise: where it shows
 SAME_AGAIN = 0.3  # correlation of neighbouring samples, or with the rate of the reading, above which it is something else
 
-# Smooth poses
+# The path on which contact and sensor are replayed
+CLEAN_PATH = 0.1  # derived: of the force noise, that a measured pose may bring: it adds half a percent to the noise
+LEVER_ARM = 0.1  # [m] by which the noise of an attitude becomes one of the place of touch: what tips and rods measure
+SHAKEN_PATHS = 4  # copies of a path from which the noise that it brings is read: a spread to a third, before it is smoothed over rows
 SMOOTHING = 31  # rows of the Savitzky-Golay filter, order 3, where only a noisy pose is left to go by
 
 # Gain on left-out runs

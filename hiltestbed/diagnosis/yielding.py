@@ -24,10 +24,14 @@ CONSTANTS = 10.0  # time constants of the drives, within which where they start 
 
 @dataclass(frozen=True)
 class Deflection:
-    """Of one run: away (N, 6) by how much the believed rig departs from its command [m, rad], doubt (N, 6) how well that is known."""
+    """Of one run: away (N, 6) by how much the believed rig departs from its command [m, rad], doubt (N, 6) how well that is known.
+
+    noise: [m] what the noise of the force makes of it.
+    """
 
     away: Array
     doubt: Array
+    noise: float = 0.0
 
 
 def deflection(run: MeasuredRun, noise: float) -> Deflection | None:
@@ -55,13 +59,14 @@ def deflection(run: MeasuredRun, noise: float) -> Deflection | None:
     doubt[: math.ceil(_settling(scenario) / scenario.tick)] = np.inf
     if not run.record.has("wrench_meas"):
         doubt[np.maximum.accumulate(told[:, 2] > -departure[2])] = np.inf
+    passed = np.zeros(6)
     if noise > 0.0:
         shaken = wrench.copy()
         shaken[:, :3] += noise * np.random.default_rng(0).standard_normal((len(wrench), 3))
         noisy = replay_rig(scenario, command, rates, shaken, reading)
-        passed = np.std(flat_pose(noisy) - flat_pose(path), axis=0) if noisy is not None else 0.0
+        passed = np.std(flat_pose(noisy) - flat_pose(path), axis=0) if noisy is not None else passed
         doubt = np.hypot(doubt, passed * math.sqrt(max(1.0, _memory(scenario) / scenario.tick)))
-    return Deflection(away, doubt)
+    return Deflection(away, doubt, float(passed[:3].max()))
 
 
 def _memory(scenario: Scenario) -> float:

@@ -58,6 +58,17 @@ def white_noise(values: Array) -> float:
     return sigma if sigma > 0 else float(np.std(third)) / THIRD_DIFFERENCE
 
 
+def finest_noise(values: Array) -> float:
+    """1 sigma of white noise in a column that moves: the least of differences of orders 3, 5 and 7, in which motion counts ever less."""
+    found = [white_noise(values)]
+    for order in (5, 7):
+        differences = np.diff(values, order)
+        differences = differences[np.isfinite(differences)]
+        if len(differences) >= 8:
+            found.append(MAD_TO_SIGMA * float(np.median(np.abs(differences))) / math.sqrt(math.comb(2 * order, order)))
+    return min(found)
+
+
 def step_of(values: Array) -> float | None:
     """The step that all of ``values`` are multiples of, or None when they come in no steps."""
     distinct = np.unique(values)

@@ -28,6 +28,11 @@ YIELDING = 150.0  # [kg] half of what a point of the platform weighs against a p
 NONE, VEL, ACC = (int(stage) for stage in (mujoco.mjtStage.mjSTAGE_NONE, mujoco.mjtStage.mjSTAGE_VEL, mujoco.mjtStage.mjSTAGE_ACC))
 
 
+def least_creep(dt: float) -> float:
+    """[m/s per N] by which a friction is viscous at least where it acts on driven masses in steps of ``dt`` [s]."""
+    return dt / YIELDING
+
+
 class ServoTracking:
     """The rigs of `n` runs under servo tracking; arrays as in :class:`hiltestbed.platform.plant.Plant`.
 
@@ -51,7 +56,7 @@ class ServoTracking:
         dt = first.tick / m
         self.model = model.rig_model(structure, dt, kept=m)
         self.batch = Batch(self.model, n, nthread, persistent=True)
-        self.contacts = Contacts(self.batch, scenarios, structure, dt, dt / YIELDING, placed=False, force=force)
+        self.contacts = Contacts(self.batch, scenarios, structure, dt, least_creep(dt), placed=False, force=force)
         self.path = PlatformResponse(scenarios)
         self._ticks = np.zeros(1, dtype=np.int64)
         self._goal = np.zeros((n, 7))

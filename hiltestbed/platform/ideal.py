@@ -139,7 +139,7 @@ class IdealTracking:
             read_wrench(self._reading, self._tare, self._all, self.wrench_sub, s - 1)
 
     def _run(self) -> None:
-        """Mount and moving parts are integrated: a step's reading is that of its start, the last instant takes a forward pass of its own."""
+        """Mount and moving parts are integrated: a step reads the wrench of its start; the last instant takes a forward pass of its own."""
         for s in range(1, self.substeps + 1):
             self.batch.step()
             if s > 1:

@@ -8,7 +8,10 @@ once a row, in compiled loops over the rows where the calls themselves would cos
 from hiltestbed.replay.compensation import replay_compensation
 from hiltestbed.replay.numerical_model import Departing, replay_model
 from hiltestbed.replay.platform import replay_platform
-from hiltestbed.replay.rig import follows_exactly, replay_rig
+from hiltestbed.replay.rig import creep_of, follows_exactly, moves_linearly, replay_rig
 from hiltestbed.replay.wrench import Felt, replay_wrench
 
-__all__ = ["Departing", "Felt", "follows_exactly", "replay_compensation", "replay_model", "replay_platform", "replay_rig", "replay_wrench"]
+__all__ = [
+    "Departing", "Felt", "creep_of", "follows_exactly", "moves_linearly", "replay_compensation", "replay_model", "replay_platform",
+    "replay_rig", "replay_wrench",
+]  # fmt: skip

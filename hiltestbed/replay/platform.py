@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
@@ -79,6 +80,11 @@ def _replay(commands, run, start, velocity, h, late, parts, count, steps, speed,
                 out[i, :, axis] = start[i, axis]
                 out[i, 1:, axis] *= scale[i, axis]
                 continue
+            if _sticks_alone(speed[i], play[i], stick[i], lag[i], mode[i], late[i]):
+                _stick(
+                    command, start[i, axis], velocity[i, axis], h, int(round(late[i])), count[i], stick[i], scale[i, axis], out[i, :, axis]
+                )
+                continue
             before = _commanded(command, start[i, axis], velocity[i, axis], -late[i], h)
             memory[:] = before
             lagged[:, 0] = shaken[:, 0] = before
@@ -93,6 +99,31 @@ def _replay(commands, run, start, velocity, h, late, parts, count, steps, speed,
                     )  # fmt: skip
                     before = after
                 out[i, k + 1, axis] = scale[i, axis] * reached
+
+
+@njit(cache=True)
+def _sticks_alone(speed, play, stick, lag, mode, late):
+    """Whether stiction on a command that is whole ticks late is all that a platform does."""
+    return stick > 0.0 and play == 0.0 and speed == np.inf and not lag[:, :, 0].any() and not mode[:, :, 0].any() and late == round(late)
+
+
+@njit(cache=True)
+def _stick(command, start, velocity, h, late, instants, stick, scale, out):
+    """Stiction alone: from jump to jump, since the command is straight within a tick; as :func:`follow` does instant by instant."""
+    held = before = _commanded(command, start, velocity, float(-late), h)
+    out[0] = held if late > 0 else start
+    for k in range(len(out) - 1):
+        after = _commanded(command, start, velocity, float(k + 1 - late), h)
+        way = after - before
+        s = 0
+        while abs(after - held) > stick and s < instants:
+            edge = held + math.copysign(stick, way)
+            s = max(s + 1, min(instants, int(math.floor(instants * (edge - before) / way)))) if way != 0.0 else instants
+            reached = before + way * s / instants
+            if abs(reached - held) > stick:
+                held = reached
+        out[k + 1] = scale * held
+        before = after
 
 
 @njit(cache=True)

@@ -17,6 +17,7 @@ from hiltestbed.compensation.motion import MotionCommand
 from hiltestbed.frames import Array
 from hiltestbed.identification.settings import IDENTIFIERS
 from hiltestbed.numerical_model.bodies import approach_state
+from hiltestbed.platform.driven import least_creep
 from hiltestbed.platform.plant import Plant
 from hiltestbed.replay.compensation import slopes
 
@@ -45,6 +46,16 @@ def follows_exactly(scenario: Scenario) -> bool:
     """Whether the believed rig reaches the numerical model's pose exactly, a tick later."""
     rig = scenario.rig
     return rig.platform.tracking == "ideal" and rig.upper.kind == "fixed" and scenario.compensation.motion.tells_model_pose
+
+
+def moves_linearly(scenario: Scenario) -> bool:
+    """Whether A moves uniformly within a tick relative to P, so that the rate of the contact at t_k is the slope of the tick that ends."""
+    return scenario.rig.platform.tracking == "ideal" and scenario.rig.upper.kind == "fixed"
+
+
+def creep_of(scenario: Scenario) -> float:
+    """[m/s per N] by which friction is viscous at least in the rig of a scenario, see :class:`hiltestbed.contact.contacts.Contacts`."""
+    return 0.0 if scenario.rig.platform.tracking == "ideal" else least_creep(1.0 / scenario.physics_rate)
 
 
 def replay_rig(scenario: Scenario, command: Array, rates: Array | None, wrench: Array, reading: Array) -> Array | None:

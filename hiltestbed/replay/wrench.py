@@ -139,8 +139,8 @@ def shifted(values: Array, ticks: float) -> Array:
 
 @njit(cache=True)
 def _replay(
-    run, poses, twists, ends, bent, before, clear, met, lever, least_creep, h, geometry, captured, latch, mount, parts, between, ticks, p, tilt,
-    elements, out,
+    run, poses, twists, ends, bent, before, clear, met, lever, least_creep, h, geometry, captured, latch, mount, parts, between, ticks, p,
+    tilt, elements, out,
 ):  # fmt: skip
     """All lanes, one after the other: each is a run from its first row to its last."""
     calibration, lag, leak, offset, drift, tone, deadzone, limit, step = elements

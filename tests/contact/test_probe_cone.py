@@ -8,14 +8,20 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from hiltestbed.contact.cone import GENERATOR, HALF_ANGLE, PROBE_CONE, ROD_RADIUS, SHELL, SOCKET_RADIUS, TIP_RADIUS
+from hiltestbed.contact.engagement import NORM, SLIP
 from hiltestbed.frames import Array
 from hiltestbed.platform.plant import Plant
 from hiltestbed.scenario import Scenario
+from tests.contact.cone_in_closed_form import GENERATOR as LENGTH
+from tests.contact.cone_in_closed_form import HALF_ANGLE as ALPHA
+from tests.contact.cone_in_closed_form import ROD_RADIUS, cone_distance, rod_distance
+from tests.contact.cone_in_closed_form import SHELL as EDGE
+from tests.contact.cone_in_closed_form import SOCKET_RADIUS as R
+from tests.contact.cone_in_closed_form import TIP_RADIUS as BALL
 from tests.platform.rigs import pose, scenario
 
-R, ALPHA, LENGTH, EDGE, BALL = (PROBE_CONE.sizes[k] for k in (SOCKET_RADIUS, HALF_ANGLE, GENERATOR, SHELL, TIP_RADIUS))
 K = 1e5
+BALLS, ROD = 1, 0  # places of the facets of ball and rod
 
 
 def rig(tracking: str = "ideal", *, damping: float = 0.0, friction: float = 0.0, **more: object) -> Scenario:
@@ -96,17 +102,32 @@ def test_the_servo_feels_the_same_force_at_the_pose_that_it_reaches(where: str, 
 def test_the_rod_meets_the_rim_in_one_contact(azimuth: float) -> None:
     """A rod that stands upright beside the rim, on its inside, is pushed straight inwards."""
     ring = (R + EDGE) * math.cos(ALPHA) + LENGTH * math.sin(ALPHA)
-    depth = 5e-4
-    rho = ring - EDGE - PROBE_CONE.sizes[ROD_RADIUS] + depth
+    wanted = 5e-4
+    rho = ring - EDGE - ROD_RADIUS + wanted
     c, s = math.cos(azimuth), math.sin(azimuth)
     plant = Plant([rig()])
     # The rim's ring is level with a place 60 mm behind the tip's centre; the ball itself would be in the cone, so it is checked apart
     level = (R + EDGE) * math.sin(ALPHA) - R - LENGTH * math.cos(ALPHA)
     start = pose(rho * c, rho * s, level + 0.06 + BALL)
     plant.reset(start, np.zeros((1, 6)))
-    touch = plant.contacts()
-    assert touch.depth[0, 1] == pytest.approx(depth, abs=1e-9)
-    np.testing.assert_allclose(touch.normal[0, 1], [c, s, 0.0], atol=1e-7)
+    depth, normal = plant.contacts().met[0, ROD, 0], plant.contacts().met[0, ROD, NORM:SLIP]
+    free, nearest, axis = np.empty(3), np.empty(3), np.array([0.0, 0.0, 1.0])
+    assert depth == pytest.approx(ROD_RADIUS - rod_distance(start[0, :3] - BALL * axis, axis, free, nearest), abs=1e-9)
+    assert depth == pytest.approx(wanted, abs=1e-9)
+    np.testing.assert_allclose(normal, [c, s, 0.0], atol=1e-7)
+
+
+def test_the_mesh_of_the_cone_is_the_surface_of_its_drawing() -> None:
+    """Balls anywhere within 50 mm of the surface, inside and outside: penetration to 1e-9 m, normal to 1e-6."""
+    plant, rng, free = Plant([rig()]), np.random.default_rng(3), np.empty(3)
+    for _ in range(200):
+        start = pose(*rng.uniform(-0.2, 0.2, 2), rng.uniform(-0.15, 0.05))
+        plant.reset(start, np.zeros((1, 6)))
+        met = plant.contacts().met[0, BALLS]
+        distance = cone_distance(start[0, :3] - [0.0, 0.0, BALL], free)
+        if distance < BALL:
+            assert met[0] == pytest.approx(BALL - distance, abs=1e-9)
+            np.testing.assert_allclose(met[NORM:SLIP], -free, atol=1e-6)
 
 
 def test_nothing_is_felt_where_nothing_touches() -> None:

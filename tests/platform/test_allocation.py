@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from hiltestbed.contact.cone import PROBE_CONE, meet
 from hiltestbed.frames import Array, quat_from_attitude_deg
 from hiltestbed.platform.prs3.allocation import BLEND, DOCKING, LONGEST, MOST_BENT, lower_pose, upper_coordinates
 from hiltestbed.platform.prs3.geometry import HEAVE, TILT, Upper, place
 from hiltestbed.platform.prs3.upper import SETTLE
+from tests.contact.cone_in_closed_form import ROD_RADIUS, TIP_RADIUS, cone_distance, rod_distance
 
 
 def poses(gap: Array, attitude_deg: tuple[float, float, float] = (0.0, 0.0, 0.0), x: float = 0.0, y: float = 0.0) -> Array:
@@ -48,12 +48,14 @@ def test_the_lower_platform_stays_in_its_workspace_over_the_whole_approach() -> 
 def test_nothing_touches_before_the_upper_platform_is_clamped() -> None:
     """Neither tip nor rod reaches cone, rim or its outside from as far away as it takes to come to rest at 0.3 m/s."""
     rng = np.random.default_rng(2)
-    depth, rate, vectors, work = np.empty(2), np.empty(2), [np.empty((2, 3)) for _ in range(3)], np.empty((6, 3))
+    free, nearest = np.empty(3), np.empty(3)
     for _ in range(500):
         x, y = rng.uniform(-0.25, 0.25, 2)
         pose = poses(np.array([DOCKING - 0.3 * SETTLE]), tuple(rng.uniform(-10.0, 10.0, 3)), x, y)[0]
-        meet(PROBE_CONE.kind, PROBE_CONE.sizes, pose, np.zeros(6), 0.5, 1.0, work, depth, rate, *vectors)
-        assert depth.max() < 0.0
+        axis = Rotation.from_quat(pose[3:]).apply([0.0, 0.0, 1.0])
+        centre = pose[:3] - TIP_RADIUS * axis
+        assert cone_distance(centre, free) > TIP_RADIUS
+        assert rod_distance(centre, axis, free, nearest) > ROD_RADIUS
 
 
 def test_heave_and_tilt_keep_their_limits() -> None:

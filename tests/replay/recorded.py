@@ -12,12 +12,11 @@ import numpy as np
 from hiltestbed.contact.latch import latch_limits
 from hiltestbed.contact.mount import MountDynamics
 from hiltestbed.contact.parameters import ContactParameters
-from hiltestbed.contact.touch import SURFACES
+from hiltestbed.contact.sides import sides_of
 from hiltestbed.effects import Effect
 from hiltestbed.frames import Array, pose_step
 from hiltestbed.log import log_parameters
-from hiltestbed.platform.driven import YIELDING
-from hiltestbed.replay import Felt, replay_wrench
+from hiltestbed.replay import Felt, creep_of, replay_wrench
 from hiltestbed.replay.wrench import Lane
 from hiltestbed.scenario import Scenario, load_scenario
 from hiltestbed.sensor.parameters import SensorParameters
@@ -87,10 +86,10 @@ def felt(recorded: Recorded) -> Felt:
         pose_step(recorded["pose_act"][i, 0], recorded["twist_act"][i, 0], -first.tick, before[i])
     driven = first.rig.platform.tracking == "servo"
     return Felt(
-        recorded["pose_act"], before, first.tick, SURFACES[first.mechanism.kind],
+        recorded["pose_act"], before, first.tick, sides_of(first.mechanism).geometry,
         np.array([s.mechanism.captured for s in recorded.scenarios]), latch_limits(recorded.scenarios),
         MountDynamics.of(recorded.scenarios), first.substeps,
-        least_creep=first.tick / first.substeps / YIELDING if driven else 0.0,
+        least_creep=creep_of(first),
         rates=recorded["twist_act"] if driven else None,
     )  # fmt: skip
 

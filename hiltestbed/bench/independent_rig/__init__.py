@@ -1,15 +1,23 @@
 """A second rig that shares no code with the simulation: where the diagnosis gets its data to practise on.
 
-Two free bodies, platform, contact, sensor and compensator, written again from their definitions (`closed_loop` is the tick), with
-other sub-steps than the simulation has. Every effect of the vocabulary can be hidden in it, alone and in pairs, and so can others
-that the vocabulary has no name for.
+Two free bodies, platform, contact, sensor and compensator, written again from their definitions, with other sub-steps than the
+simulation has: `closed_loop` is the tick of a tip on a plane (three axes), `six_axes` that of probe and cone, bumper or latch, rigid or on
+a compliant mount. Every effect of the vocabulary can be hidden in it, alone and in pairs, and so can others that the vocabulary has no
+name for.
 
     rng = np.random.default_rng(7)
-    hidden = draw_set(rng, "single")                        # healthy | single | pair | foreign
+    hidden = draw_set(rng, "single")                        # healthy | single | pair | foreign | alike
     hidden = draw_set(rng, "pair", names=("contact.preload", "sensor.hum"))
     hidden = draw_set(rng, "single", names=("sensor.delay",), scale=0.2)      # how small can it be?
+    hidden = draw_set(rng, "single", design="docking")      # bumper | docking | mounted (on a compliant mount) | held (by a latch)
+    hidden = draw_set(rng, "healthy", noise=("coloured", 0.1), nuisances=draw_nuisances(rng), compensation="smith_predictor")
+    hidden = draw_set(rng, "alike", pair=("sensor.delay", "contact.damping"))  # the first hidden, the other in `hidden.rival`
     write_set("folder", hidden)                             # nominal.yaml, dataset.yaml, run_0.parquet ... run_5.parquet
     hidden.effects, hidden.links, hidden.strengths          # the truth; `write_set(..., truth=True)` writes truth.yaml too
+
+`acting_in(design)` lists the effects that can be hidden in a design, `foreign_in(design)` the departures without a name, `NOISE_KINDS` the
+kinds of noise and their strengths, `LOOK_ALIKES` the pairs, `METHODS` the compensation methods, `Nuisances` what a facility chooses when
+it computes; left out, sets are those of the plain rig under white noise.
 
 Contact and sensor (and the frame) are seen through the same records, pose_act and wrench_meas: either is the right link for the other.
 `hidden.strengths` says how far each effect stands above the noise of its link's records: drawn sets (scale 1) have at least 3.
@@ -17,17 +25,26 @@ Contact and sensor (and the frame) are seen through the same records, pose_act a
 
 One run by hand:
 
-    rig = with_effect(nominal_rig(scenario), {"kind": "contact.preload", "force": 12.0})
+    rig = with_effect(nominal_rig(scenario), {"kind": "contact.preload", "force": 12.0})      # or docking_rig(scenario)
     records = simulate(rig, silence(rig.ticks))             # no noise; pose_cmd=..., wrench_comp=... cut the loop
 """
 
-from hiltestbed.bench.independent_rig.closed_loop import Noise, Records, Rig, silence, simulate
+from hiltestbed.bench.independent_rig.closed_loop import simulate
+from hiltestbed.bench.independent_rig.compensation import METHODS
+from hiltestbed.bench.independent_rig.docking_facility import DockingFacility, draw_docking_facility
 from hiltestbed.bench.independent_rig.facility import Facility, draw_facility
 from hiltestbed.bench.independent_rig.foreign import FOREIGN
+from hiltestbed.bench.independent_rig.further_foreign import foreign_in
 from hiltestbed.bench.independent_rig.hidden import EFFECTS
-from hiltestbed.bench.independent_rig.rig import nominal_rig, overridden
+from hiltestbed.bench.independent_rig.links import Noise, Records, Rig, silence
+from hiltestbed.bench.independent_rig.log import Log, log_of
+from hiltestbed.bench.independent_rig.look_alikes import LOOK_ALIKES, draw_look_alike
+from hiltestbed.bench.independent_rig.noise_kinds import NOISE_KINDS, NoiseKind
+from hiltestbed.bench.independent_rig.nuisances import Nuisances, draw_nuisances, with_nuisances
+from hiltestbed.bench.independent_rig.rig import docking_rig, nominal_rig, overridden
 from hiltestbed.bench.independent_rig.sets import (
     HiddenSet,
+    acting_in,
     draw_effects,
     draw_noise,
     draw_set,
@@ -35,13 +52,14 @@ from hiltestbed.bench.independent_rig.sets import (
     link_of,
     strength,
     with_effect,
-    write_set,
 )
 from hiltestbed.bench.independent_rig.sizes import SIZES, alike
+from hiltestbed.bench.independent_rig.writing import write_set
 
 __all__ = [
-    "EFFECTS", "FOREIGN", "SIZES",
-    "Facility", "HiddenSet", "Noise", "Records", "Rig",
-    "alike", "draw_effects", "draw_facility", "draw_noise", "draw_set", "generate", "link_of", "nominal_rig", "overridden",
-    "silence", "simulate", "strength", "with_effect", "write_set",
+    "EFFECTS", "FOREIGN", "LOOK_ALIKES", "METHODS", "NOISE_KINDS", "SIZES",
+    "DockingFacility", "Facility", "HiddenSet", "Log", "Noise", "NoiseKind", "Nuisances", "Records", "Rig",
+    "acting_in", "alike", "docking_rig", "draw_docking_facility", "draw_effects", "draw_facility", "draw_look_alike", "draw_noise",
+    "draw_nuisances", "draw_set", "foreign_in", "generate", "link_of", "log_of", "nominal_rig", "overridden", "silence", "simulate",
+    "strength", "with_effect", "with_nuisances", "write_set",
 ]  # fmt: skip

@@ -35,6 +35,7 @@ class Bodies(NamedTuple):
     thrust: float = 0.0  # N, foreign: on the chaser along z
     tether: float = 0.0  # N/m, foreign: pulls the chaser back to its start
     mass_rate: float = 0.0  # 1/s, foreign: the chaser's mass changes by this part of itself
+    old_part: float = 0.0  # of the twist before the step in the pose after it: 0 semi-implicit, 1 explicit Euler
 
 
 @njit(cache=True)
@@ -81,6 +82,9 @@ def step(bodies, state, wrench, h, t, origin):
     _accelerate(bodies, new, force, torque + cross(arm_t, force), TARGET, h, t, origin)
     _accelerate(bodies, new, -force, -torque - cross(arm_c, force), CHASER, h, t, origin)
     state[:, V], state[:, W], state[:, AV] = new[:, V], new[:, W], new[:, AV]
+    if bodies.old_part > 0.0 and not bodies.explicit:
+        for b in range(2):
+            new[b, 7:] += bodies.old_part * (old[b, 7:] - new[b, 7:])
     _move(state, old if bodies.explicit else new, h)
 
 
@@ -95,6 +99,21 @@ def relative_pose(bodies, state):
     pose[:3] = times(matrix(inverse(q_p)), active - place)
     pose[3:] = q if q[3] >= 0.0 else -q
     return pose
+
+
+@njit(cache=True)
+def relative_twist(bodies, state):
+    """Velocity of A's origin relative to P's place on the target, and relative angular velocity, (6,) in P."""
+    turned, other = matrix(state[TARGET, Q]), matrix(state[CHASER, Q])
+    arm_c = times(other, bodies.port_position[CHASER])
+    spin_t, spin_c = times(turned, state[TARGET, W]), times(other, state[CHASER, W])
+    active = state[CHASER, R] + arm_c
+    at_active = active - state[TARGET, R]  # of P's frame, there where A is
+    velocity = state[CHASER, V] + cross(spin_c, arm_c) - state[TARGET, V] - cross(spin_t, at_active)
+    back = matrix(inverse(product(state[TARGET, Q], bodies.port_attitude[TARGET])))
+    out = np.empty(6)
+    out[:3], out[3:] = times(back, velocity), times(back, spin_c - spin_t)
+    return out
 
 
 def start(bodies: Bodies, approach: dict) -> tuple[np.ndarray, np.ndarray]:

@@ -1,59 +1,23 @@
-"""One run of this rig: the tick, from the reading to the next command, on a grid finer than the tick."""
+"""One run of this rig on a plane: the tick, from the reading to the next command, on a grid finer than the tick."""
 
 from __future__ import annotations
-
-from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
 from hiltestbed.bench.independent_rig import bodies as model
+from hiltestbed.bench.independent_rig import compensation as method
 from hiltestbed.bench.independent_rig import contact as touch
 from hiltestbed.bench.independent_rig import platform as drive
 from hiltestbed.bench.independent_rig import sensor as gauge
-from hiltestbed.bench.independent_rig.bodies import Bodies
-from hiltestbed.bench.independent_rig.contact import Contact
-from hiltestbed.bench.independent_rig.platform import Platform
-from hiltestbed.bench.independent_rig.sensor import Compensator, Sensor
-
-SUBSTEPS = 20  # a tick
-
-
-class Rig(NamedTuple):
-    """The five links, with their departures in them, and how the run starts."""
-
-    bodies: Bodies
-    platform: Platform
-    contact: Contact
-    sensor: Sensor
-    compensator: Compensator
-    approach: dict
-    rate: float
-    ticks: int
-
-
-class Noise(NamedTuple):
-    """What is drawn for a run, (ticks, ...): of the reading [N, N m], of the pose [m, -], of the delay and of repeats [-]."""
-
-    reading: np.ndarray  # (ticks, 6)
-    pose: np.ndarray  # (ticks, 6)
-    delay: np.ndarray  # (ticks,)
-    repeat: np.ndarray  # (ticks,), uniform
-
-
-class Records(NamedTuple):
-    """What a run leaves: (ticks, 7) and (ticks, 6). `used` is the reading inside the loop, which the log may not hold."""
-
-    pose_cmd: np.ndarray
-    pose_act: np.ndarray
-    wrench_meas: np.ndarray
-    wrench_comp: np.ndarray
-    used: np.ndarray
-    physical: np.ndarray
+from hiltestbed.bench.independent_rig import six_axes
+from hiltestbed.bench.independent_rig.links import Noise, Records, Rig
+from hiltestbed.bench.independent_rig.measured_pose import all_noisy, noisy, slope
+from hiltestbed.bench.independent_rig.rotation import inverse, product, turn, turn_of
 
 
 @njit(cache=True)
-def _physical(law, place, states, approach, t, h, substeps, out, where):
+def _physical(law, place, states, approach, t, h, timing, out, where):
     """The physical wrench at `t`, nothing before the start: exact position, the rate of its tick, states in between.
 
     out: (6,) [N, N m]. where: (3,) the tip's place then. approach: (3,) [m/s], the rate at t = 0.
@@ -64,6 +28,7 @@ def _physical(law, place, states, approach, t, h, substeps, out, where):
         where[a] = place[0, a]
     if t < 0.0:
         return
+    substeps = timing.substeps
     at = t / h * substeps
     j = int(np.floor(at + 1e-9))
     part = max(at - j, 0.0)
@@ -72,6 +37,8 @@ def _physical(law, place, states, approach, t, h, substeps, out, where):
     if tick > 0:
         for a in range(3):
             velocity[a] = (place[tick * substeps, a] - place[(tick - 1) * substeps, a]) / h
+        if timing.rate > 0.0:
+            _sharpen(place, j + 1 if part > 1e-9 else j, timing, h, velocity)
     state = states[j].copy()
     ahead = j + 1 if part > 1e-9 else j
     for a in range(3):
@@ -82,8 +49,18 @@ def _physical(law, place, states, approach, t, h, substeps, out, where):
 
 
 @njit(cache=True)
-def _advance(platform, law, node, velocity, k, h, substeps, axes, place, states, pushed):
+def _sharpen(place, last, timing, h, velocity):
+    """Move the slope of a tick towards that of the half tick that ends at sub-step `last`; changes `velocity` (3,)."""
+    first = max(last - max(timing.substeps // 2, 1), 0)
+    for a in range(3):
+        finer = (place[last, a] - place[first, a]) / (last - first) * timing.substeps / h
+        velocity[a] += timing.rate * (finer - velocity[a])
+
+
+@njit(cache=True)
+def _advance(platform, law, node, velocity, k, h, timing, axes, place, states, pushed):
     """Platform and contact from t_k to t_(k+1)."""
+    substeps = timing.substeps
     dt = h / substeps
     for i in range(1, substeps + 1):
         j = k * substeps + i
@@ -97,14 +74,19 @@ def _advance(platform, law, node, velocity, k, h, substeps, axes, place, states,
     for i in range(substeps):
         j = k * substeps + i
         states[j + 1] = states[j]
+        if timing.rate > 0.0:
+            rate = (place[(k + 1) * substeps] - place[k * substeps]) / h
+            _sharpen(place, j + 1, timing, h, rate)
         touch.advance(law, place[j], place[j + 1], rate, states[j + 1], dt)
 
 
 @njit(cache=True)
-def _loop(bodies, platform, law, sensor, comp, state, start, velocity, h, ticks, noise, imposed_cmd, imposed_comp, substeps):
+def _loop(bodies, platform, law, sensor, comp, state, start, velocity, h, ticks, noise, imposed_cmd, imposed_comp, timing, keep):
     """The records of a run. Imposed poses (ticks, 7) replace the model's towards the platform; an imposed wrench drives the model."""
     pose_cmd, pose_act = np.empty((ticks, 7)), np.empty((ticks, 7))
     used, logged, comp_out, physical = np.empty((ticks, 6)), np.empty((ticks, 6)), np.empty((ticks, 6)), np.empty((ticks, 6))
+    substeps = timing.substeps
+    touching = np.zeros(ticks, dtype=np.bool_)
     node = np.zeros((ticks + 1, 3))
     node[0] = start[:3]
     place, states = np.empty((ticks * substeps + 1, 3)), np.zeros((ticks * substeps + 1, touch.STATES))
@@ -113,17 +95,23 @@ def _loop(bodies, platform, law, sensor, comp, state, start, velocity, h, ticks,
     chain, record, last = np.zeros((4, 6)), np.zeros((4, 6)), np.zeros((2, 6))
     model_pose = np.empty((ticks + 1, 7))
     model_pose[0] = start
-    attitude = start[3:].copy()
+    attitude, attitude_before = start[3:].copy(), start[3:].copy()
     origin = state[model.CHASER, model.R].copy()
     raw, where, driven = np.empty(6), np.empty(3), np.zeros(6)
     pushed, still, zero = np.zeros(2), 0, np.zeros(6)
+    felt, motion, still_pose = start.copy(), np.zeros(6), start.copy()
     for k in range(ticks):
         t = k * h
         pose_act[k, :3], pose_act[k, 3:] = place[k * substeps], attitude
-        _physical(law, place, states, velocity, t, h, substeps, physical[k], where)
+        if timing.encoder > 0.0:
+            _read_before(place, k, timing, velocity, h, pose_act[k])
+        if timing.encoder + timing.move > 0.0:
+            pose_act[k, 3:] = _between(attitude_before, attitude, 1.0 - min(timing.encoder + timing.move, 1.0))
+        _physical(law, place, states, velocity, t, h, timing, physical[k], where)
+        touching[k] = np.any(physical[k] != 0.0)
         pushed[0], pushed[1] = pushed[1], physical[k, 2]
         late = max(sensor.delay + sensor.jitter * noise.delay[k] + sensor.heavy * abs(physical[k, 2]), 0.0)
-        _physical(law, place, states, velocity, t - late, h, substeps, raw, where)
+        _physical(law, place, states, velocity, t - late, h, timing, raw, where)
         gauge.read(sensor, raw, where, noise.reading[k], t, h, chain, used[k])
         if sensor.repeat > 0.0:
             if still > 0:
@@ -134,11 +122,19 @@ def _loop(bodies, platform, law, sensor, comp, state, start, velocity, h, ticks,
         if sensor.skew > 0.0 or sensor.stretch != 0.0:
             stamp = t * (1.0 - sensor.stretch) - sensor.skew
             back = k - int((t - stamp) / h + 0.5)
-            _physical(law, place, states, velocity, min(stamp - late, t), h, substeps, raw, where)
+            _physical(law, place, states, velocity, min(stamp - late, t), h, timing, raw, where)
             gauge.read(sensor, raw, where, noise.reading[back] if 0 <= back < ticks else zero, stamp, h, record, logged[k])
         if sensor.freeze > 0.0 and k > 0 and (t % 0.1) < sensor.freeze:
             logged[k] = logged[k - 1]
-        gauge.compensate(comp, used[k], h, last, driven)
+        if comp.method == method.LEAD:
+            method.compensate(comp, used[k], h, last, driven)
+        else:
+            noisy(pose_act[k], noise.pose[k], felt)
+            slope(still_pose, felt, h, motion)
+            if k == 0:
+                motion[:3], motion[3:] = velocity, model.relative_twist(bodies, state)[3:]
+            still_pose[:] = felt
+            method.drive(comp, k, used[k], felt, motion, model.relative_twist(bodies, state), law.latched, h, keep, driven)
         comp_out[k] = driven
         model.step(bodies, state, imposed_comp[k] if len(imposed_comp) else driven, h, t, origin)
         model_pose[k + 1] = model.relative_pose(bodies, state)
@@ -148,9 +144,26 @@ def _loop(bodies, platform, law, sensor, comp, state, start, velocity, h, ticks,
             pose_cmd[k, :3] = start[:3] + velocity * (source * h)
         towards = imposed_cmd[k] if len(imposed_cmd) else pose_cmd[k]
         node[k + 1] = towards[:3]
-        attitude = towards[3:].copy()
-        _advance(platform, law, node, velocity, k, h, substeps, axes, place, states, pushed)
-    return pose_cmd, pose_act, logged, comp_out, used, physical
+        attitude_before, attitude = attitude, towards[3:].copy()
+        _advance(platform, law, node, velocity, k, h, timing, axes, place, states, pushed)
+    return pose_cmd, pose_act, logged, comp_out, used, physical, touching
+
+
+@njit(cache=True)
+def _read_before(place, k, timing, velocity, h, out):
+    """The position (3,) a part of a tick before t_k."""
+    at = (k - timing.encoder) * timing.substeps
+    if at < 0.0:
+        out[:3] = place[0] + velocity * (at / timing.substeps * h)
+        return
+    j = int(np.floor(at))
+    out[:3] = place[j] + (at - j) * (place[min(j + 1, k * timing.substeps)] - place[j])
+
+
+@njit(cache=True)
+def _between(first, then, part):
+    """Attitude (4,) `part` of the way from one to the next."""
+    return product(turn(part * turn_of(product(then, inverse(first)))), first)
 
 
 def simulate(rig: Rig, noise: Noise, pose_cmd: np.ndarray | None = None, wrench_comp: np.ndarray | None = None) -> Records:
@@ -165,21 +178,12 @@ def simulate(rig: Rig, noise: Noise, pose_cmd: np.ndarray | None = None, wrench_
     h = 1.0 / rig.rate
     cut_cmd = np.empty((0, 7)) if pose_cmd is None else pose_cmd
     cut_comp = np.empty((0, 6)) if wrench_comp is None else wrench_comp
+    keep = method.memory(rig.compensator, h)
+    if rig.docking is not None:
+        return six_axes.simulate(rig, noise, state, pose, cut_cmd, cut_comp, keep)
     found = _loop(
         rig.bodies, rig.platform, rig.contact, rig.sensor, rig.compensator, state, pose, velocity, h, rig.ticks, noise,
-        cut_cmd, cut_comp, SUBSTEPS,
+        cut_cmd, cut_comp, rig.timing, keep,
     )  # fmt: skip
-    return Records(*found)._replace(pose_act=_noisy(found[1], noise.pose))
-
-
-def silence(ticks: int) -> Noise:
-    """No noise at all."""
-    return Noise(np.zeros((ticks, 6)), np.zeros((ticks, 6)), np.zeros(ticks), np.ones(ticks))
-
-
-def _noisy(pose: np.ndarray, noise: np.ndarray) -> np.ndarray:
-    """Poses (n, 7) with noise (n, 6) on the position and on the quaternion's vector part."""
-    out = pose.copy()
-    out[:, :6] += noise
-    out[:, 6] = np.sqrt(np.maximum(1.0 - np.sum(out[:, 3:6] ** 2, axis=1), 0.0))
-    return out
+    records = Records(*found, captured=-1 if rig.contact.latched else rig.ticks)
+    return records._replace(pose_act=all_noisy(found[1], noise.pose))

@@ -12,10 +12,12 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-BRANCH, FRAME, FRAME_V, AGE = range(4)  # states: Maxwell force [N], frame [m], [m/s], time since the touch [s]
-STATES = 4
+BRANCH, FRAME, FRAME_V, AGE, SLIDER = range(5)  # states: Maxwell force [N], frame [m], [m/s], time since the touch [s], slider [m]
+STATES = 5
 SLIDING = 1e-4  # m/s, of tangential friction
 REVERSAL = 2e-4  # m/s, of the buffer's friction
+UPRIGHT = np.array([0.0, 0.0, 0.0, 1.0])
+STRAIGHT = np.ones(2)
 
 
 class Contact(NamedTuple):
@@ -51,15 +53,37 @@ class Contact(NamedTuple):
     ripple: float = 0.0  # N, foreign: teeth
     ripple_period: float = 1.0  # m
     side: float = 0.0  # 1/m, foreign: a part of the force that grows with penetration shows along x
+    tilt: np.ndarray = UPRIGHT  # (4,) attitude of the passive port; `normal` is its z axis
+    friction_load: float = 0.0  # 1/N, foreign: the friction coefficient grows by this part of itself with the normal force
+    line: float = 0.0  # foreign: a part of the force that sways while it touches
+    line_w: float = 0.0  # rad/s
+    curve: np.ndarray = STRAIGHT  # (m,) foreign: factors of the elastic force, evenly spaced over the depth, linear in between
+    curve_depth: float = 0.0  # m
+    dry_stiffness: float = 0.0  # N/m of a spring that drags the slider of the dry friction; 0: it follows at once
+    pull: float = 1.0  # sign of the Hunt-Crossley damping while a latch pulls: 1 as F = k x (1 + alpha v) says, -1 dissipates
 
 
 @njit(cache=True)
 def penetration(law, p):
     """Penetration [m] of the tip at p (3,); in a latch also negative."""
-    x = p[0] * law.normal[0] + p[1] * law.normal[1] + p[2] * law.normal[2] - law.touch
+    return with_play(law, p[0] * law.normal[0] + p[1] * law.normal[1] + p[2] * law.normal[2] - law.touch)
+
+
+@njit(cache=True)
+def with_play(law, x):
+    """Deflection [m] of the spring at the penetration x [m]: what is left beyond the play."""
     if law.play > 0.0:
         return math.copysign(max(abs(x) - 0.5 * law.play, 0.0), x)
     return x
+
+
+@njit(cache=True)
+def _along_curve(law, depth):
+    """Factor of the elastic force at this depth [m]; past the curve's end its last one."""
+    last = len(law.curve) - 1
+    at = min(depth / law.curve_depth, 1.0) * last
+    i = min(int(at), last - 1)
+    return law.curve[i] + (at - i) * (law.curve[i + 1] - law.curve[i])
 
 
 @njit(cache=True)
@@ -69,10 +93,18 @@ def _law(law, x, v, branch, age):
     elastic = law.stiffness * (1.0 + law.ageing * age) * (1.0 + law.speeding * abs(v)) * x
     if law.exponent > 0.0:
         elastic = side * law.power * max(side * x, 0.0) ** law.exponent
+    if law.curve_depth > 0.0:
+        elastic *= _along_curve(law, abs(x))
+    if law.line > 0.0:
+        elastic *= 1.0 + law.line * math.sin(law.line_w * age)
     if v * side < 0.0:
         elastic *= 1.0 - law.unloading
-    force = elastic * (1.0 + law.hunt * v) if law.hunt >= 0.0 else elastic + law.damping * v
-    force += law.dry * math.tanh(v / REVERSAL) + side * law.preload + branch
+    if law.hunt >= 0.0:
+        force = elastic * (1.0 + law.hunt * v) if side > 0.0 else elastic * (1.0 + law.pull * law.hunt * v)
+    else:
+        force = elastic + law.damping * v
+    rub = law.dry * math.tanh(v / REVERSAL) if law.dry_stiffness == 0.0 else 0.0
+    force += rub + side * law.preload + branch
     if law.stop_stiffness > 0.0 and x > law.stop_at:
         force += law.stop_stiffness * (x - law.stop_at)
     if law.ripple > 0.0:
@@ -104,8 +136,19 @@ def force_on(law, x, v, state):
     if x == 0.0 or (x < 0.0 and not law.latched):
         return 0.0
     given = law.frame_stiffness > 0.0 and law.mode_w == 0.0
-    force = _series(law, x, v, state[BRANCH], state[AGE]) if given else _law(law, x, v, state[BRANCH], state[AGE])
+    branch = state[BRANCH]
+    if law.dry_stiffness > 0.0:
+        branch += min(max(law.dry_stiffness * (x - state[SLIDER]), -law.dry), law.dry)
+    force = _series(law, x, v, branch, state[AGE]) if given else _law(law, x, v, branch, state[AGE])
     return force if law.latched else max(force, -law.adhesion)
+
+
+@njit(cache=True)
+def carried(law, force, state):
+    """What the sensor is given of the contact's normal force [N]: the frame's reaction, where it lies under the ringing mass."""
+    if law.mode_w > 0.0 and law.mode_read:
+        return law.mode_mass * law.mode_w * (law.mode_w * state[FRAME] + 2.0 * law.mode_zeta * state[FRAME_V])
+    return force
 
 
 @njit(cache=True)
@@ -116,9 +159,9 @@ def wrench(law, p, velocity, state, out):
     force = force_on(law, x, v, state)
     slip = velocity - v * law.normal
     drag = law.friction * abs(force) / math.sqrt(slip[0] ** 2 + slip[1] ** 2 + slip[2] ** 2 + SLIDING**2)
-    read = force
-    if law.mode_w > 0.0 and law.mode_read:
-        read = law.mode_mass * law.mode_w * (law.mode_w * state[FRAME] + 2.0 * law.mode_zeta * state[FRAME_V])
+    if law.friction_load != 0.0:
+        drag *= 1.0 + law.friction_load * abs(force)
+    read = carried(law, force, state)
     for a in range(3):
         out[a] = read * law.normal[a] + drag * slip[a]
     if law.side != 0.0:
@@ -150,19 +193,27 @@ def _ring(law, x0, x1, v, state, dt):
 
 @njit(cache=True)
 def advance(law, p0, p1, velocity, state, dt):
-    """The states of the contact over dt in which the tip went from p0 to p1; changes `state` (4,)."""
-    x0, x1 = penetration(law, p0), penetration(law, p1)
+    """The states of the contact over dt in which the tip went from p0 to p1; changes `state` (STATES,)."""
     v = velocity[0] * law.normal[0] + velocity[1] * law.normal[1] + velocity[2] * law.normal[2]
+    advance_along(law, penetration(law, p0), penetration(law, p1), v, state, dt)
+
+
+@njit(cache=True)
+def advance_along(law, x0, x1, v, state, dt):
+    """The same over dt in which the penetration went from x0 to x1 [m] at the rate v [m/s]."""
     if law.mode_w > 0.0:
         _ring(law, x0, x1, v, state, dt)
     touching = dt
     if not law.latched:
         if x1 <= 0.0:
-            state[BRANCH] = state[AGE] = 0.0
+            state[BRANCH] = state[AGE] = state[SLIDER] = 0.0
             return
         if x0 <= 0.0:
             touching = dt * x1 / (x1 - x0)
     state[AGE] += touching
+    if law.dry_stiffness > 0.0:
+        reach = law.dry / law.dry_stiffness
+        state[SLIDER] = min(max(state[SLIDER], x1 - reach), x1 + reach)
     if law.branch_stiffness > 0.0:
         fade = math.exp(-touching / law.branch_time)
         state[BRANCH] = state[BRANCH] * fade + law.branch_stiffness * v * law.branch_time * (1.0 - fade)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.random import Generator
@@ -14,6 +15,19 @@ DESCRIPTION = "Axial contact through a flat bumper, as the facility believes its
 def rounded(value: float, digits: int = 4) -> float:
     """`value` with this many significant digits, as people write numbers."""
     return float(f"{value:.{digits}g}")
+
+
+METHODS: dict[str, Any] = {
+    "none": lambda rng, k, c: {},
+    "phase_lead": lambda rng, k, c: {},
+    "second_order_lead": lambda rng, k, c: {},
+    "polynomial": lambda rng, k, c: {"order": int(rng.integers(1, 4))},
+    "dead_zone": lambda rng, k, c: {"width": rounded(rng.uniform(0.5, 2.0), 2)},
+    "smith_predictor": lambda rng, k, c: {"stiffness": k, "damping": c, "lead_rest": bool(rng.random() < 0.5)},
+    "virtual_contact": lambda rng, k, c: {"stiffness": 0.0, "damping": rounded(k * rng.uniform(5e-4, 2e-3), 2)},
+    "passivity_control": lambda rng, k, c: {},
+    "reconstruction": lambda rng, k, c: {},
+}  # what a scenario's `compensation.force` holds beside its kind
 
 
 @dataclass(frozen=True)
@@ -104,8 +118,8 @@ class Facility:
         return max(max(far), max(slid), 1e-4)
 
 
-def draw_facility(rng: Generator, design: frozenset[str]) -> Facility:
-    """A facility at random, whose contact is neither too short for its rate nor too fast for its delay."""
+def draw_facility(rng: Generator, design: frozenset[str], method: str = "phase_lead") -> Facility:
+    """A facility at random, whose contact is neither too short for its rate nor too fast for its delay; `method` of compensation."""
     while True:
         chaser, target = _log(rng, 200.0, 1500.0), _log(rng, 500.0, 10000.0)
         stiffness, delay = _log(rng, 2e4, 5e5), float(rng.integers(1, 11)) / 1000.0
@@ -147,6 +161,8 @@ def draw_facility(rng: Generator, design: frozenset[str]) -> Facility:
         "effects": [],
     }  # fmt: skip
     runs = [_run(rng, i, v, touch_time, design, scenario) for i, v in enumerate(speeds)]
+    if method != "phase_lead":
+        scenario["compensation"]["force"] = {"kind": method, **METHODS[method](rng, stiffness, damping)}
     pose = rng.uniform(1e-6, 2.5e-6)
     return Facility(scenario, runs, speeds, rng.uniform(0.01, 0.04), pose, 0.5 * pose, touch_time, design)
 

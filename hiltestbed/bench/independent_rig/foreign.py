@@ -11,9 +11,9 @@ from typing import NamedTuple
 
 from numpy.random import Generator
 
-from hiltestbed.bench.independent_rig.closed_loop import Rig
 from hiltestbed.bench.independent_rig.facility import Facility
 from hiltestbed.bench.independent_rig.hidden import bodies, compensator, contact, platform, sensor
+from hiltestbed.bench.independent_rig.links import Rig
 
 
 class Foreign(NamedTuple):

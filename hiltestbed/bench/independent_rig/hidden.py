@@ -11,7 +11,7 @@ from collections.abc import Callable
 import numpy as np
 
 from hiltestbed.bench.independent_rig.bodies import CHASER, TARGET
-from hiltestbed.bench.independent_rig.closed_loop import Rig
+from hiltestbed.bench.independent_rig.links import Rig
 from hiltestbed.bench.independent_rig.rotation import from_attitude, matrix
 
 AXES = {"x": 0, "y": 1, "z": 2, "rx": 3, "ry": 4, "rz": 5}
@@ -61,8 +61,8 @@ def _hum(rig: Rig, e: dict) -> Rig:
 
 
 def _misalignment(rig: Rig, e: dict) -> Rig:
-    tilt = matrix(from_attitude([*e["angles_deg"], 0.0]))
-    return contact(rig, normal=np.ascontiguousarray(tilt[:, 2]))
+    tilt = from_attitude([*e["angles_deg"], 0.0])
+    return contact(rig, normal=np.ascontiguousarray(matrix(tilt)[:, 2]), tilt=tilt)
 
 
 def _frame_mode(rig: Rig, e: dict) -> Rig:
@@ -109,7 +109,7 @@ EFFECTS: dict[str, Callable[[Rig, dict], Rig]] = {
     "contact.damping": lambda rig, e: contact(rig, damping=rig.contact.damping * e["factor"]),
     "contact.power_law": lambda rig, e: contact(rig, exponent=e["exponent"], power=e["stiffness"]),
     "contact.hunt_crossley": lambda rig, e: contact(rig, hunt=e["alpha"]),
-    "contact.dry_friction": lambda rig, e: contact(rig, dry=e["force"]),
+    "contact.dry_friction": lambda rig, e: contact(rig, dry=e["force"], dry_stiffness=e.get("stiffness", 0.0)),
     "contact.preload": lambda rig, e: contact(rig, preload=e["force"]),
     "contact.hard_stop": lambda rig, e: contact(rig, stop_at=e["position"], stop_stiffness=e["stiffness"]),
     "contact.relaxation": lambda rig, e: contact(rig, branch_stiffness=e["stiffness"], branch_time=e["time_constant"]),

@@ -12,8 +12,9 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-LIMITED, LAG, LAG_V, MODE, MODE_V, PLAY, HELD, COMMAND, SLEWED, SLEWED_V = range(10)
-STATES = 10
+LIMITED, LAG, LAG_V, MODE, MODE_V, PLAY, HELD, COMMAND, SLEWED, SLEWED_V, NEAR, NEAR_V = range(12)
+STATES = 12
+AS_COARSE, RUNGE_KUTTA, SEMI_IMPLICIT, TRAPEZOIDAL = range(4)  # schemes of the filters; AS_COARSE leaves it to `coarse`
 
 
 class Platform(NamedTuple):
@@ -34,6 +35,9 @@ class Platform(NamedTuple):
     give: float = 0.0  # m/N, foreign: the contact pushes the platform back
     acceleration: float = 0.0  # m/s^2, foreign: limit
     coarse: bool = False  # semi-implicit Euler with the command at the end of the sub-step, in place of Runge-Kutta
+    scheme: int = AS_COARSE
+    response_w: float = 0.0  # rad/s of the nominal response, on six axes; 0: ideal tracking
+    response_zeta: float = 1.0
 
 
 @njit(cache=True)
@@ -51,9 +55,9 @@ def initial(start, velocity):
     """States (3, STATES) of a platform that is at the start pose and moves with the approach."""
     state = np.zeros((3, STATES))
     for a in range(3):
-        for i in (LIMITED, LAG, MODE, PLAY, HELD, SLEWED):
+        for i in (LIMITED, LAG, MODE, PLAY, HELD, SLEWED, NEAR):
             state[a, i] = start[a]
-        state[a, LAG_V] = state[a, MODE_V] = state[a, SLEWED_V] = velocity[a]
+        state[a, LAG_V] = state[a, MODE_V] = state[a, SLEWED_V] = state[a, NEAR_V] = velocity[a]
     return state
 
 
@@ -74,8 +78,21 @@ def _oscillate(x, v, u, u_rate, dt, w, zeta, base):
 
 
 @njit(cache=True)
-def _respond(platform, x, v, u, u_rate, dt, w, zeta, base):
-    if platform.coarse:
+def _trapezoid(x, v, u, u_rate, dt, w, zeta, base):
+    """Trapezoidal step of the same equation."""
+    loss = 2.0 * zeta * w
+    now = w * w * (u - x) - loss * (v - base * u_rate)
+    free = w * w * (u + dt * u_rate - x - 0.5 * dt * v) + loss * base * u_rate  # at the end, but for what the new velocity adds
+    after = (v + 0.5 * dt * (now + free)) / (1.0 + 0.5 * dt * (loss + 0.5 * dt * w * w))
+    return x + 0.5 * dt * (v + after), after
+
+
+@njit(cache=True)
+def respond(platform, x, v, u, u_rate, dt, w, zeta, base):
+    """A second-order response over dt by the platform's scheme: the new x and v."""
+    if platform.scheme == TRAPEZOIDAL:
+        return _trapezoid(x, v, u, u_rate, dt, w, zeta, base)
+    if platform.scheme == SEMI_IMPLICIT or (platform.scheme == AS_COARSE and platform.coarse):
         v += dt * (w * w * (u + dt * u_rate - x) - 2.0 * zeta * w * (v - base * u_rate))
         return x + dt * v, v
     return _oscillate(x, v, u, u_rate, dt, w, zeta, base)
@@ -106,14 +123,21 @@ def follow(platform, state, u0, u1, dt, a):
         state[LIMITED] += min(max(u1 - before, -platform.speed * dt), platform.speed * dt)
         u0, u1 = before, state[LIMITED]
         rate = (u1 - u0) / dt
+    if platform.response_w > 0.0:
+        before = state[NEAR]
+        state[NEAR], state[NEAR_V] = respond(
+            platform, before, state[NEAR_V], u0, rate, dt, platform.response_w, platform.response_zeta, 0.0
+        )  # fmt: skip
+        u0, u1 = before, state[NEAR]
+        rate = (u1 - u0) / dt
     if platform.lag_w > 0.0:
         before = state[LAG]
         w = platform.lag_w_back if rate < 0.0 and platform.lag_w_back > 0.0 else platform.lag_w
-        state[LAG], state[LAG_V] = _respond(platform, before, state[LAG_V], u0, rate, dt, w, 0.7, 0.0)
+        state[LAG], state[LAG_V] = respond(platform, before, state[LAG_V], u0, rate, dt, w, 0.7, 0.0)
         u0, u1 = before, state[LAG]
         rate = (u1 - u0) / dt
     if platform.mode_w > 0.0:
-        state[MODE], state[MODE_V] = _respond(platform, state[MODE], state[MODE_V], u0, rate, dt, platform.mode_w, platform.mode_zeta, 1.0)
+        state[MODE], state[MODE_V] = respond(platform, state[MODE], state[MODE_V], u0, rate, dt, platform.mode_w, platform.mode_zeta, 1.0)
         u1 = state[MODE]
     if platform.play > 0.0:
         state[PLAY] = min(max(state[PLAY], u1 - 0.5 * platform.play), u1 + 0.5 * platform.play)

@@ -7,12 +7,23 @@ from copy import deepcopy
 import numpy as np
 
 from hiltestbed.bench.independent_rig import bodies
-from hiltestbed.bench.independent_rig.closed_loop import Rig
+from hiltestbed.bench.independent_rig.compensation import METHODS, Compensator
+from hiltestbed.bench.independent_rig.cone import Surfaces
 from hiltestbed.bench.independent_rig.contact import Contact
+from hiltestbed.bench.independent_rig.docking import Docking
+from hiltestbed.bench.independent_rig.links import Rig
+from hiltestbed.bench.independent_rig.mount import CONE_CENTRE, CONE_INERTIA, CONE_MASS, Mount, mount_of, no_mount
 from hiltestbed.bench.independent_rig.platform import Platform
-from hiltestbed.bench.independent_rig.sensor import Compensator, Sensor
+from hiltestbed.bench.independent_rig.sensor import Sensor
 
 LEAD_T2 = 0.0005  # s, unless the scenario sets it
+PLAIN = ("none", "phase_lead")  # methods that the loop on a plane computes by itself
+MIDDLE = 0.5  # lever of a healthy docking: the force acts in the middle of the overlap
+BUMPER_TIP = 0.02  # m, radius
+Body = tuple[float, tuple[float, float, float], tuple[float, float, float]]  # mass, inertia about its centre, centre from P
+CONE_BODY: Body = (CONE_MASS, CONE_INERTIA, CONE_CENTRE)
+BUMPER_BODY: Body = (120.0, (8.0, 8.0, 10.0), (0.0, 0.0, 0.30))  # as in models/bumper/passive.xml
+SIGMAS = 5.0  # of the force's noise, from which an identification believes in a contact
 
 
 def overridden(scenario: dict, changes: dict) -> dict:
@@ -45,8 +56,78 @@ def nominal_rig(scenario: dict) -> Rig:
             scenario["mechanism"]["kind"] == "latched",
         ),
         Sensor(np.ones(6), np.zeros((6, 6)), np.zeros(3), np.zeros(6), np.zeros(3), delay),
-        Compensator(delay + t2, t2, force["kind"] == "phase_lead"),
+        Compensator(delay + t2, t2, force["kind"] == "phase_lead") if force["kind"] in PLAIN else compensator_of(scenario),
         scenario["approach"],
         rate,
         round(float(scenario["duration"]) * rate),
     )  # fmt: skip
+
+
+def compensator_of(scenario: dict) -> Compensator:
+    """The compensator of a scenario's `compensation.force`, any of `METHODS`."""
+    force = scenario["compensation"]["force"]
+    delay = float(scenario["sensor"]["delay"])
+    t2 = float(force.get("lag", LEAD_T2))
+    lead = force.get("lead")
+    masses = [scenario["spacecraft"][body]["mass"] for body in ("chaser", "target")]
+    return Compensator(
+        delay + t2 if lead is None else float(lead),
+        t2,
+        method=METHODS[force["kind"]],
+        delay=delay,
+        order=int(force.get("order", 3)),
+        stiffness=float(force.get("stiffness", 0.0)),
+        damping=float(force.get("damping", 0.0)),
+        width=float(force.get("width", 0.0)),
+        lead_rest=bool(force.get("lead_rest", False)),
+        inverse_mass=sum(1.0 / float(m) for m in masses),
+        threshold=SIGMAS * float(scenario["sensor"].get("noise", 0.0)),
+    )
+
+
+def docking_rig(scenario: dict) -> Rig:
+    """The rig of a scenario with all six axes: probe and cone, bumper or latched; rigid or on a mount; tracking as it says.
+
+    A `rig.platform` with tracking `servo` answers as its `bandwidth` [Hz] and `damping_ratio` say, to second order on every axis.
+    """
+    flat = nominal_rig(scenario)
+    mechanism, platform = scenario["mechanism"], scenario["rig"]["platform"]
+    response = {}
+    if platform["tracking"] == "servo":
+        response = {"response_w": 2.0 * np.pi * float(platform["bandwidth"]), "response_zeta": float(platform["damping_ratio"])}
+    contact = flat.contact._replace(latched=False, lever=MIDDLE)
+    rig = flat._replace(
+        contact=contact,
+        platform=flat.platform._replace(**response),
+        compensator=compensator_of(scenario),
+        docking=_docking(mechanism, contact),
+    )
+    return with_held(rig)
+
+
+def _docking(mechanism: dict, contact: Contact) -> Docking:
+    kind, latch, mount = mechanism["kind"], mechanism.get("latch"), mechanism.get("mount")
+    docking = Docking(
+        Surfaces() if kind == "probe_cone" else Surfaces(tip=BUMPER_TIP, flat=True), contact, contact.stiffness, contact.damping,
+        _mount(mount, kind), from_start=kind == "latched",
+    )  # fmt: skip
+    if not latch:
+        return docking
+    cosine = float(np.cos(np.radians(latch["angle_deg"])))
+    return docking._replace(captures=True, latch_depth=float(latch["depth"]), latch_cosine=cosine, latch_speed=float(latch["speed"]))
+
+
+def _mount(mount: dict | None, kind: str) -> Mount:
+    if mount is None:
+        return no_mount()
+    return mount_of(mount["stiffness"], mount.get("damping", np.zeros(6)), *(CONE_BODY if kind == "probe_cone" else BUMPER_BODY))
+
+
+def with_held(rig: Rig) -> Rig:
+    """The rig with the law of its contact in its latch too; one that closes holds what it caught, where and as it caught it."""
+    if rig.docking is None:
+        return rig
+    law = rig.contact._replace(latched=True, pull=-1.0)
+    if not rig.docking.from_start:
+        law = law._replace(touch=0.0, preload=0.0, stop_stiffness=0.0)
+    return rig._replace(docking=rig.docking._replace(held=law))

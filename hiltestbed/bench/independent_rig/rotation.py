@@ -11,33 +11,31 @@ from numba import njit
 @njit(cache=True)
 def product(a, b):
     """The rotation `b` followed by `a`; (4,)."""
-    return np.array(
-        [
-            a[3] * b[0] + a[0] * b[3] + a[1] * b[2] - a[2] * b[1],
-            a[3] * b[1] - a[0] * b[2] + a[1] * b[3] + a[2] * b[0],
-            a[3] * b[2] + a[0] * b[1] - a[1] * b[0] + a[2] * b[3],
-            a[3] * b[3] - a[0] * b[0] - a[1] * b[1] - a[2] * b[2],
-        ]
-    )
+    out = np.empty(4)
+    out[0] = a[3] * b[0] + a[0] * b[3] + a[1] * b[2] - a[2] * b[1]
+    out[1] = a[3] * b[1] - a[0] * b[2] + a[1] * b[3] + a[2] * b[0]
+    out[2] = a[3] * b[2] + a[0] * b[1] - a[1] * b[0] + a[2] * b[3]
+    out[3] = a[3] * b[3] - a[0] * b[0] - a[1] * b[1] - a[2] * b[2]
+    return out
 
 
 @njit(cache=True)
 def inverse(q):
     """The rotation backwards; (4,)."""
-    return np.array([-q[0], -q[1], -q[2], q[3]])
+    out = np.empty(4)
+    out[0], out[1], out[2], out[3] = -q[0], -q[1], -q[2], q[3]
+    return out
 
 
 @njit(cache=True)
 def matrix(q):
     """Rotation matrix (3, 3) of the quaternion (4,)."""
     x, y, z, w = q[0], q[1], q[2], q[3]
-    return np.array(
-        [
-            [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)],
-            [2.0 * (x * y + z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - x * w)],
-            [2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)],
-        ]
-    )
+    out = np.empty((3, 3))
+    out[0, 0], out[0, 1], out[0, 2] = 1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)
+    out[1, 0], out[1, 1], out[1, 2] = 2.0 * (x * y + z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - x * w)
+    out[2, 0], out[2, 1], out[2, 2] = 2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)
+    return out
 
 
 @njit(cache=True)
@@ -45,7 +43,20 @@ def turn(vector):
     """Quaternion (4,) of a rotation vector (3,) [rad]."""
     angle = math.sqrt(vector[0] ** 2 + vector[1] ** 2 + vector[2] ** 2)
     s = 0.5 - angle * angle / 48.0 if angle < 1e-4 else math.sin(0.5 * angle) / angle
-    return np.array([s * vector[0], s * vector[1], s * vector[2], math.cos(0.5 * angle)])
+    out = np.empty(4)
+    out[0], out[1], out[2], out[3] = s * vector[0], s * vector[1], s * vector[2], math.cos(0.5 * angle)
+    return out
+
+
+@njit(cache=True)
+def turn_of(q):
+    """Rotation vector (3,) [rad] of the quaternion (4,), the shorter way round."""
+    s = math.sqrt(q[0] ** 2 + q[1] ** 2 + q[2] ** 2)
+    sign = 1.0 if q[3] >= 0.0 else -1.0
+    part = 2.0 / abs(q[3]) if s < 1e-9 else 2.0 * math.atan2(s, abs(q[3])) / s
+    out = np.empty(3)
+    out[0], out[1], out[2] = sign * part * q[0], sign * part * q[1], sign * part * q[2]
+    return out
 
 
 @njit(cache=True)
@@ -58,9 +69,25 @@ def times(m, v):
 
 
 @njit(cache=True)
+def apply(m, x, y, z, out):
+    """`out` (3,): matrix (3, 3) times the vector x, y, z."""
+    for i in range(3):
+        out[i] = m[i, 0] * x + m[i, 1] * y + m[i, 2] * z
+
+
+@njit(cache=True)
+def apply_back(m, x, y, z, out):
+    """`out` (3,): transposed matrix (3, 3) times the vector x, y, z."""
+    for i in range(3):
+        out[i] = m[0, i] * x + m[1, i] * y + m[2, i] * z
+
+
+@njit(cache=True)
 def cross(a, b):
     """Vector product of (3,) and (3,)."""
-    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+    out = np.empty(3)
+    out[0], out[1], out[2] = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+    return out
 
 
 def from_attitude(degrees) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""The force sensor and the compensator of this rig.
+"""The force sensor of this rig.
 
 Effects follow each other as delay, gain, crosstalk, lag, high-pass, hum, drift, bias, noise, dead zone, saturation;
 with `quiet_zone` the dead zone and the saturation come before the noise.
@@ -13,6 +13,7 @@ import numpy as np
 from numba import njit
 
 LAG, HIGH, BEFORE, HELD = range(4)  # states, (4, 6)
+EXPONENTIAL, BACKWARD, TRAPEZOIDAL = range(3)  # schemes of the lag
 
 
 class Sensor(NamedTuple):
@@ -41,17 +42,8 @@ class Sensor(NamedTuple):
     hysteresis: float = 0.0  # N, foreign: play in the reading
     quantum: float = 0.0  # N, foreign: steps of the converter
     repeat: float = 0.0  # s, foreign: the reading stands still this long, at random
-
-
-class Compensator(NamedTuple):
-    """Phase lead (T1 s + 1)/(T2 s + 1) and what is done before and after it."""
-
-    t1: float
-    t2: float
-    lead: bool = True
-    deadzone: float = 0.0
-    gain: float = 1.0  # foreign
-    slew: float = 0.0  # N/s, foreign: limit of the output's rate
+    depth_slope: float = 0.0  # 1/m, foreign: gain that varies along the insertion
+    lag_scheme: int = EXPONENTIAL
 
 
 @njit(cache=True)
@@ -64,14 +56,26 @@ def _clip(sensor, out):
 
 
 @njit(cache=True)
+def lag_share(sensor, h):
+    """What part of the way to its input the low-pass goes in a tick h [s]; trapezoidal in the input held over the tick."""
+    if sensor.lag_scheme == BACKWARD:
+        return h / (sensor.lag + h)
+    if sensor.lag_scheme == TRAPEZOIDAL:
+        return h / (sensor.lag + 0.5 * h)
+    return 1.0 - math.exp(-h / sensor.lag)
+
+
+@njit(cache=True)
 def read(sensor, raw, place, noise, t, h, state, out):
     """Reading (6,) at t from the late physical wrench `raw` (6,); `place` (3,) is where the tip was then."""
     for a in range(6):
         out[a] = raw[a] * sensor.gain[a] * (1.0 + sensor.warming * t + sensor.slope * place[0])
+        if sensor.depth_slope != 0.0:
+            out[a] *= 1.0 + sensor.depth_slope * place[2]
         for source in range(6):
             out[a] += sensor.cross[a, source] * raw[source]
     if sensor.lag > 0.0:
-        state[LAG] += (out - state[LAG]) * (1.0 - math.exp(-h / sensor.lag))
+        state[LAG] += (out - state[LAG]) * lag_share(sensor, h)
         out[:] = state[LAG]
     if sensor.highpass > 0.0:
         state[HIGH] = math.exp(-h / sensor.highpass) * (state[HIGH] + out - state[BEFORE])
@@ -93,20 +97,3 @@ def read(sensor, raw, place, noise, t, h, state, out):
     if sensor.quantum > 0.0:
         for a in range(3):
             out[a] = sensor.quantum * math.floor(out[a] / sensor.quantum + 0.5)
-
-
-@njit(cache=True)
-def compensate(comp, reading, h, last, out):
-    """What drives the numerical model; `last` (2, 6) holds the input and the output of the tick before, `out` (6,) is written."""
-    for a in range(6):
-        u = reading[a]
-        if a < 3 and abs(u) < comp.deadzone:
-            u = 0.0
-        y = u
-        if comp.lead:
-            y = (last[1, a] * comp.t2 / h + u + comp.t1 * (u - last[0, a]) / h) / (1.0 + comp.t2 / h)
-        last[0, a], last[1, a] = u, y
-        y *= comp.gain
-        if comp.slew > 0.0:
-            y = min(max(y, out[a] - comp.slew * h), out[a] + comp.slew * h)
-        out[a] = y

@@ -16,7 +16,7 @@ from hiltestbed.diagnosis.links.base import Effects, Lane, Later, Link, LinkRun,
 from hiltestbed.frames import Array, pose_step
 from hiltestbed.log import log_parameters
 from hiltestbed.numerical_model.bodies import approach_state
-from hiltestbed.replay import Felt, replay_wrench
+from hiltestbed.replay import Felt, creep_of, replay_wrench
 from hiltestbed.replay.wrench import WHOLE
 from hiltestbed.replay.wrench import Lane as FeltLane
 from hiltestbed.scenario import Scenario
@@ -47,9 +47,12 @@ class WrenchLink(Link):
     name = "wrench"
     channels = ("wrench_meas.fx", "wrench_meas.fy", "wrench_meas.fz", "wrench_meas.tx", "wrench_meas.ty", "wrench_meas.tz")
 
-    def __init__(self, runs: Sequence[LinkRun], paths: Sequence[Array], jumps: Sequence[Array] | None = None) -> None:
-        """paths: (N, 7) of A in P at t_k. jumps: (N,) how far A jumped [m] in the tick that ends at t_k, at an instant not known."""
-        self.runs, self.paths, self.jumps = runs, paths, jumps
+    def __init__(
+        self, runs: Sequence[LinkRun], paths: Sequence[Array], jumps: Sequence[Array] | None = None, rates: Sequence[Array] | None = None
+    ) -> None:
+        """paths: (N, 7) of A in P at t_k. jumps: (N,) how far A jumped [m] in the tick that ends at t_k, at an instant not known.
+        rates: (N, 6) its twist at t_k; None: the slope over the tick that ends there."""
+        self.runs, self.paths, self.jumps, self.rates = runs, paths, jumps, rates
         self.lever, self.grid = 0.5, None
         self._believed = [_numbers(r.scenario, self.lever) for r in runs]
         scenarios = [r.scenario for r in runs]
@@ -59,7 +62,7 @@ class WrenchLink(Link):
         captured = np.array([s.mechanism.captured for s in scenarios])
         self._felt = Felt(
             padded(paths), before, first.tick, sides_of(first.mechanism).geometry, captured, latch_limits(scenarios),
-            MountDynamics.of(scenarios), first.substeps,
+            MountDynamics.of(scenarios), first.substeps, self.lever, None if rates is None else padded(rates), creep_of(first),
         )  # fmt: skip
 
     def reading(self, lever: float | None = None, grid: int | None = None) -> WrenchLink:

@@ -1,0 +1,153 @@
+"""The touching surfaces of this rig's docking mechanism: a ball on a rod against a funnel of revolution with a socket at its apex.
+
+Worked out in the half-plane (rho, z) through the axis, with z along the insertion and P's origin on the bottom of the socket. The
+wall is a strip of constant thickness about a straight middle line that ends in a round rim; the socket is the inside of a ball that
+the strip's inner face leaves as a tangent. Instead of the cone a flat plate, z = 0, can be met.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+FIRST_LOOK = 16  # places along the rod from which the one nearest to the rim is refined
+GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
+REFINED = 40  # golden sections: the last interval is 4e-9 of the first
+
+
+class Surfaces(NamedTuple):
+    """Dimensions of probe and cone [m, rad]; `models/probe_cone` says why."""
+
+    tip: float = 0.03  # radius of the ball
+    rod: float = 0.018  # radius
+    rod_length: float = 0.35  # from the ball's centre
+    socket: float = 0.035  # radius
+    half_angle: float = math.radians(45.0)
+    generator: float = 0.20  # length of the straight wall
+    half_wall: float = 0.012
+    flat: bool = False  # a plate in place of the cone
+    oval: float = 0.0  # foreign: the wall's radius goes with 1 + oval cos(2 azimuth)
+
+
+@njit(cache=True)
+def clearance(s, p, normal):
+    """Distance [m] of the point p (3,) from the passive surface, negative inside; `normal` (3,) becomes the outward one."""
+    if s.flat:
+        normal[0] = normal[1] = 0.0
+        normal[2] = -1.0
+        return -p[2]
+    rho = math.sqrt(p[0] * p[0] + p[1] * p[1])
+    out_x, out_y = (p[0] / rho, p[1] / rho) if rho > 1e-14 else (1.0, 0.0)
+    wall_r, wall_z = math.sin(s.half_angle), -math.cos(s.half_angle)  # along the wall, outwards
+    deep_r, deep_z = math.cos(s.half_angle), math.sin(s.half_angle)  # into the wall
+    to_r, to_z = rho, p[2] + s.socket  # from the socket's centre
+    along = to_r * wall_r + to_z * wall_z
+    if along <= 0.0:
+        reach = math.sqrt(to_r * to_r + to_z * to_z)
+        distance = s.socket - reach
+        n_r, n_z = (-to_r / reach, -to_z / reach) if reach > 1e-12 else (0.0, -1.0)
+        normal[0], normal[1], normal[2] = n_r * out_x, n_r * out_y, n_z
+        return distance
+    middle = s.socket + s.half_wall
+    foot = min(along, s.generator)
+    gap_r = to_r - middle * deep_r - foot * wall_r
+    gap_z = to_z - middle * deep_z - foot * wall_z
+    away = math.sqrt(gap_r * gap_r + gap_z * gap_z)
+    n_r, n_z = (gap_r / away, gap_z / away) if away > 1e-12 else (-deep_r, -deep_z)
+    distance = away - s.half_wall
+    normal[0], normal[1], normal[2] = n_r * out_x, n_r * out_y, n_z
+    if s.oval != 0.0:
+        distance += _oval(s, foot, 1.0 if along <= s.generator else 0.0, rho, out_x, out_y, normal)
+    return distance
+
+
+@njit(cache=True)
+def _oval(s, foot, grows, rho, out_x, out_y, normal):
+    """Distance that an oval wall adds, to first order; turns the normal."""
+    cos2, sin2 = out_x * out_x - out_y * out_y, 2.0 * out_x * out_y
+    size = s.oval * math.sin(s.half_angle) * math.cos(s.half_angle)
+    wall_r, wall_z = math.sin(s.half_angle), -math.cos(s.half_angle)
+    slope = size * cos2 * grows
+    round_about = -2.0 * size * foot * sin2 / max(rho, 1e-9)
+    normal[0] += slope * wall_r * out_x - round_about * out_y
+    normal[1] += slope * wall_r * out_y + round_about * out_x
+    normal[2] += slope * wall_z
+    length = math.sqrt(normal[0] ** 2 + normal[1] ** 2 + normal[2] ** 2)
+    for i in range(3):
+        normal[i] /= length
+    return size * foot * cos2
+
+
+@njit(cache=True)
+def rim_of(s):
+    """Radius and height [m] of the ring about which the rim is rounded."""
+    middle = s.socket + s.half_wall
+    ring = middle * math.cos(s.half_angle) + s.generator * math.sin(s.half_angle)
+    return ring, middle * math.sin(s.half_angle) - s.socket - s.generator * math.cos(s.half_angle)
+
+
+@njit(cache=True)
+def _to_ring(s, ball, axis, back, ring, level):
+    """Distance [m] from the place `back` behind the ball's centre, on the rod's axis, to the ring."""
+    x, y, z = ball[0] - back * axis[0], ball[1] - back * axis[1], ball[2] - back * axis[2]
+    wide = math.sqrt(x * x + y * y) - ring
+    return math.sqrt(wide * wide + (z - level) ** 2)
+
+
+@njit(cache=True)
+def rod_clearance(s, ball, axis, normal, place):
+    """Distance [m] of the rod's axis from the rim's surface, from where the ball ends to the rod's end.
+
+    ball, axis: (3,) the ball's centre and the direction in which the probe points. normal (3,) becomes the outward one of the rim,
+    place (3,) the nearest place on the rod's axis. Far from the rim the distance is a lower bound and neither is set.
+    """
+    ring, level = rim_of(s)
+    if axis[2] > 0.5:  # where the rod passes the rim's plane it is this far from the ring, and never nearer than that times cos(tilt)
+        back = (ball[2] - level) / axis[2]
+        x, y = ball[0] - back * axis[0], ball[1] - back * axis[1]
+        bound = (ring - math.sqrt(x * x + y * y)) * axis[2] - s.half_wall
+        if bound > 2.0 * s.rod:
+            return bound
+    step = (s.rod_length - s.tip) / FIRST_LOOK
+    best, at = math.inf, s.tip
+    for i in range(FIRST_LOOK + 1):
+        found = _to_ring(s, ball, axis, s.tip + i * step, ring, level)
+        if found < best:
+            best, at = found, s.tip + i * step
+    low, high = max(at - step, s.tip), min(at + step, s.rod_length)
+    for _ in range(REFINED):
+        left, right = high - GOLDEN * (high - low), low + GOLDEN * (high - low)
+        if _to_ring(s, ball, axis, left, ring, level) < _to_ring(s, ball, axis, right, ring, level):
+            high = right
+        else:
+            low = left
+    at = 0.5 * (low + high)
+    for i in range(3):
+        place[i] = ball[i] - at * axis[i]
+    rho = math.sqrt(place[0] ** 2 + place[1] ** 2)
+    out_x, out_y = (place[0] / rho, place[1] / rho) if rho > 1e-14 else (1.0, 0.0)
+    normal[0], normal[1], normal[2] = place[0] - ring * out_x, place[1] - ring * out_y, place[2] - level
+    away = math.sqrt(normal[0] ** 2 + normal[1] ** 2 + normal[2] ** 2)
+    for i in range(3):
+        normal[i] /= max(away, 1e-12)
+    return away - s.half_wall
+
+
+def profile(s: Surfaces, points: int = 4000) -> np.ndarray:
+    """(n, 2) rho, z [m] of the surface that can be touched, from the socket's bottom over the rim to the outside of the wall."""
+    a, e = s.half_angle, s.half_wall
+    down = np.linspace(0.5 * math.pi, a, points)  # angle from the plane of the socket's centre
+    socket = np.stack([s.socket * np.cos(down), s.socket * np.sin(down) - s.socket], axis=1)
+    into = np.array([math.cos(a), math.sin(a)])
+    wall = np.array([math.sin(a), -math.cos(a)])
+    centre = np.array([0.0, -s.socket])
+    run = np.linspace(0.0, s.generator, points)[:, None]
+    inner = centre + s.socket * into + run * wall
+    rim = centre + (s.socket + e) * into + s.generator * wall
+    turn = np.linspace(0.0, math.pi, points)[:, None]
+    edge = rim - e * into * np.cos(turn) + e * wall * np.sin(turn)
+    outer = centre + (s.socket + 2.0 * e) * into + run[::-1] * wall
+    return np.concatenate([socket, inner, edge, outer])

@@ -1,0 +1,186 @@
+"""The path of A in P on which contact and sensor are replayed.
+
+The measured pose is the path, and hides nothing that the platform did. Differentiated, its noise drowns the force: 2 um at 1 kHz in a
+damper of 400 N s/m make 1 N. So where it brings more than a part of the force's own noise the explained platform's answer to the command
+takes its place, which carries none; and where the platform is not explained, the measured pose smoothed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import uniform_filter1d
+from scipy.signal import savgol_coeffs, savgol_filter
+
+from hiltestbed.diagnosis.decimation import decimated
+from hiltestbed.diagnosis.layout import Layout, platform_link, touching, wrench_link
+from hiltestbed.diagnosis.links import WrenchLink, flat_pose
+from hiltestbed.diagnosis.links.platform import poses_of
+from hiltestbed.diagnosis.search import Explanation
+from hiltestbed.diagnosis.settings import CLEAN_PATH, LEVER_ARM, SHAKEN_PATHS, SMOOTHING
+from hiltestbed.frames import Array
+from hiltestbed.measured import MeasuredRun
+from hiltestbed.measured.noise import finest_noise
+from hiltestbed.numerical_model.bodies import approach_state
+from hiltestbed.replay import moves_linearly
+from hiltestbed.replay.compensation import slopes
+
+
+@dataclass(frozen=True)
+class Path:
+    """Where A went in each run.
+
+    Attributes:
+        poses: (N, 7) at t_k. rates: (N, 6) twist at t_k; None: the slope of the tick that ends. place, rate: noise of both [m], [m/s],
+        an attitude's by its lever; how it is spread over the rows is known where it is white.
+    """
+
+    poses: Sequence[Array]
+    rates: Sequence[Array] | None
+    place: float = 0.0
+    rate: float = 0.0
+
+
+def make_wrench_link(layout: Layout, platform: Explanation | None, rows: Sequence[int], decimate: bool = False) -> WrenchLink:
+    """Contact and sensor on the best path that the data give.
+
+    ``decimate``: in fewer rows, where nothing is lost and no other link goes on from them.
+    """
+    explained = platform is not None and platform.adequate
+    known = [(path, _noise_of(layout, path)) for path in _measured(layout)]
+    measured, brought = next(((p, b) for p, b in known if _share(layout, b) < CLEAN_PATH), known[-1] if known else (None, None))
+    if measured is not None and brought is not None and not _replays_better(layout, measured, brought, explained):
+        path, extra = measured, brought
+    elif platform is not None and platform.adequate:
+        poses = platform_link(layout, layout.whole).paths(platform.chosen.effects())
+        path, extra = Path(poses, _central_rates(layout, poses)), None
+    else:
+        path = Path(_smooth_paths(layout, platform), None)
+        noisy = platform is not None or any(r.record.has("pose_act") for r in layout.runs)
+        extra = [_smoothed_noise(layout, run) for run in layout.runs] if noisy else None
+    sticks = explained and "platform.friction" in platform.chosen.kinds
+    jumps = [_jumps(p) for p in path.poses] if sticks else None
+    link = wrench_link(layout, path.poses, rows, jumps, path.rates, extra)
+    return decimated(link) if decimate and jumps is None else link
+
+
+def _measured(layout: Layout) -> list[Path]:
+    """The measured poses, with the rates that were measured and with those of the poses themselves; none where some were not measured."""
+    runs, tick = layout.runs, layout.scales.tick
+    if not all(r.record.has("pose_act") and r.record.valid["pose_act"].all() for r in runs):
+        return []
+    poses = [r.record.filled("pose_act") for r in runs]
+    place = max(_finest(r, "pose_act") for r in runs)
+    if all(moves_linearly(r.scenario) for r in runs):
+        return [Path(poses, None, place, math.sqrt(2.0) * place / tick)]
+    out = [Path(poses, _central_rates(layout, poses), place, math.sqrt(0.5) * place / tick)]
+    if all(r.record.has("twist_act") and r.record.valid["twist_act"].all() for r in runs):
+        twists = [r.record.filled("twist_act") for r in runs]
+        out.insert(0, Path(poses, twists, place, max(_finest(r, "twist_act") for r in runs)))
+    return out
+
+
+def _replays_better(layout: Layout, measured: Path, brought: Sequence[Array], explained: bool) -> bool:
+    """Whether the replayed platform carries less noise than the measured pose, or, where it is not explained, the smoothed pose does."""
+    share = _share(layout, brought)
+    if share < CLEAN_PATH:
+        return False
+    if not explained or layout.deflection is None:
+        return share > 1.0
+    return max(d.noise for d in layout.deflection) < measured.place
+
+
+def _share(layout: Layout, brought: Sequence[Array]) -> float:
+    """The noise that a path brings over that of the force, rms in contact, of the force axis where it is largest."""
+    inside = [b[touching(r, len(b)), :3] for r, b in zip(layout.runs, brought, strict=True)]
+    squares = np.mean(np.concatenate(inside) ** 2, axis=0)
+    own = max(layout.noise.get("wrench_meas.fz", 0.0), layout.least_force)
+    return float(np.sqrt(squares.max())) / own if np.isfinite(squares).all() else math.inf
+
+
+def _noise_of(layout: Layout, path: Path) -> list[Array]:
+    """(N, 6) noise of the reading of each run that the noise of a path brings, by replays of paths that are shaken by as much."""
+    rng, count = np.random.default_rng(0), range(len(layout.runs))
+    shaken, rates = [], []
+    for i, pose in enumerate(path.poses * SHAKEN_PATHS):
+        moved = pose.copy()
+        moved[:, :3] += path.place * rng.standard_normal((len(pose), 3))
+        moved[:, 3:6] += 0.5 * path.place / LEVER_ARM * rng.standard_normal((len(pose), 3))
+        shaken.append(moved)
+        if path.rates is not None:
+            noise = rng.standard_normal((len(pose), 6)) * path.rate
+            noise[:, 3:] /= LEVER_ARM
+            rates.append(path.rates[i % len(layout.runs)] + noise)
+    link = wrench_link(layout, path.poses, layout.whole, None, path.rates)
+    many = WrenchLink([link.runs[i] for _ in range(SHAKEN_PATHS) for i in count], shaken, None, rates or None)
+    shown = link.predict([(i, ()) for i in count])
+    squares = [np.zeros_like(s) for s in shown]
+    for i, found in enumerate(many.predict([(i, ()) for i in range(len(shaken))])):
+        squares[i % len(layout.runs)] += (found - shown[i % len(layout.runs)]) ** 2 / SHAKEN_PATHS
+    return [np.sqrt(np.maximum(uniform_filter1d(s, SMOOTHING, axis=0), 0.0)) for s in squares]
+
+
+def _finest(run: MeasuredRun, group: str) -> float:
+    """[m] of the noise of a pose, or [m/s] of a twist: the largest of its axes, the attitude's by its lever."""
+    values = run.record.data[group]
+    levels = [finest_noise(values[:, j]) for j in range(values.shape[1])]
+    turned = 2.0 if group.startswith("pose") else 1.0
+    return max([*levels[:3], *(turned * LEVER_ARM * v for v in levels[3:])])
+
+
+def _central_rates(layout: Layout, paths: Sequence[Array]) -> list[Array] | None:
+    """(N, 6) twists at t_k, the mean of the slopes before and after; None where A moves uniformly within a tick."""
+    if all(moves_linearly(r.scenario) for r in layout.runs):
+        return None
+    out = []
+    for run, path in zip(layout.runs, paths, strict=True):
+        start = approach_state(run.scenario)
+        before = slopes(path[None], path[None, 0], run.scenario.tick)[0]
+        before[0] = start[7:]
+        out.append(0.5 * (before + np.concatenate([before[1:], before[-1:]])))
+    return out
+
+
+def _jumps(path: Array) -> Array:
+    """(N,) how far a tip that sticks and jumps along path (N, 7) moved [m] in the tick that ends at each row."""
+    return np.linalg.norm(np.diff(path[:, :3], axis=0, prepend=path[:1, :3]), axis=1)
+
+
+def _smooth_paths(layout: Layout, platform: Explanation | None) -> list[Array]:
+    """(N, 7) of each run: the measured pose, smoothed about the best explanation of the platform where there is one."""
+    near = platform_link(layout, layout.whole).paths(platform.chosen.effects()) if platform is not None else None
+    out = []
+    for i, run in enumerate(layout.runs):
+        if not run.record.has("pose_act"):  # the commanded pose, one row on: ideal tracking believed
+            command = run.record.filled("pose_cmd")
+            out.append(np.concatenate([approach_state(run.scenario)[None, :7], command[:-1]]))
+            continue
+        measured = run.record.filled("pose_act")
+        about = measured if near is None else near[i]
+        places = measured[:, :3] - (0.0 if near is None else about[:, :3])
+        smooth = np.asarray(savgol_filter(places, SMOOTHING, 3, axis=0)) + (0.0 if near is None else about[:, :3])
+        turns = _attitude(run) if near is None else about[:, 3:]
+        out.append(np.concatenate([smooth, turns], axis=1))
+    return out
+
+
+def _attitude(run: MeasuredRun) -> Array:
+    """(N, 4) the commanded attitude, one row on, where there is one; else the measured one, smoothed."""
+    if run.record.has("pose_cmd"):
+        start = approach_state(run.scenario)[None, :7]
+        return np.concatenate([start, run.record.filled("pose_cmd")[:-1]])[:, 3:]
+    flat = flat_pose(run.record.filled("pose_act"))
+    flat[:, 3:] = savgol_filter(flat[:, 3:], SMOOTHING, 3, axis=0)
+    return poses_of(flat)[:, 3:]
+
+
+def _smoothed_noise(layout: Layout, run: MeasuredRun) -> Array:
+    """(N, 6) what the noise of a smoothed pose makes of k x + c v: noise of the forces in contact [N]."""
+    noise, contact = layout.noise.get("pose_act.pz", 0.0), run.scenario.mechanism.contact
+    place = float(np.linalg.norm(savgol_coeffs(SMOOTHING, 3))) * noise
+    rate = float(np.linalg.norm(savgol_coeffs(SMOOTHING, 3, deriv=1))) * noise / layout.scales.tick
+    extra = 2.0 * math.hypot(contact.stiffness * place, contact.damping * rate)
+    return np.where(touching(run, run.record.ticks)[:, None] & (np.arange(6) < 3), extra, 0.0)

@@ -1,0 +1,109 @@
+"""A docking in the simulation and in a second rig that was written independently: the same closed loop with all six axes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hiltestbed import load_scenario
+from hiltestbed.bench.independent_rig import docking_rig, silence, with_effect
+from hiltestbed.bench.independent_rig import simulate as simulated_there
+from hiltestbed.scenario import resolved
+from hiltestbed.simulation import simulate as simulated_here
+
+DOCKING = Path(__file__).parents[2] / "scenarios" / "09-docking.yaml"
+QUIET = {
+    "rig.platform.tracking": "ideal", "compensation.motion": {"kind": "none"}, "compensation.force": {"kind": "none"},
+    "sensor.delay": 0.0, "sensor.noise": 0.0, "sensor.torque_noise": 0.0, "rate": 1000, "physics_rate": 20000, "duration": 4.0,
+}  # fmt: skip
+NO_LATCH: dict[str, Any] = {"mechanism.latch": None, "duration": 2.0}
+MOUNT = {"stiffness": [3e5, 3e5, 8e5, 3e4, 3e4, 2e4], "damping": [500, 500, 900, 60, 60, 40]}
+LATE = {"sensor.delay": 0.0023}
+
+
+def _both(changes: dict, effects: tuple[dict, ...] = ()) -> tuple[Any, Any]:
+    scenario = load_scenario(DOCKING, set=QUIET | changes | {"effects": list(effects)})
+    trace = simulated_here([scenario], trace=True).trace
+    rig = docking_rig(resolved(scenario))
+    for effect in effects:
+        rig = with_effect(rig, effect)
+    return trace, simulated_there(rig, silence(rig.ticks))
+
+
+def _agree(trace: Any, records: Any, pose: float, force: float) -> None:
+    """Positions within `pose` [m], attitudes within as much of a radian, forces within `force` of the peak."""
+    here = trace["wrench_true"][:, 0]
+    peak = np.abs(here[:, :3]).max()
+    assert peak > 50.0
+    for channel in ("pose_cmd", "pose_act"):
+        assert np.abs(trace[channel][:, 0] - getattr(records, channel)).max() < pose
+    assert np.abs(here - records.physical)[:, :3].max() < force * peak
+    assert np.abs(here - records.physical)[:, 3:].max() < force * peak  # at an arm of a metre
+    assert np.abs(trace["wrench_meas"][:, 0] - records.wrench_meas).max() < force * peak
+
+
+def test_a_healthy_docking_with_friction_tilt_spin_and_capture_is_the_same_in_both() -> None:
+    trace, records = _both({})
+    assert 0 < records.captured < 4000
+    _agree(trace, records, 1e-9, 1e-7)
+    np.testing.assert_array_equal(trace.contact[:, 0], records.touching)
+
+
+def test_a_docking_on_a_compliant_mount_is_the_same_but_for_how_the_mount_is_integrated() -> None:
+    trace, records = _both({"mechanism.mount": MOUNT})
+    assert 0 < records.captured < 4000
+    _agree(trace, records, 5e-6, 5e-3)
+
+
+METHODS = [
+    {"kind": "phase_lead"}, {"kind": "second_order_lead"}, {"kind": "polynomial", "order": 2}, {"kind": "dead_zone", "width": 5.0},
+    {"kind": "smith_predictor", "stiffness": 4e4, "damping": 3000.0}, {"kind": "virtual_contact", "stiffness": 0.0, "damping": 100.0},
+    {"kind": "smith_predictor", "stiffness": 4e4, "damping": 3000.0, "lead_rest": True}, {"kind": "passivity_control"},
+    {"kind": "reconstruction"},
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("method", METHODS, ids=lambda m: "-".join(map(str, m.values())))
+def test_a_compensation_method_drives_both_alike(method: dict) -> None:
+    trace, records = _both(LATE | {"compensation.force": method, "physics_rate": 10000, "duration": 3.6})
+    _agree(trace, records, 1e-9, 1e-7)
+    assert np.abs(trace["wrench_comp"][:, 0] - records.wrench_comp).max() < 1e-6
+
+
+EFFECTS = [
+    {"kind": "contact.stiffness", "factor": 1.2}, {"kind": "contact.damping", "factor": 0.6},
+    {"kind": "contact.surface_friction", "coefficient": 0.25}, {"kind": "contact.touch_offset", "offset": 3e-4},
+    {"kind": "contact.misalignment", "angles_deg": [1.5, -1.0]}, {"kind": "contact.power_law", "exponent": 1.3, "stiffness": 2.5e5},
+    {"kind": "contact.hunt_crossley", "alpha": 8.0}, {"kind": "contact.dry_friction", "force": 10.0},
+    {"kind": "contact.dry_friction", "force": 10.0, "stiffness": 1e5}, {"kind": "contact.preload", "force": 15.0},
+    {"kind": "contact.relaxation", "stiffness": 2e4, "time_constant": 0.02}, {"kind": "frame.compliance", "stiffness": 4e5},
+    {"kind": "sensor.lag", "time_constant": 0.003}, {"kind": "platform.delay", "delay": 0.003}, {"kind": "platform.lag", "bandwidth": 30.0},
+    {"kind": "dynamics.mass", "factor": 1.1, "body": "chaser"}, {"kind": "dynamics.inertia", "factor": 1.3, "body": "chaser"},
+    {"kind": "dynamics.port_offset", "offset": [0.03, 0.02, 0.0], "body": "target"},
+    {"kind": "dynamics.appendage", "mass_ratio": 0.15, "frequency": 2.0, "damping_ratio": 0.03, "body": "chaser"},
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("effect", EFFECTS, ids=lambda e: e["kind"])
+def test_an_effect_in_a_docking_does_the_same_in_both(effect: dict) -> None:
+    trace, records = _both(LATE | NO_LATCH | {"compensation.force": {"kind": "phase_lead"}, "physics_rate": 10000}, (effect,))
+    _agree(trace, records, 1e-7, 1e-6)
+
+
+def test_a_frame_that_rings_does_the_same_in_both_but_for_how_it_is_integrated() -> None:
+    mode = {"kind": "frame.mode", "frequency": 25.0, "damping_ratio": 0.05, "mass": 20.0}
+    trace, records = _both(LATE | NO_LATCH | {"compensation.force": {"kind": "phase_lead"}, "physics_rate": 40000}, (mode,))
+    _agree(trace, records, 1e-6, 5e-3)
+
+
+def test_a_bumper_met_with_tilt_and_spin_and_a_latch_from_the_start_are_the_same_in_both() -> None:
+    tilted = {"mechanism.latch": None, "approach.gap": 0.01, "approach.offset": [0.05, 0.02], "duration": 0.8}
+    for kind in ("bumper", "latched"):
+        changes = tilted | {"mechanism.kind": kind, "mechanism.contact.friction": 0.1}
+        if kind == "latched":
+            changes |= {"approach.gap": -0.002, "approach.offset": [0.001, -0.002], "approach.velocity": [0.0, 0.01, 0.02]}
+        trace, records = _both(changes)
+        _agree(trace, records, 1e-9, 1e-7)
