@@ -23,7 +23,7 @@ from hiltestbed.errors import InputError
 from hiltestbed.frames import Array, pose_between, pose_step, rotate_back
 from hiltestbed.platform.facilities.inverse_dynamics import drive_forces, joint_forces, weights
 from hiltestbed.platform.facilities.kinematics import Kinematics
-from hiltestbed.platform.facilities.motion import move, newton, place, rates, scratch, tool_pose, tool_twist, ways
+from hiltestbed.platform.facilities.motion import move, newton, packed, place, rates, scratch, tool_pose, tool_twist, unpack, ways
 from hiltestbed.platform.facilities.reference import plan_tick, sample
 
 PER_TICK = 3  # Newton steps from one tick to the next; one is enough for motion, the others for a command that jumps
@@ -32,41 +32,47 @@ UPRIGHT = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 
 
 @njit(cache=True)
-def _aim(tree, w, axes, due, gravity, poses, held, twists, speeds, qs, every, passive, square, right, goal, leave, load, missed):
-    """Joints, rates and weights of the runs that are ``due``, at tools' ``poses`` (n, nt, 7) left with ``twists`` (n, nt, 6), in W.
+def _aim(
+    flat, k, h, cycles, lates, feed, axes, gravity, poses, held, twists, speeds, qs, goal, leave, load, missed, ring, span, reference,
+    velocity, plan,
+):  # fmt: skip
+    """Joints, rates and weights where a cycle begins, at tools' ``poses`` (n, nt, 7) left with ``twists`` (n, nt, 6), in W; the tick's plan.
 
-    axes: (2, J) addresses. qs: (n, nq) the last solution, moved on. goal, leave, load: (n, J). missed: (n,) residual [m, rad].
-    every (t, nv), passive (nv,), square (J, J), right (J,): room to work in.
+    flat: the tree (:func:`hiltestbed.platform.facilities.motion.packed`). k: the tick; below 0: solve for all, plan nothing.
+    qs: (n, nq) the last solution, moved on. goal, leave, load: (n, J). missed: (n,) residual [m, rad].
     """
+    tree, w = unpack(flat[0], flat[1], flat[2])
+    joints, nv = goal.shape[1], tree.armature.shape[0]
+    every, forces = np.empty((6 * poses.shape[1] + held.shape[1], nv)), np.empty(nv)
+    square, right = np.empty((joints, joints)), np.empty(joints)
     for i in range(poses.shape[0]):
-        if not due[i]:
-            continue
-        missed[i] = newton(tree, qs[i], poses[i], held[i], w, SOLVED, PER_TICK)
-        rates(tree, w, twists[i], speeds[i], w.step)
-        for j in range(goal.shape[1]):
-            goal[i, j] = qs[i, axes[0, j]]
-            leave[i, j] = w.step[axes[1, j]]
-        ways(tree, w, every)
-        weights(tree, gravity, w, passive)
-        drive_forces(every, axes[1], passive, square, right, load[i])
+        if k < 0 or k % cycles[i] == 0:
+            missed[i] = newton(tree, qs[i], poses[i], held[i], w, SOLVED, PER_TICK)
+            rates(tree, w, twists[i], speeds[i], w.step)
+            for j in range(joints):
+                goal[i, j] = qs[i, axes[0, j]]
+                leave[i, j] = w.step[axes[1, j]]
+            ways(tree, w, every)
+            weights(tree, gravity, w, forces)
+            drive_forces(every, axes[1], forces, square, right, load[i])
+            if k >= 0:
+                sample(k, cycles[i], lates[i], ring, span, i, goal[i], leave[i])
+        if k >= 0:
+            plan_tick(k, cycles[i], feed[i], h, span, i, reference, velocity, plan)
 
 
 @njit(cache=True)
-def _plan(k, cycles, lates, due, fed, h, goal, leave, ring, span, reference, velocity, plan):
-    for i in range(goal.shape[0]):
-        if due[i]:
-            sample(k, cycles[i], lates[i], ring, span, i, goal[i], leave[i])
-        plan_tick(k, cycles[i], fed[i], h, span, i, reference, velocity, plan)
+def _follow(pose, twist, accel, half, poses, twists):
+    for i in range(pose.shape[0]):
+        for c in range(7):
+            poses[i, 0, c] = pose[i, c]
+        for c in range(6):
+            twists[i, 0, c] = twist[i, c] + half * accel[i, c]
 
 
 @njit(cache=True)
-def _due(k, cycles, due):
-    for i in range(cycles.shape[0]):
-        due[i] = k % cycles[i] == 0
-
-
-@njit(cache=True)
-def _observe(tree, w, axes, home, two, qpos, qvel, limit, place_A, motion_A, place_P, motion_P, pose, twist, joints, rate, diverged):
+def _observe(flat, axes, home, two, qpos, qvel, limit, place_A, motion_A, place_P, motion_P, pose, twist, joints, rate, diverged):
+    tree, w = unpack(flat[0], flat[1], flat[2])
     lost = False
     r, arm = np.empty(3), np.empty(3)
     for i in range(qpos.shape[0]):
@@ -137,7 +143,7 @@ class Drives:
         self.kinematics, self.tick, self.step = kinematics, tick, tick / substeps
         self.model, self._feed = model, np.asarray(feed, dtype=bool)
         self._cycles, self._lates = np.asarray(cycles, dtype=np.int64), np.asarray(lates, dtype=np.int64)
-        self._tree, self._work = kinematics.tree, scratch(kinematics.tree)
+        self._flat = packed(kinematics.tree)
         self._axes = np.array([kinematics.q, kinematics.v])
         self._home, self._gravity = kinematics.joints_home, np.array(model.opt.gravity, dtype=float)
         self._two = len(kinematics.tools) == 2
@@ -151,9 +157,7 @@ class Drives:
         self._target, self._velocity = np.tile(self._home, (n, 1)), np.zeros((n, joints))
         self._plan = np.zeros((n, substeps, 3, joints))
         self._start = np.tile(UPRIGHT, (n, 1))
-        self._due, self._ticks = np.zeros(n, dtype=bool), np.zeros(1, dtype=np.int64)
-        nv, tasks = model.nv, 6 * tools + held
-        self._room = np.zeros((tasks, nv)), np.zeros(nv), np.zeros((joints, joints)), np.zeros(joints)
+        self._ticks = np.zeros(1, dtype=np.int64)
         self.missed = np.zeros(n)
         self.pose, self.twist = np.tile(UPRIGHT, (n, 1)), np.zeros((n, 6))
         self.place_A, self.motion_A = np.tile(UPRIGHT, (n, 1)), np.zeros((n, 6))
@@ -163,10 +167,10 @@ class Drives:
 
     # What a facility that moves both sides, or drives in another way, has of its own.
 
-    def allocate(self, pose: Array, twist: Array) -> None:
-        """Write ``poses`` and ``twists`` of the tools in W (and of what is prescribed) for the relative ``pose`` (n, 7), ``twist``."""
-        self.poses[:, 0] = pose
-        self.twists[:, 0] = twist
+    def allocate(self, pose: Array, twist: Array, accel: Array, half: float) -> None:
+        """Write ``poses`` and ``twists`` of the tools in W (and of what is prescribed) for the relative ``pose`` (n, 7) and the velocity
+        ``half`` [s] after ``twist`` (n, 6), with ``accel`` (n, 6)."""
+        _follow(pose, twist, accel, half, self.poses, self.twists)
 
     def push(self, sub: int, qpos: Array, qvel: Array, ctrl: Array) -> None:
         """Write the drives' inputs into ``ctrl`` (n, nu) for step ``sub`` of the tick, from the joints as they stand."""
@@ -188,7 +192,7 @@ class Drives:
         lag = self.lag
         for i in range(len(pose)):
             pose_step(pose[i], twist[i], -lag[i], self._start[i])
-        self.allocate(self._start, twist)
+        self.allocate(self._start, twist, np.zeros_like(twist), 0.0)
         for i in range(len(pose)):
             found = self.kinematics.complaints(self.poses[i], self.held[i])
             if found:
@@ -196,8 +200,7 @@ class Drives:
             self._qs[i], _ = self.kinematics.solve(self.poses[i], self.held[i])
             qpos[i] = self._qs[i]
             qvel[i] = self.kinematics.rates(self._qs[i], self.twists[i], self.held_rates[i])
-        self._due[:] = True
-        self._solve()
+        self._solve(-1)
         self._target[:], self._velocity[:] = self._goal, np.where(self._feed[:, None], self._leave, 0.0)
         self._span[:, :, 0], self._span[:, :, 1] = self._goal[:, None], self._leave[:, None]
         for back in range(1, self._ring.shape[1]):  # commands that are still held back
@@ -212,10 +215,11 @@ class Drives:
         """(n,) how late the controller makes each run [s]: its cycle less the tick in which a pose is due, and the cycles held back."""
         return self.tick * (self._cycles * (self._lates + 1) - 1)
 
-    def _solve(self) -> None:
+    def _solve(self, k: int) -> None:
         _aim(
-            self._tree, self._work, self._axes, self._due, self._gravity, self.poses, self.held, self.twists, self.held_rates,
-            self._qs, *self._room, self._goal, self._leave, self.load, self.missed,
+            self._flat, k, self.tick, self._cycles, self._lates, self._feed, self._axes, self._gravity, self.poses, self.held, self.twists,
+            self.held_rates, self._qs, self._goal, self._leave, self.load, self.missed, self._ring, self._span, self._target,
+            self._velocity, self._plan,
         )  # fmt: skip
 
     def aim(self, pose_cmd: Array, twist_cmd: Array, accel_cmd: Array) -> None:
@@ -224,14 +228,8 @@ class Drives:
         The command is left with the velocity of the tick plus half a tick of its acceleration: a semi-implicit velocity belongs to the
         middle of its tick.
         """
-        k = int(self._ticks[0])
-        _due(k, self._cycles, self._due)
-        self.allocate(pose_cmd, twist_cmd + (0.5 * self.tick) * accel_cmd)
-        self._solve()
-        _plan(
-            k, self._cycles, self._lates, self._due, self._feed, self.tick, self._goal, self._leave,
-            self._ring, self._span, self._target, self._velocity, self._plan,
-        )  # fmt: skip
+        self.allocate(pose_cmd, twist_cmd, accel_cmd, 0.5 * self.tick)
+        self._solve(int(self._ticks[0]))
         self._ticks[0] += 1
 
     def arrive(self) -> None:
@@ -241,7 +239,7 @@ class Drives:
     def observe(self, qpos: Array, qvel: Array, limit: float, diverged: NDArray[np.bool_]) -> bool:
         """Read poses, twists and joints; True where a run has just left ``limit`` [m/s, rad/s], which ``diverged`` (n,) then names."""
         return _observe(
-            self._tree, self._work, self._axes, self._home, self._two, qpos, qvel, limit, self.place_A, self.motion_A,
+            self._flat, self._axes, self._home, self._two, qpos, qvel, limit, self.place_A, self.motion_A,
             self.place_P, self.motion_P, self.pose, self.twist, self.joints, self.joint_rates, diverged,
         )  # fmt: skip
 

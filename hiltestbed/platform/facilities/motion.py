@@ -62,6 +62,64 @@ def scratch(tree: Tree) -> Scratch:
     )  # fmt: skip
 
 
+def packed(tree: Tree) -> tuple[Array, Array, Array]:
+    """A tree and room to work in as three flat arrays: integers, numbers, room. Handing over many arrays costs more than a tick's sums."""
+    nb, nj, nv, nl = len(tree.bodies), len(tree.joints), len(tree.armature), len(tree.loops)
+    sizes = [nb, nj, nv, nl, len(tree.coupled), len(tree.tools), len(tree.prescribed), len(tree.unknown), row_count(tree)]
+    integers = [tree.bodies, tree.joints, tree.loops, tree.coupled, tree.tools, tree.prescribed, tree.unknown]
+    numbers = [tree.frames, tree.masses, tree.axes, tree.armature, tree.loop_frames, tree.polynomial, tree.tool_frames]
+    room = np.concatenate([part.ravel() for part in scratch(tree)])
+    flat = np.concatenate([np.array(sizes, dtype=np.int64), *(part.ravel() for part in integers)])
+    return flat, np.concatenate([part.ravel() for part in numbers]), room
+
+
+@njit(cache=True, inline="always")
+def _next(flat, at, rows, columns):
+    return flat[at : at + rows * columns].reshape((rows, columns))
+
+
+@njit(cache=True)
+def unpack(integers, numbers, room):
+    """Tree and scratch as views of the flat arrays of :func:`packed`."""
+    nb, nj, nv, nl, ne = integers[0], integers[1], integers[2], integers[3], integers[4]
+    nt, np_, u, r = integers[5], integers[6], integers[7], integers[8]
+    i = 9
+    bodies = _next(integers, i, nb, 3)
+    joints = _next(integers, i + 3 * nb, nj, 4)
+    i += 3 * nb + 4 * nj
+    loops = _next(integers, i, nl, 3)
+    coupled = _next(integers, i + 3 * nl, ne, 2)
+    i += 3 * nl + 2 * ne
+    tools, prescribed, unknown = integers[i : i + nt], integers[i + nt : i + nt + np_], integers[i + nt + np_ : i + nt + np_ + u]
+    frames = _next(numbers, 0, nb, 7)
+    masses = _next(numbers, 7 * nb, nb, 13)
+    f = 20 * nb
+    axes = _next(numbers, f, nj, 7)
+    f += 7 * nj
+    armature = numbers[f : f + nv]
+    f += nv
+    loop_frames = numbers[f : f + 14 * nl].reshape((nl, 2, 7))
+    f += 14 * nl
+    polynomial = _next(numbers, f, ne, 5)
+    tool_frames = _next(numbers, f + 5 * ne, nt, 7)
+    tree = Tree(
+        bodies, frames, masses, joints, axes, armature, loops, loop_frames, coupled, polynomial, tools, tool_frames, prescribed, unknown
+    )
+    poses = _next(room, 0, nb, 7)
+    s = 7 * nb
+    lines = _next(room, s, nj, 6)
+    s += 6 * nj
+    motion = _next(room, s, nb, 12)
+    loads = _next(room, s + 12 * nb, nb, 6)
+    s += 18 * nb
+    rows = _next(room, s, r, nv)
+    s += r * nv
+    square = _next(room, s, u, u)
+    s += u * u
+    right, residual, goal, step = room[s : s + u], room[s + u : s + u + r], room[s + u + r : s + u + 2 * r], room[s + u + 2 * r : s + u + 2 * r + nv]
+    return tree, Scratch(poses, lines, motion, loads, rows, square, right, residual, goal, step)
+
+
 @njit(cache=True)
 def place(tree, q, w):
     """Where bodies and joints are at the joint positions ``q`` (nq,)."""
@@ -389,7 +447,7 @@ def shift(tree, q, step, scale):
 def newton(tree, q, poses, values, w, close, most):
     """Bring ``q`` (nq,) to tools at ``poses`` and prescribed joints at ``values``, in at most ``most`` steps.
 
-    Returns the largest residual before the last step. Rows and their factor are those of that state: of the solution, to the residual.
+    Returns the largest residual that is left. Rows and their factor are those before the last step, which is then below sqrt(close).
     """
     worst = math.inf
     for _ in range(most):
@@ -405,6 +463,9 @@ def newton(tree, q, poses, values, w, close, most):
         for d in range(w.step.shape[0]):
             longest = max(longest, abs(w.step[d]))
         shift(tree, q, w.step, -min(1.0, LONGEST_STEP / max(longest, 1e-300)))
+        if longest * longest < close:  # what is left falls with the square
+            worst = longest * longest
+            break
     return worst
 
 

@@ -20,10 +20,10 @@ from hiltestbed.platform.facilities.kinematics import Kinematics
 
 
 @njit(cache=True)
-def _push(plan, sub, lead, bent, inputs, ctrl):
+def _push(plan, sub, ratio, lead, bent, inputs, ctrl):
     for i in range(plan.shape[0]):
         for j in range(inputs.shape[0]):
-            ctrl[i, inputs[j]] = plan[i, sub, 0, j] + lead[j] * plan[i, sub, 1, j] + bent[i, j]
+            ctrl[i, inputs[j]] = ratio[j] * (plan[i, sub, 0, j] + lead[j] * plan[i, sub, 1, j] + bent[i, j])
 
 
 class PositionActuators(Drives):
@@ -40,15 +40,16 @@ class PositionActuators(Drives):
         feed: NDArray[np.bool_],
     ) -> None:
         super().__init__(model, kinematics, tick, substeps, cycles, lates, feed)
-        self._kp = model.actuator_gainprm[self._inputs, 0]
-        self._lead = -model.actuator_biasprm[self._inputs, 2] / self._kp
+        self._ratio = model.actuator_gear[self._inputs, 0].copy()
+        self._kp = model.actuator_gainprm[self._inputs, 0] * self._ratio**2  # of the joint
+        self._lead = -model.actuator_biasprm[self._inputs, 2] / model.actuator_gainprm[self._inputs, 0]
         self.bent = np.zeros((len(feed), len(kinematics.axes)))
 
     def rest(self, qpos: Array, qvel: Array) -> None:
         self.bent[:] = self.load / self._kp
 
     def push(self, sub: int, qpos: Array, qvel: Array, ctrl: Array) -> None:
-        _push(self._plan, sub, self._lead, self.bent, self._inputs, ctrl)
+        _push(self._plan, sub, self._ratio, self._lead, self.bent, self._inputs, ctrl)
 
     def state(self) -> dict[str, NDArray]:
         return super().state() | {"bent": self.bent}
