@@ -185,10 +185,13 @@ def compiled(spec: mujoco.MjSpec, timestep: float = 2.5e-4) -> mujoco.MjModel:
     return spec.compile()
 
 
+LOOPS = (mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD, mujoco.mjtEq.mjEQ_JOINT)
+
+
 def stiffen(spec: mujoco.MjSpec, timestep: float) -> None:
     """Hold the joints that close loops with a time constant of two steps, as stiffly as MuJoCo allows."""
     for joint in spec.equalities:
-        if joint.type in (mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD, mujoco.mjtEq.mjEQ_JOINT):
+        if joint.type in LOOPS:
             joint.solref[:] = [2.0 * timestep, 1.0]
 
 

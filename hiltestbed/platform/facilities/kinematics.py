@@ -149,6 +149,12 @@ class Kinematics:
             out[i] = self.poses(q)
         return out
 
+    def closed(self, q: Array) -> Array:
+        """Joint positions ``(nq,)`` near ``q`` (nq,) at which the loops are closed and the driven joints are those of ``q``."""
+        out = q.copy()
+        newton(self._forward, out, np.empty((0, 7)), q[self.q], self._forward_work, CLOSE, ITERATIONS)
+        return out
+
     def rates(self, q: Array, twists: Array, held: Array | None = None) -> Array:
         """All joint rates ``(nv,)`` for twists ``(nt, 6)`` of the tools in W, at joints ``q`` (nq,) that solve the equations."""
         out = np.empty(len(self.tree.armature))

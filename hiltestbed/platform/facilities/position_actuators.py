@@ -45,6 +45,12 @@ class PositionActuators(Drives):
         self._lead = -model.actuator_biasprm[self._inputs, 2] / model.actuator_gainprm[self._inputs, 0]
         self.bent = np.zeros((len(feed), len(kinematics.axes)))
 
+    def nominal(self) -> tuple[Array, Array]:
+        """Natural frequency [rad/s] and damping ratio (J,) of each servo by itself, on what it moves at home."""
+        moved = np.diag(self.mass_matrix())
+        w = np.sqrt(self._kp / moved)
+        return w, 0.5 * self._lead * w
+
     def rest(self, qpos: Array, qvel: Array) -> None:
         self.bent[:] = self.load / self._kp
 
