@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array, pose_between, pose_step, rotate_back
+from hiltestbed.platform.facilities.friction import Rubbing
 from hiltestbed.platform.facilities.inverse_dynamics import drive_forces, joint_forces, weights
 from hiltestbed.platform.facilities.kinematics import Kinematics
 from hiltestbed.platform.facilities.motion import move, newton, packed, place, rates, scratch, tool_pose, tool_twist, unpack, ways
@@ -163,6 +164,7 @@ class Drives:
         self.place_A, self.motion_A = np.tile(UPRIGHT, (n, 1)), np.zeros((n, 6))
         self.place_P, self.motion_P = np.tile(UPRIGHT, (n, 1)), np.zeros((n, 6))
         self.joints, self.joint_rates, self.reference = np.zeros((n, joints)), np.zeros((n, joints)), np.zeros((n, joints))
+        self._rubbing: Rubbing | None = None
         self._inputs = drive_inputs(model, [axis.joint for axis in kinematics.axes])
 
     # What a facility that moves both sides, or drives in another way, has of its own.
@@ -178,6 +180,10 @@ class Drives:
 
     def rest(self, qpos: Array, qvel: Array) -> None:
         """Put the drives' own state where it is in uniform motion; ``qpos`` (n, nq) may yield to the weight."""
+
+    def feedback(self) -> Array:
+        """``(n, k)`` view of the drives' own state that the motion of the rig acts back on; none: (n, 0)."""
+        return np.zeros((len(self.pose), 0))
 
     # What all have.
 
@@ -243,6 +249,10 @@ class Drives:
             self.place_P, self.motion_P, self.pose, self.twist, self.joints, self.joint_rates, diverged,
         )  # fmt: skip
 
+    def release(self) -> None:
+        """Leave the friction of the drives out from now on: what is measured is then linear."""
+        self._rubbing = None
+
     def state(self) -> dict[str, NDArray[Any]]:
         """The arrays that make up the state between two ticks; written back, the drives go on from there."""
         return {
@@ -255,7 +265,7 @@ class Drives:
             "goal": self._goal,
             "leave": self._leave,
             "load": self.load,
-        }
+        } | (self._rubbing.state() if self._rubbing else {})
 
     def mass_matrix(self) -> Array:
         """``(J, J)`` [kg, kg m, kg m^2] what the drives feel of all that moves, at home: loops closed, by virtual work."""

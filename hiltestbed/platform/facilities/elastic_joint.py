@@ -97,4 +97,4 @@ class ElasticJoints(Drives):
             self._rubbing.act(qvel, ctrl)
 
     def state(self) -> dict[str, NDArray]:
-        return super().state() | {"bent": self.bent} | (self._rubbing.state() if self._rubbing else {})
+        return super().state() | {"bent": self.bent}

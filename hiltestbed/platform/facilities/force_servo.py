@@ -81,6 +81,3 @@ class ForceServo(Drives):
         )  # fmt: skip
         if self._rubbing:
             self._rubbing.act(qvel, ctrl)
-
-    def state(self) -> dict[str, NDArray]:
-        return super().state() | (self._rubbing.state() if self._rubbing else {})

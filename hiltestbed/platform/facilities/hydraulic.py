@@ -139,5 +139,8 @@ class Hydraulic(Drives):
         if self._rubbing:
             self._rubbing.act(qvel, ctrl)
 
+    def feedback(self) -> Array:
+        return self.cylinders.reshape(len(self.cylinders), -1)
+
     def state(self) -> dict[str, NDArray]:
-        return super().state() | {"cylinders": self.cylinders} | (self._rubbing.state() if self._rubbing else {})
+        return super().state() | {"cylinders": self.cylinders}

@@ -67,8 +67,8 @@ class Kinematics:
         self._forward = build_tree(model, (), names, locked)
         self._work, self._forward_work = scratch(self.tree), scratch(self._forward)
         joints = [model.joint(name) for name in names]
-        self.q = np.array([int(j.qposadr[0]) for j in joints])
-        self.v = np.array([int(j.dofadr[0]) for j in joints])
+        self.q = np.array([int(j.qposadr[0]) for j in joints], dtype=np.int64)
+        self.v = np.array([int(j.dofadr[0]) for j in joints], dtype=np.int64)
         self.home = np.array(model.qpos0 if home is None else home, dtype=float)
         self.joints_home = self.home[self.q]
         self._held = np.array([int(model.joint(name).qposadr[0]) for name in prescribed], dtype=np.int64)
@@ -192,6 +192,12 @@ class Kinematics:
         free[self.tree.unknown] = left
         return rows[count : count + 6 * len(self.tools)] @ allowed @ np.linalg.pinv(driven, rcond=1e-9), free
 
+    def allowed(self, q: Array) -> Array:
+        """``(nv, f)`` orthonormal rates of all joints, locked ones included, that keep the loops closed at ``q`` (nq,)."""
+        equations(self.tree, q.copy(), self.poses(q), q[self._held], self._work)
+        count = len(self._work.rows) - 6 * len(self.tools) - len(self._held)
+        return _null_space(self._work.rows[:count])
+
     def lost_motion(self, q: Array) -> str | None:
         """Which motion of the first tool the drives lose, or no longer hold, at the joints ``q``; None where all is well."""
         twists, free = self.jacobian(q)
@@ -229,7 +235,9 @@ class Kinematics:
     def _unreached(self, poses: Array, q: Array) -> str:
         reached = self.poses(q)
         t = int(np.argmax(np.linalg.norm(np.atleast_2d(poses)[:, :3] - reached[:, :3], axis=1)))
-        return f"out of reach: {self.tools[t]} cannot stand at {_at(np.atleast_2d(poses)[t])}; on the way there it gets to {_at(reached[t])}"
+        return (
+            f"out of reach: {self.tools[t]} cannot stand at {_at(np.atleast_2d(poses)[t])}; on the way there it gets to {_at(reached[t])}"
+        )
 
 
 def _null_space(rows: Array) -> Array:

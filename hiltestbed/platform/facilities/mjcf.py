@@ -69,7 +69,9 @@ class Mjcf(Facility):
         own = self._read().compile()
         if not any(own.site(s).name == MOUNT for s in range(own.nsite)):
             names = [own.site(s).name for s in range(own.nsite) if own.site(s).name]
-            raise self._fault(f"has no site {MOUNT!r}, where the active mechanism is attached (sites: {', '.join(names) or 'none'}); add one")
+            raise self._fault(
+                f"has no site {MOUNT!r}, where the active mechanism is attached (sites: {', '.join(names) or 'none'}); add one"
+            )
         self._passive = any(own.site(s).name == PASSIVE for s in range(own.nsite))
         self._axes = tuple(self._driven(own))
         self._home, self._into = self._placed(own)
@@ -104,7 +106,9 @@ class Mjcf(Facility):
             force = float(np.abs(own.actuator_forcerange[a]).min()) if own.actuator_forcelimited[a] else math.inf
             speed = self.settings.speed if slides else self.settings.spin
             unit = "m" if slides else "rad"
-            yield Axis(PREFIX + joint.name, unit, float(low), float(high), speed, self.settings.acceleration, force * abs(own.actuator_gear[a, 0]))
+            yield Axis(
+                PREFIX + joint.name, unit, float(low), float(high), speed, self.settings.acceleration, force * abs(own.actuator_gear[a, 0])
+            )
 
     def _placed(self, own: mujoco.MjModel) -> tuple[dict[str, Array], Array]:
         """Home positions by joint, in the file's own world, and the pose (7,) of that world in W."""

@@ -116,7 +116,12 @@ def unpack(integers, numbers, room):
     s += r * nv
     square = _next(room, s, u, u)
     s += u * u
-    right, residual, goal, step = room[s : s + u], room[s + u : s + u + r], room[s + u + r : s + u + 2 * r], room[s + u + 2 * r : s + u + 2 * r + nv]
+    right, residual, goal, step = (
+        room[s : s + u],
+        room[s + u : s + u + r],
+        room[s + u + r : s + u + 2 * r],
+        room[s + u + 2 * r : s + u + 2 * r + nv],
+    )
     return tree, Scratch(poses, lines, motion, loads, rows, square, right, residual, goal, step)
 
 
@@ -463,7 +468,9 @@ def newton(tree, q, poses, values, w, close, most):
         for d in range(w.step.shape[0]):
             longest = max(longest, abs(w.step[d]))
         shift(tree, q, w.step, -min(1.0, LONGEST_STEP / max(longest, 1e-300)))
-        if longest * longest < close:  # what is left falls with the square
+        if longest < close:  # no step brings it nearer: out of reach
+            break
+        if worst * worst < close and longest * longest < close:  # what is left falls with the square
             worst = longest * longest
             break
     return worst

@@ -78,7 +78,9 @@ def pose_arm(spec: mujoco.MjSpec, angles: Array) -> None:
         joint.ref = float(angle)
 
 
-def arm_rubbing(model: mujoco.MjModel, settings: Sequence[Any], axes: Sequence[Axis], step: float, share: Sequence[float]) -> Rubbing | None:
+def arm_rubbing(
+    model: mujoco.MjModel, settings: Sequence[Any], axes: Sequence[Axis], step: float, share: Sequence[float]
+) -> Rubbing | None:
     """Friction of the motors of every run, where one has any; ``share`` (J,) of the first axis' torque."""
     numbers = [per_run(settings, f"controller.friction.{name}")[:, None] for name in ("coulomb", "stiction", "stribeck_speed", "viscous")]
     if not (numbers[0].any() or numbers[1].any() or numbers[3].any()):

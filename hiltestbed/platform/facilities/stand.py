@@ -69,9 +69,7 @@ class Stand:
         spec.attach(load("bumper/active") if payload is None else payload, prefix=PAYLOAD, site=spec.site(MOUNT))
         self.model = compiled(spec, self.tick / substeps)
         self.batch = Batch(self.model, n, threads, persistent=True)
-        self.drives = facility.drives(
-            self.model, list(settings or [facility.settings] * n), self.tick, substeps, np.full(n, feed), TOOL
-        )
+        self.drives = facility.drives(self.model, list(settings or [facility.settings] * n), self.tick, substeps, np.full(n, feed), TOOL)
         bind = self.batch.bind
         self.qpos, self.qvel, self.ctrl = bind("qpos"), bind("qvel"), bind("ctrl")
         self.warmstart = bind("qacc_warmstart")

@@ -45,7 +45,9 @@ PRESLIDING = 2.0e7  # [N/m] of a seal: 300 N at 15 um
 class Valve(Strictly):
     """Servo valve of a leg: a second order between command and spool."""
 
-    bandwidth: Positive = Field(default=120.0, description="[Hz]; a two-stage flow-control valve at small opening, makers' curves [recalled]")
+    bandwidth: Positive = Field(
+        default=120.0, description="[Hz]; a two-stage flow-control valve at small opening, makers' curves [recalled]"
+    )
     damping_ratio: Ratio = Field(default=0.7, description="[-] the same")
     flow: Positive = Field(
         default=5.0e-3, description="at full opening without load [m^3/s]; 300 l/min: 0.8 m/s of the piston, a size that is made [recalled]"
@@ -62,7 +64,9 @@ class HydraulicDrive(Strictly):
     bulk_modulus: Positive = Field(default=8.0e8, description="of oil with hoses and dissolved air [Pa]; 0.7 to 1.0e9 (Merritt 1967)")
     leakage: NotNegative = Field(default=2.0e-12, description="past the piston [m^3/s/Pa]; 2.5 l/min at 210 bar")
     valve: Valve = Valve()
-    gain: Positive = Field(default=65.0, description="of the position loop [1/s]; set so that 10 Hz passes within 2 dB and 70 deg, as Harbin reports")
+    gain: Positive = Field(
+        default=65.0, description="of the position loop [1/s]; set so that 10 Hz passes within 2 dB and 70 deg, as Harbin reports"
+    )
     pressure_feedback: NotNegative = Field(
         default=3.3e-10, description="dynamic, flow per load pressure [m^3/s/Pa]; damps the oil's spring by 0.2 to 0.6"
     )
@@ -82,7 +86,9 @@ class ElectricDrive(Strictly):
     kind: Literal["electric"]
     bandwidth: Positive = Field(default=25.0, description="of the position loop [Hz]; half the first mode of large electric legs")
     damping_ratio: Ratio = Field(default=0.9, description="[-]")
-    encoder_resolution: NotNegative = Field(default=1.0e-7, description="[m]; 20 bits a turn, 31 mm lead: 0.03 um, times the screw's own error")
+    encoder_resolution: NotNegative = Field(
+        default=1.0e-7, description="[m]; 20 bits a turn, 31 mm lead: 0.03 um, times the screw's own error"
+    )
     friction: Friction = Field(
         default=Friction(coulomb=0.0, stiction=0.0, stribeck_speed=0.005, viscous=0.0), description="of screw and guide; none: compensated"
     )
@@ -142,9 +148,7 @@ class Stewart(Facility):
             )  # fmt: skip
         valves = [(s.drive.valve.bandwidth, s.drive.valve.damping_ratio) for s in settings]
         numbers = np.array([cylinder_numbers(s.drive, step) for s in settings])
-        return hydraulic.Hydraulic(
-            model, kinematics, tick, substeps, cycles, lates, feed, numbers=numbers, valves=valves, rubbing=rubbing
-        )
+        return hydraulic.Hydraulic(model, kinematics, tick, substeps, cycles, lates, feed, numbers=numbers, valves=valves, rubbing=rubbing)
 
     def _least(self, model: mujoco.MjModel) -> float:
         """The least that a leg moves [kg]: its rod and its drive."""
@@ -193,7 +197,10 @@ def oil_modes(drive: HydraulicDrive, facility: Stewart) -> tuple[float, ...]:
 
 def _rubbing(settings: Sequence[Any], axes: NDArray, inputs: NDArray, step: float, moved: float) -> Rubbing | None:
     """Friction of the legs, where a run has any."""
-    numbers = [np.tile(per_run(settings, f"drive.friction.{name}")[:, None], (1, 6)) for name in ("coulomb", "stiction", "stribeck_speed", "viscous")]
+    numbers = [
+        np.tile(per_run(settings, f"drive.friction.{name}")[:, None], (1, 6))
+        for name in ("coulomb", "stiction", "stribeck_speed", "viscous")
+    ]
     if not (numbers[0].any() or numbers[1].any() or numbers[3].any()):
         return None
     return Rubbing(*numbers, np.full_like(numbers[0], PRESLIDING), np.full(6, moved), axes, inputs, step)
