@@ -104,7 +104,7 @@ class Bodies:
             InputError: a start that the articles cannot take, or not move out of.
         """
         for i in range(len(pose)):
-            q, left = self.kinematics.solve(np.array([pose[i], UPRIGHT]))
+            q, left = self.kinematics.nearest(np.array([pose[i], UPRIGHT]))
             if not left < NEAR:
                 raise InputError(f"the start cannot be: {self._missed(pose[i], q)}")
             qpos[i] = q
@@ -207,7 +207,7 @@ class PhysicalFacility(Facility):
         kinematics = self.kinematics(compiled(self.spec()))
         offset = np.array([0.0, 0.0, 0.60, 0.0, 0.0, 0.0, 1.0]) if tool is None else np.asarray(tool, dtype=float)
         goal = np.array([compose(np.asarray(pose, dtype=float), inverse_pose(offset)), UPRIGHT])
-        q, left = kinematics.solve(goal)
+        q, left = kinematics.nearest(goal)
         if left < NEAR:
             return []
         gap = np.empty(6)

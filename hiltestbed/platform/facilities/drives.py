@@ -37,7 +37,7 @@ def _aim(
     flat, k, h, cycles, lates, feed, axes, gravity, poses, held, twists, speeds, qs, goal, leave, load, missed, ring, span, reference,
     velocity, plan,
 ):  # fmt: skip
-    """Joints, rates and weights where a cycle begins, at tools' ``poses`` (n, nt, 7) left with ``twists`` (n, nt, 6), in W; the tick's plan.
+    """Joints, rates and weights where a cycle begins, for tools at ``poses`` (n, nt, 7), left with ``twists`` (n, nt, 6), in W; the plan.
 
     flat: the tree (:func:`hiltestbed.platform.facilities.motion.packed`). k: the tick; below 0: solve for all, plan nothing.
     qs: (n, nq) the last solution, moved on. goal, leave, load: (n, J). missed: (n,) residual [m, rad].
@@ -238,6 +238,13 @@ class Drives:
         self._solve(int(self._ticks[0]))
         self._ticks[0] += 1
 
+    def follow(self, pose: Array, twist: Array) -> None:
+        """Joints and their rates where A is at ``pose`` (n, 7) with ``twist`` (n, 6), of a rig that follows exactly: no drive acts."""
+        self.allocate(pose, twist, np.zeros_like(twist), 0.0)
+        self._solve(-1)
+        np.subtract(self._goal, self._home, out=self.joints)
+        self.joint_rates[:], self.reference[:] = self._leave, self.joints
+
     def arrive(self) -> None:
         """The tick is over."""
         np.subtract(self._target, self._home, out=self.reference)
@@ -250,7 +257,7 @@ class Drives:
         )  # fmt: skip
 
     def release(self) -> None:
-        """Leave the friction of the drives out from now on: what is measured is then linear."""
+        """Leave the drives' friction and the steps of their encoders out from now on: what is measured is then linear."""
         self._rubbing = None
 
     def state(self) -> dict[str, NDArray[Any]]:

@@ -88,6 +88,10 @@ class ElasticJoints(Drives):
         if self._rubbing:
             self._rubbing.settle(qvel)
 
+    def release(self) -> None:
+        super().release()
+        self._encoder[:] = 0.0
+
     def push(self, sub: int, qpos: Array, qvel: Array, ctrl: Array) -> None:
         _push(
             self._plan, sub, self._mass, self._gains, self._encoder, self.load, self.bent, self._most, self._axes, self._inputs,

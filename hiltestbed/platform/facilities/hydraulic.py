@@ -131,6 +131,10 @@ class Hydraulic(Drives):
         if self._rubbing:
             self._rubbing.settle(qvel)
 
+    def release(self) -> None:
+        super().release()
+        self._numbers[:, ENCODER] = 0.0
+
     def push(self, sub: int, qpos: Array, qvel: Array, ctrl: Array) -> None:
         _push(
             self._plan, sub, self.step, self._feed, self._mass, self._numbers, self._valve, self._axes, self._inputs, self._home,

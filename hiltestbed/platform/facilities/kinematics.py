@@ -16,12 +16,12 @@ import numpy as np
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array, pose_step, twist_between
 from hiltestbed.platform.facilities.motion import CLOSE, ITERATIONS, equations, move, newton, place, rates, scratch, tool_pose, tool_twist
-from hiltestbed.platform.facilities.tree import build_tree
+from hiltestbed.platform.facilities.tree import HINGE, SLIDE, build_tree
 
 STRIDE = 0.05  # [m], [rad] of a tool between two solutions on the way to a far pose
 LEVER = 0.5  # [m] makes a rotation a length: half the height of a docking mechanism
 SLOWEST = 0.02  # [m/s] a direction in which the drives at full speed move the tool less than this is lost
-LOOSEST = 300.0  # ratio of the best to the worst direction past which the drives do not hold the tool
+LOOSEST = 100.0  # ratio of the best direction to the usual past which the drives do not hold the tool, of the usual to the worst likewise
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 
 
@@ -72,6 +72,7 @@ class Kinematics:
         self.home = np.array(model.qpos0 if home is None else home, dtype=float)
         self.joints_home = self.home[self.q]
         self._held = np.array([int(model.joint(name).qposadr[0]) for name in prescribed], dtype=np.int64)
+        self._passive = _ranges(model, {*names, *locked})
         self._names = [model.joint(j).name or f"joint {j}" for j in range(model.njnt)]
         self.home_poses = self.poses(self.home)
 
@@ -124,9 +125,14 @@ class Kinematics:
                 return before, worst
         return q, worst
 
+    def nearest(self, poses: Array) -> tuple[Array, float]:
+        """Joint positions ``(nq,)`` that bring the tools nearest to ``poses`` (nt, 7), straight from home, and what is left [m, rad]."""
+        q = self.home.copy()
+        return q, newton(self.tree, q, np.ascontiguousarray(poses, dtype=float), self.held_home, self._work, CLOSE, ITERATIONS)
+
     def inverse(self, poses: Array) -> Array:
         """Driven joints ``(n, J)`` for tools at ``poses`` (n, nt, 7) or, of one tool, (n, 7), in W. Raises InputError out of reach."""
-        poses = np.asarray(poses, dtype=float)
+        poses = np.atleast_2d(np.asarray(poses, dtype=float))
         poses = poses[:, None] if poses.ndim == 2 else poses
         out = np.empty((len(poses), len(self.axes)))
         for i, pose in enumerate(poses):
@@ -208,9 +214,11 @@ class Kinematics:
         scaled[3:] *= LEVER
         left, values, _ = np.linalg.svd(scaled)
         values = np.concatenate([values, np.zeros(6 - len(values))])
-        if values[-1] < SLOWEST:
+        middle = math.sqrt(values[2] * values[3])
+        slow = values[-1] < SLOWEST or middle > values[-1] * max(LOOSEST, values[0] / middle)
+        if slow:
             return f"no motion {direction(left[:, -1])}"
-        if values[0] > LOOSEST * values[-1]:
+        if values[0] > LOOSEST * middle:
             return f"no hold {direction(left[:, 0])}"
         return None
 
@@ -224,13 +232,25 @@ class Kinematics:
         q, left = self.solve(poses, held)
         if not left < 1e3 * CLOSE:
             return [self._unreached(poses, q)]
+        found = self.past_travel(q)
+        lost = self.lost_motion(q)
+        return [*found, f"singular: {lost} at {_at(self.poses(q)[0])}"] if lost else found
+
+    def past_travel(self, q: Array) -> list[str]:
+        """Which joints, driven or not, are past their travel at the joint positions ``q`` (nq,)."""
         found = []
         for axis, value in zip(self.axes, q[self.q], strict=True):
             if not axis.low <= value <= axis.high:
                 shown, low, high, unit = _shown(axis, value)
                 found.append(f"joint {axis.joint} would stand at {shown:.4g} {unit}; its travel is {low:.4g} to {high:.4g} {unit}")
-        lost = self.lost_motion(q)
-        return [*found, f"singular: {lost} at {_at(self.poses(q)[0])}"] if lost else found
+        for name, address, low, high, turns in self._passive:
+            if not low <= q[address] <= high:
+                scale, unit = (math.degrees(1.0), "deg") if turns else (1.0, "m")
+                found.append(
+                    f"joint {name} would stand at {q[address] * scale:.4g} {unit}; "
+                    f"its travel is {low * scale:.4g} to {high * scale:.4g} {unit}"
+                )
+        return found
 
     def _unreached(self, poses: Array, q: Array) -> str:
         reached = self.poses(q)
@@ -238,6 +258,16 @@ class Kinematics:
         return (
             f"out of reach: {self.tools[t]} cannot stand at {_at(np.atleast_2d(poses)[t])}; on the way there it gets to {_at(reached[t])}"
         )
+
+
+def _ranges(model: mujoco.MjModel, others: set[str]) -> list[tuple[str, int, float, float, bool]]:
+    """Name, address, travel, and whether it turns, of every joint with a travel that is not among the ``others``."""
+    out = []
+    for j in range(model.njnt):
+        joint, (low, high) = model.joint(j), model.jnt_range[j]
+        if joint.name not in others and low < high and int(model.jnt_type[j]) in (SLIDE, HINGE):
+            out.append((joint.name, int(joint.qposadr[0]), float(low), float(high), int(model.jnt_type[j]) == HINGE))
+    return out
 
 
 def _null_space(rows: Array) -> Array:

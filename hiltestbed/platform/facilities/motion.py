@@ -429,7 +429,7 @@ def shift(tree, q, step, scale):
     turn, quat, after, r = np.empty(4), np.empty(4), np.empty(4), np.empty(3)
     for j in range(tree.joints.shape[0]):
         kind, a, d = tree.joints[j, 0], tree.joints[j, 2], tree.joints[j, 3]
-        if kind == SLIDE or kind == HINGE:
+        if kind in (SLIDE, HINGE):
             q[a] += scale * step[d]
             continue
         if kind == FREE:

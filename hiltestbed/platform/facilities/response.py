@@ -85,26 +85,41 @@ def _at(ring, axis, when):
 
 
 @njit(cache=True)
-def _advance(k, pose_cmd, turn_cmd, late, step, ring, state, path, rate):
-    """One tick: the command at t_(k+1) into the ring, then every axis over the m instants of the tick."""
+def _piece(ring, axis, begin, end, e, x, state):
+    """Advance one axis over a piece of time in which the command, late, is linear from ``begin`` to ``end``, both in ticks."""
+    before = _at(ring, axis, begin)
+    rise = _at(ring, axis, end) - before
+    for c in range(3):
+        x[c] = e[c, 3] * before + e[c, 4] * rise
+        for d in range(3):
+            x[c] += e[c, d] * state[d]
+    for c in range(3):
+        state[c] = x[c]
+
+
+@njit(cache=True)
+def _advance(k, pose_cmd, turn_cmd, late, bend, step, ring, state, path, rate):
+    """One tick: the command at t_(k+1) into the ring, then every axis over the m instants of the tick.
+
+    bend: (n,) where in the tick the late command passes from one of its lines to the next [ticks]. step: (n, 6, 3, 3, 5) matrices of a
+    whole instant, and of the parts before and after the bend of the instant in which it lies.
+    """
     m = path.shape[1]
-    r = np.empty(3)
-    x = np.empty(3)
+    r, x = np.empty(3), np.empty(3)
     for i in range(pose_cmd.shape[0]):
         slot = (k + 1) % ring.shape[1]
         for c in range(3):
             ring[i, slot, c] = pose_cmd[i, c]
             ring[i, slot, 3 + c] = turn_cmd[i, c]
+        parted = int(bend[i] * m) if bend[i] > 0.0 else -1
         for s in range(m):
+            begin, end, middle = k + s / m - late[i], k + (s + 1.0) / m - late[i], k + bend[i] - late[i]
             for axis in range(6):
-                before = _at(ring[i], axis, k + s / m - late[i])
-                rise = _at(ring[i], axis, k + (s + 1.0) / m - late[i]) - before
-                e = step[i, axis]
-                for c in range(3):
-                    x[c] = e[c, 3] * before + e[c, 4] * rise
-                    for d in range(3):
-                        x[c] += e[c, d] * state[i, axis, d]
-                state[i, axis] = x
+                if s == parted:
+                    _piece(ring[i], axis, begin, middle, step[i, axis, 1], x, state[i, axis])
+                    _piece(ring[i], axis, middle, end, step[i, axis, 2], x, state[i, axis])
+                else:
+                    _piece(ring[i], axis, begin, end, step[i, axis, 0], x, state[i, axis])
                 rate[i, s, axis] = x[1]
             for c in range(3):
                 path[i, s, c] = state[i, c, 0]
@@ -128,10 +143,17 @@ class ResponsePath:
         self.ring = np.zeros((n, math.ceil(float(self._late.max())) + 3, 6))
         self.state = np.zeros((n, 6, 3))
         self.path, self.rate = np.zeros((n, substeps, 7)), np.zeros((n, substeps, 6))
-        self._step = np.zeros((n, 6, 3, 5))
+        self._bend = self._late - np.floor(self._late)
+        self._step = np.zeros((n, 6, 3, 3, 5))
         for i, s in enumerate(settings):
+            before = math.modf(self._bend[i] * substeps)[0] / substeps  # of the instant in which the bend lies
+            parts = (1.0 / substeps, before, 1.0 / substeps - before)
             for axis, (band, zeta, gain) in enumerate(zip(six(s.bandwidth), six(s.damping_ratio), six(s.gain), strict=True)):
-                self._step[i, axis] = advance_matrices(s.order, 2.0 * math.pi * band, zeta, gain, tick / substeps)
+                for part, share in enumerate(parts):
+                    if share > 0.0:
+                        self._step[i, axis, part] = advance_matrices(s.order, 2.0 * math.pi * band, zeta, gain, tick * share)
+                    else:  # nothing goes by
+                        self._step[i, axis, part, :, :3] = np.eye(3)
         self._ticks = np.zeros(1, dtype=np.int64)
 
     def begin(self, pose: Array, twist: Array) -> None:
@@ -147,7 +169,7 @@ class ResponsePath:
     def advance(self, pose_cmd: Array) -> Array:
         """The path (n, m, 7) over the tick whose command (n, 7) is to be reached at its end."""
         turn = rotation_vectors(pose_cmd[:, 3:])
-        _advance(int(self._ticks[0]), pose_cmd, turn, self._late, self._step, self.ring, self.state, self.path, self.rate)
+        _advance(int(self._ticks[0]), pose_cmd, turn, self._late, self._bend, self._step, self.ring, self.state, self.path, self.rate)
         self._ticks[0] += 1
         return self.path
 

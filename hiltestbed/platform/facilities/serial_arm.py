@@ -121,7 +121,8 @@ class SerialArm(Facility):
         cycles, lates = self.lags(settings, tick)
         return ElasticJoints(
             model, self.kinematics(model, tool), tick, substeps, cycles, lates, feed, gears=[f"g{j + 1}" for j in range(6)],
-            bandwidth=per_run(settings, "controller.bandwidth").tolist(), damping_ratio=per_run(settings, "controller.damping_ratio").tolist(),
+            bandwidth=per_run(settings, "controller.bandwidth").tolist(),
+            damping_ratio=per_run(settings, "controller.damping_ratio").tolist(),
             encoder=per_run(settings, "controller.encoder_resolution").tolist(),
             rubbing=arm_rubbing(model, settings, self.axes, tick / substeps, FRICTION_SHARE),
         )  # fmt: skip

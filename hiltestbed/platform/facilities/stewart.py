@@ -65,7 +65,7 @@ class HydraulicDrive(Strictly):
     leakage: NotNegative = Field(default=2.0e-12, description="past the piston [m^3/s/Pa]; 2.5 l/min at 210 bar")
     valve: Valve = Valve()
     gain: Positive = Field(
-        default=65.0, description="of the position loop [1/s]; set so that 10 Hz passes within 2 dB and 70 deg, as Harbin reports"
+        default=69.0, description="of the position loop [1/s]; set so that 10 Hz passes within 2 dB and 70 deg, as Harbin reports"
     )
     pressure_feedback: NotNegative = Field(
         default=3.3e-10, description="dynamic, flow per load pressure [m^3/s/Pa]; damps the oil's spring by 0.2 to 0.6"
@@ -143,7 +143,8 @@ class Stewart(Facility):
         if self.settings.drive.kind == "electric":
             return ForceServo(
                 model, kinematics, tick, substeps, cycles, lates, feed, bandwidth=per_run(settings, "drive.bandwidth").tolist(),
-                damping_ratio=per_run(settings, "drive.damping_ratio").tolist(), encoder=per_run(settings, "drive.encoder_resolution").tolist(),
+                damping_ratio=per_run(settings, "drive.damping_ratio").tolist(),
+                encoder=per_run(settings, "drive.encoder_resolution").tolist(),
                 rubbing=rubbing,
             )  # fmt: skip
         valves = [(s.drive.valve.bandwidth, s.drive.valve.damping_ratio) for s in settings]

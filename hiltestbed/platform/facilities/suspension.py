@@ -6,8 +6,8 @@ the gimbal, the small swing has
 
     w^2 = (g/L) (1 + m_c/(2 m))/(1 + m_c/(3 m))
 
-since the article does not turn with the cable. The tension is T' = w_t (T_0 - T) with T_0 the weight; the winch takes T from the vertical and adds
-its own mass and friction to it.
+since the article does not turn with the cable. The tension is T' = w_t (T_0 - T) with T_0 the weight; the winch takes T from the vertical
+and adds its own mass and friction to it.
 """
 
 from __future__ import annotations

@@ -161,7 +161,8 @@ class TwoArms(Facility):
         drives = FacingArms(
             model, self.kinematics(model, tool), tick, substeps, cycles, lates, feed,
             gears=[*(f"{prefix}g{j + 1}" for prefix in (ACTIVE, PASSIVE) for j in range(6)), None],
-            bandwidth=per_run(settings, "controller.bandwidth").tolist(), damping_ratio=per_run(settings, "controller.damping_ratio").tolist(),
+            bandwidth=per_run(settings, "controller.bandwidth").tolist(),
+            damping_ratio=per_run(settings, "controller.damping_ratio").tolist(),
             encoder=per_run(settings, "controller.encoder_resolution").tolist(),
             rubbing=arm_rubbing(model, settings, self.axes, tick / substeps, share),
         )  # fmt: skip

@@ -20,7 +20,7 @@ from hiltestbed.platform.facilities.kinematics import LEVER
 from hiltestbed.platform.facilities.stand import Stand
 
 AMPLITUDE = 2e-3  # [m]; a rotation has this over LEVER
-PULL = 1.0  # [m/s^2] that a sine may ask for
+PULL = 4.0  # [m/s^2] that a sine may ask for
 CYCLES = 3  # fitted
 LEAD_IN = 1.0  # [s] of transient, the first half of which the sine grows
 

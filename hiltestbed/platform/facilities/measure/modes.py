@@ -18,7 +18,9 @@ from hiltestbed.platform.facilities.kinematics import LEVER, direction
 from hiltestbed.platform.facilities.stand import Stand
 
 NUDGE = 1e-6  # [m], [rad], and per second of a velocity
+SLOWEST = 0.05  # [Hz]
 LIGHTLY = 0.95  # damping ratio below which a motion is a mode
+SETTLE = 0.5  # [s] into the static balance
 STILL = 1e-3  # of the drives' own state, where it is 0 at rest: their scale
 
 
@@ -45,7 +47,7 @@ def modes(facility: Facility, *, highest: float = 200.0, feed: bool = False, rat
     count = 2 * allowed.shape[1] + own
     stand = Stand(facility, 2 * count, feed=feed, rate=rate, substeps=substeps)
     stand.drives.release()
-    phi = _map(stand, allowed, count)
+    phi = _map(probe, stand, allowed, count)
     values, vectors = np.linalg.eig(phi)
     kinematics, found = stand.drives.kinematics, []
     for value, vector in zip(values, vectors.T, strict=True):
@@ -53,7 +55,7 @@ def modes(facility: Facility, *, highest: float = 200.0, feed: bool = False, rat
             continue
         s = np.log(value) * rate
         frequency, zeta = abs(s) / (2.0 * math.pi), -s.real / abs(s)
-        if frequency > highest or zeta > LIGHTLY:
+        if not SLOWEST < frequency < highest or abs(zeta) > LIGHTLY:
             continue
         rates = allowed @ vector[allowed.shape[1] : 2 * allowed.shape[1]]
         shape = _shape(kinematics, rates)
@@ -61,17 +63,18 @@ def modes(facility: Facility, *, highest: float = 200.0, feed: bool = False, rat
     return tuple(sorted(found, key=lambda mode: mode.frequency))
 
 
-def _map(stand: Stand, allowed: Array, count: int) -> Array:
+def _map(probe: Stand, stand: Stand, allowed: Array, count: int) -> Array:
     """``(N, N)`` the map over one tick, of positions and velocities in the allowed motions and of the drives' state."""
     n, free = 2 * count, allowed.shape[1]
     pose, still = np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (n, 1)), np.zeros((n, 6))
+    probe.drives.release()
+    probe.reset(pose[:1], still[:1])
+    for _ in range(round(SETTLE / probe.tick)):
+        probe.advance(pose[:1], still[:1], still[:1])
     stand.reset(pose, still)
-    for _ in range(200):  # into the static balance
-        stand.advance(pose, still, still)
-    stand.qpos[:], stand.qvel[:] = stand.qpos[0], 0.0
+    stand.qpos[:], stand.qvel[:] = probe.qpos[0], 0.0
     own = stand.drives.feedback()
-    own[:] = own[0]
-    stand.warmstart[:] = 0.0
+    own[:] = probe.drives.feedback()[0]
     step = np.concatenate([np.full(2 * free, NUDGE), np.maximum(np.abs(own[0]), STILL) * NUDGE])
     rest = stand.qpos[0].copy()
     for c in range(count):

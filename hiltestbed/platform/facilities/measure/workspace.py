@@ -78,8 +78,8 @@ def _look(drives, k: int, shift: float, q: Array) -> tuple[str, Array]:
     solved, left = kinematics.solve(drives.poses[0], drives.held[0], q)
     if not left < 1e-7:
         return "out of reach", q
-    for axis, value in zip(kinematics.axes, solved[kinematics.q], strict=True):
-        if not axis.low <= value <= axis.high:
-            return f"travel of {axis.joint}", q
+    past = kinematics.past_travel(solved)
+    if past:
+        return past[0], q
     lost = kinematics.lost_motion(solved)
     return (f"singular: {lost}", q) if lost else ("", solved)
