@@ -69,7 +69,7 @@ def arm(command: dict[str, Any] | None = None, **controller: Any) -> SerialArm:
     return SerialArm(SerialArmSettings.model_validate({"kind": "serial_arm", "controller": controller, "command": command or DIRECT}))
 
 
-def arms(command: dict[str, Any] | None = None, share: float = 0.5, **controller: Any) -> TwoArms:
+def arms(command: dict[str, Any] | None = None, share: Any = 0.5, **controller: Any) -> TwoArms:
     given = {"kind": "two_arms", "passive_share": share, "controller": controller, "command": command or DIRECT}
     return TwoArms(TwoArmsSettings.model_validate(given))
 

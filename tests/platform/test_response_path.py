@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 import pytest
 from scipy.signal import lsim, lti
@@ -28,7 +30,7 @@ def reached(settings: ResponseSettings, substeps: int, ticks: int = 400) -> np.n
 
 
 @pytest.mark.parametrize("order", [2, 3])
-def test_it_does_not_depend_on_how_a_tick_is_divided(order: int) -> None:
+def test_it_does_not_depend_on_how_a_tick_is_divided(order: Literal[2, 3]) -> None:
     settings = ResponseSettings(order=order, bandwidth=12.0, damping_ratio=0.6, gain=40.0, delay=0.0033)
     np.testing.assert_allclose(reached(settings, 1)[:, -1], reached(settings, 7)[:, -1], atol=1e-12)
 
@@ -51,7 +53,7 @@ def test_it_is_the_exact_answer_to_a_command_that_is_linear_over_a_tick() -> Non
 
 
 @pytest.mark.parametrize("order", [2, 3])
-def test_a_sine_comes_out_as_the_transfer_function_says(order: int) -> None:
+def test_a_sine_comes_out_as_the_transfer_function_says(order: Literal[2, 3]) -> None:
     settings = ResponseSettings(order=order, bandwidth=(20.0,) * 6, damping_ratio=0.7, gain=60.0, delay=0.0042)
     path, f, ticks = ResponsePath([settings], H, 1), 8.0, 3000
     path.begin(np.array([[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]]), np.zeros((1, 6)))

@@ -22,9 +22,9 @@ from numba import njit
 from numpy.typing import NDArray
 
 from hiltestbed.errors import InputError
-from hiltestbed.frames import Array, rotation_matrix, twist_between
+from hiltestbed.frames import Array, twist_between
 from hiltestbed.platform.facilities.drives import UPRIGHT, relative
-from hiltestbed.platform.facilities.facility import MOUNT, MOUNT_HOME, NOMINAL, Facility, Response, add_carrier
+from hiltestbed.platform.facilities.facility import MOUNT, MOUNT_HOME, NOMINAL, TOOL_HOME, Facility, Response, add_carrier
 from hiltestbed.platform.facilities.inverse_dynamics import joint_forces
 from hiltestbed.platform.facilities.kinematics import Axis, Kinematics
 from hiltestbed.platform.facilities.motion import move, packed, place, scratch, tool_pose, tool_twist, unpack
@@ -106,22 +106,15 @@ class Bodies:
         for i in range(len(pose)):
             q, left = self.kinematics.nearest(np.array([pose[i], UPRIGHT]))
             if not left < NEAR:
-                raise InputError(f"the start cannot be: {self._missed(pose[i], q)}")
+                raise InputError(f"the start cannot be: {missed(self.kinematics.poses(q)[0], pose[i])}")
             qpos[i] = q
             twists = np.array([twist[i], np.zeros(6)])
             qvel[i] = self.kinematics.rates(q, twists)
             slip = self.kinematics.twists(q, qvel[i])[0] - twist[i]
             if not np.abs(slip).max() < NEAR:
                 k = int(np.argmax(np.abs(slip)))
-                axis = f"{'along' if k < 3 else 'about'} {'xyz'[k % 3]}"
-                raise InputError(f"the start cannot be: the articles do not move {axis} (asked for {twist[i, k]:.4g}); allowed is 0")
+                raise InputError(f"the start cannot be: the articles do not move {axis_of(k)} (asked for {twist[i, k]:.4g}); allowed is 0")
         self.rest(qpos, qvel)
-
-    def _missed(self, pose: Array, q: Array) -> str:
-        gap = np.empty(6)
-        twist_between(self.kinematics.poses(q)[0], pose, 1.0, gap)
-        k = int(np.argmax(np.abs(gap)))
-        return f"the articles do not go {'along' if k < 3 else 'about'} {'xyz'[k % 3]} (A would be {gap[k]:.4g} off); allowed is 0"
 
     def observe(self, qpos: Array, qvel: Array, limit: float, diverged: NDArray[np.bool_]) -> bool:
         """Read poses and twists; True where a run has just left ``limit`` [m/s, rad/s], which ``diverged`` (n,) then names."""
@@ -201,22 +194,20 @@ class PhysicalFacility(Facility):
     def problems(self, rate: float) -> Iterator[tuple[tuple[str | int, ...], str]]:
         return iter(())
 
-    def complaints(self, pose: Array, tool: Array | None = None) -> list[str]:
-        from hiltestbed.platform.facilities.facility import compiled
-
-        kinematics = self.kinematics(compiled(self.spec()))
-        offset = np.array([0.0, 0.0, 0.60, 0.0, 0.0, 0.0, 1.0]) if tool is None else np.asarray(tool, dtype=float)
-        goal = np.array([compose(np.asarray(pose, dtype=float), inverse_pose(offset)), UPRIGHT])
-        q, left = kinematics.nearest(goal)
-        if left < NEAR:
-            return []
-        gap = np.empty(6)
-        twist_between(kinematics.poses(q)[0], goal[0], 1.0, gap)
-        k = int(np.argmax(np.abs(gap)))
-        return [f"the articles do not go {'along' if k < 3 else 'about'} {'xyz'[k % 3]} (A would be {gap[k]:.4g} off)"]
+    def complaints(self, pose: Array, tool: Array = TOOL_HOME) -> list[str]:
+        goal = np.array([compose(np.asarray(pose, dtype=float), inverse_pose(tool)), UPRIGHT])
+        q, left = self.bare.nearest(goal)
+        return [] if left < NEAR else [missed(self.bare.poses(q)[0], goal[0])]
 
 
-def turned(inertia: Array, quat: Array) -> Array:
-    """An inertia (3, 3) of body axes, in the axes that ``quat`` (4,) turns the body to."""
-    turn = rotation_matrix(quat)
-    return turn @ inertia @ turn.T
+def missed(reached: Array, pose: Array) -> str:
+    """In words, the axis along or about which ``reached`` (7,) is furthest from ``pose`` (7,)."""
+    gap = np.empty(6)
+    twist_between(reached, pose, 1.0, gap)
+    k = int(np.argmax(np.abs(gap)))
+    return f"the articles do not go {axis_of(k)} (A would be {gap[k]:.4g} off); allowed is 0"
+
+
+def axis_of(k: int) -> str:
+    """The k-th of six motions in words."""
+    return f"{'along' if k < 3 else 'about'} {'xyz'[k % 3]}"

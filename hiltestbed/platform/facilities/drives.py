@@ -219,7 +219,7 @@ class Drives:
     @property
     def lag(self) -> Array:
         """(n,) how late the controller makes each run [s]: its cycle less the tick in which a pose is due, and the cycles held back."""
-        return self.tick * (self._cycles * (self._lates + 1) - 1)
+        return np.asarray(self.tick * (self._cycles * (self._lates + 1) - 1), dtype=float)
 
     def _solve(self, k: int) -> None:
         _aim(

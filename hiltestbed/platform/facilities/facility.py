@@ -11,6 +11,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Hashable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Annotated, Any, ClassVar
 
 import mujoco
@@ -21,7 +22,7 @@ from pydantic import Field
 from hiltestbed.frames import Array
 from hiltestbed.platform.facilities.drives import Drives
 from hiltestbed.platform.facilities.kinematics import Axis, Kinematics
-from hiltestbed.platform.facilities.tree import compose
+from hiltestbed.platform.facilities.tree import compose, inverse_pose
 from hiltestbed.rig.model import load
 from hiltestbed.validation import NotNegative, Positive, Strictly
 
@@ -29,6 +30,8 @@ MOUNT = "mount"
 CARRIER = "passive_carrier"  # the body that carries force sensor and passive mechanism
 NOMINAL = "P_nominal"  # its site, where P stands nominally
 MOUNT_HOME = np.array([0.0, 0.0, -0.60, 0.0, 0.0, 0.0, 1.0])  # a docking mechanism is 0.60 m tall: then A stands at P
+UPRIGHT = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+TOOL_HOME = np.array([0.0, 0.0, 0.60, 0.0, 0.0, 0.0, 1.0])  # pose of A in the mount
 SENSOR_HEIGHT = 0.76  # [m] of the sensor's flange over P
 
 Ratio = Annotated[float, Field(gt=0, le=10)]
@@ -148,20 +151,18 @@ class Facility(ABC):
         """What in the settings cannot be in a loop of ``rate`` [Hz]: path below the settings, message."""
         yield from self.settings.command.problems(rate)
 
-    def complaints(self, pose: Array, tool: Array | None = None) -> list[str]:
-        """Why the facility cannot bring A to ``pose`` (7,) in P; ``tool`` (7,) is the pose of A in the mount. Empty: it can."""
-        kinematics = self.kinematics(compiled(self.spec()))
-        offset = compose(np.array([0.0, 0.0, 0.60, 0.0, 0.0, 0.0, 1.0]), UPRIGHT) if tool is None else np.asarray(tool, dtype=float)
-        from hiltestbed.platform.facilities.tree import inverse_pose
+    @cached_property
+    def bare(self) -> Kinematics:
+        """Geometry of the facility without a mechanism, for checks before a run."""
+        return self.kinematics(compiled(self.spec()))
 
-        return kinematics.complaints(compose(np.asarray(pose, dtype=float), inverse_pose(offset)))
+    def complaints(self, pose: Array, tool: Array = TOOL_HOME) -> list[str]:
+        """Why the facility cannot bring A to ``pose`` (7,) in P; ``tool`` (7,) is the pose of A in the mount. Empty: it can."""
+        return self.bare.complaints(compose(np.asarray(pose, dtype=float), inverse_pose(tool)))
 
     def lags(self, settings: Sequence[Any], tick: float) -> tuple[list[int], list[int]]:
         """Ticks of each run's controller cycle, and whole cycles that it holds a command back."""
         return [s.command.cycle(1.0 / tick) for s in settings], [s.command.delay_cycles for s in settings]
-
-
-UPRIGHT = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
 
 
 def frame_of(spec: mujoco.MjSpec) -> None:

@@ -96,7 +96,7 @@ def held_over(bandwidth: float, damping_ratio: float, dt: float) -> Array:
     from scipy.linalg import expm
 
     w = 2.0 * math.pi * bandwidth
-    return expm(np.array([[0.0, 1.0], [-w * w, -2.0 * damping_ratio * w]]) * dt)
+    return np.asarray(expm(np.array([[0.0, 1.0], [-w * w, -2.0 * damping_ratio * w]]) * dt), dtype=float)
 
 
 class Hydraulic(Drives):

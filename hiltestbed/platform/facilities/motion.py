@@ -15,7 +15,7 @@ import numpy as np
 from numba import njit
 
 from hiltestbed.frames import Array, quat_exp, quat_mul, quat_normalise, rotate, rotation_vector
-from hiltestbed.platform.facilities.tree import FRAME, FREE, HINGE, SLIDE, Tree
+from hiltestbed.platform.facilities.tree import FRAME, FREE, HINGE, SLIDE, Integers, Tree
 
 DAMPING = 1e-11  # of the largest diagonal term of A^T A
 LONGEST_STEP = 0.2  # [m], [rad] of a joint in one iteration
@@ -62,7 +62,7 @@ def scratch(tree: Tree) -> Scratch:
     )  # fmt: skip
 
 
-def packed(tree: Tree) -> tuple[Array, Array, Array]:
+def packed(tree: Tree) -> tuple[Integers, Array, Array]:
     """A tree and room to work in as three flat arrays: integers, numbers, room. Handing over many arrays costs more than a tick's sums."""
     nb, nj, nv, nl = len(tree.bodies), len(tree.joints), len(tree.armature), len(tree.loops)
     sizes = [nb, nj, nv, nl, len(tree.coupled), len(tree.tools), len(tree.prescribed), len(tree.unknown), row_count(tree)]

@@ -71,7 +71,7 @@ def advance_matrices(order: int, w: float, zeta: float, gain: float, dt: float) 
         a[1, 2] = 1.0
         a[2, :4] = [-gain * w * w, -w * w, -2.0 * zeta * w, gain * w * w]
     a[3, 4] = 1.0
-    out = expm(a * dt)[:3]
+    out = np.asarray(expm(a * dt), dtype=float)[:3].copy()
     out[:, 4] /= dt
     return out
 

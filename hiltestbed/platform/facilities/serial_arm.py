@@ -63,8 +63,9 @@ class SerialArmSettings(Strictly):
 
 def arm_axes(prefix: str = "") -> tuple[Axis, ...]:
     """The six axes of one arm."""
+    travel, speed = np.radians(TRAVEL_DEG), np.radians(SPEED_DEG)
     return tuple(
-        Axis(f"{prefix}a{j + 1}", "rad", *np.radians(TRAVEL_DEG[j]), math.radians(SPEED_DEG[j]), ACCELERATION[j], TORQUE[j])
+        Axis(f"{prefix}a{j + 1}", "rad", float(travel[j, 0]), float(travel[j, 1]), float(speed[j]), ACCELERATION[j], TORQUE[j])
         for j in range(6)
     )
 

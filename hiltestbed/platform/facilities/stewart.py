@@ -198,10 +198,8 @@ def oil_modes(drive: HydraulicDrive, facility: Stewart) -> tuple[float, ...]:
 
 def _rubbing(settings: Sequence[Any], axes: NDArray, inputs: NDArray, step: float, moved: float) -> Rubbing | None:
     """Friction of the legs, where a run has any."""
-    numbers = [
-        np.tile(per_run(settings, f"drive.friction.{name}")[:, None], (1, 6))
-        for name in ("coulomb", "stiction", "stribeck_speed", "viscous")
-    ]
-    if not (numbers[0].any() or numbers[1].any() or numbers[3].any()):
+    names = ("coulomb", "stiction", "stribeck_speed", "viscous")
+    slide, stick, speed, viscous = (np.tile(per_run(settings, f"drive.friction.{name}")[:, None], (1, 6)) for name in names)
+    if not (slide.any() or stick.any() or viscous.any()):
         return None
-    return Rubbing(*numbers, np.full_like(numbers[0], PRESLIDING), np.full(6, moved), axes, inputs, step)
+    return Rubbing(slide, stick, speed, viscous, np.full_like(slide, PRESLIDING), np.full(6, moved), axes, inputs, step)

@@ -14,7 +14,7 @@ so that near the touch the two arms take (1 - s) and s of every motion, and far 
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterator, Sequence
+from collections.abc import Hashable, Sequence
 from typing import Annotated, Any, ClassVar, Literal
 
 import mujoco
@@ -29,11 +29,11 @@ from hiltestbed.platform.facilities.facility import (
     MOUNT,
     NOMINAL,
     SENSOR_HEIGHT,
+    TOOL_HOME,
     CommandPath,
     Facility,
     Response,
     add_carrier,
-    compiled,
     per_run,
 )
 from hiltestbed.platform.facilities.kinematics import Axis, Kinematics
@@ -173,15 +173,10 @@ class TwoArms(Facility):
         controller = self.settings.controller
         return Response((controller.bandwidth,) * 6, (controller.damping_ratio,) * 6, self.settings.command.lag(rate), followed=feed)
 
-    def complaints(self, pose: Array, tool: Array | None = None) -> list[str]:
-        kinematics = self.kinematics(compiled(self.spec()))
+    def complaints(self, pose: Array, tool: Array = TOOL_HOME) -> list[str]:
         active, passive = np.empty(7), np.empty(7)
         rail = share_out(np.asarray(pose, dtype=float), self.settings.passive_share, active, passive)
-        offset = np.array([0.0, 0.0, 0.60, 0.0, 0.0, 0.0, 1.0]) if tool is None else np.asarray(tool, dtype=float)
-        return kinematics.complaints(np.array([compose(active, inverse_pose(offset)), passive]), np.array([rail]))
+        return self.bare.complaints(np.array([compose(active, inverse_pose(tool)), passive]), np.array([rail]))
 
     def alike(self) -> Hashable:
         return self.kind
-
-    def problems(self, rate: float) -> Iterator[tuple[tuple[str | int, ...], str]]:
-        yield from self.settings.command.problems(rate)
