@@ -38,10 +38,15 @@ A tick of a driven rig, with the contact's wrench put on both sides before every
         d.observe(qpos, qvel, limit, diverged)
     d.arrive()
 
-Bodies that move by themselves (`facility.physical`) take the place of numerical model and drives: ``facility.stand(chaser, target)`` puts
-the spacecraft in, ``facility.lighten(spec, prefix)`` takes the attached mechanisms' mass out, since it is the spacecraft's, and
-``b = facility.bodies(model, settings, step, tool)`` has settle, push(qpos, qvel, qfrc_applied), observe, pose, twist and state as above. There is no
-command: the commanded pose of a row is the one reached, the force used is the force.
+Bodies that move by themselves (`facility.physical`) take the place of numerical model and drives:
+
+    facility.stand(chaser, target)         puts the spacecraft into the hall: before anything else
+    facility.lighten(spec, prefix)         takes an attached mechanism's mass out: it is part of its spacecraft's
+    b = facility.bodies(model, settings, step, tool)
+    b.settle, b.observe, b.state           as of drives; b.pose, b.twist, b.place_A, ... likewise
+    b.push(qpos, qvel, qfrc_applied)       what bearings and cables do, before every step
+
+There is no command: the commanded pose of a row is the one reached, the force used is the force.
 
 Any kind may be followed by a response alone, without mass: :class:`response.ResponsePath`, with ideal tracking behind it.
 """
