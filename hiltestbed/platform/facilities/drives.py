@@ -24,23 +24,24 @@ from hiltestbed.frames import Array, pose_between, pose_step, rotate_back
 from hiltestbed.platform.facilities.friction import Rubbing
 from hiltestbed.platform.facilities.inverse_dynamics import drive_forces, joint_forces, weights
 from hiltestbed.platform.facilities.kinematics import Kinematics
-from hiltestbed.platform.facilities.motion import move, newton, packed, place, rates, scratch, tool_pose, tool_twist, unpack, ways
+from hiltestbed.platform.facilities.motion import move, newton, packed, place, rates, scratch, shift, tool_pose, tool_twist, unpack, ways
 from hiltestbed.platform.facilities.reference import plan_tick, sample
 
 PER_TICK = 3  # Newton steps from one tick to the next; one is enough for motion, the others for a command that jumps
 SOLVED = 1e-9  # [m], [rad]
+WEIGHED = 4  # controller cycles between two looks at the weight, which changes by less than 1e-3 of itself meanwhile
 UPRIGHT = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 
 
 @njit(cache=True)
 def _aim(
-    flat, k, h, cycles, lates, feed, axes, gravity, poses, held, twists, speeds, qs, goal, leave, load, missed, ring, span, reference,
-    velocity, plan,
+    flat, k, h, cycles, lates, feed, axes, gravity, poses, held, twists, speeds, qs, rate, goal, leave, load, missed, ring, span,
+    reference, velocity, plan,
 ):  # fmt: skip
     """Joints, rates and weights where a cycle begins, for tools at ``poses`` (n, nt, 7), left with ``twists`` (n, nt, 6), in W; the plan.
 
     flat: the tree (:func:`hiltestbed.platform.facilities.motion.packed`). k: the tick; below 0: solve for all, plan nothing.
-    qs: (n, nq) the last solution, moved on. goal, leave, load: (n, J). missed: (n,) residual [m, rad].
+    qs, rate: (n, nq), (n, nv) the last solution and how it left, moved on. goal, leave, load: (n, J). missed: (n,) residual [m, rad].
     """
     tree, w = unpack(flat[0], flat[1], flat[2])
     joints, nv = goal.shape[1], tree.armature.shape[0]
@@ -48,14 +49,17 @@ def _aim(
     square, right = np.empty((joints, joints)), np.empty(joints)
     for i in range(poses.shape[0]):
         if k < 0 or k % cycles[i] == 0:
+            if k >= 0:
+                shift(tree, qs[i], rate[i], h * cycles[i])
             missed[i] = newton(tree, qs[i], poses[i], held[i], w, SOLVED, PER_TICK)
-            rates(tree, w, twists[i], speeds[i], w.step)
+            rates(tree, w, twists[i], speeds[i], rate[i])
             for j in range(joints):
                 goal[i, j] = qs[i, axes[0, j]]
-                leave[i, j] = w.step[axes[1, j]]
-            ways(tree, w, every)
-            weights(tree, gravity, w, forces)
-            drive_forces(every, axes[1], forces, square, right, load[i])
+                leave[i, j] = rate[i, axes[1, j]]
+            if k < 0 or (k // cycles[i]) % WEIGHED == 0:
+                ways(tree, w, every)
+                weights(tree, gravity, w, forces)
+                drive_forces(every, axes[1], forces, square, right, load[i])
             if k >= 0:
                 sample(k, cycles[i], lates[i], ring, span, i, goal[i], leave[i])
         if k >= 0:
@@ -151,7 +155,7 @@ class Drives:
         tools, held = len(kinematics.tools), len(kinematics.prescribed)
         self.poses, self.twists = np.tile(UPRIGHT, (n, tools, 1)), np.zeros((n, tools, 6))
         self.held, self.held_rates = np.tile(kinematics.held_home, (n, 1)), np.zeros((n, held))
-        self._qs = np.tile(kinematics.home, (n, 1))
+        self._qs, self._rates = np.tile(kinematics.home, (n, 1)), np.zeros((n, model.nv))
         self._goal, self._leave, self.load = np.tile(self._home, (n, 1)), np.zeros((n, joints)), np.zeros((n, joints))
         self._ring = np.zeros((n, int(self._lates.max(initial=0)) + 1, 2, joints))
         self._span = np.zeros((n, 2, 2, joints))
@@ -224,7 +228,7 @@ class Drives:
     def _solve(self, k: int) -> None:
         _aim(
             self._flat, k, self.tick, self._cycles, self._lates, self._feed, self._axes, self._gravity, self.poses, self.held, self.twists,
-            self.held_rates, self._qs, self._goal, self._leave, self.load, self.missed, self._ring, self._span, self._target,
+            self.held_rates, self._qs, self._rates, self._goal, self._leave, self.load, self.missed, self._ring, self._span, self._target,
             self._velocity, self._plan,
         )  # fmt: skip
 
@@ -265,6 +269,7 @@ class Drives:
         return {
             "ticks": self._ticks,
             "solution": self._qs,
+            "rates": self._rates,
             "target": self._target,
             "velocity": self._velocity,
             "ring": self._ring,

@@ -21,6 +21,7 @@ DAMPING = 1e-11  # of the largest diagonal term of A^T A
 LONGEST_STEP = 0.2  # [m], [rad] of a joint in one iteration
 CLOSE = 1e-10  # [m], [rad] the largest residual that counts as solved
 ITERATIONS = 40
+SPARE = 27
 
 
 class Scratch(NamedTuple):
@@ -30,7 +31,7 @@ class Scratch(NamedTuple):
         poses: (nb, 7) of the bodies in W. axes: (nj, 6) anchor and axis of each joint in W.
         motion: (nb, 12) velocity and spin of a body, acceleration and its rate of spin, of the body's origin, in W.
         loads: (nb, 6) force and moment about W's origin; for weights: mass and first moment.
-        rows: (r, nv). square: (u, u). right: (u,). residual, goal: (r,). step: (nv,).
+        rows: (r, nv). square: (u, u). right, first, filled: (u,). residual, goal: (r,). step: (nv,). spare: (SPARE,).
     """
 
     poses: Array
@@ -40,9 +41,12 @@ class Scratch(NamedTuple):
     rows: Array
     square: Array
     right: Array
+    first: Array
+    filled: Array
     residual: Array
     goal: Array
     step: Array
+    spare: Array
 
 
 def row_count(tree: Tree) -> int:
@@ -58,7 +62,8 @@ def scratch(tree: Tree) -> Scratch:
     poses[:, 6] = 1.0
     return Scratch(
         poses, np.zeros((nj, 6)), np.zeros((nb, 12)), np.zeros((nb, 6)),
-        np.zeros((r, nv)), np.zeros((u, u)), np.zeros(u), np.zeros(r), np.zeros(r), np.zeros(nv),
+        np.zeros((r, nv)), np.zeros((u, u)), np.zeros(u), np.zeros(u), np.zeros(u), np.zeros(r), np.zeros(r), np.zeros(nv),
+        np.zeros(SPARE),
     )  # fmt: skip
 
 
@@ -116,13 +121,11 @@ def unpack(integers, numbers, room):
     s += r * nv
     square = _next(room, s, u, u)
     s += u * u
-    right, residual, goal, step = (
-        room[s : s + u],
-        room[s + u : s + u + r],
-        room[s + u + r : s + u + 2 * r],
-        room[s + u + 2 * r : s + u + 2 * r + nv],
-    )
-    return tree, Scratch(poses, lines, motion, loads, rows, square, right, residual, goal, step)
+    right, first, filled = room[s : s + u], room[s + u : s + 2 * u], room[s + 2 * u : s + 3 * u]
+    s += 3 * u
+    residual, goal, step = room[s : s + r], room[s + r : s + 2 * r], room[s + 2 * r : s + 2 * r + nv]
+    spare = room[s + 2 * r + nv : s + 2 * r + nv + SPARE]
+    return tree, Scratch(poses, lines, motion, loads, rows, square, right, first, filled, residual, goal, step, spare)
 
 
 @njit(cache=True)
@@ -218,7 +221,7 @@ def _carry(at, motion, point, out):
         out[i] = motion[i] + motion[3 + k] * (point[l] - at[l]) - motion[3 + l] * (point[k] - at[k])
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def tool_pose(tree, w, t, out):
     """``out`` (7,): pose of tool ``t`` in W."""
     pose, frame = w.poses[tree.tools[t]], tree.tool_frames[t]
@@ -241,10 +244,10 @@ def tool_twist(tree, w, t, out):
         out[3 + i] = w.motion[b, 3 + i]
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def add_point(tree, w, b, point, sign, rows, r):
     """Add ``sign`` times the Jacobian of a point (3,) of body ``b`` to three rows of ``rows``, from row ``r`` on."""
-    axis = np.empty(6)
+    axis = w.spare[0:6]
     while b > 0:
         first = tree.bodies[b, 1]
         for j in range(first, first + tree.bodies[b, 2]):
@@ -286,10 +289,10 @@ def _column(pose, c, out):
         out[3], out[4], out[5] = 2.0 * (x * z + y * s), 2.0 * (y * z - x * s), 1.0 - 2.0 * (x * x + y * y)
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def add_turn(tree, w, b, sign, rows, r):
     """Add ``sign`` times the Jacobian of the rotation of body ``b`` to three rows of ``rows``, from row ``r`` on."""
-    axis = np.empty(6)
+    axis = w.spare[0:6]
     while b > 0:
         first = tree.bodies[b, 1]
         for j in range(first, first + tree.bodies[b, 2]):
@@ -333,7 +336,7 @@ def equations(tree, q, poses, values, w):
         if leads >= 0:
             rows[r, tree.joints[leads, 3]] = -(c[1] + x * (2.0 * c[2] + x * (3.0 * c[3] + 4.0 * x * c[4])))
         r += 1
-    pose = np.empty(7)
+    pose = w.spare[20:27]
     for t in range(tree.tools.shape[0]):
         tool_pose(tree, w, t, pose)
         add_point(tree, w, tree.tools[t], pose, 1.0, rows, r)
@@ -349,10 +352,10 @@ def equations(tree, q, poses, values, w):
         r += 1
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def _close_loops(tree, w):
     """Residual and rows of the loops; returns how many rows they take."""
-    ends, turns = np.empty((2, 3)), np.empty((2, 4))
+    ends, turns = w.spare[6:12].reshape((2, 3)), w.spare[12:20].reshape((2, 4))
     r = 0
     for k in range(tree.loops.shape[0]):
         for e in range(2):
@@ -375,23 +378,38 @@ def _close_loops(tree, w):
 
 @njit(cache=True)
 def factor(tree, w):
-    """Cholesky factor of A^T A over the unknown joints, into ``w.square`` (lower half)."""
-    u, rows, square = tree.unknown.shape[0], w.rows, w.square
-    square[:] = 0.0
+    """Cholesky factor of A^T A over the unknown joints, into ``w.square`` (lower half), within its skyline.
+
+    ``w.first[i]`` is the first column of row i that is not zero: a leg meets its own joints and the platform's alone, and Cholesky's method
+    fills nothing in before it.
+    """
+    u, rows, square, first, filled = tree.unknown.shape[0], w.rows, w.square, w.first, w.filled
+    for i in range(u):
+        first[i] = i
+        for j in range(i + 1):
+            square[i, j] = 0.0
     for r in range(rows.shape[0]):
+        count = 0
         for i in range(u):
+            if rows[r, tree.unknown[i]] != 0.0:
+                filled[count] = i
+                count += 1
+        for p in range(count):
+            i = int(filled[p])
             x = rows[r, tree.unknown[i]]
-            if x != 0.0:
-                for j in range(i + 1):
-                    square[i, j] += x * rows[r, tree.unknown[j]]
+            first[i] = min(first[i], filled[0])
+            for q in range(p + 1):
+                j = int(filled[q])
+                square[i, j] += x * rows[r, tree.unknown[j]]
     most = 0.0
     for i in range(u):
         most = max(most, square[i, i])
     for i in range(u):
         square[i, i] += DAMPING * most
-        for j in range(i + 1):
+        begin = int(first[i])
+        for j in range(begin, i + 1):
             total = square[i, j]
-            for k in range(j):
+            for k in range(max(begin, int(first[j])), j):
                 total -= square[i, k] * square[j, k]
             if i == j:
                 square[i, i] = math.sqrt(max(total, DAMPING * DAMPING * most))
@@ -402,7 +420,7 @@ def factor(tree, w):
 @njit(cache=True)
 def solve(tree, w, right, out):
     """``out`` (nv,): least-squares solution of A out = ``right`` (r,) over the unknown joints; the others are 0."""
-    u, x, square = tree.unknown.shape[0], w.right, w.square
+    u, x, square, first = tree.unknown.shape[0], w.right, w.square, w.first
     for i in range(u):
         x[i] = 0.0
     for r in range(w.rows.shape[0]):
@@ -411,12 +429,12 @@ def solve(tree, w, right, out):
                 x[i] += w.rows[r, tree.unknown[i]] * right[r]
     for i in range(u):
         total = x[i]
-        for k in range(i):
+        for k in range(int(first[i]), i):
             total -= square[i, k] * x[k]
         x[i] = total / square[i, i]
     for i in range(u - 1, -1, -1):
         x[i] /= square[i, i]
-        for k in range(i):
+        for k in range(int(first[i]), i):
             x[k] -= square[i, k] * x[i]
     out[:] = 0.0
     for i in range(u):
