@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -50,6 +51,27 @@ def test_a_site_passive_is_where_the_passive_port_stands(rig) -> None:
     data_home = facility.kinematics(m).home_poses[0]
     np.testing.assert_allclose(data_home[:3], [-0.05, 0.0, -0.60], atol=1e-9)
     assert m.body("passive_carrier").parentid[0] == 0
+
+
+def test_joints_of_the_mechanisms_are_not_the_rigs(rig) -> None:
+    """A compliant mount on the passive side, and a loose part of the user's own beside the rig, leave the kinematics alone."""
+    loose = '<body name="lamp" pos="2 0 0"><joint axis="1 0 0"/><inertial pos="0 0 -1" mass="1" diaginertia="0.1 0.1 0.1"/></body>'
+    facility = rig(GANTRY.replace("</worldbody>", loose + "</worldbody>"))
+    spec = facility.spec()
+    body = spec.body("passive_carrier").add_body(name="passive_mechanism", mass=50.0, inertia=[1.0, 1.0, 1.0])
+    for k, axis in enumerate("xyz"):
+        body.add_joint(name=f"mount_{axis}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=np.eye(3)[k], stiffness=1e5)
+    kinematics = facility.kinematics(compiled(spec))
+    assert kinematics.complaints(kinematics.home_poses) == []
+    assert not set(kinematics.tree.unknown) & {int(compiled(spec).joint(f"mount_{axis}").dofadr[0]) for axis in "xyz"}
+
+
+def test_meshes_are_found_beside_the_file(rig, tmp_path) -> None:
+    (tmp_path / "shapes").mkdir()
+    (tmp_path / "shapes" / "part.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n")
+    text = GANTRY.replace('autolimits="true"/>', 'autolimits="true" meshdir="shapes"/><asset><mesh name="part" file="part.obj"/></asset>')
+    facility = rig(text.replace('<site name="mount"', '<geom type="mesh" mesh="part"/><site name="mount"'))
+    assert facility.spec().compile().nmesh == 1
 
 
 def test_parallel_rigs_work_as_well(rig) -> None:

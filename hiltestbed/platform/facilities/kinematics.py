@@ -22,6 +22,7 @@ STRIDE = 0.05  # [m], [rad] of a tool between two solutions on the way to a far 
 LEVER = 0.5  # [m] makes a rotation a length: half the height of a docking mechanism
 SLOWEST = 0.02  # [m/s] a direction in which the drives at full speed move the tool less than this is lost
 LOOSEST = 100.0  # ratio of the best direction to the usual past which the drives do not hold the tool, of the usual to the worst likewise
+MECHANISMS = ("active_", "passive_", "mount_", "payload_")  # names of joints that the attached mechanisms have: not the facility's
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 
 
@@ -60,7 +61,9 @@ class Kinematics:
         prescribed: Sequence[str] = (),
         home: Array | None = None,
     ) -> None:
-        """Args: locked: joints that stay (a gear's deflection). prescribed: driven joints whose value is given (a rail)."""
+        """Args: locked: joints that stay (a gear's deflection), those of the mechanisms besides. prescribed: driven joints whose value is
+        given (a rail)."""
+        locked = [*locked, *(name for j in range(model.njnt) if (name := model.joint(j).name).startswith(MECHANISMS))]
         self.axes, self.tools, self.prescribed = tuple(axes), tuple(tools), tuple(prescribed)
         self.tree = build_tree(model, tools, prescribed, locked)
         names = [axis.joint for axis in axes]
@@ -194,6 +197,8 @@ class Kinematics:
         allowed = _null_space(rows[:count])
         driven = allowed[np.searchsorted(self.tree.unknown, self.v)]
         left = allowed @ _null_space(driven)
+        moves = np.linalg.norm(rows[count : count + 6 * len(self.tools)] @ left, axis=0)
+        left = left[:, moves > 1e-9]  # what hangs loose elsewhere is no matter
         free = np.zeros((len(self.tree.armature), left.shape[1]))
         free[self.tree.unknown] = left
         return rows[count : count + 6 * len(self.tools)] @ allowed @ np.linalg.pinv(driven, rcond=1e-9), free
