@@ -9,10 +9,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from hiltestbed.frames import Array
-from hiltestbed.platform.facilities.mjcf import Mjcf, MjcfSettings
-from hiltestbed.platform.facilities.serial_arm import SerialArm, SerialArmSettings
-from hiltestbed.platform.facilities.stewart import Stewart, StewartSettings
-from hiltestbed.platform.facilities.two_arms import TwoArms, TwoArmsSettings
+from hiltestbed.platform.facilities.mjcf import Mjcf
+from hiltestbed.platform.facilities.serial_arm import SerialArm
+from hiltestbed.platform.facilities.settings import MjcfSettings, SerialArmSettings, StewartSettings, TwoArmsSettings
+from hiltestbed.platform.facilities.stewart import Stewart
+from hiltestbed.platform.facilities.two_arms import TwoArms
 
 UPRIGHT = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
 DIRECT = {"controller_rate": None, "delay_cycles": 0}

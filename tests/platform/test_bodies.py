@@ -11,9 +11,10 @@ from mujoco.batch import Batch
 
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array
-from hiltestbed.platform.facilities.air_bearing import AirBearing, AirBearingSettings
+from hiltestbed.platform.facilities.air_bearing import AirBearing
 from hiltestbed.platform.facilities.bodies import GRAVITY, Article
 from hiltestbed.platform.facilities.facility import compiled
+from hiltestbed.platform.facilities.settings import AirBearingSettings
 from hiltestbed.platform.facilities.suspension import HOOK, Suspension, SuspensionSettings, swing_frequency
 
 STEP = 2.5e-4

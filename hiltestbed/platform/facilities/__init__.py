@@ -1,9 +1,7 @@
 """The facilities that a scenario may name, each of which describes itself, and what the plant asks of them.
 
 A facility is the motion platform of a rig with its drives: models in ``models/<kind>``, settings with unit, default and source, kinematics,
-drives, limits, nominal response. It is found in :data:`FACILITIES` by the kind of its settings; nothing else knows a facility's name.
-
-    facility = FACILITIES[settings.kind](settings)
+drives, limits, nominal response. It is found by the kind of its settings, ``build_facility(settings)``; nothing else knows a facility's name.
 
 Before a run
     facility.problems(rate)                what in the settings cannot be in a loop of this rate: (path, message)
@@ -53,43 +51,29 @@ Any kind may be followed by a response alone, without mass: :class:`response.Res
 
 from __future__ import annotations
 
-from typing import Annotated
+from importlib import import_module
+from typing import TYPE_CHECKING
 
-from pydantic import Field
+from hiltestbed.platform.facilities.settings import FacilitySettings, ResponseSettings
 
-from hiltestbed.platform.facilities.air_bearing import AirBearing, AirBearingSettings
-from hiltestbed.platform.facilities.bodies import Article, Bodies, PhysicalFacility
-from hiltestbed.platform.facilities.drives import Drives
-from hiltestbed.platform.facilities.facility import Facility, Response
-from hiltestbed.platform.facilities.kinematics import Axis, Kinematics
-from hiltestbed.platform.facilities.limits import Watch
-from hiltestbed.platform.facilities.mjcf import Mjcf, MjcfSettings
-from hiltestbed.platform.facilities.response import ResponsePath, ResponseSettings
-from hiltestbed.platform.facilities.serial_arm import SerialArm, SerialArmSettings
-from hiltestbed.platform.facilities.stewart import Stewart, StewartSettings
-from hiltestbed.platform.facilities.suspension import Suspension, SuspensionSettings
-from hiltestbed.platform.facilities.two_arms import TwoArms, TwoArmsSettings
+if TYPE_CHECKING:
+    from hiltestbed.platform.facilities.facility import Facility
 
-FACILITIES: dict[str, type[Facility]] = {
-    facility.kind: facility for facility in (Stewart, SerialArm, TwoArms, Mjcf, AirBearing, Suspension)
+# Kind, module, class: read when one is wanted, so that a scenario can be checked without MuJoCo.
+KINDS = {
+    "stewart": ("stewart", "Stewart"),
+    "serial_arm": ("serial_arm", "SerialArm"),
+    "two_arms": ("two_arms", "TwoArms"),
+    "mjcf": ("mjcf", "Mjcf"),
+    "air_bearing": ("air_bearing", "AirBearing"),
+    "suspension": ("suspension", "Suspension"),
 }
-FacilitySettings = Annotated[
-    StewartSettings | SerialArmSettings | TwoArmsSettings | MjcfSettings | AirBearingSettings | SuspensionSettings,
-    Field(discriminator="kind"),
-]
 
-__all__ = [
-    "FACILITIES",
-    "Article",
-    "Axis",
-    "Bodies",
-    "Drives",
-    "Facility",
-    "FacilitySettings",
-    "Kinematics",
-    "PhysicalFacility",
-    "Response",
-    "ResponsePath",
-    "ResponseSettings",
-    "Watch",
-]
+
+def build_facility(settings: FacilitySettings) -> Facility:
+    """The facility that the settings describe. Raises InputError for a model of the user's own that does not do."""
+    module, name = KINDS[settings.kind]
+    return getattr(import_module(f"{__name__}.{module}"), name)(settings)
+
+
+__all__ = ["KINDS", "FacilitySettings", "ResponseSettings", "build_facility"]

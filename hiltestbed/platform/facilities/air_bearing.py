@@ -11,43 +11,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Hashable, Sequence
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Any, ClassVar
 
 import mujoco
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from pydantic import Field
 
 from hiltestbed.frames import Array
 from hiltestbed.platform.facilities.bodies import GRAVITY, SIDES, Bodies, PhysicalFacility
 from hiltestbed.platform.facilities.facility import MOUNT, per_run
+from hiltestbed.platform.facilities.settings import AirBearingSettings
 from hiltestbed.rig.model import load
-from hiltestbed.validation import NotNegative, Positive, Strictly, Vector2
 
 CREEP = 1e-4  # [m/s] below which the pads' rubbing fades
 TILT_X, TILT_Z, FILM, RADIUS, RUB, HOSE, HOSE_DAMPING, NUMBERS = range(8)
-
-
-class AirBearingSettings(Strictly):
-    """Two articles on a flat floor: full physical simulation in the plane."""
-
-    kind: Literal["air_bearing"]
-    target: Literal["free", "fixed"] = Field(default="free", description="whether the target floats, too, or is bolted down")
-    float_mass: NotNegative = Field(default=60.0, description="of what carries an article, pads, bottles, frame [kg]; an estimate")
-    tilt: Vector2 = Field(
-        default=(0.0, 4.2e-5),
-        description="of the floor along x and z [rad]; 0.005 inch in 10 feet, as the Air Bearing Floor at NASA Johnson",
-    )
-    film_damping: NotNegative = Field(
-        default=0.2, description="of an article's pads [N s/m]; air of 1.8e-5 Pa s, 0.15 m^2 of pads, a film of 15 um: 0.18"
-    )
-    pad_radius: Positive = Field(default=0.6, description="of the pads about the article's centre [m]")
-    friction: Annotated[float, Field(ge=0, le=0.01)] = Field(
-        default=1e-5, description="of the pads [-]; 1e-5 is what makers state [recalled]"
-    )
-    hose_stiffness: NotNegative = Field(default=0.5, description="of an air line, along x and z [N/m]; 0: bottles on board")
-    hose_damping: NotNegative = Field(default=0.5, description="of an air line [N s/m]")
 
 
 @njit(cache=True)

@@ -12,19 +12,17 @@ from abc import ABC, abstractmethod
 from collections.abc import Hashable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Annotated, Any, ClassVar
+from typing import Any, ClassVar
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 
 from hiltestbed.frames import Array
 from hiltestbed.platform.facilities.drives import Drives
 from hiltestbed.platform.facilities.kinematics import Axis, Kinematics
 from hiltestbed.platform.facilities.tree import compose, inverse_pose
 from hiltestbed.rig.model import load
-from hiltestbed.validation import NotNegative, Positive, Strictly
 
 MOUNT = "mount"
 CARRIER = "passive_carrier"  # the body that carries force sensor and passive mechanism
@@ -33,8 +31,6 @@ MOUNT_HOME = np.array([0.0, 0.0, -0.60, 0.0, 0.0, 0.0, 1.0])  # a docking mechan
 UPRIGHT = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
 TOOL_HOME = np.array([0.0, 0.0, 0.60, 0.0, 0.0, 0.0, 1.0])  # pose of A in the mount
 SENSOR_HEIGHT = 0.76  # [m] of the sensor's flange over P
-
-Ratio = Annotated[float, Field(gt=0, le=10)]
 
 
 @dataclass(frozen=True)
@@ -64,38 +60,6 @@ class Response:
         w = 2.0 * math.pi * self.bandwidth[axis]
         lag = 1.0 if self.followed or math.isinf(w) else w * w / (s * s + 2.0 * self.damping_ratio[axis] * w * s + w * w)
         return complex(lag * np.exp(-s * self.delay))
-
-
-class CommandPath(Strictly):
-    """How commands reach a facility's drives."""
-
-    controller_rate: Positive | None = Field(
-        default=None, description="of the facility's own controller [Hz], which interpolates in between; null: that of the loop"
-    )
-    delay_cycles: Annotated[int, Field(ge=0, le=200)] = Field(
-        default=0, description="whole cycles for which the controller holds a command back [-]"
-    )
-
-    def cycle(self, rate: float) -> int:
-        """Ticks of a controller's cycle, at the loop's rate [Hz]."""
-        return 1 if self.controller_rate is None else max(1, round(rate / self.controller_rate))
-
-    def lag(self, rate: float) -> float:
-        """How late the controller is [s]: a pose meant for the end of its tick arrives at the end of a cycle that begins later."""
-        return (self.cycle(rate) * (self.delay_cycles + 1) - 1) / rate
-
-    def problems(self, rate: float) -> Iterator[tuple[tuple[str | int, ...], str]]:
-        """A controller's cycle is a whole number of ticks."""
-        if self.controller_rate is None:
-            return
-        ratio = rate / self.controller_rate
-        if round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-9 * ratio:
-            near = rate / max(1, round(ratio))
-            yield (
-                ("controller_rate",),
-                f"does not divide the loop's rate (got {self.controller_rate:g} Hz in a loop of {rate:g} Hz = {ratio:g} passes a cycle); "
-                f"allowed is the rate over a whole number, such as {near:g}",
-            )
 
 
 class Facility(ABC):
@@ -205,12 +169,3 @@ def per_run(settings: Sequence[Any], name: str) -> Array:
             value = getattr(value, part)
         out.append(value)
     return np.array(out, dtype=float)
-
-
-class Friction(Strictly):
-    """Dry friction of a drive; all zero: none."""
-
-    coulomb: NotNegative = Field(description="sliding friction [N, N m]")
-    stiction: NotNegative = Field(description="break-away [N, N m], at least coulomb")
-    stribeck_speed: Positive = Field(description="speed at which the break-away excess has fallen to 1/e [m/s, rad/s]")
-    viscous: NotNegative = Field(description="[N s/m, N m s/rad]")

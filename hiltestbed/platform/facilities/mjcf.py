@@ -13,12 +13,11 @@ from __future__ import annotations
 import math
 from collections.abc import Hashable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array, rotate
@@ -27,7 +26,6 @@ from hiltestbed.platform.facilities.facility import (
     MOUNT,
     MOUNT_HOME,
     UPRIGHT,
-    CommandPath,
     Facility,
     Response,
     add_carrier,
@@ -35,8 +33,8 @@ from hiltestbed.platform.facilities.facility import (
 )
 from hiltestbed.platform.facilities.kinematics import Axis, Kinematics
 from hiltestbed.platform.facilities.position_actuators import PositionActuators
+from hiltestbed.platform.facilities.settings import MjcfSettings
 from hiltestbed.platform.facilities.tree import compose, inverse_pose, site_pose
-from hiltestbed.validation import Positive, Strictly
 
 PREFIX = "rig/"  # of every name of the file in the composed model
 PASSIVE = "passive"
@@ -44,17 +42,6 @@ HOME = "home"
 TRIES = 6  # other places at which a motion that is missing at home is looked for
 NEARBY = 0.1  # of the travel, or of a metre or radian: how far those are from home
 SCALAR = (int(mujoco.mjtJoint.mjJNT_SLIDE), int(mujoco.mjtJoint.mjJNT_HINGE))
-
-
-class MjcfSettings(Strictly):
-    """The user's own rig."""
-
-    kind: Literal["mjcf"]
-    model: str = Field(description="MJCF file of the rig, with a site `mount` and position actuators")
-    speed: Positive = Field(default=1.0, description="limit of a sliding joint [m/s]; MJCF has no such number")
-    spin: Positive = Field(default=2.0, description="limit of a turning joint [rad/s]; the same")
-    acceleration: Positive = Field(default=20.0, description="limit of a joint [m/s^2, rad/s^2]; the same")
-    command: CommandPath = CommandPath()
 
 
 class Mjcf(Facility):

@@ -14,44 +14,33 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Annotated, Any, Literal
+from typing import Any
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from pydantic import Field, Strict
 
 from hiltestbed.frames import Array, quat_exp, rotation_vectors
 from hiltestbed.platform.facilities.facility import Response
-from hiltestbed.validation import NotNegative, Positive, Strictly
-
-SixPositive = Annotated[tuple[Positive, ...], Strict(False), Field(min_length=6, max_length=6)]
+from hiltestbed.platform.facilities.settings import ResponseSettings
 
 
-class ResponseSettings(Strictly):
-    """A response in place of a simulated drive; `tracking: response`."""
+def nominal(settings: ResponseSettings) -> Response:
+    """What a ledger and a compensation may know of it."""
+    band, zeta, gain = (np.array(six(x)) for x in (settings.bandwidth, settings.damping_ratio, settings.gain))
+    if settings.order == 3:  # K w^2/(...) lags by 1/K at low frequency
+        near = np.sqrt(gain * 2.0 * math.pi * band) / (2.0 * math.pi)
+        zeta, band = math.pi * near / gain, near
+    return Response(tuple(map(float, band)), tuple(map(float, zeta)), settings.delay)
 
-    order: Literal[2, 3] = Field(default=2, description="of each axis [-]")
-    bandwidth: Positive | SixPositive = Field(default=20.0, description="natural frequency [Hz], of all axes or x, y, z, rx, ry, rz")
-    damping_ratio: Positive | SixPositive = Field(default=0.7, description="[-], of all axes or each")
-    gain: Positive | SixPositive = Field(default=60.0, description="of order 3 [1/s], of all axes or each")
-    delay: NotNegative = Field(default=0.0, description="pure delay [s], any length")
 
-    def response(self) -> Response:
-        """What a ledger and a compensation may know of it."""
-        band, zeta, gain = (np.array(six(x)) for x in (self.bandwidth, self.damping_ratio, self.gain))
-        if self.order == 3:  # K w^2/(...) lags by 1/K at low frequency
-            near = np.sqrt(gain * 2.0 * math.pi * band) / (2.0 * math.pi)
-            zeta, band = math.pi * near / gain, near
-        return Response(tuple(map(float, band)), tuple(map(float, zeta)), self.delay)
-
-    def transfer(self, frequency: Array, axis: int = 2) -> NDArray[np.complex128]:
-        """The closed form at frequencies [Hz]."""
-        s = 2j * math.pi * np.asarray(frequency, dtype=float)
-        w, zeta, gain = 2.0 * math.pi * six(self.bandwidth)[axis], six(self.damping_ratio)[axis], six(self.gain)[axis]
-        if self.order == 2:
-            return w**2 / (s**2 + 2.0 * zeta * w * s + w**2) * np.exp(-s * self.delay)
-        return gain * w**2 / (s**3 + 2.0 * zeta * w * s**2 + w**2 * s + gain * w**2) * np.exp(-s * self.delay)
+def transfer(settings: ResponseSettings, frequency: Array, axis: int = 2) -> NDArray[np.complex128]:
+    """The closed form at frequencies [Hz]."""
+    s = 2j * math.pi * np.asarray(frequency, dtype=float)
+    w, zeta, gain = 2.0 * math.pi * six(settings.bandwidth)[axis], six(settings.damping_ratio)[axis], six(settings.gain)[axis]
+    if settings.order == 2:
+        return w**2 / (s**2 + 2.0 * zeta * w * s + w**2) * np.exp(-s * settings.delay)
+    return gain * w**2 / (s**3 + 2.0 * zeta * w * s**2 + w**2 * s + gain * w**2) * np.exp(-s * settings.delay)
 
 
 def six(value: float | Sequence[float]) -> tuple[float, ...]:

@@ -8,21 +8,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Hashable, Sequence
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 
 from hiltestbed.frames import Array
 from hiltestbed.platform.facilities.drives import Drives, drive_inputs
 from hiltestbed.platform.facilities.elastic_joint import ElasticJoints
-from hiltestbed.platform.facilities.facility import MOUNT, CommandPath, Facility, Friction, Ratio, Response, add_carrier, frame_of, per_run
+from hiltestbed.platform.facilities.facility import MOUNT, Facility, Response, add_carrier, frame_of, per_run
 from hiltestbed.platform.facilities.friction import Rubbing
 from hiltestbed.platform.facilities.kinematics import Axis, Kinematics
+from hiltestbed.platform.facilities.settings import SerialArmSettings
 from hiltestbed.rig.model import load
-from hiltestbed.validation import NotNegative, Positive, Strictly
 
 # Travel and speed of KR 210 R2700 extra as in the public description of the ROS-Industrial project; torque and acceleration: estimates.
 TRAVEL_DEG = ((-185, 185), (-140, -5), (-120, 155), (-350, 350), (-125, 125), (-350, 350))
@@ -31,34 +30,6 @@ TORQUE = (15e3, 20e3, 12e3, 3e3, 3e3, 1.8e3)  # [N m]
 ACCELERATION = (5.0, 5.0, 6.0, 10.0, 10.0, 12.0)  # [rad/s^2]
 FRICTION_SHARE = (1.0, 1.2, 0.8, 0.2, 0.2, 0.12)  # of the first axis' friction: as their torques
 PRESLIDING = 3.0e6  # [N m/rad] of the motor's bearings and seals, at the joint
-
-
-class ArmController(Strictly):
-    """Controller and motors of an arm."""
-
-    bandwidth: Positive = Field(
-        default=12.0, description="of the motors' position loop [Hz]; its own bandwidth is not published, 10 to 15 Hz are usual [recalled]"
-    )
-    damping_ratio: Ratio = Field(default=0.9, description="[-] no overshoot, as path controllers are set")
-    encoder_resolution: NotNegative = Field(
-        default=4.0e-7, description="of a motor, at the joint [rad]; resolver of 16 bits at a ratio of 240"
-    )
-    friction: Friction = Field(
-        default=Friction(coulomb=120.0, stiction=180.0, stribeck_speed=0.003, viscous=900.0),
-        description="of the first axis' gear, at the joint; 1 % of its torque, what a controller's own compensation leaves of it; the "
-        "others in the ratio of their torques",
-    )
-
-
-class SerialArmSettings(Strictly):
-    """A six-axis industrial arm of the 200-kg class."""
-
-    kind: Literal["serial_arm"]
-    controller: ArmController = ArmController()
-    command: CommandPath = Field(
-        default=CommandPath(controller_rate=250.0, delay_cycles=2),
-        description="250 Hz: the 4 ms of KUKA's RSI, and the rate at EPOS; two cycles held back [recalled]",
-    )
 
 
 def arm_axes(prefix: str = "") -> tuple[Axis, ...]:

@@ -9,22 +9,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Hashable, Sequence
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Any, ClassVar
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 
 from hiltestbed.frames import Array
 from hiltestbed.platform.facilities import hydraulic
 from hiltestbed.platform.facilities.drives import Drives, drive_inputs, mass_matrix
 from hiltestbed.platform.facilities.facility import (
     MOUNT,
-    CommandPath,
     Facility,
-    Friction,
-    Ratio,
     Response,
     add_carrier,
     compiled,
@@ -34,77 +30,12 @@ from hiltestbed.platform.facilities.facility import (
 from hiltestbed.platform.facilities.force_servo import ForceServo
 from hiltestbed.platform.facilities.friction import Rubbing
 from hiltestbed.platform.facilities.kinematics import Axis
+from hiltestbed.platform.facilities.settings import HydraulicDrive, StewartSettings
 from hiltestbed.rig.model import load
-from hiltestbed.validation import NotNegative, Positive, Strictly
 
 STROKE = 1.04  # [m] of a cylinder
 ARMATURE = 120.0  # [kg] of an electric leg: rotor and screw 3e-3 kg m^2 at a lead of 31 mm
 PRESLIDING = 2.0e7  # [N/m] of a seal: 300 N at 15 um
-
-
-class Valve(Strictly):
-    """Servo valve of a leg: a second order between command and spool."""
-
-    bandwidth: Positive = Field(
-        default=120.0, description="[Hz]; a two-stage flow-control valve at small opening, makers' curves [recalled]"
-    )
-    damping_ratio: Ratio = Field(default=0.7, description="[-] the same")
-    flow: Positive = Field(
-        default=5.0e-3, description="at full opening without load [m^3/s]; 300 l/min: 0.8 m/s of the piston, a size that is made [recalled]"
-    )
-
-
-class HydraulicDrive(Strictly):
-    """Cylinder, oil and controller of a leg."""
-
-    kind: Literal["hydraulic"] = "hydraulic"
-    supply: Positive = Field(default=2.1e7, description="supply pressure [Pa]; 210 bar, the usual one of test rigs")
-    area: Positive = Field(default=6.26e-3, description="of the piston [m^2]; bore 100 mm, rod 45 mm on both sides")
-    dead_volume: Positive = Field(default=6.5e-4, description="of hose, manifold and end of each side [m^3]; a tenth of the stroke's")
-    bulk_modulus: Positive = Field(default=8.0e8, description="of oil with hoses and dissolved air [Pa]; 0.7 to 1.0e9 (Merritt 1967)")
-    leakage: NotNegative = Field(default=2.0e-12, description="past the piston [m^3/s/Pa]; 2.5 l/min at 210 bar")
-    valve: Valve = Valve()
-    gain: Positive = Field(
-        default=69.0, description="of the position loop [1/s]; set so that 10 Hz passes within 2 dB and 70 deg, as Harbin reports"
-    )
-    pressure_feedback: NotNegative = Field(
-        default=3.3e-10, description="dynamic, flow per load pressure [m^3/s/Pa]; damps the oil's spring by 0.2 to 0.6"
-    )
-    feedback_corner: Positive = Field(default=0.5, description="below which the pressure feedback lets go [Hz]")
-    encoder_resolution: NotNegative = Field(default=1.0e-6, description="of the leg's transducer [m]; magnetostrictive, 1 um")
-    friction: Friction = Field(
-        default=Friction(coulomb=120.0, stiction=180.0, stribeck_speed=0.005, viscous=600.0),
-        description="of the seals; low-friction seals of test cylinders, 0.1 % of 131 kN, break-away 1.5 times that",
-    )
-    speed: Positive = Field(default=0.8, description="limit of a leg [m/s]: what the valve lets through")
-    acceleration: Positive = Field(default=15.0, description="limit of a leg [m/s^2]")
-
-
-class ElectricDrive(Strictly):
-    """Screw drive of a leg under a model-based position loop."""
-
-    kind: Literal["electric"]
-    bandwidth: Positive = Field(default=25.0, description="of the position loop [Hz]; half the first mode of large electric legs")
-    damping_ratio: Ratio = Field(default=0.9, description="[-]")
-    encoder_resolution: NotNegative = Field(
-        default=1.0e-7, description="[m]; 20 bits a turn, 31 mm lead: 0.03 um, times the screw's own error"
-    )
-    friction: Friction = Field(
-        default=Friction(coulomb=0.0, stiction=0.0, stribeck_speed=0.005, viscous=0.0), description="of screw and guide; none: compensated"
-    )
-    force: Positive = Field(default=4.0e4, description="limit of a drive [N]")
-    speed: Positive = Field(default=1.0, description="limit of a leg [m/s]")
-    acceleration: Positive = Field(default=15.0, description="limit of a leg [m/s^2]")
-
-
-class StewartSettings(Strictly):
-    """A Stewart platform: six legs under the active side."""
-
-    kind: Literal["stewart"]
-    drive: Annotated[HydraulicDrive | ElectricDrive, Field(discriminator="kind")] = Field(
-        default=HydraulicDrive(), description="hydraulic or electric legs"
-    )
-    command: CommandPath = CommandPath()
 
 
 class Stewart(Facility):

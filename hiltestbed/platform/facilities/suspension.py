@@ -14,41 +14,25 @@ from __future__ import annotations
 
 import math
 from collections.abc import Hashable, Sequence
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar
 
 import mujoco
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from pydantic import Field
 
 from hiltestbed.frames import Array
 from hiltestbed.platform.facilities.bodies import GRAVITY, SIDES, Bodies, PhysicalFacility
 from hiltestbed.platform.facilities.facility import MOUNT, per_run
+from hiltestbed.platform.facilities.settings import SuspensionSettings
 from hiltestbed.rig.friction import drag
 from hiltestbed.rig.model import load
-from hiltestbed.validation import NotNegative, Positive, Strictly
 
 PRESLIDING = 2.0e5  # [N/m] of a winch before it breaks away
 STRIBECK_SPEED = 0.002  # [m/s]
 BREAKAWAY = 1.3  # of the sliding friction
 HOOK = 2.0  # [kg] gimbal and hook, in models/suspension
 THIN = 0.012  # [m] radius of the cable
-
-
-class SuspensionSettings(Strictly):
-    """Two articles on cables: full physical simulation, weight held by winches."""
-
-    kind: Literal["suspension"]
-    target: Literal["free", "fixed"] = Field(default="free", description="whether the target hangs, too, or is bolted down")
-    length: Positive = Field(default=10.0, description="of a cable, from its pivot to the gimbal [m]; a hall of 12 m")
-    cable_mass: NotNegative = Field(default=2.5, description="[kg]; steel rope of 8 mm: 0.25 kg/m")
-    swing_damping: NotNegative = Field(default=0.0, description="of the pivot [N m s/rad]")
-    winch_mass: NotNegative = Field(default=15.0, description="inertia of a winch as the article feels it [kg]; an estimate")
-    winch_friction: NotNegative = Field(default=4.0, description="dry friction of a winch [N]; 0.1 % of the weight of 400 kg")
-    tension_bandwidth: Positive = Field(default=5.0, description="of the tension servo [Hz]; first order; an estimate")
-    tension_error: float = Field(default=0.001, description="of the tension, as a part of the weight [-]; the load cell's class")
-    gimbal_offset: float = Field(default=0.001, description="of the gimbal above the centre of mass [m]; balanced to 1 mm")
 
 
 @njit(cache=True)

@@ -15,13 +15,12 @@ so that near the touch the two arms take (1 - s) and s of every motion, and far 
 from __future__ import annotations
 
 from collections.abc import Hashable, Sequence
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Any, ClassVar
 
 import mujoco
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from pydantic import Field
 
 from hiltestbed.frames import Array, pose_step, quat_exp, quat_mul, rotate, rotation_vector, twist_between
 from hiltestbed.platform.facilities.elastic_joint import ElasticJoints
@@ -30,17 +29,16 @@ from hiltestbed.platform.facilities.facility import (
     NOMINAL,
     SENSOR_HEIGHT,
     TOOL_HOME,
-    CommandPath,
     Facility,
     Response,
     add_carrier,
     per_run,
 )
 from hiltestbed.platform.facilities.kinematics import Axis, Kinematics
-from hiltestbed.platform.facilities.serial_arm import FRICTION_SHARE, ArmController, arm_axes, arm_rubbing, pose_arm
+from hiltestbed.platform.facilities.serial_arm import FRICTION_SHARE, arm_axes, arm_rubbing, pose_arm
+from hiltestbed.platform.facilities.settings import TwoArmsSettings
 from hiltestbed.platform.facilities.tree import compose, inverse_pose
 from hiltestbed.rig.model import load
-from hiltestbed.validation import Strictly
 
 ACTIVE, PASSIVE = "chaser_", "target_"  # prefixes of the two arms' names
 HOME = (0.0, -1.0506357359978915, 1.6113790755209094, 0.0, -0.5607433395296182, 1.5707963267948966)  # [rad], a6 of the passive arm
@@ -99,19 +97,6 @@ def _allocate(pose, twist, accel, half, shares, poses, twists, held, speeds):
         speeds[i, 0] = (last - first) / SLICE
         for t in range(2):
             twist_between(before[t], after[t], SLICE, twists[i, t])
-
-
-class TwoArmsSettings(Strictly):
-    """Two industrial arms of the 200-kg class, the passive one on a rail."""
-
-    kind: Literal["two_arms"]
-    passive_share: Annotated[float, Field(ge=0, le=1)] = Field(
-        default=0.5, description="of the relative motion near the touch that the passive arm makes [-]; 0: it stands still"
-    )
-    controller: ArmController = Field(default=ArmController(), description="of both arms and the rail")
-    command: CommandPath = Field(
-        default=CommandPath(controller_rate=250.0, delay_cycles=2), description="as of serial_arm; EPOS is commanded at 250 Hz"
-    )
 
 
 class FacingArms(ElasticJoints):
