@@ -1,7 +1,7 @@
 """The facilities that a scenario may name, each of which describes itself, and what the plant asks of them.
 
 A facility is the motion platform of a rig with its drives: models in ``models/<kind>``, settings with unit, default and source, kinematics,
-drives, limits, nominal response. It is found by the kind of its settings, ``build_facility(settings)``; nothing else knows a facility's name.
+drives, limits, nominal response. ``build_facility(settings)`` finds it by the kind of its settings; nothing else knows its name.
 
 Before a run
     facility.problems(rate)                what in the settings cannot be in a loop of this rate: (path, message)

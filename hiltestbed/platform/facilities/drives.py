@@ -24,7 +24,8 @@ from hiltestbed.frames import Array, pose_between, pose_step, rotate_back
 from hiltestbed.platform.facilities.friction import Rubbing
 from hiltestbed.platform.facilities.inverse_dynamics import drive_forces, joint_forces, weights
 from hiltestbed.platform.facilities.kinematics import Kinematics
-from hiltestbed.platform.facilities.motion import move, newton, packed, place, rates, scratch, shift, tool_pose, tool_twist, unpack, ways
+from hiltestbed.platform.facilities.motion import move, packed, place, scratch, tool_pose, tool_twist, unpack
+from hiltestbed.platform.facilities.newton import newton, rates, shift, ways
 from hiltestbed.platform.facilities.reference import plan_tick, sample
 
 PER_TICK = 3  # Newton steps from one tick to the next; one is enough for motion, the others for a command that jumps

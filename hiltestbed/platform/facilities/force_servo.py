@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -30,12 +31,12 @@ def quantised(value, step):
 
 
 @njit(cache=True)
-def _push(plan, sub, mass, gains, encoder, load, most, axes, inputs, qpos, qvel, force, ctrl):
-    """gains: (n, 2) w^2 and 2 zeta w. force: (J,) room to work in. most: (n, J) what a drive can give."""
+def _push(plan, sub, mass, gains, encoder, load, bent, most, axes, inputs, qpos, qvel, force, ctrl):
+    """gains: (n, 2) w^2 and 2 zeta w. bent, most: (n, J) what the references are shifted by, what a drive can give. force: (J,) room."""
     joints = mass.shape[0]
     for i in range(qpos.shape[0]):
         for j in range(joints):
-            error = plan[i, sub, 0, j] - quantised(qpos[i, axes[0, j]], encoder[i])
+            error = plan[i, sub, 0, j] + bent[i, j] - quantised(qpos[i, axes[0, j]], encoder[i])
             force[j] = gains[i, 0] * error + gains[i, 1] * (plan[i, sub, 1, j] - qvel[i, axes[1, j]]) + plan[i, sub, 2, j]
         for j in range(joints):
             total = load[i, j]
@@ -45,7 +46,11 @@ def _push(plan, sub, mass, gains, encoder, load, most, axes, inputs, qpos, qvel,
 
 
 class ForceServo(Drives):
-    """Electric drives of `n` runs."""
+    """Electric drives of `n` runs.
+
+    Attributes:
+        bent: (n, J) what the references are shifted by, where something between drive and tool yields to the weight.
+    """
 
     def __init__(
         self,
@@ -69,6 +74,7 @@ class ForceServo(Drives):
         self._encoder, self._mass = np.asarray(encoder, dtype=float), np.ascontiguousarray(self.mass_matrix())
         self._most = np.tile([axis.force for axis in kinematics.axes], (len(feed), 1))
         self._force, self._rubbing = np.zeros(len(kinematics.axes)), rubbing
+        self.bent = np.zeros((len(feed), len(kinematics.axes)))
 
     def rest(self, qpos: Array, qvel: Array) -> None:
         if self._rubbing:
@@ -80,8 +86,11 @@ class ForceServo(Drives):
 
     def push(self, sub: int, qpos: Array, qvel: Array, ctrl: Array) -> None:
         _push(
-            self._plan, sub, self._mass, self._gains, self._encoder, self.load, self._most, self._axes, self._inputs,
+            self._plan, sub, self._mass, self._gains, self._encoder, self.load, self.bent, self._most, self._axes, self._inputs,
             qpos, qvel, self._force, ctrl,
         )  # fmt: skip
         if self._rubbing:
             self._rubbing.act(qvel, ctrl)
+
+    def state(self) -> dict[str, NDArray[Any]]:
+        return super().state() | {"bent": self.bent}

@@ -1,6 +1,6 @@
 """Kinematics of a facility: from poses of its tools to its joints and back, for batches, and what stands in the way.
 
-Every facility solves the same equations (:mod:`hiltestbed.platform.facilities.motion`): tools at their poses, loops closed. A pose far
+Every facility solves the same equations (:mod:`hiltestbed.platform.facilities.newton`): tools at their poses, loops closed. A pose far
 from home is reached along a straight path in steps, so that the solution stays on the branch (elbow, wrist, legs) that home lies on.
 """
 
@@ -15,7 +15,8 @@ import numpy as np
 
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array, pose_step, twist_between
-from hiltestbed.platform.facilities.motion import CLOSE, ITERATIONS, equations, move, newton, place, rates, scratch, tool_pose, tool_twist
+from hiltestbed.platform.facilities.motion import move, place, scratch, tool_pose, tool_twist
+from hiltestbed.platform.facilities.newton import CLOSE, ITERATIONS, equations, newton, rates
 from hiltestbed.platform.facilities.tree import HINGE, SLIDE, build_tree
 
 STRIDE = 0.05  # [m], [rad] of a tool between two solutions on the way to a far pose
