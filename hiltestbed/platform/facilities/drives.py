@@ -1,0 +1,310 @@
+"""Drives of `n` runs of a facility: from the commanded relative pose to what each actuator is told, step by step.
+
+A tick: ``aim`` solves for the joints at the command and plans the references over the tick; ``push`` is called before every step of the
+physics with the state as it stands, and writes the actuators' inputs; ``observe`` reads poses and joints from the state. What a drive
+pushes is the subclass's.
+
+The relative pose is that of A in P. Where the passive side stands still, P is W, and one tool follows the command. A facility that moves
+both sides overrides :meth:`Drives.allocate`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import mujoco
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from hiltestbed.errors import InputError
+from hiltestbed.frames import Array, pose_between, pose_step, rotate_back
+from hiltestbed.platform.facilities.friction import Rubbing
+from hiltestbed.platform.facilities.inverse_dynamics import drive_forces, joint_forces, weights
+from hiltestbed.platform.facilities.kinematics import Kinematics
+from hiltestbed.platform.facilities.motion import move, packed, place, scratch, tool_pose, tool_twist, unpack
+from hiltestbed.platform.facilities.newton import newton, rates, shift, ways
+from hiltestbed.platform.facilities.reference import plan_tick, sample
+
+PER_TICK = 3  # Newton steps from one tick to the next; one is enough for motion, the others for a command that jumps
+SOLVED = 1e-9  # [m], [rad]
+WEIGHED = 4  # controller cycles between two looks at the weight, which changes by less than 1e-3 of itself meanwhile
+UPRIGHT = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
+
+
+@njit(cache=True)
+def _aim(
+    flat, k, h, cycles, lates, feed, axes, gravity, poses, held, twists, speeds, qs, rate, goal, leave, load, missed, ring, span,
+    reference, velocity, plan,
+):  # fmt: skip
+    """Joints, rates and weights where a cycle begins, for tools at ``poses`` (n, nt, 7), left with ``twists`` (n, nt, 6), in W; the plan.
+
+    flat: the tree (:func:`hiltestbed.platform.facilities.motion.packed`). k: the tick; below 0: solve for all, plan nothing.
+    qs, rate: (n, nq), (n, nv) the last solution and how it left, moved on. goal, leave, load: (n, J). missed: (n,) residual [m, rad].
+    """
+    tree, w = unpack(flat[0], flat[1], flat[2])
+    joints, nv = goal.shape[1], tree.armature.shape[0]
+    every, forces = np.empty((6 * poses.shape[1] + held.shape[1], nv)), np.empty(nv)
+    square, right = np.empty((joints, joints)), np.empty(joints)
+    for i in range(poses.shape[0]):
+        if k < 0 or k % cycles[i] == 0:
+            if k >= 0:
+                shift(tree, qs[i], rate[i], h * cycles[i])
+            missed[i] = newton(tree, qs[i], poses[i], held[i], w, SOLVED, PER_TICK)
+            rates(tree, w, twists[i], speeds[i], rate[i])
+            for j in range(joints):
+                goal[i, j] = qs[i, axes[0, j]]
+                leave[i, j] = rate[i, axes[1, j]]
+            if k < 0 or (k // cycles[i]) % WEIGHED == 0:
+                ways(tree, w, every)
+                weights(tree, gravity, w, forces)
+                drive_forces(every, axes[1], forces, square, right, load[i])
+            if k >= 0:
+                sample(k, cycles[i], lates[i], ring, span, i, goal[i], leave[i])
+        if k >= 0:
+            plan_tick(k, cycles[i], feed[i], h, span, i, reference, velocity, plan)
+
+
+@njit(cache=True)
+def _follow(pose, twist, accel, half, poses, twists):
+    for i in range(pose.shape[0]):
+        for c in range(7):
+            poses[i, 0, c] = pose[i, c]
+        for c in range(6):
+            twists[i, 0, c] = twist[i, c] + half * accel[i, c]
+
+
+@njit(cache=True)
+def _observe(flat, axes, home, two, qpos, qvel, limit, place_A, motion_A, place_P, motion_P, pose, twist, joints, rate, diverged):
+    tree, w = unpack(flat[0], flat[1], flat[2])
+    lost = False
+    r, arm = np.empty(3), np.empty(3)
+    for i in range(qpos.shape[0]):
+        if diverged[i]:
+            continue
+        worst = 0.0
+        for k in range(qvel.shape[1]):
+            worst = max(worst, abs(qvel[i, k])) if math.isfinite(qvel[i, k]) else math.inf
+        for k in range(qpos.shape[1]):
+            worst = worst if math.isfinite(qpos[i, k]) else math.inf
+        if not worst < limit:
+            diverged[i] = True
+            lost = True
+            continue
+        place(tree, qpos[i], w)
+        move(tree, qvel[i], w)
+        tool_pose(tree, w, 0, place_A[i])
+        tool_twist(tree, w, 0, motion_A[i])
+        for j in range(home.shape[0]):
+            joints[i, j] = qpos[i, axes[0, j]] - home[j]
+            rate[i, j] = qvel[i, axes[1, j]]
+        if not two:
+            pose[i] = place_A[i]
+            twist[i] = motion_A[i]
+            continue
+        tool_pose(tree, w, 1, place_P[i])
+        tool_twist(tree, w, 1, motion_P[i])
+        relative(place_A[i], motion_A[i], place_P[i], motion_P[i], r, arm, pose[i], twist[i])
+    return lost
+
+
+@njit(cache=True)
+def relative(place_A, motion_A, place_P, motion_P, r, arm, pose, twist):
+    """``pose`` (7,) of A in P and ``twist`` (6,) of A relative to P, in P, from poses and twists of both in W."""
+    pose_between(place_P, place_A, pose)
+    for c in range(3):
+        r[c] = place_A[c] - place_P[c]
+    for c in range(3):
+        k, l = (c + 1) % 3, (c + 2) % 3
+        arm[c] = motion_A[c] - motion_P[c] - (motion_P[3 + k] * r[l] - motion_P[3 + l] * r[k])
+        twist[3 + c] = motion_A[3 + c] - motion_P[3 + c]
+    rotate_back(place_P[3:7], arm, twist)
+    rotate_back(place_P[3:7], twist[3:6], twist[3:6])
+
+
+class Drives:
+    """References and inputs of the drives of `n` runs, and what the joints say; all arrays are updated in place.
+
+    Attributes, at t_k:
+        pose, twist: (n, 7), (n, 6) of A relative to P, in P. place_A, motion_A, place_P, motion_P: of both in W.
+        joints, joint_rates: (n, J) from home. reference: (n, J) what they were to be, from home.
+        missed: (n,) by how much the last command was out of the facility's reach [m, rad].
+        load: (n, J) what the drives carry of the weight at the command [N, N m].
+    """
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        kinematics: Kinematics,
+        tick: float,
+        substeps: int,
+        cycles: Sequence[int],
+        lates: Sequence[int],
+        feed: NDArray[np.bool_],
+    ) -> None:
+        """Args: cycles, lates: (n,) ticks of a controller's cycle, whole cycles that it holds a command back. feed: (n,) feed-forward."""
+        n, joints = len(feed), len(kinematics.axes)
+        self.kinematics, self.tick, self.step = kinematics, tick, tick / substeps
+        self.model, self._feed = model, np.asarray(feed, dtype=bool)
+        self._cycles, self._lates = np.asarray(cycles, dtype=np.int64), np.asarray(lates, dtype=np.int64)
+        self._flat = packed(kinematics.tree)
+        self._axes = np.array([kinematics.q, kinematics.v])
+        self._home, self._gravity = kinematics.joints_home, np.array(model.opt.gravity, dtype=float)
+        self._two = len(kinematics.tools) == 2
+        tools, held = len(kinematics.tools), len(kinematics.prescribed)
+        self.poses, self.twists = np.tile(UPRIGHT, (n, tools, 1)), np.zeros((n, tools, 6))
+        self.held, self.held_rates = np.tile(kinematics.held_home, (n, 1)), np.zeros((n, held))
+        self._qs, self._rates = np.tile(kinematics.home, (n, 1)), np.zeros((n, model.nv))
+        self._goal, self._leave, self.load = np.tile(self._home, (n, 1)), np.zeros((n, joints)), np.zeros((n, joints))
+        self._ring = np.zeros((n, int(self._lates.max(initial=0)) + 1, 2, joints))
+        self._span = np.zeros((n, 2, 2, joints))
+        self._target, self._velocity = np.tile(self._home, (n, 1)), np.zeros((n, joints))
+        self._plan = np.zeros((n, substeps, 3, joints))
+        self._start = np.tile(UPRIGHT, (n, 1))
+        self._ticks = np.zeros(1, dtype=np.int64)
+        self.missed = np.zeros(n)
+        self.pose, self.twist = np.tile(UPRIGHT, (n, 1)), np.zeros((n, 6))
+        self.place_A, self.motion_A = np.tile(UPRIGHT, (n, 1)), np.zeros((n, 6))
+        self.place_P, self.motion_P = np.tile(UPRIGHT, (n, 1)), np.zeros((n, 6))
+        self.joints, self.joint_rates, self.reference = np.zeros((n, joints)), np.zeros((n, joints)), np.zeros((n, joints))
+        self._rubbing: Rubbing | None = None
+        self._inputs = drive_inputs(model, [axis.joint for axis in kinematics.axes])
+
+    # What a facility that moves both sides, or drives in another way, has of its own.
+
+    def allocate(self, pose: Array, twist: Array, accel: Array, half: float) -> None:
+        """Write ``poses`` and ``twists`` of the tools in W (and of what is prescribed) for the relative ``pose`` (n, 7) and the velocity
+        ``half`` [s] after ``twist`` (n, 6), with ``accel`` (n, 6)."""
+        _follow(pose, twist, accel, half, self.poses, self.twists)
+
+    def push(self, sub: int, qpos: Array, qvel: Array, ctrl: Array) -> None:
+        """Write the drives' inputs into ``ctrl`` (n, nu) for step ``sub`` of the tick, from the joints as they stand."""
+        raise NotImplementedError
+
+    def rest(self, qpos: Array, qvel: Array) -> None:
+        """Put the drives' own state where it is in uniform motion; ``qpos`` (n, nq) may yield to the weight."""
+
+    def feedback(self) -> Array:
+        """``(n, k)`` view of the drives' own state that the motion of the rig acts back on; none: (n, 0)."""
+        return np.zeros((len(self.pose), 0))
+
+    # What all have.
+
+    def settle(self, pose: Array, twist: Array, qpos: Array, qvel: Array) -> None:
+        """Put joints, references and drives where they are in the uniform motion with ``twist`` (n, 6) that is commanded to be at
+        ``pose`` (n, 7): behind it by what the controller is late.
+
+        Raises:
+            InputError: a start that the facility cannot reach, or at which a joint is past its travel or loses its hold.
+        """
+        self._ticks[0] = 0
+        lag = self.lag
+        for i in range(len(pose)):
+            pose_step(pose[i], twist[i], -lag[i], self._start[i])
+        self.allocate(self._start, twist, np.zeros_like(twist), 0.0)
+        for i in range(len(pose)):
+            found = self.kinematics.complaints(self.poses[i], self.held[i])
+            if found:
+                raise InputError("the start cannot be: " + "; ".join(found))
+            self._qs[i], _ = self.kinematics.solve(self.poses[i], self.held[i])
+            qpos[i] = self._qs[i]
+            qvel[i] = self.kinematics.rates(self._qs[i], self.twists[i], self.held_rates[i])
+        self._solve(-1)
+        self._target[:], self._velocity[:] = self._goal, np.where(self._feed[:, None], self._leave, 0.0)
+        self._span[:, :, 0], self._span[:, :, 1] = self._goal[:, None], self._leave[:, None]
+        for back in range(1, self._ring.shape[1]):  # commands that are still held back
+            ahead = self.tick * self._cycles * (self._lates + 1 - back)
+            self._ring[:, -back % self._ring.shape[1], 0] = self._goal + self._leave * ahead[:, None]
+            self._ring[:, -back % self._ring.shape[1], 1] = self._leave
+        self.rest(qpos, qvel)
+        self.arrive()
+
+    @property
+    def lag(self) -> Array:
+        """(n,) how late the controller makes each run [s]: its cycle less the tick in which a pose is due, and the cycles held back."""
+        return np.asarray(self.tick * (self._cycles * (self._lates + 1) - 1), dtype=float)
+
+    def _solve(self, k: int) -> None:
+        _aim(
+            self._flat, k, self.tick, self._cycles, self._lates, self._feed, self._axes, self._gravity, self.poses, self.held, self.twists,
+            self.held_rates, self._qs, self._rates, self._goal, self._leave, self.load, self.missed, self._ring, self._span, self._target,
+            self._velocity, self._plan,
+        )  # fmt: skip
+
+    def aim(self, pose_cmd: Array, twist_cmd: Array, accel_cmd: Array) -> None:
+        """Plan one tick; ``pose_cmd`` (n, 7) is meant for its end, with ``twist_cmd`` and ``accel_cmd`` (n, 6), all in P.
+
+        The command is left with the velocity of the tick plus half a tick of its acceleration: a semi-implicit velocity belongs to the
+        middle of its tick.
+        """
+        self.allocate(pose_cmd, twist_cmd, accel_cmd, 0.5 * self.tick)
+        self._solve(int(self._ticks[0]))
+        self._ticks[0] += 1
+
+    def follow(self, pose: Array, twist: Array) -> None:
+        """Joints and their rates where A is at ``pose`` (n, 7) with ``twist`` (n, 6), of a rig that follows exactly: no drive acts."""
+        self.allocate(pose, twist, np.zeros_like(twist), 0.0)
+        self._solve(-1)
+        np.subtract(self._goal, self._home, out=self.joints)
+        self.joint_rates[:], self.reference[:] = self._leave, self.joints
+
+    def arrive(self) -> None:
+        """The tick is over."""
+        np.subtract(self._target, self._home, out=self.reference)
+
+    def observe(self, qpos: Array, qvel: Array, limit: float, diverged: NDArray[np.bool_]) -> bool:
+        """Read poses, twists and joints; True where a run has just left ``limit`` [m/s, rad/s], which ``diverged`` (n,) then names."""
+        return _observe(
+            self._flat, self._axes, self._home, self._two, qpos, qvel, limit, self.place_A, self.motion_A,
+            self.place_P, self.motion_P, self.pose, self.twist, self.joints, self.joint_rates, diverged,
+        )  # fmt: skip
+
+    def release(self) -> None:
+        """Leave the drives' friction and the steps of their encoders out from now on: what is measured is then linear."""
+        self._rubbing = None
+
+    def state(self) -> dict[str, NDArray[Any]]:
+        """The arrays that make up the state between two ticks; written back, the drives go on from there."""
+        return {
+            "ticks": self._ticks,
+            "solution": self._qs,
+            "rates": self._rates,
+            "target": self._target,
+            "velocity": self._velocity,
+            "ring": self._ring,
+            "span": self._span,
+            "goal": self._goal,
+            "leave": self._leave,
+            "load": self.load,
+        } | (self._rubbing.state() if self._rubbing else {})
+
+    def mass_matrix(self) -> Array:
+        """``(J, J)`` [kg, kg m, kg m^2] what the drives feel of all that moves, at home: loops closed, by virtual work."""
+        return mass_matrix(self.kinematics, self.model)
+
+
+def mass_matrix(kinematics: Kinematics, model: mujoco.MjModel) -> Array:
+    """``(J, J)``: forces of the driven joints for a unit acceleration of each, at home, without gravity or velocities."""
+    tree, w, home = kinematics.tree, scratch(kinematics.tree), kinematics.home
+    newton(tree, home.copy(), kinematics.home_poses, kinematics.held_home, w, SOLVED, 1)
+    every = np.zeros((6 * len(kinematics.tools) + len(kinematics.prescribed), model.nv))
+    ways(tree, w, every)
+    reach = np.linalg.pinv(every[:, kinematics.v]) @ every  # (J, nv): all rates per unit rate of a driven joint
+    forces, none = np.empty((len(reach), model.nv)), np.zeros(3)
+    for j, way in enumerate(reach):
+        joint_forces(tree, np.zeros(model.nv), np.ascontiguousarray(way), none, w, forces[j])
+    return reach @ forces.T
+
+
+def drive_inputs(model: mujoco.MjModel, joints: Sequence[str]) -> NDArray[np.int64]:
+    """``(J,)`` which actuator acts on each of the joints. Raises InputError for a joint without one."""
+    found = []
+    for name in joints:
+        joint = model.joint(name).id
+        acts = np.flatnonzero((model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT) & (model.actuator_trnid[:, 0] == joint))
+        if not len(acts):
+            raise InputError(f"joint {name!r} has no actuator; the facility drives it")
+        found.append(int(acts[0]))
+    return np.array(found, dtype=np.int64)

@@ -1,0 +1,171 @@
+"""What a facility says of itself: the base of every kind of motion platform.
+
+A facility is made from its settings, a section of the scenario. The plant asks it for a model, kinematics and drives, and knows neither
+its name nor its joints. In W, the world of the composed model, z points along the insertion and the origin is where the passive port P
+stands nominally; at home the site `mount`, which carries the active mechanism, stands at :data:`MOUNT_HOME`, upright.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Hashable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, ClassVar
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from hiltestbed.frames import Array
+from hiltestbed.platform.facilities.drives import Drives
+from hiltestbed.platform.facilities.kinematics import Axis, Kinematics
+from hiltestbed.platform.facilities.tree import compose, inverse_pose
+from hiltestbed.rig.model import load
+
+MOUNT = "mount"
+CARRIER = "passive_carrier"  # the body that carries force sensor and passive mechanism
+NOMINAL = "P_nominal"  # its site, where P stands nominally
+MOUNT_HOME = np.array([0.0, 0.0, -0.60, 0.0, 0.0, 0.0, 1.0])  # a docking mechanism is 0.60 m tall: then A stands at P
+UPRIGHT = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+TOOL_HOME = np.array([0.0, 0.0, 0.60, 0.0, 0.0, 0.0, 1.0])  # pose of A in the mount
+SENSOR_HEIGHT = 0.76  # [m] of the sensor's flange over P
+
+
+@dataclass(frozen=True)
+class Response:
+    """Nominal response of a facility to its command, an axis at a time: x, y, z, rx, ry, rz.
+
+    Attributes:
+        bandwidth: (6,) [Hz] natural frequency of the second order that is nearest at low frequency. damping_ratio: (6,).
+        delay: pure delay [s]: command, controller's cycle.
+        followed: feed-forward takes out what the second order would lag.
+    """
+
+    bandwidth: tuple[float, ...]
+    damping_ratio: tuple[float, ...]
+    delay: float
+    followed: bool = False
+
+    def late(self, axis: int = 2) -> float:
+        """Delay at low frequency [s]: 2 zeta/w of the second order, and the pure delay."""
+        if self.followed or math.isinf(self.bandwidth[axis]):
+            return self.delay
+        return self.delay + 2.0 * self.damping_ratio[axis] / (2.0 * math.pi * self.bandwidth[axis])
+
+    def at(self, frequency: float, axis: int = 2) -> complex:
+        """Complex ratio of reached to commanded at a frequency [Hz]."""
+        s = 2j * math.pi * frequency
+        w = 2.0 * math.pi * self.bandwidth[axis]
+        lag = 1.0 if self.followed or math.isinf(w) else w * w / (s * s + 2.0 * self.damping_ratio[axis] * w * s + w * w)
+        return complex(lag * np.exp(-s * self.delay))
+
+
+class Facility(ABC):
+    """A motion platform with its drives.
+
+    Attributes:
+        settings: what the scenario says of it. moves_passive: its passive side moves as well. physical: bodies that move by themselves
+            in place of the numerical model (:class:`hiltestbed.platform.facilities.bodies.Bodies`).
+    """
+
+    kind: ClassVar[str]
+    moves_passive: ClassVar[bool] = False
+    physical: ClassVar[bool] = False
+
+    def __init__(self, settings: Any) -> None:
+        self.settings = settings
+
+    @property
+    @abstractmethod
+    def axes(self) -> tuple[Axis, ...]:
+        """The driven joints, with travel and limits."""
+
+    @abstractmethod
+    def spec(self) -> mujoco.MjSpec:
+        """A new specification of the facility at home: site :data:`MOUNT`, body :data:`CARRIER` with site :data:`NOMINAL`, gravity, and a
+        motor or position actuator on every driven joint. Time step and the stiffness of loops are the plant's."""
+
+    @abstractmethod
+    def drives(
+        self,
+        model: mujoco.MjModel,
+        settings: Sequence[Any],
+        tick: float,
+        substeps: int,
+        feed: NDArray[np.bool_],
+        tool: str = MOUNT,
+    ) -> Drives:
+        """Drives of runs whose ``settings`` may differ in numbers; ``tool`` is the site that follows the command (A, or the mount)."""
+
+    @abstractmethod
+    def response(self, rate: float, feed: bool) -> Response:
+        """Nominal response in a loop of ``rate`` [Hz], with or without feed-forward of velocity and acceleration."""
+
+    def kinematics(self, model: mujoco.MjModel, tool: str = MOUNT) -> Kinematics:
+        """Geometry of a compiled model that holds the facility; ``tool`` is the site that follows the command."""
+        return Kinematics(model, [tool], self.axes)
+
+    def alike(self) -> Hashable:
+        """What must be equal in the runs of one batch: all that the model depends on."""
+        return self.kind
+
+    def problems(self, rate: float) -> Iterator[tuple[tuple[str | int, ...], str]]:
+        """What in the settings cannot be in a loop of ``rate`` [Hz]: path below the settings, message."""
+        yield from self.settings.command.problems(rate)
+
+    @cached_property
+    def bare(self) -> Kinematics:
+        """Geometry of the facility without a mechanism, for checks before a run."""
+        return self.kinematics(compiled(self.spec()))
+
+    def complaints(self, pose: Array, tool: Array = TOOL_HOME) -> list[str]:
+        """Why the facility cannot bring A to ``pose`` (7,) in P; ``tool`` (7,) is the pose of A in the mount. Empty: it can."""
+        return self.bare.complaints(compose(np.asarray(pose, dtype=float), inverse_pose(tool)))
+
+    def lags(self, settings: Sequence[Any], tick: float) -> tuple[list[int], list[int]]:
+        """Ticks of each run's controller cycle, and whole cycles that it holds a command back."""
+        return [s.command.cycle(1.0 / tick) for s in settings], [s.command.delay_cycles for s in settings]
+
+
+def frame_of(spec: mujoco.MjSpec) -> None:
+    """Put the shipped frame, with the force sensor's flange, over a facility that stands below P."""
+    spec.attach(load("frame/frame"), prefix="frame_", frame=spec.worldbody.add_frame())
+
+
+def add_carrier(body: Any, pose: Array = UPRIGHT) -> None:
+    """Give ``body`` of a specification the carrier of the passive side, at ``pose`` (7,) in it."""
+    quat = [pose[6], *pose[3:6]]
+    body.add_body(name=CARRIER, pos=pose[:3], quat=quat).add_site(name=NOMINAL)
+
+
+def compiled(spec: mujoco.MjSpec, timestep: float = 2.5e-4) -> mujoco.MjModel:
+    """The model of a specification, as the plant would step it: nothing that is only drawn, loops held as stiffly as can be."""
+    spec.compiler.discardvisual = True
+    spec.option.timestep = timestep
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
+    spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND | mujoco.mjtDisableBit.mjDSBL_AUTORESET
+    stiffen(spec, timestep)
+    return spec.compile()
+
+
+LOOPS = (mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD, mujoco.mjtEq.mjEQ_JOINT)
+
+
+def stiffen(spec: mujoco.MjSpec, timestep: float) -> None:
+    """Hold the joints that close loops with a time constant of two steps, as stiffly as MuJoCo allows."""
+    for joint in spec.equalities:
+        if joint.type in LOOPS:
+            joint.solref[:] = [2.0 * timestep, 1.0]
+
+
+def per_run(settings: Sequence[Any], name: str) -> Array:
+    """``(n,)`` one number of each run's settings, by its dotted name."""
+    out = []
+    for s in settings:
+        value = s
+        for part in name.split("."):
+            value = getattr(value, part)
+        out.append(value)
+    return np.array(out, dtype=float)

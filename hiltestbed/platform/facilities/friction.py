@@ -1,0 +1,71 @@
+"""Dry friction of seals and gears, taken off what a drive pushes.
+
+The law is that of the sliders of the 3-3 PSS platform (:func:`hiltestbed.rig.friction.drag`): Coulomb and Stribeck with a bristle that
+holds while a joint stands, and a viscous part. Units are N and m for cylinders, N m and rad for gears.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from hiltestbed.frames import Array
+from hiltestbed.rig.friction import BRISTLE, STEPS, drag, stribeck
+
+
+@njit(cache=True)
+def _act(numbers, dt, axes, inputs, qvel, bristles, ctrl):
+    for i in range(qvel.shape[0]):
+        for j in range(axes.shape[0]):
+            ctrl[i, inputs[j]] -= drag(qvel[i, axes[j]], dt, numbers[i, j], bristles[i, j], 0)
+
+
+@njit(cache=True)
+def _settle(numbers, axes, qvel, bristles):
+    for i in range(qvel.shape[0]):
+        for j in range(axes.shape[0]):
+            v, p = qvel[i, axes[j]], numbers[i, j]
+            bristles[i, j, 0] = 0.0 if v == 0.0 else math.copysign(stribeck(v, p) / p[BRISTLE], v)
+
+
+class Rubbing:
+    """Friction of J drives of `n` runs.
+
+    Attributes:
+        bristles: (n, J, 1) deflection of each joint's bristle [m, rad].
+    """
+
+    def __init__(
+        self,
+        coulomb: Array,
+        stiction: Array,
+        stribeck_speed: Array,
+        viscous: Array,
+        presliding: Array,
+        moved: Array,
+        axes: NDArray,
+        inputs: NDArray,
+        dt: float,
+    ) -> None:
+        """Args: (n, J) numbers of each drive; presliding: stiffness before it breaks away. moved: (J,) the least that a drive moves."""
+        bristle = np.minimum(presliding, STEPS * moved / (dt * dt))
+        damper = 2.0 * np.sqrt(bristle * moved)
+        self._numbers = np.ascontiguousarray(
+            np.stack([coulomb, stiction, stribeck_speed, viscous, np.zeros_like(coulomb), bristle, damper], axis=-1)
+        )
+        self._axes, self._inputs, self._dt = np.asarray(axes), np.asarray(inputs), dt
+        self.bristles = np.zeros((*coulomb.shape, 1))
+
+    def settle(self, qvel: Array) -> None:
+        """Start from drives that have long been moving at ``qvel`` (n, nv)."""
+        _settle(self._numbers, self._axes, qvel, self.bristles)
+
+    def act(self, qvel: Array, ctrl: Array) -> None:
+        """Take the friction of one step off the drives' inputs ``ctrl`` (n, nu)."""
+        _act(self._numbers, self._dt, self._axes, self._inputs, qvel, self.bristles, ctrl)
+
+    def state(self) -> dict[str, NDArray]:
+        return {"bristles": self.bristles}

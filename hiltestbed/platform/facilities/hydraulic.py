@@ -1,0 +1,150 @@
+"""Hydraulic drives: servo valve, orifice, oil, leakage, seals, and the controller of a leg.
+
+A double-rod cylinder of area A under a four-way valve (Merritt, Hydraulic Control Systems, 1967, ch. 6; the names of its symbols):
+
+    valve     x_v'' = w_v^2 (u - x_v) - 2 zeta_v w_v x_v',   -1 <= u <= 1      advanced exactly, u held over a step
+    orifice   Q = Q_0 x_v sqrt(max(1 - sgn(x_v) p/p_s, 0))                     Q_0: no-load flow at full opening
+    oil       p' = beta (1/V_1 + 1/V_2) (Q - A s' - C p),   V_1,2 = V_0 + A (S/2 +- s)
+    seals     f = A p - friction(s')
+
+p is the load pressure, C the leakage past the piston, V_0 the dead volume of a side, S the stroke. Oil and mass make a spring of
+k_h = beta A^2 (1/V_1 + 1/V_2). The controller of a leg commands a speed,
+
+    v_c = K (s_r - s) + s_r' + (C + C_f) p_r/A - C_f (p - p_f)/A,   u = v_c A/Q_0 + trim
+
+K the position gain; C_f p the dynamic pressure feedback that damps the oil's spring, less its slow part p_f (first-order low-pass), so
+that a standing load does not move the piston; p_r = M s_r''/A what the planned acceleration needs. Without feed-forward s_r' and p_r are
+left out; with the valve much faster than the oil, a leg then follows as the third order
+
+    K w_h^2/(s^3 + 2 zeta_h w_h s^2 + w_h^2 s + K w_h^2),   w_h^2 = k_h/m,   2 zeta_h w_h = beta (1/V_1 + 1/V_2) (C + C_f)
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from hiltestbed.frames import Array
+from hiltestbed.platform.facilities.drives import Drives
+from hiltestbed.platform.facilities.force_servo import quantised
+from hiltestbed.platform.facilities.friction import Rubbing
+from hiltestbed.platform.facilities.kinematics import Kinematics
+
+AREA, SUPPLY, FLOW, MODULUS, DEAD, STROKE, LEAKAGE, FEEDBACK, CORNER, GAIN, ENCODER, NUMBERS = range(12)
+SPOOL, SPOOL_RATE, PRESSURE, SLOW, TRIM, STATES = range(6)
+
+
+@njit(cache=True)
+def _push(plan, sub, dt, fed, mass, numbers, valve, axes, inputs, home, qpos, qvel, state, ctrl):
+    """numbers: (n, NUMBERS). valve: (n, 2, 2) the valve over a step. state: (n, J, STATES)."""
+    joints = mass.shape[0]
+    for i in range(qpos.shape[0]):
+        p = numbers[i]
+        area = p[AREA]
+        for j in range(joints):
+            x, s, v = state[i, j], qpos[i, axes[0, j]] - home[j], qvel[i, axes[1, j]]
+            speed = p[GAIN] * (plan[i, sub, 0, j] - home[j] - quantised(s, p[ENCODER]))
+            speed -= p[FEEDBACK] * (x[PRESSURE] - x[SLOW]) / area
+            if fed[i]:
+                force = 0.0
+                for k in range(joints):
+                    force += mass[j, k] * plan[i, sub, 2, k]
+                speed += plan[i, sub, 1, j] + (p[LEAKAGE] + p[FEEDBACK]) * force / (area * area)
+            command = min(max(speed * area / p[FLOW] + x[TRIM], -1.0), 1.0)
+            error, rate = x[SPOOL] - command, x[SPOOL_RATE]
+            x[SPOOL] = command + valve[i, 0, 0] * error + valve[i, 0, 1] * rate
+            x[SPOOL_RATE] = valve[i, 1, 0] * error + valve[i, 1, 1] * rate
+            opening = min(max(x[SPOOL], -1.0), 1.0)
+            drop = 1.0 - math.copysign(x[PRESSURE], opening * x[PRESSURE]) / p[SUPPLY]
+            flow = p[FLOW] * opening * math.sqrt(max(drop, 0.0))
+            half = 0.5 * p[STROKE]
+            stiffness = p[MODULUS] * (1.0 / (p[DEAD] + area * max(half + s, 0.0)) + 1.0 / (p[DEAD] + area * max(half - s, 0.0)))
+            x[PRESSURE] = (x[PRESSURE] + dt * stiffness * (flow - area * v)) / (1.0 + dt * stiffness * p[LEAKAGE])
+            x[SLOW] += (x[PRESSURE] - x[SLOW]) * p[CORNER]
+            ctrl[i, inputs[j]] = area * x[PRESSURE]
+
+
+@njit(cache=True)
+def _rest(numbers, load, axes, qvel, state):
+    """Pressures that carry the ``load`` (n, J), and the valve where it holds leakage and speed."""
+    for i in range(load.shape[0]):
+        p = numbers[i]
+        for j in range(load.shape[1]):
+            x = state[i, j]
+            pressure = load[i, j] / p[AREA]
+            x[PRESSURE] = x[SLOW] = pressure
+            flow = p[LEAKAGE] * pressure
+            x[TRIM] = opening(flow, pressure, p)
+            x[SPOOL] = opening(flow + p[AREA] * qvel[i, axes[1, j]], pressure, p)
+            x[SPOOL_RATE] = 0.0
+
+
+@njit(cache=True)
+def opening(flow, pressure, p):
+    """How far the valve is open for a flow [m^3/s] against a load pressure [Pa]."""
+    drop = 1.0 - math.copysign(pressure, flow * pressure) / p[SUPPLY]
+    return flow / (p[FLOW] * math.sqrt(max(drop, 1e-6)))
+
+
+def held_over(bandwidth: float, damping_ratio: float, dt: float) -> Array:
+    """``(2, 2)``: error and rate of x'' = w^2 (u - x) - 2 zeta w x' after ``dt`` [s] with u held, from those before."""
+    from scipy.linalg import expm
+
+    w = 2.0 * math.pi * bandwidth
+    return np.asarray(expm(np.array([[0.0, 1.0], [-w * w, -2.0 * damping_ratio * w]]) * dt), dtype=float)
+
+
+class Hydraulic(Drives):
+    """Hydraulic drives of `n` runs.
+
+    Attributes:
+        cylinders: (n, J, STATES) spool opening [-] and its rate [1/s], load pressure and its slow part [Pa], trim of the valve [-].
+    """
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        kinematics: Kinematics,
+        tick: float,
+        substeps: int,
+        cycles: Sequence[int],
+        lates: Sequence[int],
+        feed: NDArray[np.bool_],
+        *,
+        numbers: Array,
+        valves: Sequence[tuple[float, float]],
+        rubbing: Rubbing | None = None,
+    ) -> None:
+        """Args: numbers: (n, NUMBERS) as named above, CORNER the share of a step. valves: (n,) bandwidth [Hz] and damping ratio."""
+        super().__init__(model, kinematics, tick, substeps, cycles, lates, feed)
+        self._numbers, self._mass = np.ascontiguousarray(numbers), np.ascontiguousarray(self.mass_matrix())
+        self._valve = np.array([held_over(*valve, self.step) for valve in valves])
+        self.cylinders, self._rubbing = np.zeros((len(feed), len(kinematics.axes), STATES)), rubbing
+
+    def rest(self, qpos: Array, qvel: Array) -> None:
+        _rest(self._numbers, self.load, self._axes, qvel, self.cylinders)
+        if self._rubbing:
+            self._rubbing.settle(qvel)
+
+    def release(self) -> None:
+        super().release()
+        self._numbers[:, ENCODER] = 0.0
+
+    def push(self, sub: int, qpos: Array, qvel: Array, ctrl: Array) -> None:
+        _push(
+            self._plan, sub, self.step, self._feed, self._mass, self._numbers, self._valve, self._axes, self._inputs, self._home,
+            qpos, qvel, self.cylinders, ctrl,
+        )  # fmt: skip
+        if self._rubbing:
+            self._rubbing.act(qvel, ctrl)
+
+    def feedback(self) -> Array:
+        return self.cylinders.reshape(len(self.cylinders), -1)
+
+    def state(self) -> dict[str, NDArray]:
+        return super().state() | {"cylinders": self.cylinders}

@@ -1,0 +1,207 @@
+"""Inverse dynamics of a tree (recursive Newton-Euler; Featherstone, Rigid Body Dynamics Algorithms, 2008, ch. 5), written in W.
+
+Forces act on the tree's own joints; where loops are closed, :func:`drive_forces` moves them to the driven joints by virtual work: the
+drives do, in every motion that the loops allow, the work that the whole tree needs.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from hiltestbed.frames import rotate, rotate_back
+from hiltestbed.platform.facilities.tree import FREE, HINGE, SLIDE
+
+
+@njit(cache=True, inline="always")
+def _component(a, i0, b, j0, i):
+    """Component ``i`` of a x b, both vectors taken from the given offsets."""
+    k, l = (i + 1) % 3, (i + 2) % 3
+    return a[i0 + k] * b[j0 + l] - a[i0 + l] * b[j0 + k]
+
+
+@njit(cache=True)
+def joint_forces(tree, v, a, gravity, w, out):
+    """``out`` (nv,) [N, N m]: forces in the joints for rates ``v`` and accelerations ``a`` (nv,), gravity (3,) [m/s^2] included.
+
+    Places must be current (:func:`hiltestbed.platform.facilities.motion.place`).
+    """
+    w.motion[0] = 0.0
+    for i in range(3):
+        w.motion[0, 6 + i] = -gravity[i]
+    for b in range(1, tree.bodies.shape[0]):
+        _accelerate(tree, w, b, v, a, gravity)
+    for b in range(tree.bodies.shape[0]):
+        _inertial_load(tree, w, b)
+    _gather(tree, w, out)
+    for d in range(out.shape[0]):
+        out[d] += tree.armature[d] * a[d]
+
+
+@njit(cache=True)
+def _accelerate(tree, w, b, v, a, gravity):
+    """Motion of body ``b`` from that of its parent: at the point where its origin is now, one joint's velocity field after the other."""
+    turn, bend, r, arm = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    p, first, count = tree.bodies[b, 0], tree.bodies[b, 1], tree.bodies[b, 2]
+    motion, parent, pose = w.motion[b], w.motion[p], w.poses[b]
+    for i in range(3):
+        r[i] = pose[i] - w.poses[p, i]
+    for i in range(3):
+        arm[i] = _component(parent, 3, r, 0, i)
+    for i in range(3):
+        motion[3 + i], motion[9 + i] = parent[3 + i], parent[9 + i]
+        motion[6 + i] = parent[6 + i] + _component(parent, 9, r, 0, i) + _component(parent, 3, arm, 0, i)
+    for j in range(first, first + count):
+        kind, d = tree.joints[j, 0], tree.joints[j, 3]
+        axis = w.axes[j]
+        if kind == SLIDE:
+            for i in range(3):
+                motion[6 + i] += axis[3 + i] * a[d] + 2.0 * v[d] * _component(motion, 3, axis, 3, i)
+            continue
+        if kind == HINGE:
+            for i in range(3):
+                turn[i], bend[i] = axis[3 + i] * v[d], axis[3 + i] * a[d]
+        else:
+            if kind == FREE:
+                for i in range(3):
+                    motion[6 + i] = a[d + i] - gravity[i]
+                    motion[3 + i] = motion[9 + i] = 0.0
+                d += 3
+            rotate(pose[3:7], v[d : d + 3], turn)
+            rotate(pose[3:7], a[d : d + 3], bend)
+        for i in range(3):
+            r[i] = pose[i] - axis[i]
+            bend[i] += _component(motion, 3, turn, 0, i)
+        for i in range(3):
+            arm[i] = _component(motion, 3, r, 0, i)
+        for i in range(3):
+            motion[6 + i] += _component(bend, 0, r, 0, i) - _component(motion, 3, arm, 0, i)
+        for i in range(3):
+            motion[3 + i] += turn[i]
+            motion[9 + i] += bend[i]
+        for i in range(3):
+            arm[i] = _component(motion, 3, r, 0, i)
+        for i in range(3):
+            motion[6 + i] += _component(motion, 3, arm, 0, i)
+
+
+@njit(cache=True)
+def _inertial_load(tree, w, b):
+    """``w.loads``: force on a body, and its moment about W's origin, for its acceleration; the moment of inertia in the body's frame."""
+    r, arm, spin, twirl, load = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    mass, motion, pose, out = tree.masses[b], w.motion[b], w.poses[b], w.loads[b]
+    rotate(pose[3:7], mass[1:4], r)
+    for i in range(3):
+        arm[i] = _component(motion, 3, r, 0, i)
+    for i in range(3):
+        out[i] = mass[0] * (motion[6 + i] + _component(motion, 9, r, 0, i) + _component(motion, 3, arm, 0, i))
+    rotate_back(pose[3:7], motion[3:6], spin)
+    rotate_back(pose[3:7], motion[9:12], twirl)
+    for i in range(3):
+        arm[i] = load[i] = 0.0
+        for k in range(3):
+            arm[i] += mass[4 + 3 * i + k] * spin[k]
+            load[i] += mass[4 + 3 * i + k] * twirl[k]
+    for i in range(3):
+        twirl[i] = load[i] + _component(spin, 0, arm, 0, i)
+    rotate(pose[3:7], twirl, load)
+    for i in range(3):
+        r[i] += pose[i]
+    for i in range(3):
+        out[3 + i] = load[i] + _component(r, 0, out, 0, i)
+
+
+@njit(cache=True)
+def _gather(tree, w, out):
+    """``out`` (nv,): what the joints carry of the bodies' loads, which are summed towards the root."""
+    load = np.empty(3)
+    out[:] = 0.0
+    for b in range(tree.bodies.shape[0] - 1, 0, -1):
+        p, first, count = tree.bodies[b, 0], tree.bodies[b, 1], tree.bodies[b, 2]
+        force = w.loads[b]
+        for i in range(6):
+            w.loads[p, i] += force[i]
+        for j in range(first, first + count):
+            kind, d = tree.joints[j, 0], tree.joints[j, 3]
+            axis = w.axes[j]
+            if kind == SLIDE:
+                for i in range(3):
+                    out[d] += axis[3 + i] * force[i]
+                continue
+            for i in range(3):
+                load[i] = force[3 + i] - _component(axis, 0, force, 0, i)
+            if kind == HINGE:
+                for i in range(3):
+                    out[d] += axis[3 + i] * load[i]
+                continue
+            if kind == FREE:
+                for i in range(3):
+                    out[d + i] = force[i]
+                d += 3
+            rotate_back(w.poses[b, 3:7], load, out[d : d + 3])
+
+
+@njit(cache=True)
+def weights(tree, gravity, w, out):
+    """``out`` (nv,) [N, N m]: forces in the joints that carry the bodies' weight. Places must be current."""
+    r = np.empty(3)
+    for b in range(tree.bodies.shape[0]):
+        mass, pose, load = tree.masses[b], w.poses[b], w.loads[b]
+        rotate(pose[3:7], mass[1:4], r)
+        for i in range(3):
+            r[i] += pose[i]
+            load[i] = -mass[0] * gravity[i]
+        for i in range(3):
+            load[3 + i] = _component(r, 0, load, 0, i)
+    _gather(tree, w, out)
+
+
+@njit(cache=True)
+def drive_forces(ways, axes, forces, square, right, out):
+    """``out`` (J,): forces of the driven joints that do the work of ``forces`` (nv,) in each of the motions ``ways`` (t, nv).
+
+    axes: (J,) their degrees of freedom. square (J, J) and right (J,) are room to work in. Of more drives than motions, the least.
+    """
+    tasks, n = ways.shape[0], axes.shape[0]
+    most = 0.0
+    for i in range(n):
+        right[i] = 0.0
+        for j in range(n):
+            square[i, j] = 0.0
+    for t in range(tasks):
+        work = 0.0
+        for d in range(ways.shape[1]):
+            work += ways[t, d] * forces[d]
+        for i in range(n):
+            x = ways[t, axes[i]]
+            right[i] += x * work
+            for j in range(i + 1):
+                square[i, j] += x * ways[t, axes[j]]
+    for i in range(n):
+        most = max(most, square[i, i])
+    for i in range(n):
+        square[i, i] += 1e-12 * most
+    solve_symmetric(square, right, out)
+
+
+@njit(cache=True)
+def solve_symmetric(a, b, out):
+    """``out``: a^-1 b for a symmetric positive ``a`` (n, n), lower half, which is overwritten."""
+    n = b.shape[0]
+    for i in range(n):
+        for j in range(i + 1):
+            total = a[i, j]
+            for k in range(j):
+                total -= a[i, k] * a[j, k]
+            a[i, j] = math.sqrt(max(total, 1e-300)) if i == j else total / a[j, j]
+        total = b[i]
+        for k in range(i):
+            total -= a[i, k] * out[k]
+        out[i] = total / a[i, i]
+    for i in range(n - 1, -1, -1):
+        total = out[i]
+        for k in range(i + 1, n):
+            total -= a[k, i] * out[k]
+        out[i] = total / a[i, i]

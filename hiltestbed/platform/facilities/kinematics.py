@@ -1,0 +1,311 @@
+"""Kinematics of a facility: from poses of its tools to its joints and back, for batches, and what stands in the way.
+
+Every facility solves the same equations (:mod:`hiltestbed.platform.facilities.newton`): tools at their poses, loops closed. A pose far
+from home is reached along a straight path in steps, so that the solution stays on the branch (elbow, wrist, legs) that home lies on.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from hiltestbed.errors import InputError
+from hiltestbed.frames import Array, pose_step, twist_between
+from hiltestbed.platform.facilities.motion import move, place, scratch, tool_pose, tool_twist
+from hiltestbed.platform.facilities.newton import CLOSE, ITERATIONS, equations, newton, rates
+from hiltestbed.platform.facilities.tree import HINGE, SLIDE, build_tree
+
+STRIDE = 0.05  # [m], [rad] of a tool between two solutions on the way to a far pose
+LEVER = 0.5  # [m] makes a rotation a length: half the height of a docking mechanism
+SLOWEST = 0.02  # [m/s] a direction in which the drives at full speed move the tool less than this is lost
+LOOSEST = 100.0  # ratio of the best direction to the usual past which the drives do not hold the tool, of the usual to the worst likewise
+MECHANISMS = ("active_", "passive_", "mount_", "payload_")  # names of joints that the attached mechanisms have: not the facility's
+AXES = ("x", "y", "z", "rx", "ry", "rz")
+
+
+@dataclass(frozen=True)
+class Axis:
+    """One driven joint.
+
+    Attributes:
+        joint: its name in the model. unit: "m" or "rad". low, high: travel [unit], as the joint counts.
+        speed [unit/s], acceleration [unit/s^2], force [N or N m]: the drive's limits.
+    """
+
+    joint: str
+    unit: str
+    low: float
+    high: float
+    speed: float
+    acceleration: float
+    force: float
+
+
+class Kinematics:
+    """A facility's geometry, read from its compiled model at home.
+
+    Attributes:
+        home: (nq,) joint positions. axes: the driven joints. q, v: (J,) their addresses. joints_home: (J,) at home.
+        tools: names of the sites whose poses are commanded. home_poses: (nt, 7) of the tools in W at home.
+    """
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        tools: Sequence[str],
+        axes: Sequence[Axis],
+        locked: Sequence[str] = (),
+        prescribed: Sequence[str] = (),
+        home: Array | None = None,
+    ) -> None:
+        """Args: locked: joints that stay (a gear's deflection), those of the mechanisms besides. prescribed: driven joints whose value is
+        given (a rail)."""
+        locked = [*locked, *(name for j in range(model.njnt) if (name := model.joint(j).name).startswith(MECHANISMS))]
+        self.axes, self.tools, self.prescribed = tuple(axes), tuple(tools), tuple(prescribed)
+        self.tree = build_tree(model, tools, prescribed, locked)
+        names = [axis.joint for axis in axes]
+        self._forward = build_tree(model, (), names, locked)
+        self._work, self._forward_work = scratch(self.tree), scratch(self._forward)
+        joints = [model.joint(name) for name in names]
+        self.q = np.array([int(j.qposadr[0]) for j in joints], dtype=np.int64)
+        self.v = np.array([int(j.dofadr[0]) for j in joints], dtype=np.int64)
+        self.home = np.array(model.qpos0 if home is None else home, dtype=float)
+        self.joints_home = self.home[self.q]
+        self._held = np.array([int(model.joint(name).qposadr[0]) for name in prescribed], dtype=np.int64)
+        self._passive = _ranges(model, {*names, *locked})
+        self._names = [model.joint(j).name or f"joint {j}" for j in range(model.njnt)]
+        self.home_poses = self.poses(self.home)
+
+    @property
+    def held_home(self) -> Array:
+        """(np,) values of the prescribed joints at home."""
+        return self.home[self._held]
+
+    def poses(self, q: Array) -> Array:
+        """``(nt, 7)`` poses of the tools in W at the joint positions ``q`` (nq,): the forward kinematics of the tree."""
+        out = np.empty((len(self.tools), 7))
+        place(self.tree, np.ascontiguousarray(q, dtype=float), self._work)
+        for t in range(len(out)):
+            tool_pose(self.tree, self._work, t, out[t])
+        return out
+
+    def twists(self, q: Array, v: Array) -> Array:
+        """``(nt, 6)`` twists of the tools in W at joint positions ``q`` (nq,) and rates ``v`` (nv,)."""
+        out = np.empty((len(self.tools), 6))
+        place(self.tree, np.ascontiguousarray(q, dtype=float), self._work)
+        move(self.tree, np.ascontiguousarray(v, dtype=float), self._work)
+        for t in range(len(out)):
+            tool_twist(self.tree, self._work, t, out[t])
+        return out
+
+    def solve(self, poses: Array, held: Array | None = None, start: Array | None = None) -> tuple[Array, float]:
+        """Joint positions ``(nq,)`` that put the tools at ``poses`` (nt, 7) in W, and the residual that is left [m, rad].
+
+        Along a straight path from ``start`` (home), prescribed joints running to ``held`` (np,) with it. Where a stretch of the path
+        cannot be reached, the joints are those of the last point that was.
+        """
+        q = (self.home if start is None else start).copy()
+        goal = np.ascontiguousarray(np.atleast_2d(poses), dtype=float)
+        values = self.held_home if held is None else np.asarray(held, dtype=float)
+        begin, begin_values = self.poses(q), q[self._held]
+        twists = np.empty((len(goal), 6))
+        for t in range(len(goal)):
+            twist_between(begin[t], goal[t], 1.0, twists[t])
+        span = max(float(np.abs(twists).max(initial=0.0)), float(np.abs(values - begin_values).max(initial=0.0)))
+        steps, worst = max(1, math.ceil(span / STRIDE)), 0.0
+        at = np.empty_like(goal)
+        for s in range(1, steps + 1):
+            for t in range(len(goal)):
+                pose_step(begin[t], twists[t], s / steps, at[t])
+            if s == steps:
+                at[:] = goal
+            before = q.copy()
+            worst = newton(self.tree, q, at, begin_values + (values - begin_values) * (s / steps), self._work, CLOSE, ITERATIONS)
+            if not worst < 1e3 * CLOSE:
+                return before, worst
+        return q, worst
+
+    def nearest(self, poses: Array) -> tuple[Array, float]:
+        """Joint positions ``(nq,)`` that bring the tools nearest to ``poses`` (nt, 7), straight from home, and what is left [m, rad]."""
+        q = self.home.copy()
+        return q, newton(self.tree, q, np.ascontiguousarray(poses, dtype=float), self.held_home, self._work, CLOSE, ITERATIONS)
+
+    def inverse(self, poses: Array) -> Array:
+        """Driven joints ``(n, J)`` for tools at ``poses`` (n, nt, 7) or, of one tool, (n, 7), in W. Raises InputError out of reach."""
+        poses = np.atleast_2d(np.asarray(poses, dtype=float))
+        poses = poses[:, None] if poses.ndim == 2 else poses
+        out = np.empty((len(poses), len(self.axes)))
+        for i, pose in enumerate(poses):
+            q, left = self.solve(pose)
+            if not left < 1e3 * CLOSE:
+                raise InputError(self._unreached(pose, q))
+            out[i] = q[self.q]
+        return out
+
+    def forward(self, joints: Array, start: Array | None = None) -> Array:
+        """``(n, nt, 7)`` poses of the tools in W for driven joints ``(n, J)``: loops are closed, starting from ``start`` (home)."""
+        joints = np.atleast_2d(np.asarray(joints, dtype=float))
+        out = np.empty((len(joints), len(self.tools), 7))
+        for i, goal in enumerate(joints):
+            q = (self.home if start is None else start).copy()
+            begin, nothing = q[self.q], np.empty((0, 7))
+            steps = max(1, math.ceil(float(np.abs(goal - begin).max()) / STRIDE))
+            for s in range(1, steps + 1):
+                newton(self._forward, q, nothing, begin + (goal - begin) * (s / steps), self._forward_work, CLOSE, ITERATIONS)
+            out[i] = self.poses(q)
+        return out
+
+    def closed(self, q: Array) -> Array:
+        """Joint positions ``(nq,)`` near ``q`` (nq,) at which the loops are closed and the driven joints are those of ``q``."""
+        out = q.copy()
+        newton(self._forward, out, np.empty((0, 7)), q[self.q], self._forward_work, CLOSE, ITERATIONS)
+        return out
+
+    def rates(self, q: Array, twists: Array, held: Array | None = None) -> Array:
+        """All joint rates ``(nv,)`` for twists ``(nt, 6)`` of the tools in W, at joints ``q`` (nq,) that solve the equations."""
+        out = np.empty(len(self.tree.armature))
+        newton(self.tree, q.copy(), self.poses(q), q[self._held], self._work, CLOSE, 1)
+        rates(self.tree, self._work, np.atleast_2d(twists), np.zeros(len(self._held)) if held is None else held, out)
+        return out
+
+    def accelerations(self, q: Array, twists: Array, accels: Array, h: float = 1e-5) -> Array:
+        """All joint accelerations ``(nv,)`` for twists and accelerations ``(nt, 6)`` in W: the central difference of the rates.
+
+        h: [s] between the two states, along the tools' own motion.
+        """
+        poses, twists, accels = self.poses(q), np.atleast_2d(twists), np.atleast_2d(accels)
+        found = []
+        for side in (-1.0, 1.0):
+            at = np.empty_like(poses)
+            for t in range(len(poses)):
+                pose_step(poses[t], twists[t] + 0.5 * side * h * accels[t], side * h, at[t])
+            found.append(self.rates(self.solve(at, q[self._held], q)[0], twists + side * h * accels))
+        return (found[1] - found[0]) / (2.0 * h)
+
+    def jacobian(self, q: Array) -> tuple[Array, Array]:
+        """Twist of the tools in W per unit rate of the driven joints, ``(6 nt, J)``, and the free motions that no drive holds, ``(nv, f)``.
+
+        With N the motions that the loops allow (null space of their rows): twists = J N (N_driven)^+; what of N leaves the driven joints
+        still is free.
+        """
+        equations(self.tree, q.copy(), self.poses(q), q[self._held], self._work)
+        rows = self._work.rows[:, self.tree.unknown]
+        count = len(rows) - 6 * len(self.tools) - len(self._held)
+        allowed = _null_space(rows[:count])
+        driven = allowed[np.searchsorted(self.tree.unknown, self.v)]
+        left = allowed @ _null_space(driven)
+        moves = np.linalg.norm(rows[count : count + 6 * len(self.tools)] @ left, axis=0)
+        left = left[:, moves > 1e-9]  # what hangs loose elsewhere is no matter
+        free = np.zeros((len(self.tree.armature), left.shape[1]))
+        free[self.tree.unknown] = left
+        return rows[count : count + 6 * len(self.tools)] @ allowed @ np.linalg.pinv(driven, rcond=1e-9), free
+
+    def allowed(self, q: Array) -> Array:
+        """``(nv, f)`` orthonormal rates of all joints, locked ones included, that keep the loops closed at ``q`` (nq,)."""
+        equations(self.tree, q.copy(), self.poses(q), q[self._held], self._work)
+        count = len(self._work.rows) - 6 * len(self.tools) - len(self._held)
+        return _null_space(self._work.rows[:count])
+
+    def lost_motion(self, q: Array) -> str | None:
+        """Which motion of the first tool the drives lose, or no longer hold, at the joints ``q``; None where all is well."""
+        twists, free = self.jacobian(q)
+        if free.shape[1]:
+            joint = self._names[int(self._joint_of(int(np.argmax(np.abs(free[:, 0])))))]
+            return f"{joint!r} is neither driven nor held by a loop, so the tool is not held"
+        scaled = twists[:6] * np.array([axis.speed for axis in self.axes])
+        scaled[3:] *= LEVER
+        left, values, _ = np.linalg.svd(scaled)
+        values = np.concatenate([values, np.zeros(6 - len(values))])
+        middle = math.sqrt(values[2] * values[3])
+        slow = values[-1] < SLOWEST or middle > values[-1] * max(LOOSEST, values[0] / middle)
+        if slow:
+            return f"no motion {direction(left[:, -1])}"
+        if values[0] > LOOSEST * middle:
+            return f"no hold {direction(left[:, 0])}"
+        return None
+
+    def _joint_of(self, dof: int) -> int:
+        starts = self.tree.joints[:, 3]
+        return int(np.flatnonzero(starts <= dof)[np.argmax(starts[starts <= dof])])
+
+    def complaints(self, poses: Array, held: Array | None = None) -> list[str]:
+        """Why tools at ``poses`` (nt, 7) in W cannot be: out of reach, past a joint's travel, in a singularity. Empty: they can."""
+        poses = np.atleast_2d(poses)
+        q, left = self.solve(poses, held)
+        if not left < 1e3 * CLOSE:
+            return [self._unreached(poses, q)]
+        found = self.past_travel(q)
+        lost = self.lost_motion(q)
+        return [*found, f"singular: {lost} at {_at(self.poses(q)[0])}"] if lost else found
+
+    def past_travel(self, q: Array) -> list[str]:
+        """Which joints, driven or not, are past their travel at the joint positions ``q`` (nq,)."""
+        found = []
+        for axis, value in zip(self.axes, q[self.q], strict=True):
+            if not axis.low <= value <= axis.high:
+                shown, low, high, unit = _shown(axis, value)
+                found.append(f"joint {axis.joint} would stand at {shown:.4g} {unit}; its travel is {low:.4g} to {high:.4g} {unit}")
+        for name, address, low, high, turns in self._passive:
+            if not low <= q[address] <= high:
+                scale, unit = (math.degrees(1.0), "deg") if turns else (1.0, "m")
+                found.append(
+                    f"joint {name} would stand at {q[address] * scale:.4g} {unit}; "
+                    f"its travel is {low * scale:.4g} to {high * scale:.4g} {unit}"
+                )
+        return found
+
+    def _unreached(self, poses: Array, q: Array) -> str:
+        reached = self.poses(q)
+        t = int(np.argmax(np.linalg.norm(np.atleast_2d(poses)[:, :3] - reached[:, :3], axis=1)))
+        return (
+            f"out of reach: {self.tools[t]} cannot stand at {_at(np.atleast_2d(poses)[t])}; on the way there it gets to {_at(reached[t])}"
+        )
+
+
+def _ranges(model: mujoco.MjModel, others: set[str]) -> list[tuple[str, int, float, float, bool]]:
+    """Name, address, travel, and whether it turns, of every joint with a travel that is not among the ``others``."""
+    out = []
+    for j in range(model.njnt):
+        joint, (low, high) = model.joint(j), model.jnt_range[j]
+        if joint.name not in others and low < high and int(model.jnt_type[j]) in (SLIDE, HINGE):
+            out.append((joint.name, int(joint.qposadr[0]), float(low), float(high), int(model.jnt_type[j]) == HINGE))
+    return out
+
+
+def _null_space(rows: Array) -> Array:
+    """Orthonormal columns that the rows take to zero."""
+    if not len(rows):
+        return np.eye(rows.shape[1])
+    _, values, right = np.linalg.svd(rows)
+    rank = int(np.count_nonzero(values > 1e-8 * max(values[0], 1e-300)))
+    return right[rank:].T
+
+
+def _shown(axis: Axis, value: float) -> tuple[float, float, float, str]:
+    if axis.unit == "rad":
+        return math.degrees(value), math.degrees(axis.low), math.degrees(axis.high), "deg"
+    return value, axis.low, axis.high, axis.unit
+
+
+def _at(pose: Array) -> str:
+    """A place in words [m], [deg]."""
+    from scipy.spatial.transform import Rotation
+
+    turn = Rotation.from_quat(pose[3:7]).as_rotvec(degrees=True)
+    return f"({', '.join(f'{x:.3f}' for x in pose[:3])}) m, turned by ({', '.join(f'{x:.1f}' for x in turn)}) deg"
+
+
+def direction(twist: Array) -> str:
+    """A direction of motion (6,), rotations scaled to lengths, in words: the axes that make up 95 % of it."""
+    share = np.asarray(twist, dtype=float) ** 2
+    order = np.argsort(-share)
+    count = int(np.searchsorted(np.cumsum(share[order]), 0.95 * share.sum())) + 1
+    if count == 1:
+        k = int(order[0])
+        return f"{'along' if k < 3 else 'about'} {'xyz'[k % 3]}"
+    parts = [f"{np.sign(twist[order[0]]) * twist[k]:+.2f} {AXES[k]}" for k in order[:count]]
+    return "in the direction " + " ".join(parts)

@@ -1,0 +1,93 @@
+"""Watch over a facility's joints: what its own electronics watch, whatever the joints are.
+
+Travel, speed, acceleration and force of every driven joint against the limits that the facility states for it, and a command that is
+out of its reach. Quantities are shares of their limits: above 1 a limit is passed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from hiltestbed.frames import Array
+from hiltestbed.platform.facilities.kinematics import Axis
+
+QUANTITIES = ("travel", "speed", "acceleration", "force", "reach")
+TRAVEL, SPEED, ACCELERATION, FORCE, REACH = range(5)
+UNREACHED = 1e-6  # [m], [rad] by how much a command may be missed
+
+
+@njit(cache=True)
+def _watch(h, limits, home, joints, rates, forces, missed, before, ticks, shares, which):
+    """limits: (6, J) low, high, speed, acceleration, force, of the joints as they count. shares, which: (n, 5)."""
+    passed = False
+    for i in range(joints.shape[0]):
+        shares[i] = 0.0
+        for j in range(joints.shape[1]):
+            value = joints[i, j] + home[j]
+            middle, half = 0.5 * (limits[0, j] + limits[1, j]), 0.5 * (limits[1, j] - limits[0, j])
+            travel = abs(value - middle) / half if half < math.inf else 0.0
+            accel = abs(rates[i, j] - before[i, j]) / h if ticks[i] > 0 else 0.0
+            before[i, j] = rates[i, j]
+            found = (travel, abs(rates[i, j]) / limits[2, j], accel / limits[3, j], abs(forces[i, j]) / limits[4, j])
+            for k in range(4):
+                if found[k] > shares[i, k]:
+                    shares[i, k] = found[k]
+                    which[i, k] = j
+        shares[i, 4] = missed[i] / UNREACHED
+        ticks[i] += 1
+        for k in range(5):
+            passed = passed or shares[i, k] > 1.0
+    return passed
+
+
+class Watch:
+    """The watch over `n` runs of a facility.
+
+    Attributes:
+        shares: (n, 5) the largest share of its limit of each quantity in :data:`QUANTITIES`, at this tick. which: (n, 5) of which joint.
+    """
+
+    def __init__(self, axes: Sequence[Axis], home: Array, n: int, tick: float) -> None:
+        self._axes, self._home, self._tick = tuple(axes), np.asarray(home, dtype=float), tick
+        self._limits = np.array([[a.low, a.high, a.speed, a.acceleration, a.force] for a in axes]).T.copy()
+        self.shares, self.which = np.zeros((n, 5)), np.zeros((n, 5), dtype=np.int64)
+        self._before, self._ticks = np.zeros((n, len(self._axes))), np.zeros(n, dtype=np.int64)
+        self._values: tuple[Array, ...] = ()
+
+    def passed(self, joints: Array, rates: Array, forces: Array, missed: Array) -> bool:
+        """Whether a run has passed a limit: ``joints`` from home, ``rates`` and drive ``forces`` (n, J), what the command missed (n,)."""
+        self._values = (joints, rates, forces, missed)
+        return _watch(
+            self._tick, self._limits, self._home, joints, rates, forces, missed, self._before, self._ticks, self.shares, self.which
+        )
+
+    def reason(self, i: int) -> str | None:
+        """Which limit run ``i`` has passed, where, and by how much; None when it has passed none."""
+        worst = int(np.argmax(self.shares[i]))
+        if not self.shares[i, worst] > 1.0:
+            return None
+        if worst == REACH:
+            return f"the command is {self._values[3][i]:.3g} m or rad out of the facility's reach"
+        axis, j = self._axes[int(self.which[i, worst])], int(self.which[i, worst])
+        turn = math.degrees(1.0) if axis.unit == "rad" else 1.0
+        unit = "deg" if axis.unit == "rad" else axis.unit
+        share = self.shares[i, worst]
+        if worst == TRAVEL:
+            value = (self._values[0][i, j] + self._home[j]) * turn
+            return f"joint {axis.joint} stands at {value:.4g} {unit}; its travel is {axis.low * turn:.4g} to {axis.high * turn:.4g} {unit}"
+        if worst == SPEED:
+            return f"joint {axis.joint} moves at {share * axis.speed * turn:.4g} {unit}/s; its limit is {axis.speed * turn:.4g} {unit}/s"
+        if worst == ACCELERATION:
+            top = axis.acceleration * turn
+            return f"joint {axis.joint} accelerates at {share * top:.4g} {unit}/s^2; its limit is {top:.4g} {unit}/s^2"
+        newton = "N m" if axis.unit == "rad" else "N"
+        return f"the drive of joint {axis.joint} is asked for {share * axis.force:.4g} {newton}; its limit is {axis.force:.4g} {newton}"
+
+    def buffers(self) -> dict[str, NDArray[Any]]:
+        return {"shares": self.shares, "which": self.which, "before": self._before, "ticks": self._ticks}

@@ -1,0 +1,108 @@
+"""Modes of a rig under its drives: the one-tick map, linearised by central differences, a run of a batch for each perturbed state.
+
+The state is what the loops leave free of positions and velocities, and the drives' own (pressures, spools). With the command held, the map
+z_(k+1) = Phi z_k has the eigenvalues e^(s h): |s| is a mode's natural frequency, -Re s/|s| its damping ratio. Friction is left out.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from hiltestbed.frames import Array
+from hiltestbed.platform.facilities.facility import Facility
+from hiltestbed.platform.facilities.kinematics import LEVER, direction
+from hiltestbed.platform.facilities.stand import Stand
+
+NUDGE = 1e-6  # [m], [rad], and per second of a velocity
+SLOWEST = 0.05  # [Hz]
+LIGHTLY = 0.95  # damping ratio below which a motion is a mode
+SETTLE = 0.5  # [s] into the static balance
+STILL = 1e-3  # of the drives' own state, where it is 0 at rest: their scale
+
+
+@dataclass(frozen=True)
+class Mode:
+    """A mode of the rig.
+
+    Attributes:
+        frequency: natural [Hz]. damping_ratio: [-]. shape: (6,) how A moves in it, largest component 1, rotations times 0.5 m.
+        motion: the same in words.
+    """
+
+    frequency: float
+    damping_ratio: float
+    shape: Array
+    motion: str
+
+
+def modes(facility: Facility, *, highest: float = 200.0, feed: bool = False, rate: float = 2000.0, substeps: int = 2) -> tuple[Mode, ...]:
+    """The modes below ``highest`` [Hz] at home, the slowest first."""
+    probe = Stand(facility, 1, feed=feed, rate=rate, substeps=substeps)
+    allowed = probe.drives.kinematics.allowed(probe.drives.kinematics.home)
+    own = probe.drives.feedback().shape[1]
+    count = 2 * allowed.shape[1] + own
+    stand = Stand(facility, 2 * count, feed=feed, rate=rate, substeps=substeps)
+    stand.drives.release()
+    phi = _map(probe, stand, allowed, count)
+    values, vectors = np.linalg.eig(phi)
+    kinematics, found = stand.drives.kinematics, []
+    for value, vector in zip(values, vectors.T, strict=True):
+        if value.imag <= 1e-9:
+            continue
+        s = np.log(value) * rate
+        frequency, zeta = abs(s) / (2.0 * math.pi), -s.real / abs(s)
+        if not SLOWEST < frequency < highest or abs(zeta) > LIGHTLY:
+            continue
+        rates = allowed @ vector[allowed.shape[1] : 2 * allowed.shape[1]]
+        shape = _shape(kinematics, rates)
+        found.append(Mode(float(frequency), float(zeta), shape, direction(shape)))
+    return tuple(sorted(found, key=lambda mode: mode.frequency))
+
+
+def _map(probe: Stand, stand: Stand, allowed: Array, count: int) -> Array:
+    """``(N, N)`` the map over one tick, of positions and velocities in the allowed motions and of the drives' state."""
+    n, free = 2 * count, allowed.shape[1]
+    pose, still = np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (n, 1)), np.zeros((n, 6))
+    probe.drives.release()
+    probe.reset(pose[:1], still[:1])
+    for _ in range(round(SETTLE / probe.tick)):
+        probe.advance(pose[:1], still[:1], still[:1])
+    stand.reset(pose, still)
+    stand.qpos[:], stand.qvel[:] = probe.qpos[0], 0.0
+    own = stand.drives.feedback()
+    own[:] = probe.drives.feedback()[0]
+    step = np.concatenate([np.full(2 * free, NUDGE), np.maximum(np.abs(own[0]), STILL) * NUDGE])
+    rest = stand.qpos[0].copy()
+    for c in range(count):
+        for run, sign in ((2 * c, 1.0), (2 * c + 1, -1.0)):
+            if c < free:
+                moved = rest.copy()
+                mujoco.mj_integratePos(stand.model, moved, sign * step[c] * allowed[:, c], 1.0)
+                stand.qpos[run] = moved
+            elif c < 2 * free:
+                stand.qvel[run] += sign * step[c] * allowed[:, c - free]
+            else:
+                own[run, c - 2 * free] += sign * step[c]
+    stand.advance(pose, still, still)
+    phi, between = np.empty((count, count)), np.empty(stand.model.nv)
+    for c in range(count):
+        up, down = 2 * c, 2 * c + 1
+        mujoco.mj_differentiatePos(stand.model, between, 1.0, stand.qpos[down], stand.qpos[up])
+        change = np.concatenate([allowed.T @ between, allowed.T @ (stand.qvel[up] - stand.qvel[down]), own[up] - own[down]])
+        phi[:, c] = change / (2.0 * step[c])
+    return phi
+
+
+def _shape(kinematics, rates: Array) -> Array:
+    """How A moves relative to P at complex joint rates, at the phase of its largest component."""
+    parts = [kinematics.twists(kinematics.home, np.ascontiguousarray(x)) for x in (rates.real, rates.imag)]
+    twist = parts[0][0] + 1j * parts[1][0]
+    if len(parts[0]) == 2:
+        twist = twist - (parts[0][1] + 1j * parts[1][1])
+    twist[3:] *= LEVER
+    top = twist[int(np.argmax(np.abs(twist)))]
+    return (twist / top).real if abs(top) > 0.0 else np.zeros(6)

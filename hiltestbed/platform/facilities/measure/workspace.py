@@ -1,0 +1,85 @@
+"""How far a facility reaches from home, along and about each axis of A, and what ends it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from hiltestbed.frames import Array, pose_step
+from hiltestbed.platform.facilities.facility import Facility
+from hiltestbed.platform.facilities.kinematics import AXES
+from hiltestbed.platform.facilities.stand import Stand
+
+STRIDE = (0.02, math.radians(1.0))  # [m], [rad] between two places that are looked at
+FURTHEST = (3.0, math.radians(180.0))
+HALVINGS = 6  # of the last stride: to 0.3 mm and 0.02 deg
+
+
+@dataclass(frozen=True)
+class Reach:
+    """Reach from home along one axis.
+
+    Attributes:
+        axis: x, y, z, rx, ry, rz. low, high: [m, rad]. stops: what ends it below and above; empty where it was not looked further.
+    """
+
+    axis: str
+    low: float
+    high: float
+    stops: tuple[str, str]
+
+
+def workspace(facility: Facility, stand: Stand | None = None) -> tuple[Reach, ...]:
+    """The reach of A from home in six axes, the others held: where a joint's travel, a singularity or the reach ends it."""
+    drives = (stand or Stand(facility)).drives
+    out = []
+    for k, axis in enumerate(AXES):
+        ends = [_walk(drives, k, sign) for sign in (-1.0, 1.0)]
+        out.append(Reach(axis, -ends[0][0], ends[1][0], (ends[0][1], ends[1][1])))
+    return tuple(out)
+
+
+def _walk(drives, k: int, sign: float) -> tuple[float, str]:
+    """How far A goes from home in one direction, and what stops it."""
+    kind = k // 3
+    stride, most = STRIDE[kind], FURTHEST[kind]
+    reached, far = 0.0, stride
+    q = drives.kinematics.home.copy()
+    why = ""
+    while far <= most:
+        found, q_next = _look(drives, k, sign * far, q)
+        if found:
+            why = found
+            break
+        reached, q, far = far, q_next, far + stride
+    if not why:
+        return reached, ""
+    low, high = reached, far
+    for _ in range(HALVINGS):
+        middle = 0.5 * (low + high)
+        found, q_next = _look(drives, k, sign * middle, q)
+        if found:
+            high, why = middle, found
+        else:
+            low, q = middle, q_next
+    return low, why
+
+
+def _look(drives, k: int, shift: float, q: Array) -> tuple[str, Array]:
+    """What stands in the way of A at ``shift`` from home along axis ``k``, starting from joints ``q`` nearby."""
+    step, pose = np.zeros(6), np.empty((1, 7))
+    step[k] = shift
+    home = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+    pose_step(home, step, 1.0, pose[0])
+    drives.allocate(np.tile(pose, (len(drives.pose), 1)), np.zeros_like(drives.twist), np.zeros_like(drives.twist), 0.0)
+    kinematics = drives.kinematics
+    solved, left = kinematics.solve(drives.poses[0], drives.held[0], q)
+    if not left < 1e-7:
+        return "out of reach", q
+    past = kinematics.past_travel(solved)
+    if past:
+        return past[0], q
+    lost = kinematics.lost_motion(solved)
+    return (f"singular: {lost}", q) if lost else ("", solved)

@@ -1,0 +1,198 @@
+"""The user's own rig, from an MJCF file.
+
+What the file must hold: a site `mount`, where the active mechanism is attached with its z along the insertion, and position actuators on
+at least six joints that move it. What it may hold: a site `passive`, which carries the passive side (it may move, but is not driven), a
+keyframe `home`, loops closed by equality constraints, actuators of other kinds, which are left alone.
+
+Home is the keyframe, or the model as it is drawn. The rig is set into W so that the mount's home is where every facility has it, or, with
+a site `passive`, so that this site is P; gravity turns with it. Everything else is measured on the model: reach, response, modes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Hashable, Iterator, Sequence
+from pathlib import Path
+from typing import Any, ClassVar
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from hiltestbed.errors import InputError
+from hiltestbed.frames import Array, rotate
+from hiltestbed.platform.facilities.drives import Drives
+from hiltestbed.platform.facilities.facility import (
+    MOUNT,
+    MOUNT_HOME,
+    UPRIGHT,
+    Facility,
+    Response,
+    add_carrier,
+    compiled,
+)
+from hiltestbed.platform.facilities.kinematics import Axis, Kinematics
+from hiltestbed.platform.facilities.position_actuators import PositionActuators
+from hiltestbed.platform.facilities.settings import MjcfSettings
+from hiltestbed.platform.facilities.tree import compose, inverse_pose, site_pose
+
+PREFIX = "rig/"  # of every name of the file in the composed model
+PASSIVE = "passive"
+HOME = "home"
+TRIES = 6  # other places at which a motion that is missing at home is looked for
+NEARBY = 0.1  # of the travel, or of a metre or radian: how far those are from home
+SCALAR = (int(mujoco.mjtJoint.mjJNT_SLIDE), int(mujoco.mjtJoint.mjJNT_HINGE))
+
+
+class Mjcf(Facility):
+    """A rig from an MJCF file."""
+
+    kind: ClassVar[str] = "mjcf"
+    settings: MjcfSettings
+
+    def __init__(self, settings: MjcfSettings) -> None:
+        """Raises InputError for a file that cannot be read, has no `mount`, or whose drives do not move it in six axes."""
+        super().__init__(settings)
+        own = self._read().compile()
+        if not any(own.site(s).name == MOUNT for s in range(own.nsite)):
+            names = [own.site(s).name for s in range(own.nsite) if own.site(s).name]
+            raise self._fault(
+                f"has no site {MOUNT!r}, where the active mechanism is attached (sites: {', '.join(names) or 'none'}); add one"
+            )
+        self._passive = any(own.site(s).name == PASSIVE for s in range(own.nsite))
+        self._axes = tuple(self._driven(own))
+        self._home, self._into = self._placed(own)
+        self._check_motions()
+
+    def _fault(self, message: str) -> InputError:
+        return InputError(f"{self.settings.model}: {message}")
+
+    def _read(self) -> mujoco.MjSpec:
+        path = Path(self.settings.model)
+        if not path.is_file():
+            raise self._fault("no such file; give the path of an MJCF file")
+        try:
+            spec = mujoco.MjSpec.from_file(str(path))
+            spec.copy().compile()
+        except ValueError as error:
+            raise self._fault(f"is not a model that MuJoCo compiles: {' '.join(str(error).split())}") from None
+        return spec
+
+    def _driven(self, own: mujoco.MjModel) -> Iterator[Axis]:
+        """The joints under position actuators, with what the file says of their limits."""
+        for a in range(own.nu):
+            if not _is_position_servo(own, a):
+                continue
+            joint = own.joint(int(own.actuator_trnid[a, 0]))
+            slides = own.jnt_type[joint.id] == mujoco.mjtJoint.mjJNT_SLIDE
+            low, high = own.jnt_range[joint.id] if own.jnt_limited[joint.id] else (-math.inf, math.inf)
+            if own.actuator_ctrllimited[a]:
+                ratio = own.actuator_gear[a, 0]
+                span = sorted(own.actuator_ctrlrange[a] / ratio)
+                low, high = max(low, span[0]), min(high, span[1])
+            force = float(np.abs(own.actuator_forcerange[a]).min()) if own.actuator_forcelimited[a] else math.inf
+            speed = self.settings.speed if slides else self.settings.spin
+            unit = "m" if slides else "rad"
+            yield Axis(
+                PREFIX + joint.name, unit, float(low), float(high), speed, self.settings.acceleration, force * abs(own.actuator_gear[a, 0])
+            )
+
+    def _placed(self, own: mujoco.MjModel) -> tuple[dict[str, Array], Array]:
+        """Home positions by joint, in the file's own world, and the pose (7,) of that world in W."""
+        data = mujoco.MjData(own)
+        keys = [k for k in range(own.nkey) if own.key(k).name == HOME]
+        if keys:
+            mujoco.mj_resetDataKeyframe(own, data, keys[0])
+        mujoco.mj_kinematics(own, data)
+        into = compose(UPRIGHT, inverse_pose(site_pose(own, data, PASSIVE))) if self._passive else None
+        if into is None:
+            into = compose(MOUNT_HOME, inverse_pose(site_pose(own, data, MOUNT)))
+        home = {}
+        for j in range(own.njnt):
+            start, width = own.jnt_qposadr[j], {0: 7, 1: 4}.get(int(own.jnt_type[j]), 1)
+            home[own.joint(j).name] = data.qpos[start : start + width].copy()
+        return home, into
+
+    def _check_motions(self) -> None:
+        """The drives move the mount in six axes, at home or near it."""
+        model = compiled(self.spec())
+        kinematics = self.kinematics(model)
+        if kinematics.lost_motion(kinematics.home) is None:
+            return
+        found, rng = kinematics.lost_motion(kinematics.home), np.random.default_rng(1)
+        for _ in range(TRIES):
+            q = kinematics.home.copy()
+            step = np.array([NEARBY * min(axis.high - axis.low, 2.0) for axis in self._axes])
+            q[kinematics.q] += step * rng.uniform(-1.0, 1.0, len(step))
+            if kinematics.lost_motion(kinematics.closed(q)) is None:
+                return  # home is singular, but only home: the start is checked by itself
+        others = "" if model.nu == len(self._axes) else "; actuators that are not position servos do not count"
+        raise self._fault(
+            f"its {len(self._axes)} position actuators do not move {MOUNT!r} in six axes: {found}; "
+            f"add what is missing, or drive it by position actuators{others}"
+        )
+
+    @property
+    def axes(self) -> tuple[Axis, ...]:
+        return self._axes
+
+    def spec(self) -> mujoco.MjSpec:
+        own, spec = self._read(), mujoco.MjSpec()
+        for key in list(own.keys):
+            own.delete(key)
+        into = self._into
+        gravity = np.empty(3)
+        rotate(into[3:7], np.array(own.option.gravity), gravity)
+        spec.attach(own, prefix=PREFIX, frame=spec.worldbody.add_frame(pos=into[:3], quat=[into[6], *into[3:6]]))
+        spec.option.gravity = gravity
+        site = spec.site(PREFIX + MOUNT)
+        site.parent.add_site(name=MOUNT, pos=site.pos, quat=site.quat)
+        if self._passive:
+            site = spec.site(PREFIX + PASSIVE)
+            add_carrier(site.parent, np.array([*site.pos, *np.array(site.quat)[[1, 2, 3, 0]]]))
+        else:
+            add_carrier(spec.worldbody)
+        return spec
+
+    def kinematics(self, model: mujoco.MjModel, tool: str = MOUNT) -> Kinematics:
+        home = model.qpos0.copy()
+        for name, value in self._home.items():
+            if name:
+                start = int(model.joint(PREFIX + name).qposadr[0])
+                home[start : start + len(value)] = _carried(self._into, value)
+        return Kinematics(model, [tool], self._axes, home=home)
+
+    def drives(
+        self, model: mujoco.MjModel, settings: Sequence[Any], tick: float, substeps: int, feed: NDArray[np.bool_], tool: str = MOUNT
+    ) -> Drives:
+        cycles, lates = self.lags(settings, tick)
+        return PositionActuators(model, self.kinematics(model, tool), tick, substeps, cycles, lates, feed)
+
+    def response(self, rate: float, feed: bool) -> Response:
+        """Of each joint by itself, kp and kv over what it moves at home; the slowest counts for all axes. Measure for more."""
+        model = compiled(self.spec())
+        drives = PositionActuators(model, self.kinematics(model), 1.0 / rate, 1, [1], [0], np.array([feed]))
+        w, zeta = drives.nominal()
+        slowest = int(np.argmin(w))
+        return Response(
+            (float(w[slowest]) / (2.0 * math.pi),) * 6, (float(zeta[slowest]),) * 6, self.settings.command.lag(rate), followed=feed
+        )
+
+    def alike(self) -> Hashable:
+        return (self.kind, self.settings.model)
+
+
+def _is_position_servo(m: mujoco.MjModel, a: int) -> bool:
+    joint = int(m.actuator_trnid[a, 0])
+    acts = m.actuator_trntype[a] == mujoco.mjtTrn.mjTRN_JOINT and int(m.jnt_type[joint]) in SCALAR
+    linear = m.actuator_gaintype[a] == mujoco.mjtGain.mjGAIN_FIXED and m.actuator_biastype[a] == mujoco.mjtBias.mjBIAS_AFFINE
+    kp = m.actuator_gainprm[a, 0]
+    return bool(acts and linear and kp > 0.0 and abs(m.actuator_biasprm[a, 1] + kp) <= 1e-9 * kp)
+
+
+def _carried(into: Array, value: Array) -> Array:
+    """A joint's position in W: of a free joint the pose moves with the file's world, others stay."""
+    if len(value) != 7:
+        return value
+    pose = compose(into, np.concatenate([value[:3], value[[4, 5, 6, 3]]]))
+    return np.concatenate([pose[:3], pose[[6, 3, 4, 5]]])

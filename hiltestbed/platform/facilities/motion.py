@@ -1,0 +1,234 @@
+"""Places and velocities in a tree, compiled, as MuJoCo's own kinematics have them (``mj_kinematics``, ``mj_comVel``); tools are in W."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from hiltestbed.frames import Array, quat_mul, quat_normalise, rotate
+from hiltestbed.platform.facilities.tree import FRAME, FREE, HINGE, SLIDE, Integers, Tree
+
+SPARE = 27
+
+
+class Scratch(NamedTuple):
+    """What depends on the joints, and room to work in; one set serves all runs in turn.
+
+    Attributes:
+        poses: (nb, 7) of the bodies in W. axes: (nj, 6) anchor and axis of each joint in W.
+        motion: (nb, 12) velocity and spin of a body, acceleration and its rate of spin, of the body's origin, in W.
+        loads: (nb, 6) force and moment about W's origin; for weights: mass and first moment.
+        rows: (r, nv). square: (u, u). right, first, filled: (u,). residual, goal: (r,). step: (nv,). spare: (SPARE,).
+    """
+
+    poses: Array
+    axes: Array
+    motion: Array
+    loads: Array
+    rows: Array
+    square: Array
+    right: Array
+    first: Array
+    filled: Array
+    residual: Array
+    goal: Array
+    step: Array
+    spare: Array
+
+
+def row_count(tree: Tree) -> int:
+    """Number of equations: loops, coupled joints, tools, prescribed joints."""
+    loops = sum(6 if kind == FRAME else 3 for kind in tree.loops[:, 0])
+    return loops + len(tree.coupled) + 6 * len(tree.tools) + len(tree.prescribed)
+
+
+def scratch(tree: Tree) -> Scratch:
+    """Room for one tree."""
+    nb, nj, nv, u, r = len(tree.bodies), len(tree.joints), len(tree.armature), len(tree.unknown), row_count(tree)
+    poses = np.zeros((nb, 7))
+    poses[:, 6] = 1.0
+    return Scratch(
+        poses, np.zeros((nj, 6)), np.zeros((nb, 12)), np.zeros((nb, 6)),
+        np.zeros((r, nv)), np.zeros((u, u)), np.zeros(u), np.zeros(u), np.zeros(u), np.zeros(r), np.zeros(r), np.zeros(nv),
+        np.zeros(SPARE),
+    )  # fmt: skip
+
+
+def packed(tree: Tree) -> tuple[Integers, Array, Array]:
+    """A tree and room to work in as three flat arrays: integers, numbers, room. Handing over many arrays costs more than a tick's sums."""
+    nb, nj, nv, nl = len(tree.bodies), len(tree.joints), len(tree.armature), len(tree.loops)
+    sizes = [nb, nj, nv, nl, len(tree.coupled), len(tree.tools), len(tree.prescribed), len(tree.unknown), row_count(tree)]
+    integers = [tree.bodies, tree.joints, tree.loops, tree.coupled, tree.tools, tree.prescribed, tree.unknown]
+    numbers = [tree.frames, tree.masses, tree.axes, tree.armature, tree.loop_frames, tree.polynomial, tree.tool_frames]
+    room = np.concatenate([part.ravel() for part in scratch(tree)])
+    flat = np.concatenate([np.array(sizes, dtype=np.int64), *(part.ravel() for part in integers)])
+    return flat, np.concatenate([part.ravel() for part in numbers]), room
+
+
+@njit(cache=True, inline="always")
+def _next(flat, at, rows, columns):
+    return flat[at : at + rows * columns].reshape((rows, columns))
+
+
+@njit(cache=True)
+def unpack(integers, numbers, room):
+    """Tree and scratch as views of the flat arrays of :func:`packed`."""
+    nb, nj, nv, nl, ne = integers[0], integers[1], integers[2], integers[3], integers[4]
+    nt, np_, u, r = integers[5], integers[6], integers[7], integers[8]
+    i = 9
+    bodies = _next(integers, i, nb, 3)
+    joints = _next(integers, i + 3 * nb, nj, 4)
+    i += 3 * nb + 4 * nj
+    loops = _next(integers, i, nl, 3)
+    coupled = _next(integers, i + 3 * nl, ne, 2)
+    i += 3 * nl + 2 * ne
+    tools, prescribed, unknown = integers[i : i + nt], integers[i + nt : i + nt + np_], integers[i + nt + np_ : i + nt + np_ + u]
+    frames = _next(numbers, 0, nb, 7)
+    masses = _next(numbers, 7 * nb, nb, 13)
+    f = 20 * nb
+    axes = _next(numbers, f, nj, 7)
+    f += 7 * nj
+    armature = numbers[f : f + nv]
+    f += nv
+    loop_frames = numbers[f : f + 14 * nl].reshape((nl, 2, 7))
+    f += 14 * nl
+    polynomial = _next(numbers, f, ne, 5)
+    tool_frames = _next(numbers, f + 5 * ne, nt, 7)
+    tree = Tree(
+        bodies, frames, masses, joints, axes, armature, loops, loop_frames, coupled, polynomial, tools, tool_frames, prescribed, unknown
+    )
+    poses = _next(room, 0, nb, 7)
+    s = 7 * nb
+    lines = _next(room, s, nj, 6)
+    s += 6 * nj
+    motion = _next(room, s, nb, 12)
+    loads = _next(room, s + 12 * nb, nb, 6)
+    s += 18 * nb
+    rows = _next(room, s, r, nv)
+    s += r * nv
+    square = _next(room, s, u, u)
+    s += u * u
+    right, first, filled = room[s : s + u], room[s + u : s + 2 * u], room[s + 2 * u : s + 3 * u]
+    s += 3 * u
+    residual, goal, step = room[s : s + r], room[s + r : s + 2 * r], room[s + 2 * r : s + 2 * r + nv]
+    spare = room[s + 2 * r + nv : s + 2 * r + nv + SPARE]
+    return tree, Scratch(poses, lines, motion, loads, rows, square, right, first, filled, residual, goal, step, spare)
+
+
+@njit(cache=True)
+def place(tree, q, w):
+    """Where bodies and joints are at the joint positions ``q`` (nq,)."""
+    turn, quat, after, r = np.empty(4), np.empty(4), np.empty(4), np.empty(3)
+    for b in range(1, tree.bodies.shape[0]):
+        p, first, count = tree.bodies[b, 0], tree.bodies[b, 1], tree.bodies[b, 2]
+        pose = w.poses[b]
+        if count == 1 and tree.joints[first, 0] == FREE:
+            a = tree.joints[first, 2]
+            for i in range(3):
+                pose[i] = w.axes[first, i] = q[a + i]
+                pose[3 + i] = q[a + 4 + i]
+            pose[6] = q[a + 3]
+            quat_normalise(pose[3:7])
+            continue
+        parent = w.poses[p]
+        rotate(parent[3:7], tree.frames[b], r)
+        for i in range(3):
+            pose[i] = parent[i] + r[i]
+        quat_mul(parent[3:7], tree.frames[b, 3:7], quat)
+        for j in range(first, first + count):
+            kind, a = tree.joints[j, 0], tree.joints[j, 2]
+            geometry, axis = tree.axes[j], w.axes[j]
+            rotate(quat, geometry, axis)
+            for i in range(3):
+                axis[i] += pose[i]
+            rotate(quat, geometry[3:6], axis[3:6])
+            if kind == SLIDE:
+                for i in range(3):
+                    pose[i] += axis[3 + i] * (q[a] - geometry[6])
+                continue
+            if kind == HINGE:
+                half = 0.5 * (q[a] - geometry[6])
+                sine = math.sin(half)
+                for i in range(3):
+                    turn[i] = sine * geometry[3 + i]
+                turn[3] = math.cos(half)
+            else:
+                for i in range(3):
+                    turn[i] = q[a + 1 + i]
+                turn[3] = q[a]
+                quat_normalise(turn)
+            quat_mul(quat, turn, after)
+            for i in range(4):
+                quat[i] = after[i]
+            rotate(quat, geometry, r)
+            for i in range(3):
+                pose[i] = axis[i] - r[i]
+        for i in range(4):
+            pose[3 + i] = quat[i]
+
+
+@njit(cache=True)
+def move(tree, v, w):
+    """How the bodies move at the joint rates ``v`` (nv,): velocity and spin in ``w.motion``, from places that are current."""
+    local = np.empty(3)
+    for b in range(1, tree.bodies.shape[0]):
+        p, first, count = tree.bodies[b, 0], tree.bodies[b, 1], tree.bodies[b, 2]
+        motion, pose = w.motion[b], w.poses[b]
+        _carry(w.poses[p], w.motion[p], pose, motion)
+        for i in range(3):
+            motion[3 + i] = w.motion[p, 3 + i]
+        for j in range(first, first + count):
+            kind, a = tree.joints[j, 0], tree.joints[j, 3]
+            axis = w.axes[j]
+            if kind == SLIDE:
+                for i in range(3):
+                    motion[i] += axis[3 + i] * v[a]
+                continue
+            if kind == HINGE:
+                for i in range(3):
+                    local[i] = axis[3 + i] * v[a]
+            else:
+                if kind == FREE:
+                    for i in range(3):
+                        motion[i] = v[a + i]
+                        motion[3 + i] = 0.0
+                    a += 3
+                rotate(pose[3:7], v[a : a + 3], local)
+            for i in range(3):
+                k, l = (i + 1) % 3, (i + 2) % 3
+                motion[3 + i] += local[i]
+                motion[i] += local[k] * (pose[l] - axis[l]) - local[l] * (pose[k] - axis[k])
+
+
+@njit(cache=True, inline="always")
+def _carry(at, motion, point, out):
+    """``out``: velocity of the point that moves with a body whose origin ``at`` has ``motion``."""
+    for i in range(3):
+        k, l = (i + 1) % 3, (i + 2) % 3
+        out[i] = motion[i] + motion[3 + k] * (point[l] - at[l]) - motion[3 + l] * (point[k] - at[k])
+
+
+@njit(cache=True, inline="always")
+def tool_pose(tree, w, t, out):
+    """``out`` (7,): pose of tool ``t`` in W."""
+    pose, frame = w.poses[tree.tools[t]], tree.tool_frames[t]
+    rotate(pose[3:7], frame, out)
+    for i in range(3):
+        out[i] += pose[i]
+    quat_mul(pose[3:7], frame[3:7], out[3:7])
+
+
+@njit(cache=True)
+def tool_twist(tree, w, t, out):
+    """``out`` (6,): twist of tool ``t`` in W, from places and velocities that are current."""
+    b = tree.tools[t]
+    point = np.empty(3)
+    rotate(w.poses[b, 3:7], tree.tool_frames[t], point)
+    for i in range(3):
+        point[i] += w.poses[b, i]
+    _carry(w.poses[b], w.motion[b], point, out)
+    for i in range(3):
+        out[3 + i] = w.motion[b, 3 + i]

@@ -1,0 +1,297 @@
+"""Newton's method on a tree with loops, compiled: joints from the poses of the tools, and rates from their twists.
+
+The unknown joints solve, together, the loop closures, the commanded poses of the tools and the prescribed joints: residual r(q) = 0,
+with the Jacobian A of all rows. A step is q <- q - (A^T A + e)^-1 A^T r with e at round-off, which also serves redundant rows (a planar
+linkage closed in space) and redundant joints (a seventh axis moves least). Rates of the joints for given twists of the tools solve the
+same matrix.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from hiltestbed.frames import quat_exp, quat_mul, quat_normalise, rotate, rotation_vector
+from hiltestbed.platform.facilities.motion import place, tool_pose
+from hiltestbed.platform.facilities.tree import FRAME, FREE, HINGE, SLIDE
+
+DAMPING = 1e-11  # of the largest diagonal term of A^T A
+LONGEST_STEP = 0.2  # [m], [rad] of a joint in one iteration
+CLOSE = 1e-10  # [m], [rad] the largest residual that counts as solved
+ITERATIONS = 40
+
+
+@njit(cache=True, inline="always")
+def add_point(tree, w, b, point, sign, rows, r):
+    """Add ``sign`` times the Jacobian of a point (3,) of body ``b`` to three rows of ``rows``, from row ``r`` on."""
+    axis = w.spare[0:6]
+    while b > 0:
+        first = tree.bodies[b, 1]
+        for j in range(first, first + tree.bodies[b, 2]):
+            kind, a = tree.joints[j, 0], tree.joints[j, 3]
+            if kind == SLIDE:
+                for i in range(3):
+                    rows[r + i, a] += sign * w.axes[j, 3 + i]
+            elif kind == HINGE:
+                _add_lever(w.axes[j], point, sign, rows, r, a)
+            else:
+                if kind == FREE:
+                    for i in range(3):
+                        rows[r + i, a + i] += sign
+                    a += 3
+                axis[:3] = w.axes[j, :3]
+                for c in range(3):
+                    _column(w.poses[b], c, axis)
+                    _add_lever(axis, point, sign, rows, r, a + c)
+        b = tree.bodies[b, 0]
+
+
+@njit(cache=True, inline="always")
+def _add_lever(axis, point, sign, rows, r, column):
+    x, y, z = point[0] - axis[0], point[1] - axis[1], point[2] - axis[2]
+    rows[r, column] += sign * (axis[4] * z - axis[5] * y)
+    rows[r + 1, column] += sign * (axis[5] * x - axis[3] * z)
+    rows[r + 2, column] += sign * (axis[3] * y - axis[4] * x)
+
+
+@njit(cache=True, inline="always")
+def _column(pose, c, out):
+    """``out[3:6]``: column ``c`` of the rotation matrix of a pose."""
+    x, y, z, s = pose[3], pose[4], pose[5], pose[6]
+    if c == 0:
+        out[3], out[4], out[5] = 1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + z * s), 2.0 * (x * z - y * s)
+    elif c == 1:
+        out[3], out[4], out[5] = 2.0 * (x * y - z * s), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z + x * s)
+    else:
+        out[3], out[4], out[5] = 2.0 * (x * z + y * s), 2.0 * (y * z - x * s), 1.0 - 2.0 * (x * x + y * y)
+
+
+@njit(cache=True, inline="always")
+def add_turn(tree, w, b, sign, rows, r):
+    """Add ``sign`` times the Jacobian of the rotation of body ``b`` to three rows of ``rows``, from row ``r`` on."""
+    axis = w.spare[0:6]
+    while b > 0:
+        first = tree.bodies[b, 1]
+        for j in range(first, first + tree.bodies[b, 2]):
+            kind, a = tree.joints[j, 0], tree.joints[j, 3]
+            if kind == HINGE:
+                for i in range(3):
+                    rows[r + i, a] += sign * w.axes[j, 3 + i]
+            elif kind != SLIDE:
+                a += 3 if kind == FREE else 0
+                for c in range(3):
+                    _column(w.poses[b], c, axis)
+                    for i in range(3):
+                        rows[r + i, a + c] += sign * axis[3 + i]
+        b = tree.bodies[b, 0]
+
+
+@njit(cache=True)
+def attitude_error(goal, quat, out):
+    """``out`` (3,): rotation vector, in W, that takes the attitude ``goal`` to ``quat`` [rad]."""
+    back, q = np.empty(4), np.empty(4)
+    for i in range(3):
+        back[i] = -goal[i]
+    back[3] = goal[3]
+    quat_mul(quat, back, q)
+    rotation_vector(q, out)
+
+
+@njit(cache=True)
+def equations(tree, q, poses, values, w):
+    """Residual and rows at ``q``, for tools at ``poses`` (nt, 7) and prescribed joints at ``values`` (np,); places become current."""
+    place(tree, q, w)
+    rows, residual = w.rows, w.residual
+    rows[:] = 0.0
+    r = _close_loops(tree, w)
+    for k in range(tree.coupled.shape[0]):
+        led, leads = tree.coupled[k, 0], tree.coupled[k, 1]
+        c = tree.polynomial[k]
+        x = q[tree.joints[leads, 2]] - tree.axes[leads, 6] if leads >= 0 else 0.0
+        residual[r] = q[tree.joints[led, 2]] - tree.axes[led, 6] - (c[0] + x * (c[1] + x * (c[2] + x * (c[3] + x * c[4]))))
+        rows[r, tree.joints[led, 3]] = 1.0
+        if leads >= 0:
+            rows[r, tree.joints[leads, 3]] = -(c[1] + x * (2.0 * c[2] + x * (3.0 * c[3] + 4.0 * x * c[4])))
+        r += 1
+    pose = w.spare[20:27]
+    for t in range(tree.tools.shape[0]):
+        tool_pose(tree, w, t, pose)
+        add_point(tree, w, tree.tools[t], pose, 1.0, rows, r)
+        add_turn(tree, w, tree.tools[t], 1.0, rows, r + 3)
+        for i in range(3):
+            residual[r + i] = pose[i] - poses[t, i]
+        attitude_error(poses[t, 3:7], pose[3:7], residual[r + 3 : r + 6])
+        r += 6
+    for k in range(tree.prescribed.shape[0]):
+        j = tree.prescribed[k]
+        residual[r] = q[tree.joints[j, 2]] - values[k]
+        rows[r, tree.joints[j, 3]] = 1.0
+        r += 1
+
+
+@njit(cache=True, inline="always")
+def _close_loops(tree, w):
+    """Residual and rows of the loops; returns how many rows they take."""
+    ends, turns = w.spare[6:12].reshape((2, 3)), w.spare[12:20].reshape((2, 4))
+    r = 0
+    for k in range(tree.loops.shape[0]):
+        for e in range(2):
+            pose, frame = w.poses[tree.loops[k, 1 + e]], tree.loop_frames[k, e]
+            rotate(pose[3:7], frame, ends[e])
+            for i in range(3):
+                ends[e, i] += pose[i]
+            add_point(tree, w, tree.loops[k, 1 + e], ends[e], 1.0 - 2.0 * e, w.rows, r)
+        for i in range(3):
+            w.residual[r + i] = ends[0, i] - ends[1, i]
+        r += 3
+        if tree.loops[k, 0] == FRAME:
+            for e in range(2):
+                quat_mul(w.poses[tree.loops[k, 1 + e], 3:7], tree.loop_frames[k, e, 3:7], turns[e])
+                add_turn(tree, w, tree.loops[k, 1 + e], 1.0 - 2.0 * e, w.rows, r)
+            attitude_error(turns[1], turns[0], w.residual[r : r + 3])
+            r += 3
+    return r
+
+
+@njit(cache=True)
+def factor(tree, w):
+    """Cholesky factor of A^T A over the unknown joints, into ``w.square`` (lower half), within its skyline.
+
+    ``w.first[i]`` is the first column of row i that is not zero: a leg meets its own joints and the platform's alone, and Cholesky's method
+    fills nothing in before it.
+    """
+    u, rows, square, first, filled = tree.unknown.shape[0], w.rows, w.square, w.first, w.filled
+    for i in range(u):
+        first[i] = i
+        for j in range(i + 1):
+            square[i, j] = 0.0
+    for r in range(rows.shape[0]):
+        count = 0
+        for i in range(u):
+            if rows[r, tree.unknown[i]] != 0.0:
+                filled[count] = i
+                count += 1
+        for p in range(count):
+            i = int(filled[p])
+            x = rows[r, tree.unknown[i]]
+            first[i] = min(first[i], filled[0])
+            for q in range(p + 1):
+                j = int(filled[q])
+                square[i, j] += x * rows[r, tree.unknown[j]]
+    most = 0.0
+    for i in range(u):
+        most = max(most, square[i, i])
+    for i in range(u):
+        square[i, i] += DAMPING * most
+        begin = int(first[i])
+        for j in range(begin, i + 1):
+            total = square[i, j]
+            for k in range(max(begin, int(first[j])), j):
+                total -= square[i, k] * square[j, k]
+            if i == j:
+                square[i, i] = math.sqrt(max(total, DAMPING * DAMPING * most))
+            else:
+                square[i, j] = total / square[j, j]
+
+
+@njit(cache=True)
+def solve(tree, w, right, out):
+    """``out`` (nv,): least-squares solution of A out = ``right`` (r,) over the unknown joints; the others are 0."""
+    u, x, square, first = tree.unknown.shape[0], w.right, w.square, w.first
+    for i in range(u):
+        x[i] = 0.0
+    for r in range(w.rows.shape[0]):
+        if right[r] != 0.0:
+            for i in range(u):
+                x[i] += w.rows[r, tree.unknown[i]] * right[r]
+    for i in range(u):
+        total = x[i]
+        for k in range(int(first[i]), i):
+            total -= square[i, k] * x[k]
+        x[i] = total / square[i, i]
+    for i in range(u - 1, -1, -1):
+        x[i] /= square[i, i]
+        for k in range(int(first[i]), i):
+            x[k] -= square[i, k] * x[i]
+    out[:] = 0.0
+    for i in range(u):
+        out[tree.unknown[i]] = x[i]
+
+
+@njit(cache=True)
+def shift(tree, q, step, scale):
+    """Move the joint positions ``q`` by ``scale`` times the rates ``step`` (nv,), as ``mj_integratePos`` does."""
+    turn, quat, after, r = np.empty(4), np.empty(4), np.empty(4), np.empty(3)
+    for j in range(tree.joints.shape[0]):
+        kind, a, d = tree.joints[j, 0], tree.joints[j, 2], tree.joints[j, 3]
+        if kind in (SLIDE, HINGE):
+            q[a] += scale * step[d]
+            continue
+        if kind == FREE:
+            for i in range(3):
+                q[a + i] += scale * step[d + i]
+            a, d = a + 3, d + 3
+        for i in range(3):
+            r[i] = scale * step[d + i]
+            quat[i] = q[a + 1 + i]
+        quat[3] = q[a]
+        quat_exp(r, turn)
+        quat_mul(quat, turn, after)
+        quat_normalise(after)
+        for i in range(3):
+            q[a + 1 + i] = after[i]
+        q[a] = after[3]
+
+
+@njit(cache=True)
+def newton(tree, q, poses, values, w, close, most):
+    """Bring ``q`` (nq,) to tools at ``poses`` and prescribed joints at ``values``, in at most ``most`` steps.
+
+    Returns the largest residual that is left. Rows and their factor are those before the last step, which is then below sqrt(close).
+    """
+    worst = math.inf
+    for _ in range(most):
+        equations(tree, q, poses, values, w)
+        worst = 0.0
+        for r in range(w.residual.shape[0]):
+            worst = max(worst, abs(w.residual[r])) if math.isfinite(w.residual[r]) else math.inf
+        factor(tree, w)
+        if not close < worst < math.inf:
+            break
+        solve(tree, w, w.residual, w.step)
+        longest = 0.0
+        for d in range(w.step.shape[0]):
+            longest = max(longest, abs(w.step[d]))
+        shift(tree, q, w.step, -min(1.0, LONGEST_STEP / max(longest, 1e-300)))
+        if longest < close:  # no step brings it nearer: out of reach
+            break
+        if worst * worst < close and longest * longest < close:  # what is left falls with the square
+            worst = longest * longest
+            break
+    return worst
+
+
+@njit(cache=True)
+def rates(tree, w, twists, speeds, out):
+    """``out`` (nv,): joint rates for the tools' ``twists`` (nt, 6) in W and the prescribed joints' ``speeds``, from current factors."""
+    r = w.goal.shape[0] - 6 * twists.shape[0] - speeds.shape[0]
+    w.goal[:r] = 0.0
+    for t in range(twists.shape[0]):
+        for i in range(6):
+            w.goal[r + i] = twists[t, i]
+        r += 6
+    for k in range(speeds.shape[0]):
+        w.goal[r + k] = speeds[k]
+    solve(tree, w, w.goal, out)
+
+
+@njit(cache=True)
+def ways(tree, w, out):
+    """``out`` (t, nv): joint rates for a unit rate of each task (tools' twists, prescribed joints), from current factors."""
+    first = w.goal.shape[0] - out.shape[0]
+    for t in range(out.shape[0]):
+        w.goal[:] = 0.0
+        w.goal[first + t] = 1.0
+        solve(tree, w, w.goal, out[t])

@@ -1,0 +1,61 @@
+"""Drives that are in the user's own model: MuJoCo's position actuators, which are told where to go.
+
+An actuator pushes kp (ctrl - s) - kv s'. With feed-forward its one input also carries the planned velocity, ctrl = s_r + (kv/kp) s_r',
+so that the damping does not hold the joint back; acceleration and weight are left to the actuator, as a plain position servo leaves them.
+What the weight bends the servos by at the start is taken out of the references.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from hiltestbed.frames import Array
+from hiltestbed.platform.facilities.drives import Drives
+from hiltestbed.platform.facilities.kinematics import Kinematics
+
+
+@njit(cache=True)
+def _push(plan, sub, ratio, lead, bent, inputs, ctrl):
+    for i in range(plan.shape[0]):
+        for j in range(inputs.shape[0]):
+            ctrl[i, inputs[j]] = ratio[j] * (plan[i, sub, 0, j] + lead[j] * plan[i, sub, 1, j] + bent[i, j])
+
+
+class PositionActuators(Drives):
+    """Position servos of `n` runs of a user's rig."""
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        kinematics: Kinematics,
+        tick: float,
+        substeps: int,
+        cycles: Sequence[int],
+        lates: Sequence[int],
+        feed: NDArray[np.bool_],
+    ) -> None:
+        super().__init__(model, kinematics, tick, substeps, cycles, lates, feed)
+        self._ratio = model.actuator_gear[self._inputs, 0].copy()
+        self._kp = model.actuator_gainprm[self._inputs, 0] * self._ratio**2  # of the joint
+        self._lead = -model.actuator_biasprm[self._inputs, 2] / model.actuator_gainprm[self._inputs, 0]
+        self.bent = np.zeros((len(feed), len(kinematics.axes)))
+
+    def nominal(self) -> tuple[Array, Array]:
+        """Natural frequency [rad/s] and damping ratio (J,) of each servo by itself, on what it moves at home."""
+        moved = np.diag(self.mass_matrix())
+        w = np.sqrt(self._kp / moved)
+        return w, 0.5 * self._lead * w
+
+    def rest(self, qpos: Array, qvel: Array) -> None:
+        self.bent[:] = self.load / self._kp
+
+    def push(self, sub: int, qpos: Array, qvel: Array, ctrl: Array) -> None:
+        _push(self._plan, sub, self._ratio, self._lead, self.bent, self._inputs, ctrl)
+
+    def state(self) -> dict[str, NDArray]:
+        return super().state() | {"bent": self.bent}

@@ -1,0 +1,167 @@
+"""A platform given by its response alone: a second or third order with a delay, on six axes, without mass or shape.
+
+Each axis follows its command u, the position or the component of the rotation vector, as
+
+    order 2   x'' = w^2 (u - x) - 2 zeta w x'
+    order 3   x''' = w^2 (K (u - x) - x') - 2 zeta w x''        (a hydraulic leg: K its gain, w, zeta its oil under its mass)
+
+u runs linearly over each tick and is late by the delay, any length. Both are advanced exactly for a linear input (matrix exponential of
+the order and its input), so that the result does not depend on how finely a tick is divided. The motion starts at the start pose less
+what the delay holds back, with the approach velocity.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from hiltestbed.frames import Array, quat_exp, rotation_vectors
+from hiltestbed.platform.facilities.facility import Response
+from hiltestbed.platform.facilities.settings import ResponseSettings
+
+
+def nominal(settings: ResponseSettings) -> Response:
+    """What a ledger and a compensation may know of it."""
+    band, zeta, gain = (np.array(six(x)) for x in (settings.bandwidth, settings.damping_ratio, settings.gain))
+    if settings.order == 3:  # K w^2/(...) lags by 1/K at low frequency
+        near = np.sqrt(gain * 2.0 * math.pi * band) / (2.0 * math.pi)
+        zeta, band = math.pi * near / gain, near
+    return Response(tuple(map(float, band)), tuple(map(float, zeta)), settings.delay)
+
+
+def transfer(settings: ResponseSettings, frequency: Array, axis: int = 2) -> NDArray[np.complex128]:
+    """The closed form at frequencies [Hz]."""
+    s = 2j * math.pi * np.asarray(frequency, dtype=float)
+    w, zeta, gain = 2.0 * math.pi * six(settings.bandwidth)[axis], six(settings.damping_ratio)[axis], six(settings.gain)[axis]
+    if settings.order == 2:
+        return w**2 / (s**2 + 2.0 * zeta * w * s + w**2) * np.exp(-s * settings.delay)
+    return gain * w**2 / (s**3 + 2.0 * zeta * w * s**2 + w**2 * s + gain * w**2) * np.exp(-s * settings.delay)
+
+
+def six(value: float | Sequence[float]) -> tuple[float, ...]:
+    """One number for all axes, or one for each."""
+    return (value,) * 6 if isinstance(value, (int, float)) else tuple(value)
+
+
+def advance_matrices(order: int, w: float, zeta: float, gain: float, dt: float) -> Array:
+    """``(3, 5)``: the state (x, x', x'') after ``dt`` [s] from that before (3), the input before, and its rise over the step."""
+    from scipy.linalg import expm
+
+    a = np.zeros((5, 5))  # state, input, slope of the input
+    a[0, 1] = 1.0
+    if order == 2:
+        a[1, :4] = [-w * w, -2.0 * zeta * w, 0.0, w * w]
+    else:
+        a[1, 2] = 1.0
+        a[2, :4] = [-gain * w * w, -w * w, -2.0 * zeta * w, gain * w * w]
+    a[3, 4] = 1.0
+    out = np.asarray(expm(a * dt), dtype=float)[:3].copy()
+    out[:, 4] /= dt
+    return out
+
+
+@njit(cache=True)
+def _at(ring, axis, when):
+    first = math.floor(when)
+    part = when - first
+    low = ring[int(first) % ring.shape[0], axis]
+    return low if part == 0.0 else low + part * (ring[int(first + 1) % ring.shape[0], axis] - low)
+
+
+@njit(cache=True)
+def _piece(ring, axis, begin, end, e, x, state):
+    """Advance one axis over a piece of time in which the command, late, is linear from ``begin`` to ``end``, both in ticks."""
+    before = _at(ring, axis, begin)
+    rise = _at(ring, axis, end) - before
+    for c in range(3):
+        x[c] = e[c, 3] * before + e[c, 4] * rise
+        for d in range(3):
+            x[c] += e[c, d] * state[d]
+    for c in range(3):
+        state[c] = x[c]
+
+
+@njit(cache=True)
+def _advance(k, pose_cmd, turn_cmd, late, bend, step, ring, state, path, rate):
+    """One tick: the command at t_(k+1) into the ring, then every axis over the m instants of the tick.
+
+    bend: (n,) where in the tick the late command passes from one of its lines to the next [ticks]. step: (n, 6, 3, 3, 5) matrices of a
+    whole instant, and of the parts before and after the bend of the instant in which it lies.
+    """
+    m = path.shape[1]
+    r, x = np.empty(3), np.empty(3)
+    for i in range(pose_cmd.shape[0]):
+        slot = (k + 1) % ring.shape[1]
+        for c in range(3):
+            ring[i, slot, c] = pose_cmd[i, c]
+            ring[i, slot, 3 + c] = turn_cmd[i, c]
+        parted = int(bend[i] * m) if bend[i] > 0.0 else -1
+        for s in range(m):
+            begin, end, middle = k + s / m - late[i], k + (s + 1.0) / m - late[i], k + bend[i] - late[i]
+            for axis in range(6):
+                if s == parted:
+                    _piece(ring[i], axis, begin, middle, step[i, axis, 1], x, state[i, axis])
+                    _piece(ring[i], axis, middle, end, step[i, axis, 2], x, state[i, axis])
+                else:
+                    _piece(ring[i], axis, begin, end, step[i, axis, 0], x, state[i, axis])
+                rate[i, s, axis] = x[1]
+            for c in range(3):
+                path[i, s, c] = state[i, c, 0]
+                r[c] = state[i, 3 + c, 0]
+            quat_exp(r, path[i, s, 3:7])
+
+
+class ResponsePath:
+    """Platforms of `n` runs that are a response alone.
+
+    Attributes:
+        path: (n, m, 7) pose of A in P at the m instants of the tick, the last of which is t_(k+1). rate: (n, m, 6) its velocity, and
+            the rate of its rotation vector.
+        state: (n, 6, 3) of each axis. ring: (n, slots, 6) commands, that reached at t_j in slot j modulo their number.
+    """
+
+    def __init__(self, settings: Sequence[ResponseSettings], tick: float, substeps: int) -> None:
+        n = len(settings)
+        self.tick, self.substeps = tick, substeps
+        self._late = np.array([s.delay for s in settings]) / tick
+        self.ring = np.zeros((n, math.ceil(float(self._late.max())) + 3, 6))
+        self.state = np.zeros((n, 6, 3))
+        self.path, self.rate = np.zeros((n, substeps, 7)), np.zeros((n, substeps, 6))
+        self._bend = self._late - np.floor(self._late)
+        self._step = np.zeros((n, 6, 3, 3, 5))
+        for i, s in enumerate(settings):
+            before = math.modf(self._bend[i] * substeps)[0] / substeps  # of the instant in which the bend lies
+            parts = (1.0 / substeps, before, 1.0 / substeps - before)
+            for axis, (band, zeta, gain) in enumerate(zip(six(s.bandwidth), six(s.damping_ratio), six(s.gain), strict=True)):
+                for part, share in enumerate(parts):
+                    if share > 0.0:
+                        self._step[i, axis, part] = advance_matrices(s.order, 2.0 * math.pi * band, zeta, gain, tick * share)
+                    else:  # nothing goes by
+                        self._step[i, axis, part, :, :3] = np.eye(3)
+        self._ticks = np.zeros(1, dtype=np.int64)
+
+    def begin(self, pose: Array, twist: Array) -> None:
+        """Start at ``pose`` (n, 7), less what the delay holds back, on a uniform motion with ``twist`` (n, 6)."""
+        self._ticks[0] = 0
+        start = np.hstack([pose[:, :3], rotation_vectors(pose[:, 3:])])
+        slots = self.ring.shape[1]
+        for back in range(slots):
+            self.ring[:, -back % slots] = start - twist * (self.tick * back)
+        self.state[:, :, 0] = start - twist * (self._late * self.tick)[:, None]
+        self.state[:, :, 1], self.state[:, :, 2] = twist, 0.0
+
+    def advance(self, pose_cmd: Array) -> Array:
+        """The path (n, m, 7) over the tick whose command (n, 7) is to be reached at its end."""
+        turn = rotation_vectors(pose_cmd[:, 3:])
+        _advance(int(self._ticks[0]), pose_cmd, turn, self._late, self._bend, self._step, self.ring, self.state, self.path, self.rate)
+        self._ticks[0] += 1
+        return self.path
+
+    def buffers(self) -> dict[str, NDArray[Any]]:
+        """The arrays that make up the state."""
+        return {"ticks": self._ticks, "ring": self.ring, "state": self.state}

@@ -1,0 +1,108 @@
+"""A facility alone, with a payload on its mount: `n` of them in lockstep, for measurements.
+
+What the closed loop's plant does in a tick, without contact: aim, push and step, observe. A wrench may act on the payload.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import mujoco
+import numpy as np
+from mujoco.batch import Batch
+from numba import njit
+
+from hiltestbed.frames import Array
+from hiltestbed.platform.facilities.facility import MOUNT, Facility, compiled
+from hiltestbed.rig.model import load
+
+PAYLOAD = "payload_"
+TOOL = PAYLOAD + "A"
+LIMIT = 1e3  # [m/s], [rad/s] a joint faster than this has diverged
+
+
+@njit(cache=True)
+def _apply(wrench, body, place, centre, applied):
+    """Put the wrench (n, 6) at A, in W, on the payload's body, whose centre of mass is at ``centre`` (3,) from A, in A."""
+    r = np.empty(3)
+    for i in range(wrench.shape[0]):
+        _turned(place[i, 3:7], centre, r)
+        for c in range(3):
+            k, l = (c + 1) % 3, (c + 2) % 3
+            applied[i, body, c] = wrench[i, c]
+            applied[i, body, 3 + c] = wrench[i, 3 + c] - (r[k] * wrench[i, l] - r[l] * wrench[i, k])
+
+
+@njit(cache=True)
+def _turned(q, v, out):
+    tx = 2.0 * (q[1] * v[2] - q[2] * v[1])
+    ty = 2.0 * (q[2] * v[0] - q[0] * v[2])
+    tz = 2.0 * (q[0] * v[1] - q[1] * v[0])
+    out[0] = v[0] + q[3] * tx + q[1] * tz - q[2] * ty
+    out[1] = v[1] + q[3] * ty + q[2] * tx - q[0] * tz
+    out[2] = v[2] + q[3] * tz + q[0] * ty - q[1] * tx
+
+
+class Stand:
+    """`n` facilities with a payload.
+
+    Attributes:
+        drives: their drives. pose, twist: those of A relative to P, in P, at t_k. diverged: (n,) which runs have.
+    """
+
+    def __init__(
+        self,
+        facility: Facility,
+        n: int = 1,
+        *,
+        settings: Sequence[Any] | None = None,
+        rate: float = 2000.0,
+        substeps: int = 2,
+        feed: bool = False,
+        payload: mujoco.MjSpec | None = None,
+        threads: int = 0,
+    ) -> None:
+        """Args: settings: one a run, the facility's own by default. payload: an active mechanism with site A; the bumper's by default."""
+        self.facility, self.tick, self.substeps = facility, 1.0 / rate, substeps
+        spec = facility.spec()
+        spec.attach(load("bumper/active") if payload is None else payload, prefix=PAYLOAD, site=spec.site(MOUNT))
+        self.model = compiled(spec, self.tick / substeps)
+        self.batch = Batch(self.model, n, threads, persistent=True)
+        self.drives = facility.drives(self.model, list(settings or [facility.settings] * n), self.tick, substeps, np.full(n, feed), TOOL)
+        bind = self.batch.bind
+        self.qpos, self.qvel, self.ctrl = bind("qpos"), bind("qvel"), bind("ctrl")
+        self.warmstart = bind("qacc_warmstart")
+        self._applied = bind("xfrc_applied").reshape(n, -1, 6)
+        site = self.model.site(TOOL)
+        self._body = int(site.bodyid[0])
+        self._centre = np.array(self.model.body(self._body).ipos - site.pos)
+        self.wrench = np.zeros((n, 6))
+        self.diverged = np.zeros(n, dtype=bool)
+        self.pose, self.twist = self.drives.pose, self.drives.twist
+
+    def reset(self, pose: Array, twist: Array) -> None:
+        """Start in the uniform motion with ``twist`` (n, 6) that is commanded to be at ``pose`` (n, 7)."""
+        self.batch.reset(stage=0)
+        self.diverged[:] = False
+        self.wrench[:] = 0.0
+        self._applied[:] = 0.0
+        self.drives.settle(pose, twist, self.qpos, self.qvel)
+        self.batch.forward()
+        self.drives.observe(self.qpos, self.qvel, LIMIT, self.diverged)
+
+    def advance(self, pose: Array, twist: Array, accel: Array) -> None:
+        """One tick towards ``pose`` (n, 7), with ``twist`` and ``accel`` (n, 6)."""
+        self.drives.aim(pose, twist, accel)
+        for s in range(self.substeps):
+            if self.wrench.any():
+                _apply(self.wrench, self._body, self.drives.place_A, self._centre, self._applied)
+            self.drives.push(s, self.qpos, self.qvel, self.ctrl)
+            self.batch.step()
+        self.drives.arrive()
+        self.drives.observe(self.qpos, self.qvel, LIMIT, self.diverged)
+
+    def bare_steps(self, count: int) -> None:
+        """``count`` steps with the inputs as they are."""
+        for _ in range(count):
+            self.batch.step()

@@ -1,0 +1,167 @@
+"""Two industrial arms that face each other, one of them on a rail, as at EPOS: the passive side moves too.
+
+Insertion is level here: W's z along the rail, y up, gravity along -y. The active arm stands, the passive one rides on the rail and
+carries force sensor and passive mechanism.
+
+How the relative pose (p, R = exp(r)) is shared out, with s the passive side's share:
+
+    rail     far(g), g = -p_z: 0 up to HOLD, then growing, from CLEAR on with slope 1: in contact it stands still
+    passive  attitude exp(-s (1 - far') r), position  far z - s R_P p',   p' = p + far z
+    active   the rest: its pose in W is that of P in W times (p, R)
+
+so that near the touch the two arms take (1 - s) and s of every motion, and far away the passive arm only rides.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Sequence
+from typing import Any, ClassVar
+
+import mujoco
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from hiltestbed.frames import Array, pose_step, quat_exp, quat_mul, rotate, rotation_vector, twist_between
+from hiltestbed.platform.facilities.elastic_joint import ElasticJoints
+from hiltestbed.platform.facilities.facility import (
+    MOUNT,
+    NOMINAL,
+    SENSOR_HEIGHT,
+    TOOL_HOME,
+    Facility,
+    Response,
+    add_carrier,
+    per_run,
+)
+from hiltestbed.platform.facilities.kinematics import Axis, Kinematics
+from hiltestbed.platform.facilities.serial_arm import FRICTION_SHARE, arm_axes, arm_rubbing, pose_arm
+from hiltestbed.platform.facilities.settings import TwoArmsSettings
+from hiltestbed.platform.facilities.tree import compose, inverse_pose
+from hiltestbed.rig.model import load
+
+ACTIVE, PASSIVE = "chaser_", "target_"  # prefixes of the two arms' names
+HOME = (0.0, -1.0506357359978915, 1.6113790755209094, 0.0, -0.5607433395296182, 1.5707963267948966)  # [rad], a6 of the passive arm
+HOLD, CLEAR = 0.10, 0.30  # [m] of gap up to which the rail stands, and from which it takes all
+RAIL = Axis("rail", "m", -0.3, 24.5, 2.0, 1.0, 2.0e4)
+RAIL_FRICTION = 1.0  # of the first axis' numbers, in N for N m
+SLICE = 1e-4  # [s] over which the shares' motion is taken
+
+
+@njit(cache=True)
+def far(gap):
+    """What the rail takes of a gap [m], and its slope."""
+    u = (gap - HOLD) / (CLEAR - HOLD)
+    if u <= 0.0:
+        return 0.0, 0.0
+    if u < 1.0:
+        return (CLEAR - HOLD) * (u * u * u - 0.5 * u**4), u * u * (3.0 - 2.0 * u)
+    return 0.5 * (CLEAR - HOLD) + gap - CLEAR, 1.0
+
+
+@njit(cache=True)
+def share_out(pose, share, active, passive):
+    """Poses (7,) of A and P in W for the relative ``pose`` (7,) of A in P; returns what the rail takes [m]."""
+    ride, slope = far(-pose[2])
+    r, v = np.empty(3), np.empty(3)
+    rotation_vector(pose[3:7], r)
+    for i in range(3):
+        r[i] *= -share * (1.0 - slope)
+        v[i] = pose[i]
+    v[2] += ride
+    quat_exp(r, passive[3:7])
+    rotate(passive[3:7], v, v)
+    for i in range(3):
+        passive[i] = -share * v[i]
+    passive[2] += ride
+    rotate(passive[3:7], pose[0:3], v)
+    for i in range(3):
+        active[i] = passive[i] + v[i]
+    quat_mul(passive[3:7], pose[3:7], active[3:7])
+    return ride
+
+
+@njit(cache=True)
+def _allocate(pose, twist, accel, half, shares, poses, twists, held, speeds):
+    """Tools' poses and twists (n, 2, .) and the rail; the twist is the difference of the shares over a slice about the pose."""
+    speed = np.empty(6)
+    moved, before, after = np.empty(7), np.empty((2, 7)), np.empty((2, 7))
+    for i in range(pose.shape[0]):
+        for c in range(6):
+            speed[c] = twist[i, c] + half * accel[i, c]
+        held[i, 0] = share_out(pose[i], shares[i], poses[i, 0], poses[i, 1])
+        pose_step(pose[i], speed, -0.5 * SLICE, moved)
+        first = share_out(moved, shares[i], before[0], before[1])
+        pose_step(pose[i], speed, 0.5 * SLICE, moved)
+        last = share_out(moved, shares[i], after[0], after[1])
+        speeds[i, 0] = (last - first) / SLICE
+        for t in range(2):
+            twist_between(before[t], after[t], SLICE, twists[i, t])
+
+
+class FacingArms(ElasticJoints):
+    """Drives of both arms and the rail."""
+
+    shares: Array
+
+    def allocate(self, pose: Array, twist: Array, accel: Array, half: float) -> None:
+        _allocate(pose, twist, accel, half, self.shares, self.poses, self.twists, self.held, self.held_rates)
+
+
+class TwoArms(Facility):
+    """The hall of ``models/two_arms`` with two arms of ``models/serial_arm``."""
+
+    kind: ClassVar[str] = "two_arms"
+    moves_passive: ClassVar[bool] = True
+    settings: TwoArmsSettings
+
+    @property
+    def axes(self) -> tuple[Axis, ...]:
+        return (*arm_axes(ACTIVE), *arm_axes(PASSIVE), RAIL)
+
+    def spec(self) -> mujoco.MjSpec:
+        spec = load("two_arms/two_arms")
+        for prefix, stand, turn in ((ACTIVE, "active_stand", -1.0), (PASSIVE, "passive_stand", 1.0)):
+            arm = load("serial_arm/serial_arm")
+            pose_arm(arm, np.array([*HOME[:5], turn * HOME[5]]))
+            arm.body("base").pos, arm.body("base").quat = [0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0]
+            spec.attach(arm, prefix=prefix, site=spec.site(stand))
+        spec.site(ACTIVE + MOUNT).name = MOUNT
+        flange = spec.site(PASSIVE + MOUNT)
+        # The sensor's flange looks along -z of P; P stands SENSOR_HEIGHT before it.
+        down = np.array([0.0, 0.0, SENSOR_HEIGHT, 1.0, 0.0, 0.0, 0.0])
+        at = compose(np.array([*flange.pos, *np.array(flange.quat)[[1, 2, 3, 0]]]), inverse_pose(down))
+        add_carrier(flange.parent, at)
+        return spec
+
+    def kinematics(self, model: mujoco.MjModel, tool: str = MOUNT) -> Kinematics:
+        gears = [f"{prefix}g{j + 1}" for prefix in (ACTIVE, PASSIVE) for j in range(6)]
+        return Kinematics(model, [tool, NOMINAL], self.axes, locked=gears, prescribed=["rail"])
+
+    def drives(
+        self, model: mujoco.MjModel, settings: Sequence[Any], tick: float, substeps: int, feed: NDArray[np.bool_], tool: str = MOUNT
+    ) -> FacingArms:
+        cycles, lates = self.lags(settings, tick)
+        share = (*FRICTION_SHARE, *FRICTION_SHARE, RAIL_FRICTION)
+        drives = FacingArms(
+            model, self.kinematics(model, tool), tick, substeps, cycles, lates, feed,
+            gears=[*(f"{prefix}g{j + 1}" for prefix in (ACTIVE, PASSIVE) for j in range(6)), None],
+            bandwidth=per_run(settings, "controller.bandwidth").tolist(),
+            damping_ratio=per_run(settings, "controller.damping_ratio").tolist(),
+            encoder=per_run(settings, "controller.encoder_resolution").tolist(),
+            rubbing=arm_rubbing(model, settings, self.axes, tick / substeps, share),
+        )  # fmt: skip
+        drives.shares = per_run(settings, "passive_share")
+        return drives
+
+    def response(self, rate: float, feed: bool) -> Response:
+        controller = self.settings.controller
+        return Response((controller.bandwidth,) * 6, (controller.damping_ratio,) * 6, self.settings.command.lag(rate), followed=feed)
+
+    def complaints(self, pose: Array, tool: Array = TOOL_HOME) -> list[str]:
+        active, passive = np.empty(7), np.empty(7)
+        rail = share_out(np.asarray(pose, dtype=float), self.settings.passive_share, active, passive)
+        return self.bare.complaints(np.array([compose(active, inverse_pose(tool)), passive]), np.array([rail]))
+
+    def alike(self) -> Hashable:
+        return self.kind

@@ -1,0 +1,120 @@
+"""Facilities for the tests, and small quantities that several of them need."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mujoco
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from hiltestbed.frames import Array
+from hiltestbed.platform.facilities.mjcf import Mjcf
+from hiltestbed.platform.facilities.serial_arm import SerialArm
+from hiltestbed.platform.facilities.settings import MjcfSettings, SerialArmSettings, StewartSettings, TwoArmsSettings
+from hiltestbed.platform.facilities.stewart import Stewart
+from hiltestbed.platform.facilities.two_arms import TwoArms
+
+UPRIGHT = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+DIRECT = {"controller_rate": None, "delay_cycles": 0}
+
+# A bridge crane with a ram and a wrist below it: six position servos, drawn with its mount looking down.
+GANTRY = """
+<mujoco model="gantry">
+  <compiler angle="radian" autolimits="true"/>
+  <default><geom contype="0" conaffinity="0" mass="0"/></default>
+  <worldbody>
+    <body name="bridge" pos="0 0 4">
+      <inertial pos="0 0 0" mass="400" diaginertia="100 100 100"/>
+      <joint name="x" type="slide" axis="1 0 0" range="-1 1"/>
+      <body name="trolley">
+        <inertial pos="0 0 0" mass="150" diaginertia="20 20 20"/>
+        <joint name="y" type="slide" axis="0 1 0" range="-1 1"/>
+        <body name="ram" pos="0 0 -1">
+          <inertial pos="0 0 0.4" mass="90" diaginertia="10 10 2"/>
+          <joint name="z" type="slide" axis="0 0 1" range="-0.8 0.8"/>
+          <body name="yaw">
+            <inertial pos="0 0 0" mass="30" diaginertia="1 1 1"/>
+            <joint name="c" axis="0 0 1" range="-2 2"/>
+            <body name="tilt" pos="0 0 -0.2">
+              <inertial pos="0 0 0" mass="25" diaginertia="1 1 1"/>
+              <joint name="b" axis="0 1 0" range="-1 1"/>
+              <body name="swing">
+                <inertial pos="0 0 -0.1" mass="20" diaginertia="1 1 1"/>
+                <joint name="a" axis="1 0 0" range="-1 1"/>
+                <site name="mount" pos="0 0 -0.25" quat="0 1 0 0"/>
+              </body>
+            </body>
+          </body>
+        </body>
+      </body>
+    </body>
+  </worldbody>
+  <actuator>
+    <position name="px" joint="x" kp="2e7" kv="2e5"/>
+    <position name="py" joint="y" kp="1.2e7" kv="1.2e5"/>
+    <position name="pz" joint="z" kp="1e7" kv="9e4"/>
+    <position name="pc" joint="c" kp="4e5" kv="4e3"/>
+    <position name="pb" joint="b" kp="2e6" kv="1.6e4"/>
+    <position name="pa" joint="a" kp="2e6" kv="1.6e4"/>
+  </actuator>
+</mujoco>
+"""
+
+
+def stewart(kind: str = "hydraulic", command: dict[str, Any] | None = None, **drive: Any) -> Stewart:
+    return Stewart(StewartSettings.model_validate({"kind": "stewart", "drive": {"kind": kind} | drive, "command": command or {}}))
+
+
+def arm(command: dict[str, Any] | None = None, **controller: Any) -> SerialArm:
+    return SerialArm(SerialArmSettings.model_validate({"kind": "serial_arm", "controller": controller, "command": command or DIRECT}))
+
+
+def arms(command: dict[str, Any] | None = None, share: Any = 0.5, **controller: Any) -> TwoArms:
+    given = {"kind": "two_arms", "passive_share": share, "controller": controller, "command": command or DIRECT}
+    return TwoArms(TwoArmsSettings.model_validate(given))
+
+
+def own(path) -> Mjcf:
+    return Mjcf(MjcfSettings(kind="mjcf", model=str(path)))
+
+
+def poses(n: int, reach: float, turn_deg: float, seed: int = 3) -> Array:
+    """``(n, 7)`` poses over +-reach and +-turn, the corners among them."""
+    part = np.random.default_rng(seed).uniform(-1.0, 1.0, (n, 6))
+    part[: n // 4] = np.sign(part[: n // 4])
+    return np.hstack([reach * part[:, :3], Rotation.from_euler("xyz", turn_deg * part[:, 3:], degrees=True).as_quat()])
+
+
+def apart(a: Array, b: Array) -> tuple[float, float]:
+    """Distance [m] and angle [rad] between two poses (7,)."""
+    turn = Rotation.from_quat(a[3:]).inv() * Rotation.from_quat(b[3:])
+    return float(np.linalg.norm(a[:3] - b[:3])), float(turn.magnitude())
+
+
+def mujoco_pose(m: mujoco.MjModel, q: Array, site: str) -> Array:
+    """``(7,)`` pose of a site by MuJoCo's own kinematics."""
+    data = mujoco.MjData(m)
+    data.qpos[:] = q
+    mujoco.mj_kinematics(m, data)
+    return np.concatenate([data.site(site).xpos, Rotation.from_matrix(data.site(site).xmat.reshape(3, 3)).as_quat()])
+
+
+def mass_and_jacobian(m: mujoco.MjModel, q: Array, site: str) -> tuple[Array, Array, Array]:
+    """MuJoCo's own mass matrix (nv, nv), Jacobian of a site (6, nv), and motions (nv, f) that the loops allow, at ``q``."""
+    data = mujoco.MjData(m)
+    data.qpos[:] = q
+    mujoco.mj_forward(m, data)
+    mass, jac = np.empty((m.nv, m.nv)), np.zeros((6, m.nv))
+    mujoco.mj_fullM(m, data, mass)
+    mujoco.mj_jacSite(m, data, jac[:3], jac[3:], m.site(site).id)
+    if not m.neq:
+        return mass, jac, np.eye(m.nv)
+    loops = np.zeros((data.nefc, m.nv))
+    if mujoco.mj_isSparse(m):
+        mujoco.mju_sparse2dense(loops, data.efc_J, data.efc_J_rownnz, data.efc_J_rowadr, data.efc_J_colind)
+    else:
+        loops[:] = data.efc_J.reshape(data.nefc, m.nv)
+    loops = loops[data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY]
+    _, values, right = np.linalg.svd(loops)
+    return mass, jac, right[int(np.sum(values > 1e-9 * values[0])) :].T

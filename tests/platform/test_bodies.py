@@ -1,0 +1,176 @@
+"""Air bearing and suspension: momentum, periods, drifts against closed forms, and starts that are refused."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from mujoco.batch import Batch
+
+from hiltestbed.errors import InputError
+from hiltestbed.frames import Array
+from hiltestbed.platform.facilities.air_bearing import AirBearing
+from hiltestbed.platform.facilities.bodies import GRAVITY, Article
+from hiltestbed.platform.facilities.facility import compiled
+from hiltestbed.platform.facilities.settings import AirBearingSettings
+from hiltestbed.platform.facilities.suspension import HOOK, Suspension, SuspensionSettings, swing_frequency
+
+STEP = 2.5e-4
+CHASER = Article(500.0, np.diag([200.0, 180.0, 150.0]), np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]))
+TARGET = Article(2000.0, np.diag([900.0, 900.0, 700.0]), np.array([0.2, 0.0, -1.0, 0.0, 0.0, 0.0, 1.0]))
+QUIET = {"tilt": [0.0, 0.0], "film_damping": 0.0, "friction": 0.0, "hose_stiffness": 0.0, "hose_damping": 0.0}
+SMOOTH = {"winch_friction": 0.0, "tension_error": 0.0, "gimbal_offset": 0.0, "winch_mass": 0.0}
+
+
+class Hall:
+    """One pair of articles that is stepped, a force between their ports if wanted."""
+
+    def __init__(self, facility: AirBearing | Suspension) -> None:
+        self.model = compiled(facility.spec(), STEP)
+        self.batch = Batch(self.model, 1, 1, persistent=True)
+        self.bodies = facility.bodies(self.model, [facility.settings], STEP)
+        bind = self.batch.bind
+        self.qpos, self.qvel, self.applied = bind("qpos"), bind("qvel"), bind("qfrc_applied")
+        self.pushed = bind("xfrc_applied").reshape(1, -1, 6)
+        self.centres = bind("xipos").reshape(1, -1, 3)
+        self.diverged = np.zeros(1, dtype=bool)
+
+    def start(self, pose: Array, twist: Array) -> None:
+        self.batch.reset(stage=0)
+        self.bodies.settle(pose[None], twist[None], self.qpos, self.qvel)
+        self.batch.forward()
+
+    def run(self, time: float, push: Array | None = None) -> Array:
+        """``(steps, 7)`` place of A in W; ``push`` (3,) [N] acts on the target at P and back on the chaser there."""
+        out = []
+        for _ in range(round(time / STEP)):
+            self.bodies.observe(self.qpos, self.qvel, 1e3, self.diverged)
+            out.append(self.bodies.place_A[0].copy())
+            if push is not None:
+                self._pair(push)
+            self.bodies.push(self.qpos, self.qvel, self.applied)
+            self.batch.step()
+        self.bodies.observe(self.qpos, self.qvel, 1e3, self.diverged)
+        return np.array(out)
+
+    def _pair(self, push: Array) -> None:
+        at = self.bodies.place_P[0, :3]
+        for name, sign in (("chaser", -1.0), ("target", 1.0)):
+            body = self.model.body(name).id
+            self.pushed[0, body, :3] = sign * push
+            self.pushed[0, body, 3:] = sign * np.cross(at - self.centres[0, body], push)
+
+
+def floor(**over: Any) -> AirBearing:
+    facility = AirBearing(AirBearingSettings.model_validate({"kind": "air_bearing"} | QUIET | over))
+    facility.stand(CHASER, TARGET)
+    return facility
+
+
+def cables(**over: Any) -> Suspension:
+    facility = Suspension(SuspensionSettings.model_validate({"kind": "suspension"} | SMOOTH | over))
+    facility.stand(CHASER, TARGET)
+    return facility
+
+
+PLUMB = np.array([0.0, 0.0, -0.60, 0.0, 0.0, 0.0, 1.0])  # the cables hang straight
+MOUNT = np.array([0.0, 0.0, -0.61, 0.0, 0.0, 0.0, 1.0])  # A is 0.60 m above the mount: 10 mm before P
+
+
+def test_momentum_is_kept_on_a_quiet_floor() -> None:
+    """Linear momentum and moment of momentum about W's origin, while the ports push each other off the axis."""
+    hall = Hall(floor())
+    hall.start(MOUNT, np.array([0.01, 0.0, 0.05, 0.0, 0.02, 0.0]))
+    before = hall.bodies.momentum(hall.qpos, hall.qvel)
+    assert before[[0, 2]] == pytest.approx([560 * (0.01 - 0.02 * 0.4), 560 * 0.05], rel=1e-6)  # the centre is 0.4 m behind the mount
+    hall.run(2.0, np.array([3.0, 0.0, 40.0]))
+    after = hall.bodies.momentum(hall.qpos, hall.qvel)
+    assert abs(hall.qvel[0, 3:]).max() > 1e-3
+    np.testing.assert_allclose(after[[0, 2, 4]], before[[0, 2, 4]], atol=5e-3 * np.abs(before).max())
+
+
+def test_the_film_slows_an_article_as_an_exponential() -> None:
+    hall = Hall(floor(film_damping=30.0))
+    hall.start(MOUNT, np.array([0.0, 0.0, 0.05, 0.0, 0.03, 0.0]))
+    start = hall.qvel.copy()
+    hall.run(4.0)
+    assert hall.qvel[0, 1] / start[0, 1] == pytest.approx(math.exp(-30.0 * 4.0 / 560.0), rel=5e-3)
+    inertia = 180.0 + 0.5 * 60.0 * 0.6**2
+    assert hall.qvel[0, 2] / start[0, 2] == pytest.approx(math.exp(-30.0 * 0.36 * 4.0 / inertia), rel=5e-3)
+
+
+def test_a_tilted_floor_pulls_with_its_share_of_gravity() -> None:
+    hall = Hall(floor(tilt=[2e-4, 1e-4]))
+    hall.start(MOUNT, np.zeros(6))
+    place = hall.run(3.0)
+    shift = place[-1, :3] - place[0, :3]
+    np.testing.assert_allclose(shift[[0, 2]], 0.5 * GRAVITY * np.array([2e-4, 1e-4]) * (3.0 - STEP) ** 2, rtol=5e-3)
+
+
+def test_a_hose_is_a_spring() -> None:
+    hall = Hall(floor(hose_stiffness=200.0, target="fixed"))
+    hall.start(MOUNT, np.array([0.0, 0.0, 0.01, 0.0, 0.0, 0.0]))
+    way = hall.run(6.0)[:, 2] - MOUNT[2]
+    assert period(way) == pytest.approx(math.pi * math.sqrt(560.0 / 200.0), rel=5e-3)
+
+
+def period(way: Array) -> float:
+    """Half a period from the first return through zero."""
+    crossed = np.flatnonzero((way[1:-1] > 0.0) & (way[2:] <= 0.0))[0] + 1
+    return (crossed + way[crossed] / (way[crossed] - way[crossed + 1])) * STEP
+
+
+@pytest.mark.parametrize("cable_mass", [0.0, 40.0])
+def test_a_hung_article_swings_as_its_formula_says(cable_mass: float) -> None:
+    facility = cables(cable_mass=cable_mass, length=4.0)
+    hall = Hall(facility)
+    hall.start(PLUMB, np.array([0.0, 0.0, 0.01, 0.0, 0.0, 0.0]))
+    half = math.pi / swing_frequency(facility.settings, CHASER.mass + HOOK)
+    assert period(hall.run(1.1 * half)[:, 2] - PLUMB[2]) == pytest.approx(half, rel=5e-3)
+
+
+def test_a_hung_article_keeps_its_attitude_and_height() -> None:
+    """The gimbal at the centre of mass lets it turn freely; the winch holds the weight, so that a vertical push moves mass alone."""
+    hall = Hall(cables(winch_mass=30.0, cable_mass=1e-6))
+    hall.start(MOUNT, np.array([0.0, 0.0, 0.0, 0.01, 0.02, 0.03]))
+    hall.bodies.observe(hall.qpos, hall.qvel, 1e3, hall.diverged)
+    spin = hall.bodies.motion_A[0, 3:].copy()
+    hall.run(0.5)
+    inertia = np.array([200.0, 180.0, 150.0])
+    assert np.linalg.norm(inertia * spin) == pytest.approx(np.linalg.norm(inertia * [0.01, 0.02, 0.03]), rel=1e-6)
+    assert np.linalg.norm(hall.bodies.motion_A[0, 3:]) == pytest.approx(np.linalg.norm(spin), rel=5e-3)
+    hall.start(MOUNT, np.zeros(6))
+    hall.applied[:] = 0.0
+    hall.pushed[0, hall.model.body("chaser").id, 1] = 20.0
+    hall.run(1.0)
+    assert hall.bodies.motion_A[0, 1] == pytest.approx(20.0 * 1.0 / (CHASER.mass + HOOK + 30.0), rel=5e-3)
+
+
+def test_a_tension_that_is_off_drifts() -> None:
+    hall = Hall(cables(tension_error=-0.002, cable_mass=1e-6))
+    hall.start(MOUNT, np.zeros(6))
+    hall.run(1.0)
+    assert hall.bodies.motion_A[0, 1] == pytest.approx(-0.002 * GRAVITY * 1.0, rel=5e-3)
+
+
+def test_an_unbalanced_gimbal_is_a_pendulum() -> None:
+    """With the gimbal d above the centre: w^2 = m g d/(I + m d^2), the cable too long to swing with it."""
+    offset = 0.02
+    hall = Hall(cables(gimbal_offset=offset, length=200.0, target="fixed"))
+    hall.start(MOUNT, np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.002]))
+    half = math.pi / math.sqrt(CHASER.mass * GRAVITY * offset / 150.0)
+    out = hall.run(1.2 * half)
+    assert period(2.0 * out[:, 5]) == pytest.approx(half, rel=5e-3)
+
+
+def test_a_plane_has_three_motions() -> None:
+    hall, off = Hall(floor()), MOUNT.copy()
+    off[1] = 0.01
+    with pytest.raises(InputError, match="do not go along y"):
+        hall.start(off, np.zeros(6))
+    with pytest.raises(InputError, match="do not move about x"):
+        hall.start(MOUNT, np.array([0.0, 0.0, 0.03, 0.01, 0.0, 0.0]))
+    assert floor().complaints(np.array([0.0, 0.0, -0.1, 0.0, 0.0, 0.0, 1.0])) == []
+    assert "along y" in floor().complaints(np.array([0.0, 0.02, -0.1, 0.0, 0.0, 0.0, 1.0]))[0]

@@ -1,0 +1,139 @@
+"""The user's own rig: what is taken from the file, and what is refused with which words."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+
+from hiltestbed.errors import InputError
+from hiltestbed.platform.facilities.facility import MOUNT_HOME, compiled
+from hiltestbed.platform.facilities.mjcf import Mjcf
+from hiltestbed.platform.facilities.stand import Stand
+from hiltestbed.rig.model import models_folder
+from tests.platform.halls import GANTRY, UPRIGHT, apart, own
+
+B_DRIVE = '<position name="pb" joint="b" kp="2e6" kv="1.6e4"/>'
+B_JOINT = '<joint name="b" axis="0 1 0" range="-1 1"/>'
+
+
+@pytest.fixture
+def rig(tmp_path):
+    def write(text: str) -> Mjcf:
+        path = tmp_path / "rig.xml"
+        path.write_text(text)
+        return own(path)
+
+    return write
+
+
+def test_the_rig_is_turned_so_that_its_mount_looks_along_the_insertion(rig) -> None:
+    facility = rig(GANTRY)
+    m = compiled(facility.spec())
+    np.testing.assert_allclose(m.opt.gravity, [0.0, 0.0, 9.81], atol=1e-9)  # the gantry hangs over its work
+    assert [axis.joint for axis in facility.axes] == [f"rig/{name}" for name in "xyzcba"]
+    assert facility.axes[2].low == -0.8
+    assert facility.complaints(UPRIGHT) == []
+
+
+def test_a_keyframe_home_is_home(rig) -> None:
+    key = '<keyframe><key name="home" qpos="0.3 -0.2 0.1 0.2 0 0"/></keyframe></mujoco>'
+    facility = rig(GANTRY.replace("</mujoco>", key))
+    kinematics = facility.kinematics(compiled(facility.spec()))
+    np.testing.assert_allclose(kinematics.joints_home, [0.3, -0.2, 0.1, 0.2, 0.0, 0.0])
+    assert max(apart(kinematics.home_poses[0], MOUNT_HOME)) < 1e-9
+
+
+def test_a_site_passive_is_where_the_passive_port_stands(rig) -> None:
+    ground = '<site name="passive" pos="0.05 0 1.95" quat="0 1 0 0"/><body name="bridge"'
+    facility = rig(GANTRY.replace('<body name="bridge"', ground))
+    m = compiled(facility.spec())
+    data_home = facility.kinematics(m).home_poses[0]
+    np.testing.assert_allclose(data_home[:3], [-0.05, 0.0, -0.60], atol=1e-9)
+    assert m.body("passive_carrier").parentid[0] == 0
+
+
+def test_joints_of_the_mechanisms_are_not_the_rigs(rig) -> None:
+    """A compliant mount on the passive side, and a loose part of the user's own beside the rig, leave the kinematics alone."""
+    loose = '<body name="lamp" pos="2 0 0"><joint axis="1 0 0"/><inertial pos="0 0 -1" mass="1" diaginertia="0.1 0.1 0.1"/></body>'
+    facility = rig(GANTRY.replace("</worldbody>", loose + "</worldbody>"))
+    spec = facility.spec()
+    body = spec.body("passive_carrier").add_body(name="passive_mechanism", mass=50.0, inertia=[1.0, 1.0, 1.0])
+    for k, axis in enumerate("xyz"):
+        body.add_joint(name=f"mount_{axis}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=np.eye(3)[k], stiffness=1e5)
+    kinematics = facility.kinematics(compiled(spec))
+    assert kinematics.complaints(kinematics.home_poses) == []
+    assert not set(kinematics.tree.unknown) & {int(compiled(spec).joint(f"mount_{axis}").dofadr[0]) for axis in "xyz"}
+
+
+def test_meshes_are_found_beside_the_file(rig, tmp_path) -> None:
+    (tmp_path / "shapes").mkdir()
+    (tmp_path / "shapes" / "part.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n")
+    text = GANTRY.replace('autolimits="true"/>', 'autolimits="true" meshdir="shapes"/><asset><mesh name="part" file="part.obj"/></asset>')
+    facility = rig(text.replace('<site name="mount"', '<geom type="mesh" mesh="part"/><site name="mount"'))
+    assert facility.spec().compile().nmesh == 1
+
+
+def test_parallel_rigs_work_as_well(rig) -> None:
+    """The shipped 3-3 PSS platform with position servos in place of its motors, loops and all, tracks within a servo's lag."""
+    text = (models_folder() / "pss33" / "pss33.xml").read_text().replace("<motor ", '<position kp="1.3e7" kv="8e4" ')
+    facility = rig(text)
+    stand = Stand(facility, feed=True)
+    pose, twist = UPRIGHT[None].copy(), np.array([[0.05, 0.0, 0.0, 0.0, 0.0, 0.1]])
+    pose[0, 0] = -0.02
+    stand.reset(pose, twist)
+    for k in range(1, 401):
+        pose[0, 0] = -0.02 + 0.05 * k * stand.tick
+        pose[0, 5], pose[0, 6] = np.sin(0.05 * k * stand.tick), np.cos(0.05 * k * stand.tick)
+        stand.advance(pose, twist, np.zeros((1, 6)))
+    gap, turn = apart(stand.pose[0], pose[0])
+    assert gap < 2e-4
+    assert turn < 2e-4
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (GANTRY.replace('name="mount"', 'name="flange"'), r"has no site 'mount'.*sites: flange.*add one"),
+        (GANTRY.replace(B_DRIVE, "").replace(B_JOINT, ""), r"5 position actuators do not move 'mount' in six axes: no motion about y"),
+        (GANTRY.replace(B_DRIVE, ""), r"'rig/b' is neither driven nor held"),
+        (GANTRY.replace(B_DRIVE, '<motor joint="b"/>'), r"not position servos do not count"),
+        (GANTRY.replace("</worldbody>", ""), r"is not a model that MuJoCo compiles"),
+    ],
+)
+def test_what_does_not_do_is_refused_with_the_reason(rig, text: str, said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        rig(text)
+
+
+def test_a_missing_file_is_named(tmp_path) -> None:
+    with pytest.raises(InputError, match=r"nowhere.xml: no such file"):
+        own(tmp_path / "nowhere.xml")
+
+
+def test_a_start_out_of_the_workspace_names_the_joint(rig) -> None:
+    stand = Stand(rig(GANTRY))
+    pose = UPRIGHT[None].copy()
+    pose[0, 2] = -0.9
+    with pytest.raises(InputError, match=r"the start cannot be: joint rig/z would stand at .*-0.8 to 0.8 m"):
+        stand.reset(pose, np.zeros((1, 6)))
+
+
+def test_a_start_in_a_singularity_names_the_lost_motion(rig) -> None:
+    """With the wrist's middle axis at a right angle its first and last axes fall together: no turn about the third direction."""
+    text = GANTRY.replace('name="b" axis="0 1 0" range="-1 1"', 'name="b" axis="0 1 0" range="-2 2"')
+    facility = rig(text)
+    turned = np.array([0.0, 0.0, 0.0, 0.0, np.sin(np.pi / 4), 0.0, np.cos(np.pi / 4)])
+    pose = turned[None].copy()
+    with pytest.raises(InputError, match=r"the start cannot be: .*singular: no motion about [xz] at "):
+        Stand(facility).reset(pose, np.zeros((1, 6)))
+
+
+def test_a_controller_that_does_not_divide_the_loop_is_refused() -> None:
+    from tests.platform.halls import arm
+
+    (path, message), *_ = arm({"controller_rate": 300.0, "delay_cycles": 0}).problems(2000.0)
+    assert path == ("controller_rate",)
+    assert "300 Hz in a loop of 2000 Hz" in message
+    assert "285.7" in message
+    assert list(arm({"controller_rate": 250.0, "delay_cycles": 2}).problems(2000.0)) == []
