@@ -1,0 +1,65 @@
+"""Small XML messages from the network: elements, attributes and text, and nothing that XML could do besides.
+
+A document type, an entity, a processing instruction, a nesting or a size beyond a message's is refused before anything is built from it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from xml.parsers import expat
+
+DEPTH = 4
+ELEMENTS = 256
+
+
+class NotPlain(Exception):
+    """The bytes are not a small plain XML message."""
+
+
+@dataclass
+class Message:
+    """The root's name, and of each element below it attributes and text; of elements of one name the first counts."""
+
+    root: str = ""
+    attributes: dict[str, dict[str, str]] = field(default_factory=dict)
+    text: dict[str, str] = field(default_factory=dict)
+
+
+def read(data: bytes, size: int) -> Message:
+    """The message in ``data``, of at most ``size`` bytes. Raises NotPlain."""
+    if len(data) > size:
+        raise NotPlain
+    message, path = Message(), []
+    parser = expat.ParserCreate()
+    parser.buffer_text = True
+
+    def start(name: str, attributes: dict[str, str]) -> None:
+        path.append(name)
+        if len(path) > DEPTH or len(message.attributes) > ELEMENTS:
+            raise NotPlain
+        if len(path) == 1:
+            message.root = name
+        elif name not in message.attributes:
+            message.attributes[name] = attributes
+
+    def end(name: str) -> None:
+        path.pop()
+
+    def characters(text: str) -> None:
+        if len(path) > 1 and path[-1] not in message.text:
+            message.text[path[-1]] = text
+
+    def refuse(*_: object) -> None:
+        raise NotPlain
+
+    parser.StartElementHandler = start
+    parser.EndElementHandler = end
+    parser.CharacterDataHandler = characters
+    parser.StartDoctypeDeclHandler = refuse
+    parser.EntityDeclHandler = refuse
+    parser.ProcessingInstructionHandler = refuse
+    try:
+        parser.Parse(data, True)
+    except (expat.ExpatError, ValueError) as error:  # ValueError: an encoding that there is not
+        raise NotPlain from error
+    return message
