@@ -62,9 +62,9 @@ class FieldOfRecord(Strictly):
 
     name: Name
     type: Type
-    scale: float = Field(1.0, description="SI value of 1 on the wire")
-    value: int | None = Field(None, description="what a const field holds")
-    size: int = Field(1, ge=1, le=256, description="fields of this type, of padding")
+    scale: float = Field(default=1.0, description="SI value of 1 on the wire")
+    value: int | None = Field(default=None, description="what a const field holds")
+    size: int = Field(default=1, ge=1, le=256, description="fields of this type, of padding")
 
 
 class Layout(Strictly):

@@ -10,6 +10,7 @@ from xml.parsers import expat
 
 DEPTH = 4
 ELEMENTS = 256
+ENCODINGS = ("utf-8", "us-ascii", "ascii", "iso-8859-1", "windows-1252")  # all read as UTF-8: the messages are plain ASCII
 
 
 class NotPlain(Exception):
@@ -30,7 +31,7 @@ def read(data: bytes, size: int) -> Message:
     if len(data) > size:
         raise NotPlain
     message, path = Message(), []
-    parser = expat.ParserCreate()
+    parser = expat.ParserCreate("utf-8")
     parser.buffer_text = True
 
     def start(name: str, attributes: dict[str, str]) -> None:
@@ -52,6 +53,11 @@ def read(data: bytes, size: int) -> Message:
     def refuse(*_: object) -> None:
         raise NotPlain
 
+    def declaration(version: str, encoding: str | None, standalone: int) -> None:
+        if (encoding or "utf-8").lower() not in ENCODINGS:
+            raise NotPlain
+
+    parser.XmlDeclHandler = declaration
     parser.StartElementHandler = start
     parser.EndElementHandler = end
     parser.CharacterDataHandler = characters
@@ -60,6 +66,6 @@ def read(data: bytes, size: int) -> Message:
     parser.ProcessingInstructionHandler = refuse
     try:
         parser.Parse(data, True)
-    except (expat.ExpatError, ValueError) as error:  # ValueError: an encoding that there is not
+    except (expat.ExpatError, ValueError) as error:
         raise NotPlain from error
     return message

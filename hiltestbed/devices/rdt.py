@@ -42,18 +42,20 @@ class RdtSettings(DeviceSettings):
     default_port: ClassVar[int] = 49152
 
     kind: Literal["rdt"] = "rdt"
-    counts_per_force: Positive | None = Field(None, description="counts per unit of force")
-    counts_per_torque: Positive | None = Field(None, description="counts per unit of torque")
-    force_unit: Literal["N", "kN", "lbf", "klbf", "kgf"] = Field("N", description="unit of force that the counts are per")
+    counts_per_force: Positive | None = Field(default=None, description="counts per unit of force")
+    counts_per_torque: Positive | None = Field(default=None, description="counts per unit of torque")
+    force_unit: Literal["N", "kN", "lbf", "klbf", "kgf"] = Field(default="N", description="unit of force that the counts are per")
     torque_unit: Literal["N-m", "N-mm", "kN-m", "lbf-in", "lbf-ft", "kgf-cm"] = Field(
         "N-m", description="unit of torque that the counts are per"
     )
-    rate: Positive | None = Field(None, description="records a second [Hz]")
-    internal_rate: Positive | None = Field(None, description="samples of the sensor a second, which its own counter counts [Hz]")
-    mode: Literal["realtime", "buffered"] = Field("realtime", description="one record a datagram, or several")
-    buffer: int = Field(10, ge=1, le=MOST_RECORDS, description="records a datagram that an emulated sensor sends in buffered mode")
-    http: Port | None = Field(None, description="port of the configuration page; 80 for a client, none for an emulated sensor")
-    ignore_status: int = Field(0, ge=0, le=0xFFFFFFFF, description="bits of the status word that are no error, 0x80010000: a threshold")
+    rate: Positive | None = Field(default=None, description="records a second [Hz]")
+    internal_rate: Positive | None = Field(default=None, description="samples of the sensor a second, which its own counter counts [Hz]")
+    mode: Literal["realtime", "buffered"] = Field(default="realtime", description="one record a datagram, or several")
+    buffer: int = Field(default=10, ge=1, le=MOST_RECORDS, description="records a datagram that an emulated sensor sends in buffered mode")
+    http: Port | None = Field(default=None, description="port of the configuration page; 80 for a client, none for an emulated sensor")
+    ignore_status: int = Field(
+        default=0, ge=0, le=0xFFFFFFFF, description="bits of the status word that are no error, 0x80010000: a threshold"
+    )
 
 
 class RdtClient(SensorClient):
@@ -82,10 +84,9 @@ class RdtClient(SensorClient):
         self._socket = sockets.connected_udp(address, self.where)
         for _ in range(TRIES):
             self._sequence.restart()
+            self.counts[:] = 0
             self._request(BUFFERED if settings.mode == "buffered" else REALTIME)
             if self.wait(PATIENCE):
-                self.counts[:] = 0
-                self.counts[Event.RECEIVED] = 1
                 return
         self.close()
         raise DeviceError(

@@ -59,17 +59,21 @@ class RsiSettings(DeviceSettings):
     default_port: ClassVar[int] = 59152
 
     kind: Literal["rsi"] = "rsi"
-    period_ms: Literal[4, 12] = Field(4, description="[ms] of the controller's cycle: 4 IPO_FAST, 12 IPO")
-    correction: Literal["absolute", "relative"] = Field("absolute", description="what RKorr is measured from: where it began, or the last")
-    reference: Literal["base", "tool"] = Field("base", description="axes of the correction: RefCorrSys of the object POSCORR")
+    period_ms: Literal[4, 12] = Field(default=4, description="[ms] of the controller's cycle: 4 IPO_FAST, 12 IPO")
+    correction: Literal["absolute", "relative"] = Field(
+        default="absolute", description="what RKorr is measured from: where it began, or the last"
+    )
+    reference: Literal["base", "tool"] = Field(default="base", description="axes of the correction: RefCorrSys of the object POSCORR")
     sentype: str = Field(
         "ImFree", min_length=1, max_length=40, pattern=r"^[A-Za-z0-9_.-]+$", description="SENTYPE of the configuration file"
     )
-    robot: str | None = Field(None, description="address of the controller; the first that sends a telegram where it is not given")
-    connect: Positive = Field(30.0, description="[s] to wait for the controller to open")
-    late_limit: int = Field(100, ge=0, description="late answers after which an emulated controller stops: Timeout of the object ETHERNET")
-    hold: bool = Field(True, description="whether an emulated controller keeps the last correction where none came: HOLDON")
-    decimals: int = Field(6, ge=1, le=12, description="of the numbers in a telegram")
+    robot: str | None = Field(default=None, description="address of the controller; the first that sends a telegram where it is not given")
+    connect: Positive = Field(default=30.0, description="[s] to wait for the controller to open")
+    late_limit: int = Field(
+        default=100, ge=0, description="late answers after which an emulated controller stops: Timeout of the object ETHERNET"
+    )
+    hold: bool = Field(default=True, description="whether an emulated controller keeps the last correction where none came: HOLDON")
+    decimals: int = Field(default=6, ge=1, le=12, description="of the numbers in a telegram")
 
 
 def number(value: float, decimals: int) -> str:
@@ -127,18 +131,18 @@ class RsiClient(PlatformClient):
         self._sequence = Sequence(self.counts, bits=64, step=settings.period_ms)
         self._robot: sockets.Address | None = None
         self._only: str | None = None
-        self._answered = True
+        self._answered, self._unanswered = True, 0
         self._offset = poses.offset_in_base if settings.reference == "base" else poses.offset_in_tool
         self._socket: socket.socket | None = None
+        poses.pose_from_kuka(poses.kuka_from_pose(self._offset(self.start, self.start)))  # compiles: in the cycle there is no time for it
 
     def open(self) -> None:
         settings = self.settings
         if settings.robot is not None:
             self._only = sockets.resolve(settings.robot, 0, self.where)[0]
         self._socket = sockets.bound_udp(sockets.resolve(settings.host, settings.port, self.where), self.where)
-        self._robot, self._answered = None, True
+        self._robot, self._answered, self._unanswered, self.delay = None, True, 0, -1
         self._sequence.restart()
-        poses.pose_from_kuka(poses.kuka_from_pose(self._offset(self.start, self.start)))  # compiles: later there is no time for it
         if not self.wait(settings.connect):
             self.close()
             raise DeviceError(
@@ -147,6 +151,7 @@ class RsiClient(PlatformClient):
             )
         self.start[:] = self._from[:] = self.state.pose
         self._correction[:] = 0.0
+        self.counts[:] = 0  # telegrams that had piled up before are nobody's fault
         self.hold()
 
     def close(self) -> None:
@@ -160,7 +165,7 @@ class RsiClient(PlatformClient):
     def poll(self) -> bool:
         if self._socket is None:
             return False
-        taken = 0
+        new = False
         for _ in range(LONGEST_DRAIN):
             try:
                 data, sender = self._socket.recvfrom(LARGEST + 1)
@@ -169,11 +174,8 @@ class RsiClient(PlatformClient):
             except OSError:
                 self.counts[Event.GONE] += 1
                 break
-            taken += self._take(data, sender)
-        if taken:
-            self.counts[Event.LATE] += taken - 1 + (not self._answered)
-            self._answered = False
-        return taken > 0
+            new = self._take(data, sender) or new
+        return new
 
     def _take(self, data: bytes, sender: sockets.Address) -> bool:
         if (self._only is not None and sender[0] != self._only) or (self._robot is not None and sender != self._robot):
@@ -184,19 +186,32 @@ class RsiClient(PlatformClient):
             self.counts[Event.MALFORMED] += 1
             return False
         message, frame, ipoc = read
+        lost = int(self.counts[Event.LOST])
         if not self._sequence.judge(ipoc):
             return False
-        self._robot = sender
-        delay = read_count(message.attributes.get("Delay", {}).get("D"))
-        if delay is not None:
-            self.counts[Event.LATE] += max(delay - max(self.delay, 0), 0)
-            self.delay = delay
+        self._unanswered += int(self.counts[Event.LOST]) - lost
+        if not self._answered:  # its time has passed
+            self._unanswered += 1
+            self.counts[Event.LATE] += 1
+        self._robot, self._answered = sender, False
+        self._compare(read_count(message.attributes.get("Delay", {}).get("D")))
         self.counts[Event.RECEIVED] += 1
         self.state.pose[:] = poses.pose_from_kuka(frame)
         self.state.sequence = ipoc
         self.state.device_time = ipoc * MILLISECOND
         self.state.arrival = time.monotonic_ns()
         return True
+
+    def _compare(self, delay: int | None) -> None:
+        """What the controller counts as late, beyond the telegrams that are known to have gone unanswered."""
+        if delay is None:
+            return
+        if self.delay < 0:  # what was late before this connection
+            self._unanswered = delay
+        self.delay = delay
+        if delay > self._unanswered:
+            self.counts[Event.LATE] += delay - self._unanswered
+            self._unanswered = delay
 
     def command(self, pose: Array) -> None:
         self._check(pose)

@@ -2,8 +2,8 @@
 
 Universal Robots, "Real-Time Data Exchange (RTDE) Guide" (fields, types, set-up, data packages); the framing is in
 :mod:`hiltestbed.devices.rtde_wire`. The controller sends the fields asked for at up to 500 Hz (125 Hz on CB3). A pose is commanded
-through six input registers (double, from ``register`` on: x y z rx ry rz, m and rad) and one integer register of the same number, which
-counts the commands and is -1 for stop; a program on the robot follows them, for instance
+through six input registers (double, from ``first_register`` on: x y z rx ry rz, m and rad) and one integer register of the same number,
+which counts the commands and is -1 for stop; a program on the robot follows them, for instance
 
     while (read_input_integer_register(24) >= 0):
       servoj(get_inverse_kin(p[read_input_float_register(24), ..., read_input_float_register(29)]), t=0.002, lookahead_time=0.03)
@@ -23,6 +23,7 @@ from __future__ import annotations
 import math
 import struct
 import time
+from collections.abc import Callable
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -47,11 +48,11 @@ class RtdeSettings(DeviceSettings):
     default_port: ClassVar[int] = 30004
 
     kind: Literal["rtde"] = "rtde"
-    rate: Positive = Field(500.0, le=500, description="data packages a second [Hz]")
-    wrench: Literal["actual_TCP_force", "ft_raw_wrench"] = Field("actual_TCP_force", description="field that a sensor reads")
-    register: int = Field(24, ge=0, le=42, description="first input register of the commanded pose")
-    need_program: bool = Field(True, description="whether a robot without a running program is an error")
-    connect: Positive = Field(2.0, description="[s] to wait for each answer while connecting")
+    rate: Positive = Field(default=500.0, le=500, description="data packages a second [Hz]")
+    wrench: Literal["actual_TCP_force", "ft_raw_wrench"] = Field(default="actual_TCP_force", description="field that a sensor reads")
+    first_register: int = Field(default=24, ge=0, le=42, description="first input register of the commanded pose")
+    need_program: bool = Field(default=True, description="whether a robot without a running program is an error")
+    connect: Positive = Field(default=2.0, description="[s] to wait for each answer while connecting")
 
 
 def status_of(safety: int, robot: int | None) -> int:
@@ -67,8 +68,9 @@ def status_of(safety: int, robot: int | None) -> int:
 class _Session:
     """The set-up of a connection and its data packages, for either client."""
 
-    def __init__(self, settings: RtdeSettings, counts, outputs: list[str], inputs: list[str]) -> None:
-        self.settings, self.counts = settings, counts
+    def __init__(self, settings: RtdeSettings, counts, outputs: list[str], inputs: list[str], take: Callable[[tuple], bool]) -> None:
+        """``take`` is handed the values of each data package that is good and newer than all before, without the recipe's number."""
+        self.settings, self.counts, self.take = settings, counts, take
         self.outputs, self.inputs = outputs, inputs
         self.stream: rtde_wire.Stream | None = None
         self.said = ""
@@ -99,21 +101,20 @@ class _Session:
     def fileno(self) -> int:
         return self.stream.connection.fileno() if self.stream is not None else -1
 
-    def poll(self) -> tuple | None:
-        """The values of the newest data package that has arrived, without the recipe's number; None where none has."""
-        newest = None
+    def poll(self) -> bool:
+        """Whether a newer data package has come that was taken."""
+        new = False
         if self.stream is None:
-            return None
+            return False
         try:
             for kind, payload in self.stream.receive():
-                values = self._data(kind, payload)
-                newest = newest if values is None else values
+                new = self._data(kind, payload) or new
         except rtde_wire.Broken:
             self.counts[Event.MALFORMED] += 1
             self._lose()
         except OSError:
             self._lose()
-        return newest
+        return new
 
     def send(self, values: list[float | int]) -> None:
         if self.stream is None:
@@ -134,27 +135,24 @@ class _Session:
         self.counts[Event.GONE] += 1
         self.close()
 
-    def _data(self, kind: int, payload: bytes) -> tuple | None:
+    def _data(self, kind: int, payload: bytes) -> bool:
         if kind == rtde_wire.TEXT_MESSAGE:
             self.said = rtde_wire.text_of(payload)
-            return None
+            return False
         if kind != rtde_wire.DATA_PACKAGE:
-            return None
-        if len(payload) != self._layout.size or payload[0] != self._output_id:
-            self.counts[Event.MALFORMED] += 1
-            return None
-        values = self._layout.unpack(payload)[1:]
+            return False
+        fits = len(payload) == self._layout.size and payload[0] == self._output_id
+        values = self._layout.unpack(payload)[1:] if fits else (math.nan,)
         if not all(map(math.isfinite, values)):
             self.counts[Event.MALFORMED] += 1
-            return None
+            return False
         if math.isnan(self._first_time):
             self._first_time = values[0]
         elapsed = round((values[0] - self._first_time) * self.settings.rate)
-        return values if elapsed >= 0 and self._sequence.judge(elapsed) else self._behind(elapsed)
-
-    def _behind(self, elapsed: int) -> None:
         if elapsed < 0:
             self.counts[Event.REORDERED] += 1
+            return False
+        return self._sequence.judge(elapsed) and self.take(values)
 
     def note(self, sample: Sample, device_time: float, status: int) -> bool:
         """Take a package's time and status over into ``sample``; False, and counted, where the status is an error."""
@@ -210,7 +208,7 @@ class RtdeSensorClient(SensorClient):
     def __init__(self, settings: RtdeSettings) -> None:
         super().__init__(settings.where)
         self.period = 1.0 / settings.rate
-        self._session = _Session(settings, self.counts, ["timestamp", settings.wrench, "safety_status_bits"], [])
+        self._session = _Session(settings, self.counts, ["timestamp", settings.wrench, "safety_status_bits"], [], self._take)
 
     def open(self) -> None:
         self._session.open()
@@ -222,8 +220,10 @@ class RtdeSensorClient(SensorClient):
         return self._session.fileno()
 
     def poll(self) -> bool:
-        values = self._session.poll()
-        if values is None or not self._session.note(self.reading, values[0], status_of(values[7], None)):
+        return self._session.poll()
+
+    def _take(self, values: tuple) -> bool:
+        if not self._session.note(self.reading, values[0], status_of(values[7], None)):
             return False
         self.reading.wrench[:] = values[1:7]
         return True
@@ -243,9 +243,10 @@ class RtdePlatformClient(PlatformClient):
         self.clock = Clock.DEVICE
         self.period = 1.0 / settings.rate
         outputs = ["timestamp", "actual_TCP_pose", "safety_status_bits", "robot_status_bits"]
-        self._session = _Session(settings, self.counts, outputs, register_names(settings.register))
+        self._session = _Session(settings, self.counts, outputs, register_names(settings.first_register), self._take)
         self._registers: list[float | int] = [0.0] * 6 + [0]
         self._sent = 0
+        poses.pose_from_rotation_vector(poses.rotation_vector_from_pose(self.state.pose))  # compiles: in the cycle there is no time for it
 
     def open(self) -> None:
         self._session.open()
@@ -264,9 +265,9 @@ class RtdePlatformClient(PlatformClient):
         return self._session.fileno()
 
     def poll(self) -> bool:
-        values = self._session.poll()
-        if values is None:
-            return False
+        return self._session.poll()
+
+    def _take(self, values: tuple) -> bool:
         robot = values[8] if self.settings.need_program else None
         if not self._session.note(self.state, values[0], status_of(values[7], robot)):
             return False

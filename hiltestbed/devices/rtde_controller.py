@@ -227,8 +227,8 @@ class RtdePlatformServer(PlatformServer):
         super().__init__(settings.where)
         self.period = 1.0 / settings.rate
         self.controller = Controller(settings, self.counts)
-        self._names = [f"input_double_register_{settings.register + i}" for i in range(6)]
-        self._counter = f"input_int_register_{settings.register}"
+        self._names = [f"input_double_register_{settings.first_register + i}" for i in range(6)]
+        self._counter = f"input_int_register_{settings.first_register}"
         self._started = False
 
     def open(self) -> None:

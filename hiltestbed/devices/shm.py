@@ -53,10 +53,10 @@ class ShmSettings(DeviceSettings):
     """Options of ``shm://``; the host is the name."""
 
     kind: Literal["shm"] = "shm"
-    host: str = Field("hiltestbed", pattern=r"^[a-z0-9][a-z0-9_.-]{0,99}$", description="name of the shared memory")
-    rate: Positive = Field(1000.0, description="messages a second [Hz]")
-    clock: Literal["device", "host"] = Field("device", description="who paces the cycle: the device's messages, or the loop")
-    connect: Positive = Field(2.0, description="[s] to wait for the device")
+    host: str = Field(default="hiltestbed", pattern=r"^[a-z0-9][a-z0-9_.-]{0,99}$", description="name of the shared memory")
+    rate: Positive = Field(default=1000.0, description="messages a second [Hz]")
+    clock: Literal["device", "host"] = Field(default="device", description="who paces the cycle: the device's messages, or the loop")
+    connect: Positive = Field(default=2.0, description="[s] to wait for the device")
 
 
 class Mailbox:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 import socket
 import time
+from collections.abc import Callable
 from typing import ClassVar, Literal
 
 from pydantic import Field
@@ -46,13 +47,13 @@ class UdpSettings(DeviceSettings):
     default_port: ClassVar[int] = 5005
 
     kind: Literal["udp"] = "udp"
-    layout: str | None = Field(None, description="YAML file that describes the records; the default layout where it is not given")
-    listen: str | int | None = Field(None, description="address:port (or port) of this machine where the device's records arrive")
-    peer: str | int | None = Field(None, description="address:port (or port) of the controller that an emulated device sends to")
-    rate: Positive = Field(1000.0, description="records a second [Hz]")
-    clock: Literal["device", "host"] = Field("device", description="who paces the cycle: the device's records, or the loop")
-    any_port: bool = Field(False, description="whether the device may send from another port than the URL's")
-    connect: Positive = Field(2.0, description="[s] to wait for the first record")
+    layout: str | None = Field(default=None, description="YAML file that describes the records; the default layout where it is not given")
+    listen: str | int | None = Field(default=None, description="address:port (or port) of this machine where the device's records arrive")
+    peer: str | int | None = Field(default=None, description="address:port (or port) of the controller that an emulated device sends to")
+    rate: Positive = Field(default=1000.0, description="records a second [Hz]")
+    clock: Literal["device", "host"] = Field(default="device", description="who paces the cycle: the device's records, or the loop")
+    any_port: bool = Field(default=False, description="whether the device may send from another port than the URL's")
+    connect: Positive = Field(default=2.0, description="[s] to wait for the first record")
 
 
 def _layout(settings: UdpSettings, kind: RecordKind) -> Record:
@@ -80,10 +81,10 @@ def _end(settings: UdpSettings, key: Literal["listen", "peer"], what: str) -> so
 
 
 class _Receiver:
-    """Good records from one sender, newest first."""
+    """Records from one sender; each that is good and newer than all before is handed to ``take`` while it is in ``record``."""
 
-    def __init__(self, record: Record, counts) -> None:
-        self.record, self.counts = record, counts
+    def __init__(self, record: Record, counts, take: Callable[[], bool]) -> None:
+        self.record, self.counts, self.take = record, counts, take
         self.sequence = Sequence(counts, bits=record.sequence_bits or 32)
         self.socket: socket.socket | None = None
         self.sender: sockets.Address | None = None
@@ -105,7 +106,7 @@ class _Receiver:
         return self.socket.fileno() if self.socket is not None else -1
 
     def poll(self) -> bool:
-        """Whether a newer record has come; it is in ``record`` then, or one with an error flag."""
+        """Whether a newer record has come that was taken."""
         new = False
         for _ in range(LONGEST_DRAIN if self.socket is not None else 0):
             try:
@@ -126,7 +127,7 @@ class _Receiver:
         if not self.record.unpack(self._view[:size]):
             self.counts[Event.MALFORMED] += 1
             return False
-        return not self.record.sequence_bits or self.sequence.judge(self.record.sequence)
+        return (not self.record.sequence_bits or self.sequence.judge(self.record.sequence)) and self.take()
 
     def send(self, data: bytes, towards: sockets.Address) -> None:
         if self.socket is None:
@@ -156,7 +157,7 @@ class UdpSensorClient(SensorClient):
         super().__init__(settings.where)
         self.settings = settings
         self.period = 1.0 / settings.rate
-        self._receiver = _Receiver(_layout(settings, "sensor"), self.counts)
+        self._receiver = _Receiver(_layout(settings, "sensor"), self.counts, self._take)
 
     def open(self) -> None:
         _open(self, self._receiver)
@@ -168,7 +169,10 @@ class UdpSensorClient(SensorClient):
         return self._receiver.fileno()
 
     def poll(self) -> bool:
-        if not self._receiver.poll() or not self._receiver.note(self.reading):
+        return self._receiver.poll()
+
+    def _take(self) -> bool:
+        if not self._receiver.note(self.reading):
             return False
         self.reading.wrench[:] = self._receiver.record.values
         return True
@@ -182,7 +186,7 @@ class UdpPlatformClient(PlatformClient):
         self.settings = settings
         self.clock = Clock(settings.clock)
         self.period = 1.0 / settings.rate
-        self._receiver = _Receiver(_layout(settings, "state"), self.counts)
+        self._receiver = _Receiver(_layout(settings, "state"), self.counts, self._take)
         self._command = _layout(settings, "command")
         self._towards: sockets.Address = (settings.host, settings.port)
         self._pose: Array = self.state.pose.copy()
@@ -202,7 +206,10 @@ class UdpPlatformClient(PlatformClient):
         return self._receiver.fileno()
 
     def poll(self) -> bool:
-        if not self._receiver.poll() or not self._receiver.note(self.state):
+        return self._receiver.poll()
+
+    def _take(self) -> bool:
+        if not self._receiver.note(self.state):
             return False
         self.state.pose[:] = self._receiver.record.values
         return True
@@ -281,7 +288,7 @@ class UdpPlatformServer(PlatformServer):
         super().__init__(settings.where)
         self.settings = settings
         self.period = 1.0 / settings.rate
-        self._receiver = _Receiver(_layout(settings, "command"), self.counts)
+        self._receiver = _Receiver(_layout(settings, "command"), self.counts, self._take)
         self._state = _layout(settings, "state")
         self._peer = _end(settings, "peer", "the controller's end")
         self._number = 0
@@ -297,8 +304,9 @@ class UdpPlatformServer(PlatformServer):
         return self._receiver.fileno()
 
     def poll(self) -> bool:
-        if not self._receiver.poll():
-            return False
+        return self._receiver.poll()
+
+    def _take(self) -> bool:
         if self._receiver.record.flag:
             self.stopped = "the client asked for a stop"
         if self.stopped is not None:

@@ -26,9 +26,9 @@ class DeviceSettings(Strictly):
 
     default_port: ClassVar[int] = 0
 
-    where: str = Field("", description="the URL as it was given")
-    host: str = Field(LOOPBACK, description="address of the device, or of this machine where the device opens the connection")
-    port: Port = Field(0, description="its port")
+    where: str = Field(default="", description="the URL as it was given")
+    host: str = Field(default=LOOPBACK, description="address of the device, or of this machine where the device opens the connection")
+    port: Port = Field(default=0, description="its port")
 
 
 _FROM_ADDRESS = ("where", "host", "port", "kind")

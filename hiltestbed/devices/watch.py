@@ -15,19 +15,18 @@ from pydantic import Field
 from hiltestbed.devices.interface import Event, Link, PlatformClient, SensorClient
 from hiltestbed.validation import Positive, Strictly
 
-MISSES = (Event.LATE, Event.LOST)
 DISTURBANCES = (Event.MALFORMED, Event.SENDER, Event.REPEATED, Event.REORDERED)
 
 
 class CommunicationLimits(Strictly):
     """How much of what is allowed on a connection; more than that stops the run. 0 allows none."""
 
-    misses_in_a_row: int = Field(3, ge=0, description="misses without a new record between them")
-    misses_in_window: int = Field(10, ge=0, description="misses in the window")
-    disturbances_in_window: int = Field(10, ge=0, description="records turned away in the window")
-    window: int = Field(1000, ge=1, le=1_000_000, description="cycles")
-    stale: Positive = Field(0.02, description="[s] age of the newest sample")
-    status_in_a_row: int = Field(0, ge=0, description="records with an error status without a good one between them")
+    misses_in_a_row: int = Field(default=3, ge=0, description="misses without a new record between them")
+    misses_in_window: int = Field(default=10, ge=0, description="misses in the window")
+    disturbances_in_window: int = Field(default=10, ge=0, description="records turned away in the window")
+    window: int = Field(default=1000, ge=1, le=1_000_000, description="cycles")
+    stale: Positive = Field(default=0.02, description="[s] age of the newest sample")
+    status_in_a_row: int = Field(default=0, ge=0, description="records with an error status without a good one between them")
 
 
 @dataclass(frozen=True)
@@ -56,6 +55,7 @@ class CommunicationWatch:
         self._disturbances = np.zeros(limits.window, dtype=np.int64)
         self._cycle = 0
         self._in_a_row = self._errors = self._missed = self._disturbed = 0
+        self._waited = 0  # late cycles since the last new record
         self._last_miss = Event.LATE
         self._last_disturbance = Event.MALFORMED
 
@@ -63,13 +63,12 @@ class CommunicationWatch:
         """Begin anew: what has happened so far does not count."""
         self._before[:] = self.link.counts
         self._misses[:] = self._disturbances[:] = 0
-        self._cycle = self._in_a_row = self._errors = self._missed = self._disturbed = 0
+        self._cycle = self._in_a_row = self._errors = self._missed = self._disturbed = self._waited = 0
         self.stop = None
 
     def check(self, new: bool) -> Stop | None:
         """At the end of a cycle's reading: ``new`` is whether it brought a new sample. Returns what :attr:`stop` holds."""
-        if not new:
-            self.link.counts[Event.LATE] += 1
+        self.link.counts[Event.LATE] += not new
         age = self.link.sample.age()
         if age > self.limits.stale:
             self.link.counts[Event.STALE] += 1
@@ -83,11 +82,14 @@ class CommunicationWatch:
 
     def _tally(self, new: bool) -> None:
         slot, happened = self._cycle % self.limits.window, self._happened
-        misses, disturbances = 0, 0
-        for event in MISSES:
-            if happened[event]:
-                misses += int(happened[event])
-                self._last_miss = event
+        late, lost, disturbances = int(happened[Event.LATE]), int(happened[Event.LOST]), 0
+        if lost:
+            self._last_miss = Event.LOST
+        elif late:
+            self._last_miss = Event.LATE
+        # a record that is lost, or found too late to answer, has been a cycle without one already where the loop was waiting for it
+        misses = max(late + lost - self._waited, 0) if new else late + lost
+        self._waited = 0 if new else self._waited + misses
         for event in DISTURBANCES:
             if happened[event]:
                 disturbances += int(happened[event])
