@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 import socket
 import threading
 import time
@@ -48,10 +49,15 @@ def until(condition: Callable[[], object]) -> None:
 
 
 def free_ports(count: int, kind: int = socket.SOCK_DGRAM) -> list[int]:
-    """Ports of the loopback address that nobody uses just now."""
-    held = [socket.socket(socket.AF_INET, kind) for _ in range(count)]
-    for opened in held:
-        opened.bind(("127.0.0.1", 0))
+    """Ports of the loopback address that nobody uses just now, and that the kernel gives nobody of itself (Linux: those below 32768)."""
+    held: list[socket.socket] = []
+    while len(held) < count:
+        opened = socket.socket(socket.AF_INET, kind)
+        try:
+            opened.bind(("127.0.0.1", random.randrange(20_000, 32_000)))
+            held.append(opened)
+        except OSError:
+            opened.close()
     ports = [opened.getsockname()[1] for opened in held]
     for opened in held:
         opened.close()
