@@ -1,8 +1,8 @@
 """FMI 3.0 for co-simulation: the physical side packed as an FMU, and a user's FMU stepped from Python.
 
 Modelica Association, "Functional Mock-up Interface Specification", version 3.0, sections 2 and 4. Packing is done by PythonFMU3, reading
-and stepping by FMPy; both come with the extra ``fmi``. A packed FMU holds neither Python nor hiltestbed: the tool that loads it must be able
-to load a Python in which hiltestbed is installed (on Linux, with its libpython among the global symbols).
+and stepping by FMPy; both come with the extra ``fmi``. A packed FMU holds neither Python nor hiltestbed: the tool that loads it must be
+able to load a Python in which hiltestbed is installed (on Linux, with its libpython among the global symbols).
 
 Inputs are held over a communication step, outputs are those at its end. A tool that exchanges them once a step therefore adds up to one
 communication step of delay to the loop.
@@ -23,7 +23,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from hiltestbed.devices.interface import Array, DeviceError
-from hiltestbed.errors import Fault, InputError, MissingExtra
+from hiltestbed.errors import Fault, HiltestbedError, InputError, MissingExtra
 from hiltestbed.validation import nearest
 
 POSE = ("px", "py", "pz", "qx", "qy", "qz", "qw")
@@ -85,8 +85,11 @@ class PackedSide:
         ticks = round(step / self.side.period)
         if ticks < 1 or abs(step / self.side.period - ticks) > WHOLE:
             return f"the communication step is no whole number of ticks (got {step:g} s); allowed: multiples of {self.side.period:g} s"
-        for _ in range(ticks):
-            self.side.step(self._command)
+        try:
+            for _ in range(ticks):
+                self.side.step(self._command)
+        except HiltestbedError as error:
+            return str(error)
         return ""
 
     def _register(self, slave: Any) -> None:

@@ -30,7 +30,7 @@ from typing import ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from hiltestbed.devices import plain_xml, poses, sockets
+from hiltestbed.devices import poses, sockets
 from hiltestbed.devices.interface import (
     LONGEST_DRAIN,
     Array,
@@ -39,18 +39,15 @@ from hiltestbed.devices.interface import (
     Event,
     Keeper,
     PlatformClient,
-    PlatformServer,
     Protocol,
 )
+from hiltestbed.devices.rsi_controller import RsiServer
+from hiltestbed.devices.rsi_telegram import LARGEST, answer, read_count, read_telegram
 from hiltestbed.devices.sequence import Sequence
 from hiltestbed.devices.url import DeviceSettings
 from hiltestbed.validation import Positive
 
-LARGEST = 4096  # [byte] of a telegram
-AXES = ("X", "Y", "Z", "A", "B", "C")
-FARTHEST, LARGEST_ANGLE = 1.0e6, 1.0e3  # [mm], [deg] a telegram that says more is not one
 MILLISECOND = 1e-3  # [s]
-LONGEST_IPOC = 18  # digits
 
 
 class RsiSettings(DeviceSettings):
@@ -74,41 +71,6 @@ class RsiSettings(DeviceSettings):
     )
     hold: bool = Field(default=True, description="whether an emulated controller keeps the last correction where none came: HOLDON")
     decimals: int = Field(default=6, ge=1, le=12, description="of the numbers in a telegram")
-
-
-def number(value: float, decimals: int) -> str:
-    return f"{value:.{decimals}f}"
-
-
-def frame_element(name: str, frame: Array, decimals: int) -> str:
-    """``<name X="" ... C=""/>``."""
-    inside = " ".join(f'{axis}="{number(value, decimals)}"' for axis, value in zip(AXES, frame.tolist(), strict=True))
-    return f"<{name} {inside}/>"
-
-
-def answer(settings: RsiSettings, correction: Array, ipoc: int) -> bytes:
-    """The telegram to the controller; ``correction`` (6,) [mm, deg]."""
-    inside = frame_element("RKorr", correction, settings.decimals)
-    return f'<Sen Type="{settings.sentype}">{inside}<IPOC>{ipoc}</IPOC></Sen>'.encode("ascii")
-
-
-def read_frame(message: plain_xml.Message, name: str) -> Array | None:
-    """The six numbers of an element; None where they are not six plausible numbers."""
-    attributes = message.attributes.get(name)
-    if attributes is None:
-        return None
-    try:
-        frame = np.array([float(attributes[axis]) for axis in AXES])
-    except (KeyError, ValueError):
-        return None
-    limits = (FARTHEST,) * 3 + (LARGEST_ANGLE,) * 3
-    return frame if all(abs(value) <= limit for value, limit in zip(frame.tolist(), limits, strict=True)) else None  # NaN fails too
-
-
-def read_count(text: str | None) -> int | None:
-    """A whole number not below zero; None where the text is none."""
-    text = (text or "").strip()
-    return int(text) if text.isascii() and text.isdecimal() and len(text) <= LONGEST_IPOC else None
 
 
 class RsiClient(PlatformClient):
@@ -181,7 +143,7 @@ class RsiClient(PlatformClient):
         if (self._only is not None and sender[0] != self._only) or (self._robot is not None and sender != self._robot):
             self.counts[Event.SENDER] += 1
             return False
-        read = _telegram(data, "Rob", "RIst")
+        read = read_telegram(data, "Rob", "RIst")
         if read is None:
             self.counts[Event.MALFORMED] += 1
             return False
@@ -236,127 +198,10 @@ class RsiClient(PlatformClient):
         if self._answered:  # one answer a telegram
             return
         try:
-            self._socket.sendto(answer(self.settings, self._correction, self.state.sequence), self._robot)
+            self._socket.sendto(answer(self.settings.sentype, self._correction, self.state.sequence, self.settings.decimals), self._robot)
         except OSError:
             self.counts[Event.GONE] += 1
         self._answered = True
-
-
-def _telegram(data: bytes, root: str, element: str) -> tuple[plain_xml.Message, Array, int] | None:
-    """A telegram with ``root``, the frame in ``element`` and its IPOC; None for anything else."""
-    try:
-        message = plain_xml.read(data, LARGEST)
-    except plain_xml.NotPlain:
-        return None
-    frame, ipoc = read_frame(message, element), read_count(message.text.get("IPOC"))
-    return None if message.root != root or frame is None or ipoc is None else (message, frame, ipoc)
-
-
-class RsiServer(PlatformServer):
-    """An emulated controller: :meth:`publish` opens a cycle, what :meth:`poll` takes in until the next one answers it.
-
-    Attributes:
-        late: answers that came late or not at all.
-    """
-
-    FIRST_IPOC = 1_000_000
-
-    def __init__(self, settings: RsiSettings) -> None:
-        super().__init__(settings.where)
-        self.settings = settings
-        self.period = settings.period_ms * MILLISECOND
-        self.late = 0
-        self._towards: sockets.Address = (settings.host, settings.port)
-        self._ipoc = self.FIRST_IPOC
-        self._started, self._answered = False, True
-        self._start: Array = self.command.copy()
-        self._step: Array = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
-        self._add = poses.add_in_base if settings.reference == "base" else poses.add_in_tool
-        self._socket: socket.socket | None = None
-
-    def open(self) -> None:
-        self._towards = sockets.resolve(self.settings.host, self.settings.port, self.where)
-        self._socket = sockets.sending_udp(self._towards, self.where)
-
-    def close(self) -> None:
-        if self._socket is not None:
-            self._socket.close()
-            self._socket = None
-
-    def publish(self, pose: Array, device_time: float, status: int = 0) -> None:
-        if self._socket is None or self.stopped is not None:
-            return
-        self.poll()
-        if not self._started:
-            self.command[:] = self._start[:] = pose
-            self._started = True
-        elif not self._answered and self.commanded:
-            self._missed()
-        if status:
-            self.stopped = f"the controller reports {status:#x}"
-            return
-        self._ipoc += self.settings.period_ms
-        self._answered = False
-        reached = frame_element("RIst", poses.kuka_from_pose(pose), self.settings.decimals)
-        wanted = frame_element("RSol", poses.kuka_from_pose(self.command), self.settings.decimals)
-        text = f'<Rob Type="KUKA">{reached}{wanted}<Delay D="{self.late}"/><IPOC>{self._ipoc}</IPOC></Rob>'
-        try:
-            self._socket.sendto(text.encode("ascii"), self._towards)
-        except OSError:
-            self.counts[Event.GONE] += 1
-
-    def _missed(self) -> None:
-        """No answer in the cycle that has passed."""
-        self.late += 1
-        self.counts[Event.LATE] += 1
-        if self.settings.correction == "relative" and self.settings.hold:
-            self.command[:] = self._add(self.command, self._step)
-        elif self.settings.correction == "absolute" and not self.settings.hold:
-            self.command[:] = self._start
-        if self.late > self.settings.late_limit:
-            self.stopped = (
-                f"{self.late} answers came late or not at all (Timeout {self.settings.late_limit}); the controller ends the correction"
-            )
-
-    def fileno(self) -> int:
-        return self._socket.fileno() if self._socket is not None else -1
-
-    def poll(self) -> bool:
-        if self._socket is None:
-            return False
-        new = False
-        for _ in range(LONGEST_DRAIN):
-            try:
-                data, sender = self._socket.recvfrom(LARGEST + 1)
-            except BlockingIOError:
-                break
-            except OSError:  # nobody listens there yet
-                self.counts[Event.GONE] += 1
-                continue
-            new = self._take(data, sender) or new
-        return new
-
-    def _take(self, data: bytes, sender: sockets.Address) -> bool:
-        if sender != self._towards:
-            self.counts[Event.SENDER] += 1
-            return False
-        read = _telegram(data, "Sen", "RKorr")
-        if read is None or read[2] > self._ipoc:
-            self.counts[Event.MALFORMED] += 1
-            return False
-        _, frame, ipoc = read
-        if ipoc < self._ipoc:
-            self.counts[Event.REORDERED] += 1
-            return False
-        if self._answered:
-            self.counts[Event.REPEATED] += 1
-            return False
-        self.counts[Event.RECEIVED] += 1
-        self._answered = self.commanded = True
-        self._step[:] = poses.pose_from_kuka(frame)
-        absolute = self.settings.correction == "absolute"
-        self.command[:] = self._add(self._start if absolute else self.command, self._step)
-        return True
 
 
 class RsiKeeper(Keeper):
@@ -376,11 +221,11 @@ class RsiKeeper(Keeper):
                 data, sender = self._socket.recvfrom(LARGEST + 1)
             except OSError:
                 break
-            read = _telegram(data, "Rob", "RIst")
+            read = read_telegram(data, "Rob", "RIst")
             if read is not None:
                 newest = read[2], sender
         if newest is not None and math.isfinite(float(held.sum())):
-            self._socket.sendto(answer(self._settings, held[:6], newest[0]), newest[1])
+            self._socket.sendto(answer(self._settings.sentype, held[:6], newest[0], self._settings.decimals), newest[1])
 
     def stop(self, held: Array) -> None:
         """Silence: past its Timeout the controller ends the correction."""

@@ -1,23 +1,15 @@
 """``shm://name``: shared memory between two processes of one machine, without copies through the network.
 
-A device has a mailbox for what it says (wrench or pose) and a platform one more for what it is told. A mailbox is 128 bytes that one
-process writes and one reads: a magic number, the writer's lock count (odd while it writes: a sequence lock, after W. C. Hemminger's of
-the Linux kernel), the number of the message, its time, a flag (status or stop), seven numbers and the CRC-32 of all of it, by which a
-reader on a machine that reorders stores, or of memory that something else has written to, tells that it did not get a whole message. The
-device makes the mailboxes and removes them.
+A device has a mailbox (:mod:`hiltestbed.devices.mailbox`) for what it says, wrench or pose, and a platform one more for what it is told.
+The device makes them and removes them.
 """
 
 from __future__ import annotations
 
 import math
-import sys
 import time
-import zlib
-from multiprocessing import resource_tracker, shared_memory
 from typing import Literal
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from hiltestbed.devices.interface import (
@@ -33,20 +25,15 @@ from hiltestbed.devices.interface import (
     SensorClient,
     SensorServer,
 )
+from hiltestbed.devices.mailbox import Mailbox, attach, make
 from hiltestbed.devices.sequence import Sequence
 from hiltestbed.devices.url import DeviceSettings
-from hiltestbed.errors import Fault, InputError
+from hiltestbed.errors import InputError
 from hiltestbed.validation import Positive
 
-MAGIC = 0x48544D424F580001
-SIZE = 128  # [byte]
-WORDS, NUMBERS = 6, 8  # magic, lock, number of the message, flag, CRC, spare; time and seven values
-TRIES = 8  # reads before the next poll tries again
 NAP = 20e-6  # [s] between two looks while waiting
 STOP = 1
 Part = Literal["wrench", "state", "command"]
-
-_own: set[str] = set()  # names that this process has made
 
 
 class ShmSettings(DeviceSettings):
@@ -59,114 +46,19 @@ class ShmSettings(DeviceSettings):
     connect: Positive = Field(default=2.0, description="[s] to wait for the device")
 
 
-class Mailbox:
-    """One writer, one reader.
-
-    Attributes:
-        values: (7,) of the message last read. number, time, flag: of the same.
-    """
-
-    def __init__(self, memory: shared_memory.SharedMemory, owner: bool) -> None:
-        self._memory, self._owner = memory, owner
-        self._words: NDArray[np.uint64] = np.ndarray(WORDS, np.uint64, memory.buf)
-        self._numbers: Array = np.ndarray(NUMBERS, np.float64, memory.buf, 8 * WORDS)
-        self.values: Array = np.zeros(7)
-        self.number, self.time, self.flag = 0, math.nan, 0
-        if owner:
-            _own.add(memory.name)
-            self._words[:] = 0
-            self._words[0] = MAGIC
-
-    @property
-    def valid(self) -> bool:
-        return int(self._words[0]) == MAGIC
-
-    def write(self, values: Array, number: int, time: float, flag: int) -> None:
-        """Leave a message of at most seven values."""
-        lock = (int(self._words[1]) | 1) if int(self._words[1]) & 1 == 0 else int(self._words[1]) + 2
-        self._words[1] = lock & 0xFFFFFFFFFFFFFFFF
-        self._words[2], self._words[3] = number, flag
-        self._numbers[0] = time
-        self._numbers[1 : 1 + len(values)] = values
-        self._numbers[1 + len(values) :] = 0.0
-        self._words[4] = self._crc(int(self._words[2]), int(self._words[3]), self._numbers)
-        self._words[1] = (lock + 1) & 0xFFFFFFFFFFFFFFFF
-
-    def read(self) -> bool | None:
-        """True for a message other than the last; False for none; None for one that is not whole however often it is read."""
-        if int(self._words[2]) == self.number:
-            return False
-        for _ in range(TRIES):
-            before = int(self._words[1])
-            number, flag, crc = int(self._words[2]), int(self._words[3]), int(self._words[4])
-            copy = self._numbers.copy()
-            if before & 1 or int(self._words[1]) != before:
-                continue
-            if crc != self._crc(number, flag, copy) or not np.isfinite(copy).all():
-                continue
-            if number == self.number:
-                return False
-            self.number, self.flag, self.time = number, flag, float(copy[0])
-            self.values[:] = copy[1:8]
-            return True
-        return None
-
-    def _crc(self, number: int, flag: int, numbers: Array) -> int:
-        head = number.to_bytes(8, "little") + flag.to_bytes(8, "little")
-        return zlib.crc32(numbers.tobytes(), zlib.crc32(head))
-
-    def close(self) -> None:
-        del self._words, self._numbers
-        self._memory.close()
-        if self._owner:
-            _own.discard(self._memory.name)
-            self._memory.unlink()
-
-
-def _name(settings: ShmSettings, part: Part) -> str:
+def mailbox_name(settings: ShmSettings, part: Part) -> str:
     return f"{settings.host}.{part}"
 
 
-def make(settings: ShmSettings, part: Part) -> Mailbox:
-    """A new mailbox. Raises InputError where the name is taken."""
-    name = _name(settings, part)
-    try:
-        return Mailbox(shared_memory.SharedMemory(name, create=True, size=SIZE), owner=True)
-    except FileExistsError:
-        message = f"the shared memory {name} is there already; stop the other device, remove what one has left, or give another name"
-        raise InputError(Fault(settings.where, None, None, "", message)) from None
-    except OSError as error:
-        message = f"the shared memory {name} cannot be made ({error.strerror})"
-        raise InputError(Fault(settings.where, None, None, "", message)) from None
-
-
-def attach(settings: ShmSettings, part: Part) -> Mailbox | None:
-    """The mailbox that the device has made; None where it has not."""
-    name = _name(settings, part)
-    try:
-        if sys.version_info >= (3, 13):
-            memory = shared_memory.SharedMemory(name, track=False)
-        else:  # up to 3.12 a reader, too, would have it removed at its own end
-            memory = shared_memory.SharedMemory(name)
-            if name not in _own:
-                resource_tracker.unregister(f"/{name}", "shared_memory")
-    except OSError:
-        return None
-    if memory.size < SIZE:
-        memory.close()
-        return None
-    box = Mailbox(memory, owner=False)
-    if not box.valid:
-        box.close()
-        return None
-    return box
+def _made(settings: ShmSettings, part: Part) -> Mailbox:
+    return make(mailbox_name(settings, part), settings.where)
 
 
 def _awaited(settings: ShmSettings, part: Part) -> Mailbox:
     until = time.monotonic() + settings.connect
-    while (box := attach(settings, part)) is None:
+    name = mailbox_name(settings, part)
+    while (box := attach(name)) is None:
         if time.monotonic() > until:
-            name = _name(settings, part)
             raise DeviceError(f"{settings.where}: there is no shared memory {name} after {settings.connect:g} s; start the device first")
         time.sleep(0.01)
     return box
@@ -317,7 +209,7 @@ class ShmSensorServer(SensorServer):
         self._number = 0
 
     def open(self) -> None:
-        self._outbox = make(self.settings, "wrench")
+        self._outbox = _made(self.settings, "wrench")
 
     def close(self) -> None:
         if self._outbox is not None:
@@ -346,9 +238,9 @@ class ShmPlatformServer(PlatformServer):
         self._number = 0
 
     def open(self) -> None:
-        self._outbox = make(self.settings, "state")
+        self._outbox = _made(self.settings, "state")
         try:
-            self._inbox.open(make(self.settings, "command"))
+            self._inbox.open(_made(self.settings, "command"))
         except InputError:
             self.close()
             raise
@@ -388,7 +280,7 @@ class ShmKeeper(Keeper):
 
     def __init__(self, settings: ShmSettings, fileno: int) -> None:
         super().__init__(settings, fileno)
-        self._outbox = attach(settings, "command")
+        self._outbox = attach(mailbox_name(settings, "command"))
         self._sent = 0
 
     def hold(self, held: Array) -> None:

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 from hiltestbed.devices.interface import Event, Link, PlatformClient, PlatformServer, SensorClient
+from hiltestbed.devices.mailbox import attach
 from hiltestbed.devices.rdt import RdtServer
 from hiltestbed.devices.rsi import RsiClient
 from hiltestbed.devices.rtde_controller import RtdePlatformServer
-from hiltestbed.devices.shm import ShmSettings, attach
 from hiltestbed.devices.table import platform_client, platform_server, sensor_client, sensor_server
 from tests.devices.independent import rtde_peer
 from tests.devices.running import START, free_ports, going, until
@@ -251,7 +251,7 @@ def test_shm_client() -> None:
     with platform_server(f"shm://{name}") as server:
         server.publish(START, 0.5)
         with platform_client(f"shm://{name}") as client:
-            intruder = attach(ShmSettings(host=name), "state")
+            intruder = attach(f"{name}.state")
             assert intruder is not None
             state = _state(client)
             for _ in range(COUNT):

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from hiltestbed.devices.interface import DeviceError, Event
-from hiltestbed.devices.shm import ShmSettings, attach, make
+from hiltestbed.devices.mailbox import attach, make
 from hiltestbed.devices.table import platform_client, platform_server, sensor_client
 from hiltestbed.errors import InputError
 from tests.devices.running import START
@@ -82,9 +82,9 @@ def test_a_platform() -> None:
 
 
 def test_a_message_that_is_not_whole_is_not_taken() -> None:
-    settings = ShmSettings(host=_name("half"))
-    box = make(settings, "wrench")
-    reader = attach(settings, "wrench")
+    name = _name("half")
+    box = make(name, "here")
+    reader = attach(name)
     assert reader is not None
     box.write(np.arange(6.0), 1, 0.1, 0)
     assert reader.read() is True
@@ -104,11 +104,11 @@ def test_a_message_that_is_not_whole_is_not_taken() -> None:
 
 
 def test_names_that_are_taken_or_missing() -> None:
-    settings = ShmSettings(host=_name("taken"), where="shm://taken", connect=0.02)
-    box = make(settings, "state")
+    name = _name("taken")
+    box = make(f"{name}.state", "here")
     with pytest.raises(InputError, match=r"is there already; stop the other device, remove what one has left, or give another name"):
-        make(settings, "state")
+        platform_server(f"shm://{name}").open()
     box.close()
-    assert attach(settings, "state") is None
+    assert attach(f"{name}.state") is None
     with pytest.raises(DeviceError, match=r"there is no shared memory .* start the device first"):
-        sensor_client(f"shm://{settings.host}?connect=0.02").open()
+        sensor_client(f"shm://{name}?connect=0.02").open()
