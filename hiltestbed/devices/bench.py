@@ -1,7 +1,7 @@
-"""How steady a cycle is on this machine: latency, jitter and misses, alone and with a device that answers over the loopback address.
+"""Latency, jitter and deadline misses of the cycle on this machine, with and without a device on the loopback address.
 
-The device is an emulated platform in a process of its own, plain records over UDP: each cycle sends it a pose and waits for the one that it
-sends back. A cycle is missed where its work ended after the next one was due, or where the answer did not come before that.
+The device is an emulated platform (plain records over UDP) in a separate process: each cycle sends a pose and waits for its echo. A cycle
+misses its deadline if its work ends after the next one is due, or if the echo has not arrived by then.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ from hiltestbed.devices.url import LOOPBACK
 from hiltestbed.errors import InputError
 
 PERCENTILES = (50.0, 90.0, 99.0, 99.9, 99.99)
-BIN, BINS = 5e-6, 200  # [s] of the histogram: to 1 ms; what is longer falls into one more
-PATIENCE = 20.0  # [s] for the device's process to begin
+BIN, BINS = 5e-6, 200  # [s] of the histogram: up to 1 ms; one more bin for longer times
+PATIENCE = 20.0  # [s] to wait for the device's process
 
 
 @dataclass(frozen=True)
 class Times:
-    """How long something took, over all cycles [s]: percentiles by name, the longest, and counts a bin (the last: all longer ones)."""
+    """Statistics of a time over all cycles [s]: percentiles by name, the maximum, and a histogram whose last bin holds all longer times."""
 
     percentiles: dict[str, float]
     worst: float
@@ -47,9 +47,9 @@ class Steadiness:
 
     Attributes:
         device: whether a device was in the cycle.
-        cycles, skipped, missed: begun; left out because those before took too long; whose work or whose answer was late.
-        wake_up: from when a cycle was due to when it began. round_trip: from command to answer, None without a device.
-        granted, refused: what the operating system gave of what was asked for.
+        cycles, skipped, missed: number begun; skipped because of overruns; that missed their deadline.
+        wake_up: from due time to start of a cycle. round_trip: from command to echo, None without a device.
+        granted, refused: of the real-time settings requested.
     """
 
     rate: float
@@ -76,7 +76,7 @@ def measure(
     priority: int | None = PRIORITY,
     work: Callable[[], None] | None = None,
 ) -> Steadiness:
-    """Run cycles at ``rate`` [Hz] for ``seconds``; ``work`` is called in each, the loop's own step for instance. Raises InputError."""
+    """Run cycles at ``rate`` [Hz] for ``seconds``; ``work`` is called in each, for example a step of the loop. Raises InputError."""
     if not 0.0 < seconds <= 86_400.0 or not 1.0 <= rate <= 20_000.0:
         raise InputError(f"the measurement cannot be made (got {rate:g} Hz for {seconds:g} s); allowed are 1 to 20000 Hz and up to a day")
     cycles = max(round(rate * seconds), 2)
@@ -106,7 +106,7 @@ def measure(
 def _run(
     clock: CycleClock, cycles: int, round_trips: NDArray[np.float64], client: PlatformClient | None, work: Callable[[], None] | None
 ) -> int:
-    """All cycles; how many were missed."""
+    """Run all cycles; returns the number of missed deadlines."""
     missed = 0
     pose = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
     clock.start()
@@ -163,7 +163,7 @@ class _Echo:
 
 
 def _free_ports(count: int) -> list[int]:
-    """Ports of the loopback address that nobody uses just now."""
+    """Currently unused ports of the loopback address."""
     held = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(count)]
     try:
         for opened in held:
@@ -175,7 +175,7 @@ def _free_ports(count: int) -> list[int]:
 
 
 def main() -> int:
-    """The device's process: sends back every pose, until it is stopped or its parent has gone."""
+    """Entry point of the device's process: echoes every pose until it is stopped or its parent has died."""
     parser = argparse.ArgumentParser()
     parser.add_argument("url")
     parser.add_argument("parent", type=int)

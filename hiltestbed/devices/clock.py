@@ -1,8 +1,7 @@
-"""The clock of a cycle that the loop itself paces: when the next one is due, and how late each one began.
+"""The cycle clock for a loop that no device paces: due times, wake-up latencies and run times of the cycles.
 
-The k-th cycle is due at ``start + k period`` on the monotonic clock, whatever the cycles before took, so that nothing adds up. It is waited
-for asleep until shortly before, then awake. A cycle that is overrun by whole periods is not made up for: its number goes on to the next
-that is still to come, and what was left out is counted.
+Cycle k is due at ``start + k period`` on the monotonic clock, however long the cycles before it took: there is no drift. The wait sleeps
+until shortly before that and then spins. Cycles that an overrun has passed completely are skipped and counted, not caught up with.
 """
 
 from __future__ import annotations
@@ -14,22 +13,22 @@ from numpy.typing import NDArray
 
 from hiltestbed.errors import InputError
 
-SPIN = 150e-6  # [s] awake before a cycle is due: about what an ordinary kernel oversleeps
+SPIN = 150e-6  # [s] of busy-waiting before a cycle is due; an ordinary kernel oversleeps by about as much
 SECOND = 1_000_000_000  # [ns]
 
 
 class CycleClock:
-    """Paces cycles and keeps their times.
+    """Paces cycles and records their times in preallocated arrays.
 
     Attributes:
-        cycles: how many have begun.
-        skipped: how many were left out because those before took too long.
-        due, began, ended: (capacity,) [ns] on the monotonic clock, of each cycle; ``began - due`` is its wake-up latency. Of more cycles
-            than ``capacity`` the last ones are kept.
+        cycles: number of cycles begun.
+        skipped: number of cycles skipped because those before took too long.
+        due, began, ended: (capacity,) [ns] on the monotonic clock, of each cycle; ``began - due`` is its wake-up latency. Only the
+            last ``capacity`` cycles are kept.
     """
 
     def __init__(self, rate: float, capacity: int, spin: float = SPIN) -> None:
-        """``rate`` [Hz] of the cycles, of which the times of ``capacity`` are kept; ``spin`` [s] is waited awake."""
+        """``rate`` [Hz] of the cycles; times of the last ``capacity`` are kept; ``spin`` [s] of each wait is busy."""
         if not 0.1 <= rate <= 1e5 or capacity < 1:
             raise InputError(
                 f"rate: cannot be paced (got {rate:g} Hz for {capacity} cycles); allowed are 0.1 to 1e5 Hz and at least one cycle"
@@ -49,7 +48,7 @@ class CycleClock:
         self._next = 1
 
     def wait(self) -> int:
-        """Wait for the next cycle; how many were left out before it."""
+        """Wait for the next cycle; returns the number of cycles skipped before it."""
         due = self._start + round(self._next * SECOND / self._rate)
         now = time.monotonic_ns()
         left_out = 0
@@ -71,19 +70,19 @@ class CycleClock:
         return left_out
 
     def done(self) -> None:
-        """The work of the cycle is over."""
+        """Mark the end of the cycle's work."""
         self.ended[(self.cycles - 1) % len(self.due)] = time.monotonic_ns()
 
     def left(self) -> float:
-        """Time until the next cycle is due [s]; below zero where it is overdue."""
+        """Time until the next cycle is due [s]; negative if it is overdue."""
         return (self._start + round(self._next * SECOND / self._rate) - time.monotonic_ns()) / SECOND
 
     def latency(self) -> NDArray[np.float64]:
-        """(cycles,) how late each kept cycle began [s], in order."""
+        """(cycles,) wake-up latency of each kept cycle [s], in order."""
         return self._in_order(self.began - self.due)
 
     def busy(self) -> NDArray[np.float64]:
-        """(cycles,) how long the work of each kept cycle took [s], in order."""
+        """(cycles,) run time of each kept cycle [s], in order."""
         return self._in_order(self.ended - self.began)
 
     def _in_order(self, times: NDArray[np.int64]) -> NDArray[np.float64]:

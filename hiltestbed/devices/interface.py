@@ -1,12 +1,12 @@
-"""What a device is to the loop: a sensor that is read, a platform that is commanded, and the same two from the device's side.
+"""The interface of a device: sensor and platform, client and server side.
 
 A *client* is what the loop talks to a real device with; a *server* is the device's side of the same protocol, for an emulated one. All
 values are SI: wrench (6,) [N, N m] in the sensor's own frame at its own origin, pose (7,) [m, quaternion x y z w] in the platform's own
 base frame. How these frames lie in the rig is the caller's business.
 
-A client takes in what has arrived with :meth:`Client.poll` or :meth:`Client.wait` and keeps the newest good sample. A datagram that is
-malformed, from a stranger, repeated or older than the newest leaves the sample as it is and is counted in ``counts``, by
-:class:`Event`; so is what the sequence numbers say is missing.
+A client processes what has arrived with :meth:`Link.poll` or :meth:`Link.wait` and keeps the newest good sample. A datagram that is
+malformed, from an unexpected sender, repeated or older than the newest does not change the sample; it is counted in ``counts``, by
+:class:`Event`, as are gaps in the sequence numbers.
 """
 
 from __future__ import annotations
@@ -29,25 +29,25 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-LONGEST_DRAIN = 256  # datagrams taken in at a time: a flood must not hold the loop up
+LONGEST_DRAIN = 256  # datagrams processed per poll: a flood must not stall the loop
 
 
 class DeviceError(HiltestbedError):
-    """A device does not answer, or refuses what it was asked; the message says which, and what to look at."""
+    """A device does not answer or refuses a request; the message says which, and what to check."""
 
 
 class Event(IntEnum):
-    """What can happen to a record; the index into ``counts``."""
+    """Communication events; the index into ``counts``."""
 
-    RECEIVED = 0  # good records taken in
-    LATE = 1  # a cycle without a new record, or an answer that missed its cycle
-    LOST = 2  # gaps in the sequence; one that turns up later is counted as reordered besides
-    REPEATED = 3  # the newest once more, or a device whose own sample counter stands still
+    RECEIVED = 0  # good records accepted
+    LATE = 1  # cycles without a new record, and answers that missed their cycle
+    LOST = 2  # missing sequence numbers; a record that arrives later is also counted as reordered
+    REPEATED = 3  # the newest record again, or a device whose own sample counter does not advance
     REORDERED = 4  # older than the newest
-    STALE = 5  # cycles that went on with a sample older than allowed
+    STALE = 5  # cycles in which the newest sample was older than allowed
     MALFORMED = 6  # not a record of this protocol
     STATUS = 7  # the device reports an error
-    SENDER = 8  # from another address than the device's
+    SENDER = 8  # from an address other than the device's
     GONE = 9  # the connection was refused or closed
 
 
@@ -64,8 +64,8 @@ class Sample:
     Attributes:
         sequence: the device's own number of the record; -1 before the first.
         device_time: by the device's clock [s]; NaN where the protocol has none.
-        status: the device's status, 0 when it is well.
-        arrival: when it was taken in, monotonic clock [ns].
+        status: the device's status, 0 for no error.
+        arrival: when it was received, monotonic clock [ns].
     """
 
     def __init__(self) -> None:
@@ -75,7 +75,7 @@ class Sample:
         self.arrival = 0
 
     def age(self) -> float:
-        """Time since it was taken in [s]; infinite before the first."""
+        """Time since it was received [s]; infinite before the first."""
         return (time.monotonic_ns() - self.arrival) * 1e-9 if self.sequence >= 0 else math.inf
 
 
@@ -96,11 +96,11 @@ class PoseState(Sample):
 
 
 class Link(ABC):
-    """One end of a connection, closed at the end of a ``with`` block.
+    """One end of a connection; a context manager that opens and closes it.
 
     Attributes:
         where: the device as the user named it, for messages.
-        counts: (10,) how often each :class:`Event` has happened since :meth:`open`.
+        counts: (10,) number of each :class:`Event` since :meth:`open`.
         period: time between two records or cycles [s]; NaN until it is known.
     """
 
@@ -119,10 +119,10 @@ class Link(ABC):
 
     @abstractmethod
     def poll(self) -> bool:
-        """Take in what has arrived, without waiting. True when there was something new."""
+        """Process what has arrived, without waiting. True if there was a new good record."""
 
     def wait(self, timeout: float) -> bool:
-        """The same, waiting for at most ``timeout`` [s]."""
+        """As :meth:`poll`, but wait up to ``timeout`` [s] for a new record."""
         until = time.monotonic() + timeout
         while not self.poll():
             left = until - time.monotonic()
@@ -132,7 +132,7 @@ class Link(ABC):
         return True
 
     def fileno(self) -> int:
-        """The socket that is waited for, and that the watchdog takes over; -1 where there is none."""
+        """The file descriptor to wait on, which the watchdog duplicates; -1 if there is none."""
         return -1
 
     def __enter__(self) -> Self:
@@ -144,7 +144,7 @@ class Link(ABC):
 
 
 class SensorClient(Link):
-    """The loop's side of a force sensor; ``reading`` is its newest good record, and its records pace the cycle where nothing else does."""
+    """The loop's side of a force sensor; ``reading`` is its newest good record."""
 
     def __init__(self, where: str) -> None:
         super().__init__(where)
@@ -155,16 +155,18 @@ class SensorClient(Link):
         return self.reading
 
     def bias(self) -> None:
-        """Have the device take its present load for zero, where the protocol can. Raises DeviceError where it cannot."""
+        """Tare the sensor at its present load. Raises DeviceError if the protocol has no such request."""
         raise DeviceError(f"{self.where}: this protocol cannot tare the sensor; tare in the loop instead")
 
 
 class PlatformClient(Link):
-    """The loop's side of a motion platform; ``state`` is the newest pose that it says it has reached.
+    """The loop's side of a motion platform; ``state`` is the newest pose that it reports.
+
+    :meth:`open` commands nothing but the pose that the platform reports.
 
     Attributes:
         clock: who paces the cycle.
-        held: (8,) what the keeper of the watchdog needs to hold the platform where it was last commanded; protocol's own layout.
+        held: (8,) the last command in the form that the protocol's :class:`Keeper` repeats.
     """
 
     def __init__(self, where: str) -> None:
@@ -179,14 +181,14 @@ class PlatformClient(Link):
 
     @abstractmethod
     def command(self, pose: Array) -> None:
-        """Send the pose (7,) to be reached by the end of the cycle. Raises DeviceError for one that is not finite, and holds."""
+        """Send the pose (7,) to be reached by the end of the cycle. If it is not finite, hold and raise DeviceError."""
 
     @abstractmethod
     def hold(self) -> None:
-        """Stay where it was last commanded (before the first command: where it was found)."""
+        """Repeat the last command; before the first one, the pose found at :meth:`open`."""
 
     def stop(self) -> None:
-        """Have the device itself stop, where the protocol has a message for it; otherwise hold."""
+        """Make the device stop by itself if the protocol has a way to; otherwise hold."""
         self.hold()
 
     def _check(self, pose: Array) -> None:
@@ -200,7 +202,7 @@ class SensorServer(Link):
 
     @abstractmethod
     def publish(self, wrench: Array, device_time: float, status: int = 0) -> None:
-        """Send the wrench (6,) of this instant to whoever listens, with the device's time [s] and status (0: well)."""
+        """Send the wrench (6,) of this instant with the device's time [s] and status (0: no error)."""
 
 
 class PlatformServer(Link):
@@ -209,7 +211,7 @@ class PlatformServer(Link):
     Attributes:
         command: (7,) the pose last commanded in time; the start pose before the first.
         commanded: whether there has been a command since the first pose was published.
-        stopped: why the platform stopped by itself, as its protocol has it stop; None while it runs.
+        stopped: why the platform has stopped by itself; None while it runs.
     """
 
     def __init__(self, where: str) -> None:
@@ -220,11 +222,11 @@ class PlatformServer(Link):
 
     @abstractmethod
     def publish(self, pose: Array, device_time: float, status: int = 0) -> None:
-        """Open a cycle: send the pose (7,) reached at this instant, with the device's time [s] and status (0: well)."""
+        """Begin a cycle: send the pose (7,) reached at this instant with the device's time [s] and status (0: no error)."""
 
 
 class Keeper(ABC):
-    """What the watchdog holds or stops a platform with, from its own process, when the loop's has fallen silent."""
+    """Holds or stops a platform from the watchdog's process when the loop's process no longer responds."""
 
     def __init__(self, settings: DeviceSettings, fileno: int) -> None:
         self.settings = settings
@@ -232,16 +234,16 @@ class Keeper(ABC):
 
     @abstractmethod
     def hold(self, held: Array) -> None:
-        """One message that keeps the platform where ``held`` (8,) of its client says; called once a period."""
+        """Send one hold message for ``held`` (8,) of the client; called once a period."""
 
     @abstractmethod
     def stop(self, held: Array) -> None:
-        """One message that stops the platform, or the silence that does."""
+        """Send one stop message, or nothing where silence stops the platform; called once a period."""
 
 
 @dataclass(frozen=True)
 class Protocol:
-    """A protocol as the table knows it; a part that it does not have is None."""
+    """An entry of the table of protocols; None for a role that the protocol does not have."""
 
     scheme: str
     summary: str

@@ -1,8 +1,8 @@
-"""A mailbox in shared memory: the newest message of one process for another, whole or not at all.
+"""A mailbox in shared memory: the newest message of one process for another, complete or not at all.
 
-128 bytes that one process writes and one reads: a magic number, the writer's lock count (odd while it writes: a sequence lock, after
-W. C. Hemminger's of the Linux kernel), the number of the message, its time, a flag, seven numbers and the CRC-32 of all of it, by which a
-reader on a machine that reorders stores, or of memory that something else has written to, tells that it did not get a whole message.
+128 bytes that one process writes and one reads: a magic number, a sequence lock (the count is odd while the writer is active; as in the
+Linux kernel), the number of the message, its time, a flag, seven numbers and their CRC-32. The CRC detects incomplete messages on machines that
+reorder stores, and foreign writes.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ SIZE = 128  # [byte]
 WORDS, NUMBERS = 6, 8  # magic, lock, number of the message, flag, CRC, spare; time and seven values
 TRIES = 8  # reads before the next poll tries again
 
-_own: set[str] = set()  # names that this process has made
+_own: set[str] = set()  # names created by this process
 
 
 class Mailbox:
@@ -49,7 +49,7 @@ class Mailbox:
         return int(self._words[0]) == MAGIC
 
     def write(self, values: Array, number: int, time: float, flag: int) -> None:
-        """Leave a message of at most seven values."""
+        """Write a message of at most seven values."""
         lock = (int(self._words[1]) | 1) if int(self._words[1]) & 1 == 0 else int(self._words[1]) + 2
         self._words[1] = lock & 0xFFFFFFFFFFFFFFFF
         self._words[2], self._words[3] = number, flag
@@ -60,14 +60,16 @@ class Mailbox:
         self._words[1] = (lock + 1) & 0xFFFFFFFFFFFFFFFF
 
     def read(self) -> bool | None:
-        """True for a message other than the last; False for none; None for one that is not whole however often it is read."""
+        """True for a new message; False for none, or while the writer is active; None for a damaged one."""
         if int(self._words[2]) == self.number:
             return False
+        damaged = False
         for _ in range(TRIES):
             before = int(self._words[1])
             number, flag, crc = int(self._words[2]), int(self._words[3]), int(self._words[4])
             copy = self._numbers.copy()
-            if before & 1 or int(self._words[1]) != before:
+            damaged = before & 1 == 0 and int(self._words[1]) == before  # the writer was not active: complete, unless the CRC differs
+            if not damaged:
                 continue
             if crc != self._crc(number, flag, copy) or not np.isfinite(copy).all():
                 continue
@@ -76,7 +78,7 @@ class Mailbox:
             self.number, self.flag, self.time = number, flag, float(copy[0])
             self.values[:] = copy[1:8]
             return True
-        return None
+        return None if damaged else False
 
     def _crc(self, number: int, flag: int, numbers: Array) -> int:
         head = number.to_bytes(8, "little") + flag.to_bytes(8, "little")
@@ -91,7 +93,7 @@ class Mailbox:
 
 
 def make(name: str, where: str) -> Mailbox:
-    """A new mailbox. Raises InputError where the name is taken; ``where``: the device, for the message."""
+    """Create a mailbox; ``where``: the device, for the message. Raises InputError if the name is taken."""
     try:
         return Mailbox(shared_memory.SharedMemory(name, create=True, size=SIZE), owner=True)
     except FileExistsError:
@@ -103,11 +105,11 @@ def make(name: str, where: str) -> Mailbox:
 
 
 def attach(name: str) -> Mailbox | None:
-    """The mailbox that the device has made; None where it has not."""
+    """Attach to the mailbox that the device has created; None if there is none."""
     try:
         if sys.version_info >= (3, 13):
             memory = shared_memory.SharedMemory(name, track=False)
-        else:  # up to 3.12 a reader, too, would have it removed at its own end
+        else:  # up to Python 3.12 the attaching process, too, would remove it at its exit
             memory = shared_memory.SharedMemory(name)
             if name not in _own:
                 resource_tracker.unregister(f"/{name}", "shared_memory")

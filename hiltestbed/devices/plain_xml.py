@@ -1,6 +1,6 @@
-"""Small XML messages from the network: elements, attributes and text, and nothing that XML could do besides.
+"""Small XML messages from the network: elements, attributes and text only.
 
-A document type, an entity, a processing instruction, a nesting or a size beyond a message's is refused before anything is built from it.
+Document types, entities, processing instructions and messages beyond the limits of size and depth are refused.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ class NotPlain(Exception):
 
 @dataclass
 class Message:
-    """The root's name, and of each element below it attributes and text; of elements of one name the first counts."""
+    """The root's name, and attributes and text of each element below it; of several with the same name the first."""
 
     root: str = ""
     attributes: dict[str, dict[str, str]] = field(default_factory=dict)
@@ -27,7 +27,7 @@ class Message:
 
 
 def read(data: bytes, size: int) -> Message:
-    """The message in ``data``, of at most ``size`` bytes. Raises NotPlain."""
+    """Parse ``data`` of at most ``size`` bytes. Raises NotPlain."""
     if len(data) > size:
         raise NotPlain
     message, path = Message(), []

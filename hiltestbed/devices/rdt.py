@@ -145,7 +145,7 @@ class RdtClient(SensorClient):
             self.counts[Event.STATUS] += 1
             self.reading.status = status
             return False
-        if sample == self._sample:  # the sensor itself stands still
+        if sample == self._sample:  # the sensor itself has no new sample
             self.counts[Event.REPEATED] += 1
             return False
         self._sample = sample
@@ -167,7 +167,7 @@ class RdtClient(SensorClient):
 
 
 class RdtServer(SensorServer):
-    """An emulated sensor: a record each time a wrench is published, once a client has asked for them."""
+    """An emulated sensor: sends a record for each wrench published, once a client has requested them."""
 
     def __init__(self, settings: RdtSettings) -> None:
         super().__init__(settings.where)

@@ -1,10 +1,10 @@
-"""The process that records: takes the loop's rows out of their ring and writes them to a file, so that the loop never waits for a disk.
+"""Recording in a separate process, which takes the loop's rows from a ring and writes them to a file: the loop never waits for a disk.
 
     recorder = Recorder(columns=80, rows=20_000, path=folder / "rows.f64")
     recorder.push(row)                       # in the loop
-    rows = recorder.finish()                 # (k, 80), and the process has ended
+    rows = recorder.finish()                 # (k, 80); the process has ended
 
-The file holds 64-bit numbers, row after row, and stays whole up to the last row taken when the loop's process dies.
+The file holds 64-bit floats, row by row. If the loop's process dies, everything it has pushed is still written.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from hiltestbed.devices.realtime import ordinary
 from hiltestbed.devices.ring import Array, Ring
 from hiltestbed.errors import HiltestbedError
 
-NAP = 0.005  # [s] between two looks at the ring
-PATIENCE = 20.0  # [s] for the process to begin, and to write what is left
+NAP = 0.005  # [s] between two reads of the ring
+PATIENCE = 20.0  # [s] to wait for the process to start, and to write the remaining rows
 READY = "ready"
 
 
@@ -31,11 +31,11 @@ class Recorder:
     """The loop's end of the recording.
 
     Attributes:
-        ring: of the rows; ``ring.dropped`` is how many were lost because the recording fell behind.
+        ring: of the rows; ``ring.dropped`` counts the rows lost because the recording fell behind.
     """
 
     def __init__(self, columns: int, rows: int, path: Path) -> None:
-        """Start the process; returns when it is ready. Raises HiltestbedError where it is not."""
+        """Start the process and wait until it is ready. Raises HiltestbedError if it does not start."""
         self.path = path
         self.ring = Ring(columns, rows)
         command = [sys.executable, "-m", "hiltestbed.devices.recorder", self.ring.name, str(path), str(os.getpid())]
@@ -47,11 +47,11 @@ class Recorder:
             raise HiltestbedError(f"{path}: the process that records did not start; check that the folder can be written to")
 
     def push(self, row: Array) -> bool:
-        """Hand over a row (columns,); False where it was dropped."""
+        """Record a row (columns,); False if it was dropped."""
         return self.ring.push(row)
 
     def finish(self) -> Array:
-        """End the recording: (k, columns) all rows, mapped from the file. Raises HiltestbedError where the process has failed."""
+        """End the recording and return all rows (k, columns), mapped from the file. Raises HiltestbedError if the process has failed."""
         self.ring.finish()
         columns = self.ring.columns
         try:
@@ -70,7 +70,7 @@ class Recorder:
 
 
 def main() -> int:
-    """The process itself: until the ring is finished and empty, or its parent has gone."""
+    """Entry point of the process: runs until the ring is finished and empty, or the parent has died."""
     parser = argparse.ArgumentParser()
     parser.add_argument("ring")
     parser.add_argument("path")

@@ -1,8 +1,8 @@
-"""A ring of rows between the loop and the process that records: neither waits for the other.
+"""A lock-free single-producer, single-consumer ring of rows in shared memory.
 
-One process pushes, one takes. The counts of rows pushed and taken are two aligned words, each written by one side alone and after the rows
-that it speaks of (x86-64 keeps that order; each row begins and ends with its own number besides, so that a machine that does not hands over
-none that is half written). A full ring drops the row and counts it.
+The numbers of rows pushed and taken are two aligned words, each written by one side only, after the rows that it refers to. x86-64 keeps
+the order of stores; for machines that do not, each row also begins and ends with its own number, and a row is taken only if both match. A full
+ring drops the row and counts it.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from hiltestbed.errors import InputError
 
-LINE = 64  # [byte] of a cache line: the two counts lie on lines of their own
-HEAD = 3 * LINE  # pushed, taken, then what the ring is
+LINE = 64  # [byte] of a cache line: the two counts are on separate lines
+HEAD = 3 * LINE  # pushed, taken, dimensions
 LARGEST = 1 << 30  # [byte]
 
 Array = NDArray[np.float64]
@@ -26,11 +26,11 @@ class Ring:
     """Rows of ``columns`` numbers.
 
     Attributes:
-        dropped: rows that found the ring full.
+        dropped: rows dropped because the ring was full.
     """
 
     def __init__(self, columns: int, rows: int, name: str | None = None) -> None:
-        """A new ring for ``rows`` rows. Raises InputError where that is too large."""
+        """Create a ring for ``rows`` rows. Raises InputError if that is too large."""
         size = HEAD + rows * (columns + 2) * 8
         if columns < 1 or rows < 2 or size > LARGEST:
             raise InputError(
@@ -44,11 +44,11 @@ class Ring:
 
     @classmethod
     def attach(cls, name: str) -> Ring:
-        """The ring that another process has made. Raises FileNotFoundError."""
+        """Attach to a ring that another process has created. Raises FileNotFoundError."""
         ring = cls.__new__(cls)
         if sys.version_info >= (3, 13):
             ring._memory = shared_memory.SharedMemory(name, track=False)
-        else:  # up to 3.12 the one who attaches, too, would have it removed at its own end
+        else:  # up to Python 3.12 the attaching process, too, would remove it at its exit
             ring._memory = shared_memory.SharedMemory(name)
             resource_tracker.unregister(f"/{name}", "shared_memory")
         ring._owner = False
@@ -63,7 +63,7 @@ class Ring:
         self.columns, self.rows = columns, rows
         self._pushed = np.ndarray(1, np.int64, buffer, 0)
         self._taken = np.ndarray(1, np.int64, buffer, LINE)
-        self._about = np.ndarray(3, np.int64, buffer, 2 * LINE)  # columns, rows, whether no more will come
+        self._about = np.ndarray(3, np.int64, buffer, 2 * LINE)  # columns, rows, finished
         self._rows = np.ndarray((rows, columns + 2), np.float64, buffer, HEAD)
         self.dropped = 0
 
@@ -73,14 +73,14 @@ class Ring:
 
     @property
     def finished(self) -> bool:
-        """Whether the pushing side has said that no more will come."""
+        """Whether the producer has finished."""
         return bool(self._about[2])
 
     def finish(self) -> None:
         self._about[2] = 1
 
     def push(self, row: Array) -> bool:
-        """Leave a copy of ``row`` (columns,); False where the ring is full."""
+        """Append a copy of ``row`` (columns,); False if the ring is full."""
         number = int(self._pushed[0])
         if number - int(self._taken[0]) >= self.rows:
             self.dropped += 1
@@ -93,7 +93,7 @@ class Ring:
         return True
 
     def take(self) -> Array:
-        """(k, columns) the rows that have come since the last time."""
+        """Take the rows (k, columns) pushed since the last call."""
         first, end = int(self._taken[0]), int(self._pushed[0])
         numbers = np.arange(first, end)
         rows = self._rows[numbers % self.rows]

@@ -96,7 +96,7 @@ class RsiClient(PlatformClient):
         self._answered, self._unanswered = True, 0
         self._offset = poses.offset_in_base if settings.reference == "base" else poses.offset_in_tool
         self._socket: socket.socket | None = None
-        poses.pose_from_kuka(poses.kuka_from_pose(self._offset(self.start, self.start)))  # compiles: in the cycle there is no time for it
+        poses.pose_from_kuka(poses.kuka_from_pose(self._offset(self.start, self.start)))  # compile now, not in the first cycle
 
     def open(self) -> None:
         settings = self.settings
@@ -113,7 +113,7 @@ class RsiClient(PlatformClient):
             )
         self.start[:] = self._from[:] = self.state.pose
         self._correction[:] = 0.0
-        self.counts[:] = 0  # telegrams that had piled up before are nobody's fault
+        self.counts[:] = 0  # telegrams queued before the connection was open do not count
         self.hold()
 
     def close(self) -> None:

@@ -21,7 +21,7 @@ class RsiServer(PlatformServer):
     """An emulated controller: :meth:`publish` opens a cycle, what :meth:`poll` takes in until the next one answers it.
 
     Attributes:
-        late: answers that came late or not at all.
+        late: number of answers that came late or not at all.
     """
 
     FIRST_IPOC = 1_000_000
@@ -38,6 +38,7 @@ class RsiServer(PlatformServer):
         self._step: Array = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
         self._add = poses.add_in_base if settings.reference == "base" else poses.add_in_tool
         self._socket: socket.socket | None = None
+        poses.pose_from_kuka(poses.kuka_from_pose(self._add(self._start, self._step)))  # compile now, not in the first cycle
 
     def open(self) -> None:
         self._towards = sockets.resolve(self.settings.host, self.settings.port, self.where)

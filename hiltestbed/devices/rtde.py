@@ -14,8 +14,8 @@ with ``rtde_set_watchdog("input_int_register_24", 10, "STOP")`` before it. Regis
 ``actual_TCP_force`` is in the axes of the base, at the tool centre point, and compensated for the payload; ``ft_raw_wrench`` is the raw
 sensor.
 
-The library ur_rtde is a client alone, brings threads and a control script of its own, and takes its own pace: it can neither be the device
-in an emulation nor be read without waiting. The part of the protocol that is needed here is small, and is done here.
+The library ur_rtde is a client only, with threads, a control script and a pace of its own: it cannot emulate the device, nor be read
+without waiting. The part of the protocol needed here is small and implemented here.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ class _Session:
     """The set-up of a connection and its data packages, for either client."""
 
     def __init__(self, settings: RtdeSettings, counts, outputs: list[str], inputs: list[str], take: Callable[[tuple], bool]) -> None:
-        """``take`` is handed the values of each data package that is good and newer than all before, without the recipe's number."""
+        """``take`` is called with the values of each good new data package, without the recipe's number."""
         self.settings, self.counts, self.take = settings, counts, take
         self.outputs, self.inputs = outputs, inputs
         self.stream: rtde_wire.Stream | None = None
@@ -102,7 +102,7 @@ class _Session:
         return self.stream.connection.fileno() if self.stream is not None else -1
 
     def poll(self) -> bool:
-        """Whether a newer data package has come that was taken."""
+        """Process what has arrived; True if a new data package was accepted."""
         new = False
         if self.stream is None:
             return False
@@ -155,7 +155,7 @@ class _Session:
         return self._sequence.judge(elapsed) and self.take(values)
 
     def note(self, sample: Sample, device_time: float, status: int) -> bool:
-        """Take a package's time and status over into ``sample``; False, and counted, where the status is an error."""
+        """Copy a package's time and status into ``sample``; if the status is an error, count it and return False."""
         sample.status = status
         if status:
             self.counts[Event.STATUS] += 1
@@ -246,7 +246,7 @@ class RtdePlatformClient(PlatformClient):
         self._session = _Session(settings, self.counts, outputs, register_names(settings.first_register), self._take)
         self._registers: list[float | int] = [0.0] * 6 + [0]
         self._sent = 0
-        poses.pose_from_rotation_vector(poses.rotation_vector_from_pose(self.state.pose))  # compiles: in the cycle there is no time for it
+        poses.pose_from_rotation_vector(poses.rotation_vector_from_pose(self.state.pose))  # compile now, not in the first cycle
 
     def open(self) -> None:
         self._session.open()

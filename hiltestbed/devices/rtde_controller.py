@@ -230,6 +230,7 @@ class RtdePlatformServer(PlatformServer):
         self._names = [f"input_double_register_{settings.first_register + i}" for i in range(6)]
         self._counter = f"input_int_register_{settings.first_register}"
         self._started = False
+        poses.pose_from_rotation_vector(poses.rotation_vector_from_pose(self.command))  # compile now, not in the first cycle
 
     def open(self) -> None:
         self.controller.open()

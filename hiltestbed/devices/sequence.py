@@ -1,4 +1,4 @@
-"""What the sequence numbers of a device say: new, lost, repeated, out of order, or not a number that can follow."""
+"""Evaluation of a device's sequence numbers: new, lost, repeated, reordered or implausible."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from hiltestbed.devices.interface import Event
 
 
 class Sequence:
-    """Follows a counter that wraps.
+    """Follows a wrapping counter.
 
     Attributes:
-        newest: the number of the newest record, unwrapped: it never falls; -1 before the first.
+        newest: the number of the newest record, unwrapped; -1 before the first.
     """
 
     def __init__(self, counts: NDArray, bits: int = 32, step: int = 1, longest_gap: int = 10_000) -> None:
-        """``longest_gap``: records that may be missing at once; a number further ahead is not taken for one that follows."""
+        """``longest_gap``: number of records that may be missing at once; a larger step is implausible (malformed)."""
         self._counts = counts
         self._modulus = 1 << bits
         self._step = step
@@ -24,11 +24,11 @@ class Sequence:
         self._wrapped = 0
 
     def restart(self) -> None:
-        """Forget the past: the device counts from anew."""
+        """Accept any number next: the device restarts its counter."""
         self.newest = -1
 
     def judge(self, number: int) -> bool:
-        """Whether the record ``number`` is newer than all before; what else it is, is counted."""
+        """Whether ``number`` is newer than all before; anything else is counted."""
         if self.newest < 0:
             self.newest = self._wrapped = number
             return True

@@ -1,7 +1,7 @@
-"""``shm://name``: shared memory between two processes of one machine, without copies through the network.
+"""``shm://name``: shared memory between two processes of one machine, without the network stack.
 
-A device has a mailbox (:mod:`hiltestbed.devices.mailbox`) for what it says, wrench or pose, and a platform one more for what it is told.
-The device makes them and removes them.
+A device writes a mailbox (:mod:`hiltestbed.devices.mailbox`) with its wrench or pose; a platform reads a second one with the command. The
+device creates and removes them.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from hiltestbed.devices.url import DeviceSettings
 from hiltestbed.errors import InputError
 from hiltestbed.validation import Positive
 
-NAP = 20e-6  # [s] between two looks while waiting
+NAP = 20e-6  # [s] between two polls while waiting
 STOP = 1
 Part = Literal["wrench", "state", "command"]
 
@@ -65,7 +65,7 @@ def _awaited(settings: ShmSettings, part: Part) -> Mailbox:
 
 
 class _Inbox:
-    """Reads one mailbox, and counts."""
+    """Reads one mailbox and counts events."""
 
     def __init__(self, counts) -> None:
         self.box: Mailbox | None = None
@@ -103,7 +103,7 @@ class _Inbox:
 
 
 def _wait(link: SensorClient | PlatformClient | PlatformServer, timeout: float) -> bool:
-    """Look again and again: memory does not wake anyone."""
+    """Poll until there is a message: shared memory has no wake-up."""
     until = time.monotonic() + timeout
     while not link.poll():
         if time.monotonic() >= until:
@@ -113,7 +113,7 @@ def _wait(link: SensorClient | PlatformClient | PlatformServer, timeout: float) 
 
 
 class ShmSensorClient(SensorClient):
-    """Reads the wrench that another process leaves."""
+    """Reads the wrench that another process writes."""
 
     def __init__(self, settings: ShmSettings) -> None:
         super().__init__(settings.where)
@@ -139,7 +139,7 @@ class ShmSensorClient(SensorClient):
 
 
 class ShmPlatformClient(PlatformClient):
-    """Leaves a pose for another process, and reads the one that it has reached."""
+    """Writes the commanded pose for another process and reads the pose reached."""
 
     def __init__(self, settings: ShmSettings) -> None:
         super().__init__(settings.where)
@@ -199,7 +199,7 @@ def _first(client: ShmSensorClient | ShmPlatformClient, settings: ShmSettings) -
 
 
 class ShmSensorServer(SensorServer):
-    """Leaves a wrench for another process."""
+    """Writes a wrench for another process."""
 
     def __init__(self, settings: ShmSettings) -> None:
         super().__init__(settings.where)
@@ -217,7 +217,7 @@ class ShmSensorServer(SensorServer):
             self._outbox = None
 
     def poll(self) -> bool:
-        """A sensor is told nothing."""
+        """A sensor receives nothing."""
         return False
 
     def publish(self, wrench: Array, device_time: float, status: int = 0) -> None:
@@ -276,7 +276,7 @@ class ShmPlatformServer(PlatformServer):
 
 
 class ShmKeeper(Keeper):
-    """Leaves the last pose, or the stop flag, in the mailbox of commands."""
+    """Writes the last pose, or the stop flag, into the command mailbox."""
 
     def __init__(self, settings: ShmSettings, fileno: int) -> None:
         super().__init__(settings, fileno)

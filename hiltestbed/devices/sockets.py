@@ -1,9 +1,8 @@
-"""Opening sockets, and what is said when one cannot be opened. Nothing is bound to other than the address that was given."""
+"""Sockets, and messages for those that cannot be opened. Each is bound to the given address only, never to all interfaces."""
 
 from __future__ import annotations
 
 import errno
-import ipaddress
 import select
 import socket
 
@@ -26,11 +25,6 @@ def resolve(host: str, port: int, where: str) -> Address:
     return found[0][4][0], port  # type: ignore[return-value]
 
 
-def is_loopback(host: str) -> bool:
-    """Whether a numeric address is this machine's own."""
-    return ipaddress.ip_address(host).is_loopback
-
-
 def bound_udp(address: Address, where: str) -> socket.socket:
     """A non-blocking UDP socket bound to ``address``. Raises InputError."""
     return _bound(socket.SOCK_DGRAM, address, where)
@@ -44,7 +38,7 @@ def listening_tcp(address: Address, where: str) -> socket.socket:
 
 
 def connected_udp(address: Address, where: str) -> socket.socket:
-    """A non-blocking UDP socket that sends to ``address`` and hears it alone. Raises InputError."""
+    """A non-blocking UDP socket connected to ``address``: the kernel drops datagrams of other senders. Raises InputError."""
     opened = _new(socket.SOCK_DGRAM)
     try:
         opened.connect(address)
@@ -63,7 +57,7 @@ def sending_udp(towards: Address, where: str) -> socket.socket:
 
 
 def connected_tcp(address: Address, where: str, timeout: float) -> socket.socket:
-    """A TCP connection without delay of small packages; ``timeout`` [s] stays on it. Raises DeviceError."""
+    """A TCP connection with TCP_NODELAY and a ``timeout`` [s]. Raises DeviceError."""
     try:
         opened = socket.create_connection(address, timeout)
     except OSError as error:
@@ -74,12 +68,12 @@ def connected_tcp(address: Address, where: str, timeout: float) -> socket.socket
 
 
 def adopted(fileno: int) -> socket.socket:
-    """The socket that another process has left under this number."""
+    """The inherited socket with this file descriptor."""
     return socket.socket(fileno=fileno)
 
 
 def readable(opened: socket.socket, timeout: float) -> bool:
-    """Wait until something has arrived, for at most ``timeout`` [s]."""
+    """Wait up to ``timeout`` [s] until something has arrived."""
     return bool(select.select([opened], [], [], max(timeout, 0.0))[0])
 
 
@@ -101,7 +95,7 @@ _REASONS = {
 def _bound(kind: int, address: Address, where: str) -> socket.socket:
     opened = _new(kind)
     if kind == socket.SOCK_STREAM:
-        opened.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # a connection that has just ended does not keep its port
+        opened.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # reuse a port whose last connection has just ended
     try:
         opened.bind(address)
     except OSError as error:

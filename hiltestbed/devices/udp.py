@@ -1,9 +1,9 @@
-"""``udp://``: plain records over UDP, as Simulink, LabVIEW, Speedgoat and the like send them.
+"""``udp://``: plain records over UDP, as sent by Simulink, LabVIEW or Speedgoat, for example.
 
 Their layout is described in YAML: :mod:`hiltestbed.devices.layout`.
 
-The URL's address is the device's: it takes commands there and sends its records from there. ``listen`` is this machine's end, where the
-records arrive; an emulated device has ``peer`` instead, the controller's end.
+The URL's address is the device's: it receives commands there and sends its records from there. ``listen`` is the address on this machine
+where the records arrive; an emulated device has ``peer`` instead, the controller's address.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class UdpSensorClient(SensorClient):
 
 
 class UdpPlatformClient(PlatformClient):
-    """A platform that takes a pose a datagram and sends where it is."""
+    """A platform that receives one pose a datagram and sends the pose reached."""
 
     def __init__(self, settings: UdpSettings) -> None:
         super().__init__(settings.where)
@@ -92,7 +92,7 @@ class UdpPlatformClient(PlatformClient):
         self._send(0)
 
     def stop(self) -> None:
-        """Send the stop flag; without one in the layout, hold."""
+        """Send the stop flag; a layout without one holds."""
         self._send(STOP)
 
     def _send(self, stop: int) -> None:
@@ -116,7 +116,7 @@ def _open(client: UdpSensorClient | UdpPlatformClient, receiver: Receiver) -> No
 
 
 class UdpKeeper(Keeper):
-    """Goes on sending the last pose, or the stop flag, from the socket that the loop has left."""
+    """Repeats the last pose, or sends the stop flag, from a duplicate of the loop's socket."""
 
     def __init__(self, settings: UdpSettings, fileno: int) -> None:
         super().__init__(settings, fileno)

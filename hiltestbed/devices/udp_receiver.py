@@ -1,4 +1,4 @@
-"""What both ends of plain records over UDP have: the options of the URL, the addresses, and a receiver of good records."""
+"""Settings, addresses and the receiver that both sides of plain records over UDP share."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def end_of(settings: UdpSettings, key: Literal["listen", "peer"], what: str) -> 
 
 
 class Receiver:
-    """Records from one sender; each that is good and newer than all before is handed to ``take`` while it is in ``record``."""
+    """Receives records from one sender; calls ``take`` for each good new one while ``record`` holds it."""
 
     def __init__(self, record: Record, counts, take: Callable[[], bool]) -> None:
         self.record, self.counts, self.take = record, counts, take
@@ -85,7 +85,7 @@ class Receiver:
         return self.socket.fileno() if self.socket is not None else -1
 
     def poll(self) -> bool:
-        """Whether a newer record has come that was taken."""
+        """Process what has arrived; True if a new record was accepted."""
         new = False
         for _ in range(LONGEST_DRAIN if self.socket is not None else 0):
             try:
@@ -117,7 +117,7 @@ class Receiver:
             self.counts[Event.GONE] += 1
 
     def note(self, sample: Sample) -> bool:
-        """Take the record's number, time and status over into ``sample``; False, and counted, where the status is an error."""
+        """Copy the record's number, time and status into ``sample``; if the status is an error, count it and return False."""
         sample.status = self.record.flag
         if self.record.flag:
             self.counts[Event.STATUS] += 1

@@ -1,8 +1,8 @@
-"""The watch over a connection, in the cycle that sees it: what happened since the last one, and whether it is more than is allowed.
+"""Communication monitoring: once a cycle, the events since the last one against the limits.
 
-A cycle that has no new record is a *miss*; so is each record that the sequence says was lost. A record that was turned away (malformed,
-from another sender, repeated, out of order) is a *disturbance*: it changes nothing, but a connection that has many is not one to move a
-platform by. An error status, a connection that is gone and a sample older than allowed are not weighed: the first one stops.
+A cycle that has no new record is a *miss*; so is each record that the sequence numbers show as lost. A rejected record (malformed, from
+another sender, repeated, out of order) is a *disturbance*: it changes nothing, but many of them mean that the connection cannot be
+trusted. An error status, a closed connection and a sample older than allowed stop at their first occurrence.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ DISTURBANCES = (Event.MALFORMED, Event.SENDER, Event.REPEATED, Event.REORDERED)
 
 
 class CommunicationLimits(Strictly):
-    """How much of what is allowed on a connection; more than that stops the run. 0 allows none."""
+    """Allowed numbers of communication events; one more stops the run. 0 allows none."""
 
     misses_in_a_row: int = Field(default=3, ge=0, description="misses without a new record between them")
     misses_in_window: int = Field(default=10, ge=0, description="misses in the window")
-    disturbances_in_window: int = Field(default=10, ge=0, description="records turned away in the window")
+    disturbances_in_window: int = Field(default=10, ge=0, description="rejected records in the window")
     window: int = Field(default=1000, ge=1, le=1_000_000, description="cycles")
     stale: Positive = Field(default=0.02, description="[s] age of the newest sample")
     status_in_a_row: int = Field(default=0, ge=0, description="records with an error status without a good one between them")
@@ -31,21 +31,21 @@ class CommunicationLimits(Strictly):
 
 @dataclass(frozen=True)
 class Stop:
-    """Why a run has to stop: what happened, and in words how often and what is allowed."""
+    """Why a run has to stop: the event, and a sentence with the number and the limit."""
 
     event: Event
     reason: str
 
 
 class CommunicationWatch:
-    """Looks at one connection once a cycle.
+    """Monitors one connection, once a cycle.
 
     Attributes:
         stop: the first reason to stop; None while all is within the limits.
     """
 
     def __init__(self, link: SensorClient | PlatformClient, limits: CommunicationLimits, name: str) -> None:
-        """``name``: of the device in the messages (``sensor``, ``platform``)."""
+        """``name``: the device's role in the messages (``sensor``, ``platform``)."""
         self.link, self.limits = link, limits
         self.stop: Stop | None = None
         self._name = f"{name} {link.where}"
@@ -60,14 +60,14 @@ class CommunicationWatch:
         self._last_disturbance = Event.MALFORMED
 
     def start(self) -> None:
-        """Begin anew: what has happened so far does not count."""
+        """Ignore everything that has happened so far."""
         self._before[:] = self.link.counts
         self._misses[:] = self._disturbances[:] = 0
         self._cycle = self._in_a_row = self._errors = self._missed = self._disturbed = self._waited = 0
         self.stop = None
 
     def check(self, new: bool) -> Stop | None:
-        """At the end of a cycle's reading: ``new`` is whether it brought a new sample. Returns what :attr:`stop` holds."""
+        """Call after the reads of a cycle; ``new``: whether they gave a new sample. Returns :attr:`stop`."""
         self.link.counts[Event.LATE] += not new
         age = self.link.sample.age()
         if age > self.limits.stale:
@@ -87,7 +87,7 @@ class CommunicationWatch:
             self._last_miss = Event.LOST
         elif late:
             self._last_miss = Event.LATE
-        # a record that is lost, or found too late to answer, has been a cycle without one already where the loop was waiting for it
+        # where the loop waited for a record that was lost or late, that cycle has been counted already
         misses = max(late + lost - self._waited, 0) if new else late + lost
         self._waited = 0 if new else self._waited + misses
         for event in DISTURBANCES:
@@ -119,10 +119,10 @@ class CommunicationWatch:
             return Stop(self._last_miss, f"{name}: {self._missed} misses in {limits.window} cycles, {last}")
         if self._disturbed > limits.disturbances_in_window:
             said = f"the last {self._last_disturbance.name.lower()} (limit {limits.disturbances_in_window})"
-            return Stop(self._last_disturbance, f"{name}: {self._disturbed} records turned away in {limits.window} cycles, {said}")
+            return Stop(self._last_disturbance, f"{name}: {self._disturbed} records rejected in {limits.window} cycles, {said}")
         return None
 
 
 def said(link: Link) -> dict[str, int]:
-    """What has happened on a connection, by name: for the record of a run."""
+    """The counts of a connection by name, for the record of a run."""
     return {event.name.lower(): int(link.counts[event]) for event in Event}

@@ -1,10 +1,10 @@
-"""The watchdog: a process of its own that holds or stops the platform when the loop's process falls silent.
+"""The watchdog: a separate process that holds or stops the platform when the loop's process no longer responds.
 
-The loop beats once a cycle: into shared memory go the time, a count, and what the platform's keeper needs to hold it. When no beat has
-come for ``timeout``, the watchdog trips: it takes over the platform's socket, of which it has had a duplicate from the start, and sends
-what is configured, once a period, for ``lasting``. A loop that comes back finds :attr:`Watchdog.tripped` set and has to stop as well.
+The loop sends a heartbeat once a cycle: the time and the last command go into shared memory. When there has been none for ``timeout``, the
+watchdog trips: through its duplicate of the platform's socket it sends the configured message once a period for ``lasting``. A loop that
+resumes finds :attr:`Watchdog.tripped` set and has to stop as well.
 
-It guards against a loop that hangs or dies, not against a machine or a network that does. It is no safety device.
+It covers a loop that hangs or dies, not a failure of the machine or the network. It is not a safety device.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ from hiltestbed.errors import InputError
 
 Action = Literal["hold", "stop"]
 ACTIONS: tuple[Action, ...] = ("hold", "stop")
-PATIENCE = 20.0  # [s] for the process to begin and to end
+PATIENCE = 20.0  # [s] to wait for the process to start and to end
 READY = "ready"
-BEATS = 512  # rows of the ring: beats that may pile up before the watchdog looks
+BEATS = 512  # rows of the ring: unread heartbeats
 COLUMNS = 10  # time [s], armed, held (8,)
 LASTING = 2.0  # [s]
 
@@ -37,7 +37,7 @@ class Watchdog:
     """The loop's end.
 
     Attributes:
-        timeout: [s] without a beat after which it trips.
+        timeout: [s] without a heartbeat after which it trips.
     """
 
     def __init__(self, url: str, platform: PlatformClient, timeout: float, action: Action = "hold", lasting: float = LASTING) -> None:
@@ -65,13 +65,13 @@ class Watchdog:
             raise DeviceError(f"{platform.where}: the watchdog did not start")
 
     def beat(self) -> None:
-        """Once a cycle, after the command. The first beat arms it."""
+        """Send a heartbeat; call once a cycle, after the command. The first one arms the watchdog."""
         self._row[0], self._row[1] = time.monotonic_ns() * 1e-9, 1.0
         self._row[2:] = self._platform.held
         self._ring.push(self._row)
 
     def disarm(self) -> None:
-        """The loop ends on purpose: no beat is missed from here on."""
+        """Expect no more heartbeats: the loop ends normally."""
         self._row[0], self._row[1] = time.monotonic_ns() * 1e-9, 0.0
         self._ring.push(self._row)
 
@@ -102,7 +102,7 @@ class Watchdog:
 
 
 def watch(beats: Ring, answer: Ring, keeper: Keeper, action: Action, timeout: float, lasting: float, period: float, parent: int) -> bool:
-    """Look for beats until no more will come; True when it had to act."""
+    """Check the heartbeats until the loop has finished; True if the watchdog has acted."""
     newest: Array | None = None
     while not beats.finished:
         rows = beats.take()
@@ -132,7 +132,7 @@ def _act(keeper: Keeper, action: Action, held: Array, lasting: float, period: fl
 
 
 def main() -> int:
-    """The process itself."""
+    """Entry point of the process."""
     from hiltestbed.devices.table import find, settings_of
 
     parser = argparse.ArgumentParser()
@@ -151,7 +151,7 @@ def main() -> int:
     sys.stdout.write(READY + "\n")
     sys.stdout.flush()
     ordinary()
-    with prepared(priority=PRIORITY + 10):  # above the loop: it must run when the loop does not let go
+    with prepared(priority=PRIORITY + 1):  # above the loop, which may be stuck at its own priority
         watch(beats, answer, keeper, a.action, a.timeout, a.lasting, a.period, a.parent)
     beats.close()
     answer.close()

@@ -41,7 +41,7 @@ def _rubbish(rng: np.random.Generator, longest: int = 200) -> bytes:
 
 
 def _throw(link: Link, sender: socket.socket, towards: tuple[str, int], make: Callable[[int], bytes]) -> None:
-    """Send a thousand, and see that each was turned away and nothing has changed."""
+    """Send a thousand, and see that each is rejected and nothing has changed."""
     state, before = _state(link), link.counts.copy()
     for k in range(COUNT):
         sender.sendto(make(k), towards)
