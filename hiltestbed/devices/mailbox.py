@@ -1,8 +1,8 @@
 """A mailbox in shared memory: the newest message of one process for another, complete or not at all.
 
-128 bytes that one process writes and one reads: a magic number, a sequence lock (the count is odd while the writer is active; as in the
-Linux kernel), the number of the message, its time, a flag, seven numbers and their CRC-32. The CRC detects incomplete messages on machines that
-reorder stores, and foreign writes.
+128 bytes that one process writes and one reads: a magic number, a sequence lock (the count is odd while the writer is active; as in
+the Linux kernel), the number of the message, its time, a flag, seven numbers and their CRC-32. The CRC detects incomplete messages on
+machines that reorder stores, and foreign writes.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """A lock-free single-producer, single-consumer ring of rows in shared memory.
 
-The numbers of rows pushed and taken are two aligned words, each written by one side only, after the rows that it refers to. x86-64 keeps
-the order of stores; for machines that do not, each row also begins and ends with its own number, and a row is taken only if both match. A full
-ring drops the row and counts it.
+The numbers of rows pushed and taken are two aligned words, each written by one side only, after the rows that it refers to. x86-64
+keeps the order of stores; for machines that do not, each row also begins and ends with its own number, and a row is taken only if both
+match. A full ring drops the row and counts it.
 """
 
 from __future__ import annotations
