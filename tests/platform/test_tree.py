@@ -13,7 +13,7 @@ from hiltestbed.platform.facilities.inverse_dynamics import joint_forces, weight
 from hiltestbed.platform.facilities.kinematics import Axis, Kinematics
 from hiltestbed.platform.facilities.motion import move, place, scratch, tool_pose, tool_twist
 from hiltestbed.platform.facilities.tree import build_tree
-from hiltestbed.rig.model import load
+from hiltestbed.models import load
 from tests.platform.halls import apart, arms, mujoco_pose
 
 # Every type of joint, off their bodies' origins, with references that are not zero and several in one body.

@@ -22,7 +22,7 @@ from hiltestbed.frames import Array
 from hiltestbed.platform.facilities.bodies import GRAVITY, SIDES, Bodies, PhysicalFacility
 from hiltestbed.platform.facilities.facility import MOUNT, per_run
 from hiltestbed.platform.facilities.settings import AirBearingSettings
-from hiltestbed.rig.model import load
+from hiltestbed.models import load
 
 CREEP = 1e-4  # [m/s] below which the pads' rubbing fades
 TILT_X, TILT_Z, FILM, RADIUS, RUB, HOSE, HOSE_DAMPING, NUMBERS = range(8)

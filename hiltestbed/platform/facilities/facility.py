@@ -22,7 +22,7 @@ from hiltestbed.frames import Array
 from hiltestbed.platform.facilities.drives import Drives
 from hiltestbed.platform.facilities.kinematics import Axis, Kinematics
 from hiltestbed.platform.facilities.tree import compose, inverse_pose
-from hiltestbed.rig.model import load
+from hiltestbed.models import load
 
 MOUNT = "mount"
 CARRIER = "passive_carrier"  # the body that carries force sensor and passive mechanism

@@ -1,6 +1,6 @@
 """Dry friction of seals and gears, taken off what a drive pushes.
 
-The law is that of the sliders of the 3-3 PSS platform (:func:`hiltestbed.rig.friction.drag`): Coulomb and Stribeck with a bristle that
+The law is that of the sliders of the 3-3 PSS platform (:func:`hiltestbed.platform.friction.drag`): Coulomb and Stribeck with a bristle that
 holds while a joint stands, and a viscous part. Units are N and m for cylinders, N m and rad for gears.
 """
 
@@ -13,7 +13,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from hiltestbed.frames import Array
-from hiltestbed.rig.friction import BRISTLE, STEPS, drag, stribeck
+from hiltestbed.platform.friction import BRISTLE, STEPS, drag, stribeck
 
 
 @njit(cache=True)

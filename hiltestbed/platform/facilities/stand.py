@@ -15,7 +15,7 @@ from numba import njit
 
 from hiltestbed.frames import Array
 from hiltestbed.platform.facilities.facility import MOUNT, Facility, compiled
-from hiltestbed.rig.model import load
+from hiltestbed.models import load
 
 PAYLOAD = "payload_"
 TOOL = PAYLOAD + "A"

@@ -25,8 +25,8 @@ from hiltestbed.frames import Array
 from hiltestbed.platform.facilities.bodies import GRAVITY, SIDES, Bodies, PhysicalFacility
 from hiltestbed.platform.facilities.facility import MOUNT, per_run
 from hiltestbed.platform.facilities.settings import SuspensionSettings
-from hiltestbed.rig.friction import drag
-from hiltestbed.rig.model import load
+from hiltestbed.platform.friction import drag
+from hiltestbed.models import load
 
 PRESLIDING = 2.0e5  # [N/m] of a winch before it breaks away
 STRIBECK_SPEED = 0.002  # [m/s]

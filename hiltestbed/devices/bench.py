@@ -1,0 +1,193 @@
+"""Latency, jitter and deadline misses of the cycle on this machine, with and without a device on the loopback address.
+
+The device is an emulated platform (plain records over UDP) in a separate process: each cycle sends a pose and waits for its echo. A cycle
+misses its deadline if its work ends after the next one is due, or if the echo has not arrived by then.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hiltestbed.devices.clock import CycleClock
+from hiltestbed.devices.interface import DeviceError, PlatformClient
+from hiltestbed.devices.realtime import PRIORITY, ordinary, prepared
+from hiltestbed.devices.table import platform_client, platform_server
+from hiltestbed.devices.url import LOOPBACK
+from hiltestbed.errors import InputError
+
+PERCENTILES = (50.0, 90.0, 99.0, 99.9, 99.99)
+BIN, BINS = 5e-6, 200  # [s] of the histogram: up to 1 ms; one more bin for longer times
+PATIENCE = 20.0  # [s] to wait for the device's process
+
+
+@dataclass(frozen=True)
+class Times:
+    """Statistics of a time over all cycles [s]: percentiles by name, the maximum, and a histogram whose last bin holds all longer times."""
+
+    percentiles: dict[str, float]
+    worst: float
+    bin_width: float
+    histogram: list[int]
+
+
+@dataclass(frozen=True)
+class Steadiness:
+    """One measurement.
+
+    Attributes:
+        device: whether a device was in the cycle.
+        cycles, skipped, missed: number begun; skipped because of overruns; that missed their deadline.
+        wake_up: from due time to start of a cycle. round_trip: from command to echo, None without a device.
+        granted, refused: of the real-time settings requested.
+    """
+
+    rate: float
+    device: bool
+    cycles: int
+    skipped: int
+    missed: int
+    wake_up: Times
+    round_trip: Times | None
+    granted: list[str]
+    refused: dict[str, str]
+
+    def record(self) -> dict[str, Any]:
+        """As plain data for a file."""
+        return asdict(self)
+
+
+def measure(
+    rate: float,
+    seconds: float,
+    *,
+    device: bool = False,
+    cpu: int | None = None,
+    priority: int | None = PRIORITY,
+    work: Callable[[], None] | None = None,
+) -> Steadiness:
+    """Run cycles at ``rate`` [Hz] for ``seconds``; ``work`` is called in each, for example a step of the loop. Raises InputError."""
+    if not 0.0 < seconds <= 86_400.0 or not 1.0 <= rate <= 20_000.0:
+        raise InputError(f"the measurement cannot be made (got {rate:g} Hz for {seconds:g} s); allowed are 1 to 20000 Hz and up to a day")
+    cycles = max(round(rate * seconds), 2)
+    clock = CycleClock(rate, cycles)
+    round_trips = np.zeros(cycles)
+    echo = _Echo(rate) if device else None
+    try:
+        with prepared(cpu, priority) as given:
+            missed = _run(clock, cycles, round_trips, echo.client if echo else None, work)
+    finally:
+        if echo is not None:
+            echo.close()
+    answered = round_trips[round_trips > 0.0]
+    return Steadiness(
+        rate=rate,
+        device=device,
+        cycles=clock.cycles,
+        skipped=clock.skipped,
+        missed=missed,
+        wake_up=_times(clock.latency()),
+        round_trip=_times(answered) if device else None,
+        granted=given.granted,
+        refused=given.refused,
+    )
+
+
+def _run(
+    clock: CycleClock, cycles: int, round_trips: NDArray[np.float64], client: PlatformClient | None, work: Callable[[], None] | None
+) -> int:
+    """Run all cycles; returns the number of missed deadlines."""
+    missed = 0
+    pose = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+    clock.start()
+    for k in range(cycles):
+        clock.wait()
+        answered = True
+        if client is not None:
+            client.poll()
+            sent = time.monotonic_ns()
+            client.command(pose)
+            answered = client.wait(clock.left())
+            if answered:
+                round_trips[k] = (time.monotonic_ns() - sent) * 1e-9
+        if work is not None:
+            work()
+        clock.done()
+        missed += not answered or clock.left() < 0.0
+    return missed
+
+
+def _times(values: NDArray[np.float64]) -> Times:
+    if not len(values):
+        return Times({f"{p:g}": float("inf") for p in PERCENTILES}, float("inf"), BIN, [0] * (BINS + 1))
+    histogram = np.bincount(np.minimum((values / BIN).astype(int), BINS), minlength=BINS + 1)
+    levels = np.percentile(values, PERCENTILES)
+    named = {f"{p:g}": float(level) for p, level in zip(PERCENTILES, levels, strict=True)}
+    return Times(named, float(values.max()), BIN, histogram.tolist())
+
+
+class _Echo:
+    """The device's process, and the client that talks to it."""
+
+    def __init__(self, rate: float) -> None:
+        here, there = _free_ports(2)
+        url = f"udp://{LOOPBACK}:{there}"
+        options = f"rate={rate:.6f}&clock=host&connect={PATIENCE:g}"
+        command = [sys.executable, "-m", "hiltestbed.devices.bench", f"{url}?peer={LOOPBACK}:{here}", str(os.getpid())]
+        self._process = subprocess.Popen(command, stdin=subprocess.DEVNULL)
+        self.client = platform_client(f"{url}?listen={LOOPBACK}:{here}&{options}")
+        try:
+            self.client.open()
+        except DeviceError:
+            self.close()
+            raise
+
+    def close(self) -> None:
+        self.client.stop()
+        self.client.close()
+        try:
+            self._process.wait(PATIENCE)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+
+
+def _free_ports(count: int) -> list[int]:
+    """Currently unused ports of the loopback address."""
+    held = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(count)]
+    try:
+        for opened in held:
+            opened.bind((LOOPBACK, 0))
+        return [opened.getsockname()[1] for opened in held]
+    finally:
+        for opened in held:
+            opened.close()
+
+
+def main() -> int:
+    """Entry point of the device's process: echoes every pose until it is stopped or its parent has died."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("url")
+    parser.add_argument("parent", type=int)
+    arguments = parser.parse_args()
+    ordinary()
+    with platform_server(arguments.url) as server:
+        server.publish(server.command, 0.0)
+        while server.stopped is None and os.getppid() == arguments.parent:
+            if server.wait(0.05) or not server.commanded:
+                server.publish(server.command, time.monotonic_ns() * 1e-9)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,255 @@
+"""The interface of a device: sensor and platform, client and server side.
+
+A *client* is what the loop talks to a real device with; a *server* is the device's side of the same protocol, for an emulated one. All
+values are SI: wrench (6,) [N, N m] in the sensor's own frame at its own origin, pose (7,) [m, quaternion x y z w] in the platform's own
+base frame. How these frames lie in the rig is the caller's business.
+
+A client processes what has arrived with :meth:`Link.poll` or :meth:`Link.wait` and keeps the newest good sample. A datagram that is
+malformed, from an unexpected sender, repeated or older than the newest does not change the sample; it is counted in ``counts``, by
+:class:`Event`, as are gaps in the sequence numbers.
+"""
+
+from __future__ import annotations
+
+import math
+import select
+import time
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from enum import IntEnum, StrEnum
+from typing import TYPE_CHECKING, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hiltestbed.errors import HiltestbedError
+
+if TYPE_CHECKING:
+    from hiltestbed.devices.url import DeviceSettings
+
+Array = NDArray[np.float64]
+
+LONGEST_DRAIN = 256  # datagrams processed per poll: a flood must not stall the loop
+
+
+class DeviceError(HiltestbedError):
+    """A device does not answer or refuses a request; the message says which, and what to check."""
+
+
+class Event(IntEnum):
+    """Communication events; the index into ``counts``."""
+
+    RECEIVED = 0  # good records accepted
+    LATE = 1  # cycles without a new record, and answers that missed their cycle
+    LOST = 2  # missing sequence numbers; a record that arrives later is also counted as reordered
+    REPEATED = 3  # the newest record again, or a device whose own sample counter does not advance
+    REORDERED = 4  # older than the newest
+    STALE = 5  # cycles in which the newest sample was older than allowed
+    MALFORMED = 6  # not a record of this protocol
+    STATUS = 7  # the device reports an error
+    SENDER = 8  # from an address other than the device's
+    GONE = 9  # the connection was refused or closed
+
+
+class Clock(StrEnum):
+    """Who paces the cycle: ``device`` sends at its own rate and expects the answer within the period; ``host`` is paced by the loop."""
+
+    DEVICE = "device"
+    HOST = "host"
+
+
+class Sample:
+    """The newest good record of a device, updated in place.
+
+    Attributes:
+        sequence: the device's own number of the record; -1 before the first.
+        device_time: by the device's clock [s]; NaN where the protocol has none.
+        status: the device's status, 0 for no error.
+        arrival: when it was received, monotonic clock [ns].
+    """
+
+    def __init__(self) -> None:
+        self.sequence = -1
+        self.device_time = math.nan
+        self.status = 0
+        self.arrival = 0
+
+    def age(self) -> float:
+        """Time since it was received [s]; infinite before the first."""
+        return (time.monotonic_ns() - self.arrival) * 1e-9 if self.sequence >= 0 else math.inf
+
+
+class Reading(Sample):
+    """A sample of a force sensor: ``wrench`` (6,) [N, N m] in the sensor's frame."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.wrench: Array = np.zeros(6)
+
+
+class PoseState(Sample):
+    """A sample of a platform: the pose (7,) that it has reached, in its base frame."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.pose: Array = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+
+
+class Link(ABC):
+    """One end of a connection; a context manager that opens and closes it.
+
+    Attributes:
+        where: the device as the user named it, for messages.
+        counts: (10,) number of each :class:`Event` since :meth:`open`.
+        period: time between two records or cycles [s]; NaN until it is known.
+    """
+
+    def __init__(self, where: str) -> None:
+        self.where = where
+        self.counts: NDArray[np.int64] = np.zeros(len(Event), dtype=np.int64)
+        self.period = math.nan
+
+    @abstractmethod
+    def open(self) -> None:
+        """Connect. Raises InputError where the address cannot be used, DeviceError where the device does not answer."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Disconnect; may be called twice."""
+
+    @abstractmethod
+    def poll(self) -> bool:
+        """Process what has arrived, without waiting. True if there was a new good record."""
+
+    def wait(self, timeout: float) -> bool:
+        """As :meth:`poll`, but wait up to ``timeout`` [s] for a new record."""
+        until = time.monotonic() + timeout
+        while not self.poll():
+            left = until - time.monotonic()
+            if left <= 0.0 or self.fileno() < 0:
+                return False
+            select.select([self.fileno()], [], [], left)
+        return True
+
+    def fileno(self) -> int:
+        """The file descriptor to wait on, which the watchdog duplicates; -1 if there is none."""
+        return -1
+
+    def __enter__(self) -> Self:
+        self.open()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+class SensorClient(Link):
+    """The loop's side of a force sensor; ``reading`` is its newest good record."""
+
+    def __init__(self, where: str) -> None:
+        super().__init__(where)
+        self.reading = Reading()
+
+    @property
+    def sample(self) -> Sample:
+        return self.reading
+
+    def bias(self) -> None:
+        """Tare the sensor at its present load. Raises DeviceError if the protocol has no such request."""
+        raise DeviceError(f"{self.where}: this protocol cannot tare the sensor; tare in the loop instead")
+
+
+class PlatformClient(Link):
+    """The loop's side of a motion platform; ``state`` is the newest pose that it reports.
+
+    :meth:`open` commands nothing but the pose that the platform reports.
+
+    Attributes:
+        clock: who paces the cycle.
+        held: (8,) the last command in the form that the protocol's :class:`Keeper` repeats.
+    """
+
+    def __init__(self, where: str) -> None:
+        super().__init__(where)
+        self.clock = Clock.HOST
+        self.state = PoseState()
+        self.held: Array = np.zeros(8)
+
+    @property
+    def sample(self) -> Sample:
+        return self.state
+
+    @abstractmethod
+    def command(self, pose: Array) -> None:
+        """Send the pose (7,) to be reached by the end of the cycle. If it is not finite, hold and raise DeviceError."""
+
+    @abstractmethod
+    def hold(self) -> None:
+        """Repeat the last command; before the first one, the pose found at :meth:`open`."""
+
+    def stop(self) -> None:
+        """Make the device stop by itself if the protocol has a way to; otherwise hold."""
+        self.hold()
+
+    def _check(self, pose: Array) -> None:
+        if not np.isfinite(pose).all():
+            self.hold()
+            raise DeviceError(f"{self.where}: a pose that is not finite was commanded ({pose}); the platform holds its last pose")
+
+
+class SensorServer(Link):
+    """The device's side of a force sensor."""
+
+    @abstractmethod
+    def publish(self, wrench: Array, device_time: float, status: int = 0) -> None:
+        """Send the wrench (6,) of this instant with the device's time [s] and status (0: no error)."""
+
+
+class PlatformServer(Link):
+    """The device's side of a motion platform.
+
+    Attributes:
+        command: (7,) the pose last commanded in time; the start pose before the first.
+        commanded: whether there has been a command since the first pose was published.
+        stopped: why the platform has stopped by itself; None while it runs.
+    """
+
+    def __init__(self, where: str) -> None:
+        super().__init__(where)
+        self.command: Array = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+        self.commanded = False
+        self.stopped: str | None = None
+
+    @abstractmethod
+    def publish(self, pose: Array, device_time: float, status: int = 0) -> None:
+        """Begin a cycle: send the pose (7,) reached at this instant with the device's time [s] and status (0: no error)."""
+
+
+class Keeper(ABC):
+    """Holds or stops a platform from the watchdog's process when the loop's process no longer responds."""
+
+    def __init__(self, settings: DeviceSettings, fileno: int) -> None:
+        self.settings = settings
+        self.fileno = fileno
+
+    @abstractmethod
+    def hold(self, held: Array) -> None:
+        """Send one hold message for ``held`` (8,) of the client; called once a period."""
+
+    @abstractmethod
+    def stop(self, held: Array) -> None:
+        """Send one stop message, or nothing where silence stops the platform; called once a period."""
+
+
+@dataclass(frozen=True)
+class Protocol:
+    """An entry of the table of protocols; None for a role that the protocol does not have."""
+
+    scheme: str
+    summary: str
+    settings: type[DeviceSettings]
+    sensor_client: type[SensorClient] | None = None
+    platform_client: type[PlatformClient] | None = None
+    sensor_server: type[SensorServer] | None = None
+    platform_server: type[PlatformServer] | None = None
+    keeper: type[Keeper] | None = None

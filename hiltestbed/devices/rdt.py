@@ -1,0 +1,268 @@
+"""``rdt://``: the force sensors of ATI, Net F/T and Axia, by Raw Data Transfer over UDP.
+
+ATI Industrial Automation, "Network Force/Torque Sensor System (Net F/T) Installation and Operation Manual", document 9620-05-NET FT,
+section 10 "UDP Interface Using RDT" and section 9 "netftapi2.xml"; "F/T Sensor, Ethernet Axia", document 9620-05-C-Ethernet Axia,
+section 12. All numbers go high byte first. A request is 8 bytes: 0x1234, a command, a count of records (0: without end). A record is 36:
+the number of the record (from 1 for each request), the number of the sensor's own sample, a status word, three forces and three
+torques in counts. Counts per unit, the units and the rates stand on the device's page netftapi2.xml. A device serves one client, the
+one that asked last; a request may be lost and is repeated until the first record comes. In buffered streaming several records come in
+one datagram, and the client goes on with the last.
+"""
+
+from __future__ import annotations
+
+import struct
+import time
+from typing import ClassVar, Literal
+
+import numpy as np
+from pydantic import Field
+
+from hiltestbed.devices import rdt_page, sockets
+from hiltestbed.devices.interface import LONGEST_DRAIN, Array, DeviceError, Event, Protocol, SensorClient, SensorServer
+from hiltestbed.devices.sequence import Sequence
+from hiltestbed.devices.url import DeviceSettings, Port
+from hiltestbed.errors import InputError
+from hiltestbed.validation import Positive
+
+REQUEST = struct.Struct(">HHI")
+RECORD = struct.Struct(">III6i")
+HEADER = 0x1234
+STOP, SINGLE, REALTIME, BUFFERED = 0, 1, 2, 3  # 1 on an Axia alone, and the same as 2 there
+RESET_LATCH, BIAS = 0x41, 0x42
+MOST_RECORDS = 40  # of one datagram
+MONITOR_CONDITION = 1 << 16  # of the status word: a threshold was passed; stays until it is reset
+ERROR = 1 << 31  # of the status word: set with any other bit
+TRIES, PATIENCE = 10, 0.1  # requests before giving up, and the wait [s] for the first record after each
+
+
+class RdtSettings(DeviceSettings):
+    """Options of ``rdt://``. What is not given comes from the device's page; without a page it must be given."""
+
+    default_port: ClassVar[int] = 49152
+
+    kind: Literal["rdt"] = "rdt"
+    counts_per_force: Positive | None = Field(default=None, description="counts per unit of force")
+    counts_per_torque: Positive | None = Field(default=None, description="counts per unit of torque")
+    force_unit: Literal["N", "kN", "lbf", "klbf", "kgf"] = Field(default="N", description="unit of force that the counts are per")
+    torque_unit: Literal["N-m", "N-mm", "kN-m", "lbf-in", "lbf-ft", "kgf-cm"] = Field(
+        "N-m", description="unit of torque that the counts are per"
+    )
+    rate: Positive | None = Field(default=None, description="records a second [Hz]")
+    internal_rate: Positive | None = Field(default=None, description="samples of the sensor a second, which its own counter counts [Hz]")
+    mode: Literal["realtime", "buffered"] = Field(default="realtime", description="one record a datagram, or several")
+    buffer: int = Field(default=10, ge=1, le=MOST_RECORDS, description="records a datagram that an emulated sensor sends in buffered mode")
+    http: Port | None = Field(default=None, description="port of the configuration page; 80 for a client, none for an emulated sensor")
+    ignore_status: int = Field(
+        default=0, ge=0, le=0xFFFFFFFF, description="bits of the status word that are no error, 0x80010000: a threshold"
+    )
+
+
+class RdtClient(SensorClient):
+    """A sensor that streams; it sets the clock."""
+
+    def __init__(self, settings: RdtSettings) -> None:
+        super().__init__(settings.where)
+        self.settings = settings
+        self.page = rdt_page.Page()
+        self._scale = np.ones(6)
+        self._internal_period = float("nan")
+        self._buffer = bytearray(RECORD.size * MOST_RECORDS + 1)
+        self._records = [np.frombuffer(self._buffer, ">i4", 6, i * RECORD.size + 12) for i in range(MOST_RECORDS)]
+        self._sequence = Sequence(self.counts)
+        self._sample = -1
+        self._socket = None
+
+    def open(self) -> None:
+        settings = self.settings
+        address = sockets.resolve(settings.host, settings.port, self.where)
+        self.page = rdt_page.from_options(settings, 1.0, address[0])
+        self._scale[:3] = self.page.force / self.page.counts_per_force
+        self._scale[3:] = self.page.torque / self.page.counts_per_torque
+        self.period = 1.0 / self.page.rate
+        self._internal_period = 1.0 / self.page.internal_rate
+        self._socket = sockets.connected_udp(address, self.where)
+        for _ in range(TRIES):
+            self._sequence.restart()
+            self.counts[:] = 0
+            self._request(BUFFERED if settings.mode == "buffered" else REALTIME)
+            if self.wait(PATIENCE):
+                return
+        self.close()
+        raise DeviceError(
+            f"{self.where}: no good record in {TRIES * PATIENCE:g} s after {TRIES} requests; check the address, that RDT is enabled on the "
+            "device's communication page, its status word, and that no other client has taken the stream"
+        )
+
+    def close(self) -> None:
+        if self._socket is not None:
+            self._request(STOP)
+            self._socket.close()
+            self._socket = None
+
+    def bias(self) -> None:
+        """The device takes its present load for zero (software bias)."""
+        self._request(BIAS)
+
+    def reset_latch(self) -> None:
+        """Clear the latch that a passed threshold has set."""
+        self._request(RESET_LATCH)
+
+    def fileno(self) -> int:
+        return self._socket.fileno() if self._socket is not None else -1
+
+    def poll(self) -> bool:
+        if self._socket is None:
+            return False
+        new = False
+        for _ in range(LONGEST_DRAIN):
+            try:
+                size = self._socket.recv_into(self._buffer)
+            except BlockingIOError:
+                break
+            except OSError:  # the device's port is closed: each of our datagrams comes back once
+                self.counts[Event.GONE] += 1
+                break
+            new = self._take(size) or new
+        return new
+
+    def _take(self, size: int) -> bool:
+        """Take in the datagram of ``size`` bytes in the buffer."""
+        number, rest = divmod(size, RECORD.size)
+        if rest or not 1 <= number <= (MOST_RECORDS if self.settings.mode == "buffered" else 1):
+            self.counts[Event.MALFORMED] += 1
+            return False
+        new = False
+        for i in range(number):
+            new = self._record(i) or new
+        return new
+
+    def _record(self, i: int) -> bool:
+        rdt, sample, status, *_ = RECORD.unpack_from(self._buffer, i * RECORD.size)
+        if not self._sequence.judge(rdt):
+            return False
+        if status & ~self.settings.ignore_status:
+            self.counts[Event.STATUS] += 1
+            self.reading.status = status
+            return False
+        if sample == self._sample:  # the sensor itself has no new sample
+            self.counts[Event.REPEATED] += 1
+            return False
+        self._sample = sample
+        self.counts[Event.RECEIVED] += 1
+        np.multiply(self._records[i], self._scale, out=self.reading.wrench)
+        self.reading.sequence = self._sequence.newest
+        self.reading.device_time = sample * self._internal_period
+        self.reading.status = 0
+        self.reading.arrival = time.monotonic_ns()
+        return True
+
+    def _request(self, command: int) -> None:
+        if self._socket is None:
+            raise DeviceError(f"{self.where}: is not open")
+        try:
+            self._socket.send(REQUEST.pack(HEADER, command, 0))
+        except OSError:
+            self.counts[Event.GONE] += 1
+
+
+class RdtServer(SensorServer):
+    """An emulated sensor: sends a record for each wrench published, once a client has requested them."""
+
+    def __init__(self, settings: RdtSettings) -> None:
+        super().__init__(settings.where)
+        self.settings = settings
+        self.page = rdt_page.from_options(settings.model_copy(update={"http": None}), 1.0e6, None)
+        self.address: sockets.Address = (settings.host, settings.port)
+        self.http: rdt_page.PageServer | None = None
+        self._scale = np.empty(6)
+        self._scale[:3] = self.page.counts_per_force / self.page.force
+        self._scale[3:] = self.page.counts_per_torque / self.page.torque
+        self._load, self._bias = np.zeros(6), np.zeros(6)
+        self._client: sockets.Address | None = None
+        self._left = 0  # records still to send; -1 without end
+        self._number, self._latch, self._per_datagram = 0, 0, 1
+        self._pending = bytearray()
+        self._socket = None
+
+    def open(self) -> None:
+        address = sockets.resolve(self.settings.host, self.settings.port, self.where)
+        self._socket = sockets.bound_udp(address, self.where)
+        self.address = self._socket.getsockname()
+        if self.settings.http is not None:
+            try:
+                self.http = rdt_page.PageServer((address[0], self.settings.http), self.page, self.where)
+            except InputError:
+                self.close()
+                raise
+
+    def close(self) -> None:
+        if self._socket is not None:
+            self._socket.close()
+            self._socket = None
+        if self.http is not None:
+            self.http.close()
+            self.http = None
+
+    def fileno(self) -> int:
+        return self._socket.fileno() if self._socket is not None else -1
+
+    def poll(self) -> bool:
+        if self._socket is None:
+            return False
+        new = False
+        for _ in range(LONGEST_DRAIN):
+            try:
+                data, sender = self._socket.recvfrom(64)
+            except BlockingIOError:
+                break
+            except OSError:  # a client that has gone
+                continue
+            new = self._obey(data, sender) or new
+        return new
+
+    def _obey(self, data: bytes, sender: sockets.Address) -> bool:
+        header, command, count = REQUEST.unpack(data) if len(data) == REQUEST.size else (0, 0, 0)
+        if header != HEADER or command not in (STOP, SINGLE, REALTIME, BUFFERED, RESET_LATCH, BIAS):
+            self.counts[Event.MALFORMED] += 1
+            return False
+        self.counts[Event.RECEIVED] += 1
+        if command == BIAS:
+            self._bias[:] = self._load
+        elif command == RESET_LATCH:
+            self._latch = 0
+        elif command == STOP:
+            self._left = 0
+        else:
+            self._client, self._left, self._number = sender, count or -1, 0
+            self._per_datagram = self.settings.buffer if command == BUFFERED else 1
+            self._pending.clear()
+        return True
+
+    def publish(self, wrench: Array, device_time: float, status: int = 0) -> None:
+        self.poll()
+        self._load[:] = wrench
+        self._latch |= status & MONITOR_CONDITION
+        status |= self._latch
+        if self._socket is None or self._client is None or self._left == 0:
+            return
+        self._number = (self._number + 1) & 0xFFFFFFFF
+        sample = round(device_time * self.page.internal_rate) & 0xFFFFFFFF
+        counts = np.clip(np.rint((self._load - self._bias) * self._scale), -(2**31), 2**31 - 1)
+        self._pending += RECORD.pack(self._number, sample, status | ERROR if status else 0, *counts.astype(int).tolist())
+        self._left -= self._left > 0
+        if self._left == 0 or len(self._pending) >= self._per_datagram * RECORD.size:
+            try:
+                self._socket.sendto(self._pending, self._client)
+            except OSError:
+                self.counts[Event.GONE] += 1
+            self._pending.clear()
+
+
+PROTOCOL = Protocol(
+    scheme="rdt",
+    summary="ATI Net F/T and Axia force sensors, UDP",
+    settings=RdtSettings,
+    sensor_client=RdtClient,
+    sensor_server=RdtServer,
+)

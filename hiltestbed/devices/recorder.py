@@ -1,0 +1,103 @@
+"""Recording in a separate process, which takes the loop's rows from a ring and writes them to a file: the loop never waits for a disk.
+
+    recorder = Recorder(columns=80, rows=20_000, path=folder / "rows.f64")
+    recorder.push(row)                       # in the loop
+    rows = recorder.finish()                 # (k, 80); the process has ended
+
+The file holds 64-bit floats, row by row. If the loop's process dies, everything it has pushed is still written.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+from hiltestbed.devices.realtime import ordinary
+from hiltestbed.devices.ring import Array, Ring
+from hiltestbed.errors import HiltestbedError
+
+NAP = 0.005  # [s] between two reads of the ring
+PATIENCE = 20.0  # [s] to wait for the process to start, and to write the remaining rows
+READY = "ready"
+
+
+class Recorder:
+    """The loop's end of the recording.
+
+    Attributes:
+        ring: of the rows; ``ring.dropped`` counts the rows lost because the recording fell behind.
+    """
+
+    def __init__(self, columns: int, rows: int, path: Path) -> None:
+        """Start the process and wait until it is ready. Raises HiltestbedError if it does not start."""
+        self.path = path
+        self.ring = Ring(columns, rows)
+        command = [sys.executable, "-m", "hiltestbed.devices.recorder", self.ring.name, str(path), str(os.getpid())]
+        self._process = subprocess.Popen(command, stdout=subprocess.PIPE, stdin=subprocess.DEVNULL, text=True)
+        line = self._process.stdout.readline() if self._process.stdout else ""
+        if line.strip() != READY:
+            self._process.wait(PATIENCE)
+            self.ring.close()
+            raise HiltestbedError(f"{path}: the process that records did not start; check that the folder can be written to")
+
+    def push(self, row: Array) -> bool:
+        """Record a row (columns,); False if it was dropped."""
+        return self.ring.push(row)
+
+    def finish(self) -> Array:
+        """End the recording and return all rows (k, columns), mapped from the file. Raises HiltestbedError if the process has failed."""
+        self.ring.finish()
+        columns = self.ring.columns
+        try:
+            status = self._process.wait(PATIENCE)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            status = self._process.wait()
+        if self._process.stdout:
+            self._process.stdout.close()
+        self.ring.close()
+        if status != 0:
+            raise HiltestbedError(f"{self.path}: the process that records has failed (status {status}); the file holds what it had written")
+        if self.path.stat().st_size == 0:
+            return np.zeros((0, columns))
+        return np.memmap(self.path, np.float64, "r").reshape(-1, columns)
+
+
+def main() -> int:
+    """Entry point of the process: runs until the ring is finished and empty, or the parent has died."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("ring")
+    parser.add_argument("path")
+    parser.add_argument("parent", type=int)
+    arguments = parser.parse_args()
+    ordinary()
+    try:
+        file = open(arguments.path, "wb")  # noqa: SIM115 (closed below: the ring is announced in between)
+    except OSError:
+        return 1
+    ring = Ring.attach(arguments.ring)
+    sys.stdout.write(READY + "\n")
+    sys.stdout.flush()
+    with file:
+        while True:
+            finished = ring.finished or os.getppid() != arguments.parent
+            rows = ring.take()
+            if len(rows):
+                file.write(rows.tobytes())
+                file.flush()
+            elif finished:
+                break
+            else:
+                time.sleep(NAP)
+    ring.close()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,61 @@
+"""The telegrams of KUKA's RobotSensorInterface: a frame as six attributes, and the controller's clock.
+
+Sources: :mod:`hiltestbed.devices.rsi`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hiltestbed.devices import plain_xml
+from hiltestbed.devices.interface import Array
+
+LARGEST = 4096  # [byte] of a telegram
+AXES = ("X", "Y", "Z", "A", "B", "C")
+FARTHEST, LARGEST_ANGLE = 1.0e6, 1.0e3  # [mm], [deg] a telegram that says more is not one
+LONGEST_IPOC = 18  # digits
+
+
+def number(value: float, decimals: int) -> str:
+    return f"{value:.{decimals}f}"
+
+
+def frame_element(name: str, frame: Array, decimals: int) -> str:
+    """``<name X="" ... C=""/>``."""
+    inside = " ".join(f'{axis}="{number(value, decimals)}"' for axis, value in zip(AXES, frame.tolist(), strict=True))
+    return f"<{name} {inside}/>"
+
+
+def answer(sentype: str, correction: Array, ipoc: int, decimals: int) -> bytes:
+    """The telegram to the controller; ``correction`` (6,) [mm, deg]."""
+    inside = frame_element("RKorr", correction, decimals)
+    return f'<Sen Type="{sentype}">{inside}<IPOC>{ipoc}</IPOC></Sen>'.encode("ascii")
+
+
+def read_frame(message: plain_xml.Message, name: str) -> Array | None:
+    """The six numbers of an element; None where they are not six plausible numbers."""
+    attributes = message.attributes.get(name)
+    if attributes is None:
+        return None
+    try:
+        frame = np.array([float(attributes[axis]) for axis in AXES])
+    except (KeyError, ValueError):
+        return None
+    limits = (FARTHEST,) * 3 + (LARGEST_ANGLE,) * 3
+    return frame if all(abs(value) <= limit for value, limit in zip(frame.tolist(), limits, strict=True)) else None  # NaN fails too
+
+
+def read_count(text: str | None) -> int | None:
+    """A whole number not below zero; None where the text is none."""
+    text = (text or "").strip()
+    return int(text) if text.isascii() and text.isdecimal() and len(text) <= LONGEST_IPOC else None
+
+
+def read_telegram(data: bytes, root: str, element: str) -> tuple[plain_xml.Message, Array, int] | None:
+    """A telegram with ``root``, the frame in ``element`` and its IPOC; None for anything else."""
+    try:
+        message = plain_xml.read(data, LARGEST)
+    except plain_xml.NotPlain:
+        return None
+    frame, ipoc = read_frame(message, element), read_count(message.text.get("IPOC"))
+    return None if message.root != root or frame is None or ipoc is None else (message, frame, ipoc)

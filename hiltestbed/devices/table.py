@@ -1,0 +1,79 @@
+"""The protocols by URL scheme, and a device from its URL.
+
+A protocol is one module with a :class:`~hiltestbed.devices.interface.Protocol` named ``PROTOCOL``; it is imported when a URL asks for it.
+A protocol of the user's own enters the table with :func:`register`.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+
+from hiltestbed.devices.interface import PlatformClient, PlatformServer, Protocol, SensorClient, SensorServer
+from hiltestbed.devices.url import DeviceSettings, parse, scheme_of
+from hiltestbed.errors import Fault, InputError
+from hiltestbed.validation import nearest
+
+MODULES = {"rdt": "rdt", "rsi": "rsi", "rtde": "rtde", "udp": "udp", "shm": "shm"}
+
+_registered: dict[str, Protocol] = {}
+
+
+def register(protocol: Protocol) -> None:
+    """Add a protocol, in place of one of the same scheme."""
+    _registered[protocol.scheme] = protocol
+
+
+def protocols() -> dict[str, Protocol]:
+    """Every protocol by its scheme."""
+    return {scheme: _load(scheme) for scheme in sorted(MODULES | _registered)}
+
+
+def find(url: str, place: str) -> Protocol:
+    """The protocol of a URL. Raises InputError with the schemes that there are."""
+    scheme = scheme_of(url, place)
+    if scheme not in MODULES and scheme not in _registered:
+        known = sorted(MODULES | _registered)
+        message = f"unknown protocol{nearest(scheme, known)} (got {scheme!r}); allowed: {', '.join(known)}"
+        raise InputError(Fault(f"{place} {url}", None, None, "", message))
+    return _load(scheme)
+
+
+def settings_of(url: str, place: str = "--device") -> DeviceSettings:
+    """The checked settings of a URL. Raises InputError."""
+    return parse(url, find(url, place).settings, place)
+
+
+def sensor_client(url: str, place: str = "--sensor") -> SensorClient:
+    """The loop's side of the sensor at ``url``, not yet open. Raises InputError."""
+    return _make(url, place, "sensor_client", "a force sensor")
+
+
+def platform_client(url: str, place: str = "--platform") -> PlatformClient:
+    """The loop's side of the platform at ``url``, not yet open. Raises InputError."""
+    return _make(url, place, "platform_client", "a motion platform")
+
+
+def sensor_server(url: str, place: str = "--sensor") -> SensorServer:
+    """The device's side of a sensor at ``url``, not yet open. Raises InputError."""
+    return _make(url, place, "sensor_server", "a force sensor")
+
+
+def platform_server(url: str, place: str = "--platform") -> PlatformServer:
+    """The device's side of a platform at ``url``, not yet open. Raises InputError."""
+    return _make(url, place, "platform_server", "a motion platform")
+
+
+def _load(scheme: str) -> Protocol:
+    if scheme in _registered:
+        return _registered[scheme]
+    return import_module(f"hiltestbed.devices.{MODULES[scheme]}").PROTOCOL
+
+
+def _make(url: str, place: str, part: str, what: str):
+    protocol = find(url, place)
+    made = getattr(protocol, part)
+    if made is None:
+        able = [name for name, other in protocols().items() if getattr(other, part) is not None]
+        message = f"{protocol.scheme} is not a protocol of {what} ({protocol.summary}); allowed: {', '.join(able)}"
+        raise InputError(Fault(f"{place} {url}", None, None, "", message))
+    return made(parse(url, protocol.settings, place))

@@ -1,0 +1,154 @@
+"""``udp://``: plain records over UDP, as sent by Simulink, LabVIEW or Speedgoat, for example.
+
+Their layout is described in YAML: :mod:`hiltestbed.devices.layout`.
+
+The URL's address is the device's: it receives commands there and sends its records from there. ``listen`` is the address on this machine
+where the records arrive; an emulated device has ``peer`` instead, the controller's address.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+
+from hiltestbed.devices import sockets
+from hiltestbed.devices.interface import Array, Clock, DeviceError, Event, Keeper, PlatformClient, Protocol, SensorClient
+from hiltestbed.devices.udp_device import UdpPlatformServer, UdpSensorServer
+from hiltestbed.devices.udp_receiver import Receiver, UdpSettings, end_of, record_of
+
+STOP = 1  # in the stop field of a command
+
+
+class UdpSensorClient(SensorClient):
+    """A sensor that sends records."""
+
+    def __init__(self, settings: UdpSettings) -> None:
+        super().__init__(settings.where)
+        self.settings = settings
+        self.period = 1.0 / settings.rate
+        self._receiver = Receiver(record_of(settings, "sensor"), self.counts, self._take)
+
+    def open(self) -> None:
+        _open(self, self._receiver)
+
+    def close(self) -> None:
+        self._receiver.close()
+
+    def fileno(self) -> int:
+        return self._receiver.fileno()
+
+    def poll(self) -> bool:
+        return self._receiver.poll()
+
+    def _take(self) -> bool:
+        if not self._receiver.note(self.reading):
+            return False
+        self.reading.wrench[:] = self._receiver.record.values
+        return True
+
+
+class UdpPlatformClient(PlatformClient):
+    """A platform that receives one pose a datagram and sends the pose reached."""
+
+    def __init__(self, settings: UdpSettings) -> None:
+        super().__init__(settings.where)
+        self.settings = settings
+        self.clock = Clock(settings.clock)
+        self.period = 1.0 / settings.rate
+        self._receiver = Receiver(record_of(settings, "state"), self.counts, self._take)
+        self._command = record_of(settings, "command")
+        self._towards: sockets.Address = (settings.host, settings.port)
+        self._pose: Array = self.state.pose.copy()
+        self._sent = 0
+
+    def open(self) -> None:
+        self._towards = sockets.resolve(self.settings.host, self.settings.port, self.where)
+        self._sent = 0
+        _open(self, self._receiver)
+        self._pose[:] = self.state.pose
+        self.hold()
+
+    def close(self) -> None:
+        self._receiver.close()
+
+    def fileno(self) -> int:
+        return self._receiver.fileno()
+
+    def poll(self) -> bool:
+        return self._receiver.poll()
+
+    def _take(self) -> bool:
+        if not self._receiver.note(self.state):
+            return False
+        self.state.pose[:] = self._receiver.record.values
+        return True
+
+    def command(self, pose: Array) -> None:
+        self._check(pose)
+        self._pose[:] = pose
+        self.hold()
+
+    def hold(self) -> None:
+        self._send(0)
+
+    def stop(self) -> None:
+        """Send the stop flag; a layout without one holds."""
+        self._send(STOP)
+
+    def _send(self, stop: int) -> None:
+        self._sent += 1
+        self.held[:7], self.held[7] = self._pose, self._sent
+        data = self._command.pack(self._pose, self._sent, time.monotonic_ns() * 1e-9, stop)
+        self._receiver.send(data, self._towards)
+
+
+def _open(client: UdpSensorClient | UdpPlatformClient, receiver: Receiver) -> None:
+    settings = client.settings
+    own = end_of(settings, "listen", "the end of this machine where the device's records arrive")
+    receiver.open(own, sockets.resolve(settings.host, settings.port, settings.where), settings.any_port, settings.where)
+    if not client.wait(settings.connect):
+        counts = client.counts
+        client.close()
+        raise DeviceError(
+            f"{settings.where}: no good record in {settings.connect:g} s ({counts[Event.MALFORMED]} malformed, {counts[Event.SENDER]} from "
+            f"other senders, {counts[Event.STATUS]} with an error status); check the address that the device sends to, and the layout"
+        )
+
+
+class UdpKeeper(Keeper):
+    """Repeats the last pose, or sends the stop flag, from a duplicate of the loop's socket."""
+
+    def __init__(self, settings: UdpSettings, fileno: int) -> None:
+        super().__init__(settings, fileno)
+        self._command = record_of(settings, "command")
+        self._towards = sockets.resolve(settings.host, settings.port, settings.where)
+        self._socket = sockets.adopted(fileno)
+        self._sent = 0
+
+    def hold(self, held: Array) -> None:
+        self._send(held, 0)
+
+    def stop(self, held: Array) -> None:
+        self._send(held, STOP)
+
+    def _send(self, held: Array, stop: int) -> None:
+        self._sent += 1
+        if not math.isfinite(float(held.sum())):
+            return
+        data = self._command.pack(held[:7], int(held[7]) + self._sent, time.monotonic_ns() * 1e-9, stop)
+        try:
+            self._socket.sendto(data, self._towards)
+        except OSError:
+            return
+
+
+PROTOCOL = Protocol(
+    scheme="udp",
+    summary="plain records of a layout of the user's, UDP",
+    settings=UdpSettings,
+    sensor_client=UdpSensorClient,
+    platform_client=UdpPlatformClient,
+    sensor_server=UdpSensorServer,
+    platform_server=UdpPlatformServer,
+    keeper=UdpKeeper,
+)

@@ -1,0 +1,128 @@
+"""Communication monitoring: once a cycle, the events since the last one against the limits.
+
+A cycle that has no new record is a *miss*; so is each record that the sequence numbers show as lost. A rejected record (malformed, from
+another sender, repeated, out of order) is a *disturbance*: it changes nothing, but many of them mean that the connection cannot be
+trusted. An error status, a closed connection and a sample older than allowed stop at their first occurrence.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from pydantic import Field
+
+from hiltestbed.devices.interface import Event, Link, PlatformClient, SensorClient
+from hiltestbed.validation import Positive, Strictly
+
+DISTURBANCES = (Event.MALFORMED, Event.SENDER, Event.REPEATED, Event.REORDERED)
+
+
+class CommunicationLimits(Strictly):
+    """Allowed numbers of communication events; one more stops the run. 0 allows none."""
+
+    misses_in_a_row: int = Field(default=3, ge=0, description="misses without a new record between them")
+    misses_in_window: int = Field(default=10, ge=0, description="misses in the window")
+    disturbances_in_window: int = Field(default=10, ge=0, description="rejected records in the window")
+    window: int = Field(default=1000, ge=1, le=1_000_000, description="cycles")
+    stale: Positive = Field(default=0.02, description="[s] age of the newest sample")
+    status_in_a_row: int = Field(default=0, ge=0, description="records with an error status without a good one between them")
+
+
+@dataclass(frozen=True)
+class Stop:
+    """Why a run has to stop: the event, and a sentence with the number and the limit."""
+
+    event: Event
+    reason: str
+
+
+class CommunicationWatch:
+    """Monitors one connection, once a cycle.
+
+    Attributes:
+        stop: the first reason to stop; None while all is within the limits.
+    """
+
+    def __init__(self, link: SensorClient | PlatformClient, limits: CommunicationLimits, name: str) -> None:
+        """``name``: the device's role in the messages (``sensor``, ``platform``)."""
+        self.link, self.limits = link, limits
+        self.stop: Stop | None = None
+        self._name = f"{name} {link.where}"
+        self._before = np.zeros(len(Event), dtype=np.int64)
+        self._happened = np.zeros(len(Event), dtype=np.int64)
+        self._misses = np.zeros(limits.window, dtype=np.int64)
+        self._disturbances = np.zeros(limits.window, dtype=np.int64)
+        self._cycle = 0
+        self._in_a_row = self._errors = self._missed = self._disturbed = 0
+        self._waited = 0  # late cycles since the last new record
+        self._last_miss = Event.LATE
+        self._last_disturbance = Event.MALFORMED
+
+    def start(self) -> None:
+        """Ignore everything that has happened so far."""
+        self._before[:] = self.link.counts
+        self._misses[:] = self._disturbances[:] = 0
+        self._cycle = self._in_a_row = self._errors = self._missed = self._disturbed = self._waited = 0
+        self.stop = None
+
+    def check(self, new: bool) -> Stop | None:
+        """Call after the reads of a cycle; ``new``: whether they gave a new sample. Returns :attr:`stop`."""
+        self.link.counts[Event.LATE] += not new
+        age = self.link.sample.age()
+        if age > self.limits.stale:
+            self.link.counts[Event.STALE] += 1
+        np.subtract(self.link.counts, self._before, out=self._happened)
+        self._before[:] = self.link.counts
+        self._tally(new)
+        if self.stop is None:
+            self.stop = self._judge(age)
+        self._cycle += 1
+        return self.stop
+
+    def _tally(self, new: bool) -> None:
+        slot, happened = self._cycle % self.limits.window, self._happened
+        late, lost, disturbances = int(happened[Event.LATE]), int(happened[Event.LOST]), 0
+        if lost:
+            self._last_miss = Event.LOST
+        elif late:
+            self._last_miss = Event.LATE
+        # where the loop waited for a record that was lost or late, that cycle has been counted already
+        misses = max(late + lost - self._waited, 0) if new else late + lost
+        self._waited = 0 if new else self._waited + misses
+        for event in DISTURBANCES:
+            if happened[event]:
+                disturbances += int(happened[event])
+                self._last_disturbance = event
+        self._missed += misses - int(self._misses[slot])
+        self._disturbed += disturbances - int(self._disturbances[slot])
+        self._misses[slot], self._disturbances[slot] = misses, disturbances
+        self._in_a_row = misses if new else self._in_a_row + misses
+        errors = int(happened[Event.STATUS])
+        self._errors = self._errors + errors if errors or not new else 0
+
+    def _judge(self, age: float) -> Stop | None:
+        limits, name, status = self.limits, self._name, self.link.sample.status
+        if self._errors > limits.status_in_a_row:
+            return Stop(
+                Event.STATUS, f"{name}: the device reports an error (status {status:#x}; allowed are {limits.status_in_a_row} in a row)"
+            )
+        if self._happened[Event.GONE]:
+            return Stop(Event.GONE, f"{name}: the connection is gone; nothing listens at the device's address any more")
+        if age > limits.stale:
+            return Stop(Event.STALE, f"{name}: the newest sample is {1e3 * age:.1f} ms old (limit {1e3 * limits.stale:g} ms)")
+        if self._in_a_row > limits.misses_in_a_row:
+            what = f"{self._in_a_row} misses in a row, the last {self._last_miss.name.lower()} (limit {limits.misses_in_a_row})"
+            return Stop(self._last_miss, f"{name}: {what}")
+        if self._missed > limits.misses_in_window:
+            last = f"the last {self._last_miss.name.lower()} (limit {limits.misses_in_window})"
+            return Stop(self._last_miss, f"{name}: {self._missed} misses in {limits.window} cycles, {last}")
+        if self._disturbed > limits.disturbances_in_window:
+            said = f"the last {self._last_disturbance.name.lower()} (limit {limits.disturbances_in_window})"
+            return Stop(self._last_disturbance, f"{name}: {self._disturbed} records rejected in {limits.window} cycles, {said}")
+        return None
+
+
+def said(link: Link) -> dict[str, int]:
+    """The counts of a connection by name, for the record of a run."""
+    return {event.name.lower(): int(link.counts[event]) for event in Event}

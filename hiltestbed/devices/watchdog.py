@@ -1,0 +1,162 @@
+"""The watchdog: a separate process that holds or stops the platform when the loop's process no longer responds.
+
+The loop sends a heartbeat once a cycle: the time and the last command go into shared memory. When there has been none for ``timeout``, the
+watchdog trips: through its duplicate of the platform's socket it sends the configured message once a period for ``lasting``. A loop that
+resumes finds :attr:`Watchdog.tripped` set and has to stop as well.
+
+It covers a loop that hangs or dies, not a failure of the machine or the network. It is not a safety device.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+import subprocess
+import sys
+import time
+from typing import Literal
+
+import numpy as np
+
+from hiltestbed.devices.interface import DeviceError, Keeper, PlatformClient
+from hiltestbed.devices.realtime import PRIORITY, ordinary, prepared
+from hiltestbed.devices.ring import Array, Ring
+from hiltestbed.errors import InputError
+
+Action = Literal["hold", "stop"]
+ACTIONS: tuple[Action, ...] = ("hold", "stop")
+PATIENCE = 20.0  # [s] to wait for the process to start and to end
+READY = "ready"
+BEATS = 512  # rows of the ring: unread heartbeats
+COLUMNS = 10  # time [s], armed, held (8,)
+LASTING = 2.0  # [s]
+
+
+class Watchdog:
+    """The loop's end.
+
+    Attributes:
+        timeout: [s] without a heartbeat after which it trips.
+    """
+
+    def __init__(self, url: str, platform: PlatformClient, timeout: float, action: Action = "hold", lasting: float = LASTING) -> None:
+        """Start the process for the open ``platform`` at ``url``. Raises InputError, DeviceError."""
+        if not 0.005 <= timeout <= 10.0 or action not in ACTIONS or lasting <= 0.0:
+            raise InputError(
+                f"watchdog: cannot be set so (got timeout {timeout:g} s, action {action!r}, lasting {lasting:g} s); allowed are "
+                f"0.005 to 10 s, {' or '.join(ACTIONS)}, and more than 0 s"
+            )
+        self.timeout = timeout
+        self._platform = platform
+        self._ring = Ring(COLUMNS, BEATS)
+        self._answer = Ring(1, 4)
+        self._row: Array = np.zeros(COLUMNS)
+        self._tripped = False
+        fileno = platform.fileno()
+        command = [sys.executable, "-m", "hiltestbed.devices.watchdog", self._ring.name, self._answer.name, url, action, repr(timeout)]
+        command += [repr(lasting), repr(platform.period if math.isfinite(platform.period) else timeout), str(fileno), str(os.getpid())]
+        self._process = subprocess.Popen(
+            command, stdout=subprocess.PIPE, stdin=subprocess.DEVNULL, text=True, pass_fds=(fileno,) if fileno >= 0 else ()
+        )
+        line = self._process.stdout.readline() if self._process.stdout else ""
+        if line.strip() != READY:
+            self.close()
+            raise DeviceError(f"{platform.where}: the watchdog did not start")
+
+    def beat(self) -> None:
+        """Send a heartbeat; call once a cycle, after the command. The first one arms the watchdog."""
+        self._row[0], self._row[1] = time.monotonic_ns() * 1e-9, 1.0
+        self._row[2:] = self._platform.held
+        self._ring.push(self._row)
+
+    def disarm(self) -> None:
+        """Expect no more heartbeats: the loop ends normally."""
+        self._row[0], self._row[1] = time.monotonic_ns() * 1e-9, 0.0
+        self._ring.push(self._row)
+
+    @property
+    def tripped(self) -> bool:
+        """Whether it has acted."""
+        self._tripped = self._tripped or len(self._answer.take()) > 0
+        return self._tripped
+
+    @property
+    def alive(self) -> bool:
+        """Whether its process runs."""
+        return self._process.poll() is None
+
+    def close(self) -> None:
+        """End the process; may be called twice."""
+        if self._process.stdout is None or self._process.stdout.closed:
+            return
+        self._ring.finish()
+        try:
+            self._process.wait(PATIENCE)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        self._process.stdout.close()
+        self._ring.close()
+        self._answer.close()
+
+
+def watch(beats: Ring, answer: Ring, keeper: Keeper, action: Action, timeout: float, lasting: float, period: float, parent: int) -> bool:
+    """Check the heartbeats until the loop has finished; True if the watchdog has acted."""
+    newest: Array | None = None
+    while not beats.finished:
+        rows = beats.take()
+        if len(rows):
+            newest = rows[-1].copy()
+        armed = newest is not None and newest[1] > 0.0
+        orphaned = os.getppid() != parent
+        if newest is not None and armed and (orphaned or time.monotonic_ns() * 1e-9 - newest[0] > timeout):
+            answer.push(np.ones(1))
+            _act(keeper, action, newest[2:], lasting, period)
+            return True
+        if orphaned:
+            return False
+        time.sleep(timeout / 10.0)
+    return False
+
+
+def _act(keeper: Keeper, action: Action, held: Array, lasting: float, period: float) -> None:
+    until = time.monotonic() + lasting
+    while time.monotonic() < until:
+        began = time.monotonic()
+        if action == "hold":
+            keeper.hold(held)
+        else:
+            keeper.stop(held)
+        time.sleep(max(period - (time.monotonic() - began), 0.0))
+
+
+def main() -> int:
+    """Entry point of the process."""
+    from hiltestbed.devices.table import find, settings_of
+
+    parser = argparse.ArgumentParser()
+    for name in ("beats", "answer", "url", "action"):
+        parser.add_argument(name)
+    for name in ("timeout", "lasting", "period"):
+        parser.add_argument(name, type=float)
+    for name in ("fileno", "parent"):
+        parser.add_argument(name, type=int)
+    a = parser.parse_args()
+    kind = find(a.url, "--platform").keeper
+    if kind is None:
+        return 1
+    keeper = kind(settings_of(a.url, "--platform"), a.fileno)
+    beats, answer = Ring.attach(a.beats), Ring.attach(a.answer)
+    sys.stdout.write(READY + "\n")
+    sys.stdout.flush()
+    ordinary()
+    with prepared(priority=PRIORITY + 1):  # above the loop, which may be stuck at its own priority
+        watch(beats, answer, keeper, a.action, a.timeout, a.lasting, a.period, a.parent)
+    beats.close()
+    answer.close()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

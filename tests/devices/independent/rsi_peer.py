@@ -1,0 +1,122 @@
+"""A robot controller and a sensor system of KUKA's RobotSensorInterface, written from its description and sharing nothing.
+
+The controller sends <Rob Type="KUKA"> with RIst [mm, deg] and IPOC, the sensor system answers <Sen Type="ImFree"> with RKorr and the same
+IPOC before the next cycle. A, B, C turn about z, y', x''. Rotations by SciPy, XML by ElementTree.
+"""
+
+from __future__ import annotations
+
+import socket
+import threading
+import time
+import xml.etree.ElementTree as ElementTree
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+
+def to_frame(position_m, rotation: Rotation) -> list[float]:
+    a, b, c = rotation.as_euler("ZYX", degrees=True)
+    return [1e3 * position_m[0], 1e3 * position_m[1], 1e3 * position_m[2], a, b, c]
+
+
+def from_frame(frame) -> tuple[np.ndarray, Rotation]:
+    return np.array(frame[:3]) * 1e-3, Rotation.from_euler("ZYX", frame[3:], degrees=True)
+
+
+class IndependentRobot:
+    """The controller: sends cycle after cycle from a thread and moves to start + correction, turned about the base axes.
+
+    With ``patience`` [s] the next cycle begins when the answer has come, or after that time: a robot that a busy machine can keep up with.
+    """
+
+    def __init__(
+        self, port: int, position=(0.5, -0.2, 1.1), angles=(20.0, -35.0, 60.0), period: float = 0.004, relative=False, patience=0.0
+    ) -> None:
+        self.towards = ("127.0.0.1", port)
+        self.start_position, self.start_rotation = np.array(position), Rotation.from_euler("ZYX", angles, degrees=True)
+        self.position, self.rotation = self.start_position.copy(), self.start_rotation
+        self.period, self.relative, self.patience = period, relative, patience
+        self.ipoc = 4_208_000_000
+        self.answers: list[dict] = []
+        self.late = self.missed = self.cycles = 0
+        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.socket.bind(("127.0.0.1", 0))
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def telegram(self) -> bytes:
+        frame = to_frame(self.position, self.rotation)
+        inside = " ".join(f'{n}="{v:.6f}"' for n, v in zip("XYZABC", frame, strict=True))
+        body = f'<RIst {inside}/><RSol {inside}/><Delay D="{self.late}"/><Tech C11="0.0" C12="0.0"/><DiL>0</DiL>'
+        return f'<Rob TYPE="KUKA">\r\n{body}\r\n<IPOC>{self.ipoc}</IPOC></Rob>'.encode()
+
+    def _run(self) -> None:
+        due = time.monotonic()
+        while not self._stop.is_set():
+            self.ipoc += round(1e3 * self.period)
+            self.cycles += 1
+            self.socket.sendto(self.telegram(), self.towards)
+            due = max(due + self.period, time.monotonic() + self.patience)
+            answered = False
+            while (left := due - time.monotonic()) > 0.0 and not (answered and self.patience):
+                self.socket.settimeout(left)
+                try:
+                    answered = self._take(self.socket.recv(4096)) or answered
+                except OSError:
+                    continue
+            self.missed += not answered
+
+    def _take(self, data: bytes) -> bool:
+        root = ElementTree.fromstring(data)
+        assert root.tag == "Sen"
+        assert root.get("Type") == "ImFree"
+        korr = root.find("RKorr")
+        assert korr is not None
+        frame = [float(korr.attrib[name]) for name in "XYZABC"]
+        if int(root.findtext("IPOC", "")) != self.ipoc:
+            self.late += 1
+            return False
+        self.answers.append({"ipoc": self.ipoc, "frame": frame})
+        shift, turn = from_frame(frame)
+        if self.relative:
+            self.position, self.rotation = self.position + shift, turn * self.rotation
+        else:
+            self.position, self.rotation = self.start_position + shift, turn * self.start_rotation
+        return True
+
+    def close(self) -> None:
+        self._stop.set()
+        self._thread.join()
+        self.socket.close()
+
+
+class IndependentSensorSystem:
+    """The other side: answers a telegram with the correction that it is given."""
+
+    def __init__(self) -> None:
+        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.socket.bind(("127.0.0.1", 0))
+        self.socket.settimeout(2.0)
+        self.port = self.socket.getsockname()[1]
+
+    def receive(self) -> dict:
+        data, self.robot = self.socket.recvfrom(4096)
+        root = ElementTree.fromstring(data)
+        assert root.tag == "Rob"
+        assert root.get("Type") == "KUKA"
+        reached, delay = root.find("RIst"), root.find("Delay")
+        assert reached is not None
+        assert delay is not None
+        self.ipoc = int(root.findtext("IPOC", ""))
+        return {"frame": [float(reached.attrib[name]) for name in "XYZABC"], "ipoc": self.ipoc, "delay": int(delay.attrib["D"])}
+
+    def answer(self, frame, ipoc: int | None = None) -> None:
+        inside = " ".join(f'{n}="{v:.8f}"' for n, v in zip("XYZABC", frame, strict=True))
+        ipoc = self.ipoc if ipoc is None else ipoc
+        text = f'<Sen Type="ImFree"><EStr>independent</EStr><RKorr {inside} /><DiO>125</DiO><IPOC>{ipoc}</IPOC></Sen>'
+        self.socket.sendto(text.encode(), self.robot)
+
+    def close(self) -> None:
+        self.socket.close()

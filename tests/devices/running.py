@@ -1,0 +1,64 @@
+"""What several tests of devices need: a device that goes on by itself, and a wait for something that another thread will do."""
+
+from __future__ import annotations
+
+import random
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import numpy as np
+
+PATIENCE = 5.0  # [s] a busy machine may take this long for what is done in a millisecond
+START = np.array([0.1, -0.2, 0.9, *(np.array([0.1, 0.2, -0.3, 0.9]) / np.linalg.norm([0.1, 0.2, -0.3, 0.9]))])
+
+
+@contextmanager
+def going(step: Callable[[], object], period: float = 0.002) -> Iterator[None]:
+    """Call ``step`` again and again from another thread."""
+    stop, failures = threading.Event(), []
+
+    def run() -> None:
+        while not stop.is_set():
+            try:
+                step()
+            except BaseException as error:
+                failures.append(error)
+                return
+            time.sleep(period)
+
+    thread = threading.Thread(target=run, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        stop.set()
+        thread.join()
+    if failures:
+        raise failures[0]
+
+
+def until(condition: Callable[[], object]) -> None:
+    """Wait until ``condition`` holds; fails where it does not in time."""
+    end = time.monotonic() + PATIENCE
+    while not condition():
+        assert time.monotonic() < end, "did not happen in time"
+        time.sleep(0.0005)
+
+
+def free_ports(count: int, kind: int = socket.SOCK_DGRAM) -> list[int]:
+    """Ports of the loopback address that nobody uses just now, and that the kernel gives nobody of itself (Linux: those below 32768)."""
+    held: list[socket.socket] = []
+    while len(held) < count:
+        opened = socket.socket(socket.AF_INET, kind)
+        try:
+            opened.bind(("127.0.0.1", random.randrange(20_000, 32_000)))
+            held.append(opened)
+        except OSError:
+            opened.close()
+    ports = [opened.getsockname()[1] for opened in held]
+    for opened in held:
+        opened.close()
+    return ports

@@ -1,0 +1,262 @@
+"""A thousand datagrams that are none of the protocol's: nothing that the loop or the device goes by changes."""
+
+from __future__ import annotations
+
+import os
+import socket
+import struct
+import zlib
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from hiltestbed.devices.interface import Event, Link, PlatformClient, PlatformServer, SensorClient
+from hiltestbed.devices.mailbox import attach
+from hiltestbed.devices.rdt import RdtServer
+from hiltestbed.devices.rsi import RsiClient
+from hiltestbed.devices.rtde_controller import RtdePlatformServer
+from hiltestbed.devices.table import platform_client, platform_server, sensor_client, sensor_server
+from tests.devices.independent import rtde_peer
+from tests.devices.running import START, free_ports, going, until
+
+COUNT = 1000
+TURNED_AWAY = [Event.MALFORMED, Event.SENDER, Event.REPEATED, Event.REORDERED, Event.STATUS]
+
+
+def _state(link: Link) -> list:
+    """All that goes on from a link to whoever uses it."""
+    if isinstance(link, SensorClient):
+        values, sample = link.reading.wrench, link.reading
+    elif isinstance(link, PlatformClient):
+        values, sample = link.state.pose, link.state
+    else:
+        assert isinstance(link, PlatformServer)
+        return [link.command.tolist(), link.commanded, link.stopped]
+    return [values.tolist(), sample.sequence, repr(sample.device_time), sample.status, sample.arrival]
+
+
+def _rubbish(rng: np.random.Generator, longest: int = 200) -> bytes:
+    return rng.bytes(int(rng.integers(0, longest)))
+
+
+def _throw(link: Link, sender: socket.socket, towards: tuple[str, int], make: Callable[[int], bytes]) -> None:
+    """Send a thousand, and see that each is rejected and nothing has changed."""
+    state, before = _state(link), link.counts.copy()
+    for k in range(COUNT):
+        sender.sendto(make(k), towards)
+        if k % 50 == 49:
+            until(lambda k=k: link.poll() or int((link.counts - before)[TURNED_AWAY].sum()) >= k + 1)
+    assert _state(link) == state
+    happened = link.counts - before
+    assert happened[Event.MALFORMED] >= 0.9 * COUNT
+    assert happened[Event.RECEIVED] == happened[Event.LOST] == 0
+
+
+def _udp_socket(port: int = 0) -> socket.socket:
+    opened = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    opened.bind(("127.0.0.1", port))
+    return opened
+
+
+def test_rdt_client() -> None:
+    rng = np.random.default_rng(1)
+    device = _udp_socket()
+    client = sensor_client(f"rdt://127.0.0.1:{device.getsockname()[1]}?counts_per_force=1&counts_per_torque=1")
+    device.setblocking(False)
+    answered: list[tuple[str, int]] = []
+
+    def stream() -> None:
+        try:
+            answered.append(device.recvfrom(100)[1])
+        except BlockingIOError:
+            return
+        device.sendto(struct.pack(">3I6i", 1, 7, 0, 1, 2, 3, 4, 5, 6), answered[-1])
+
+    with going(stream):
+        client.open()
+    # of 36 bytes too: a number of the record that cannot follow the last one is not believed
+    _throw(client, device, answered[-1], lambda k: rng.bytes(36) if k % 3 == 0 else rng.bytes(36 * int(rng.integers(0, 4)) + 1 + k % 35))
+    client.close()
+    device.close()
+
+
+def test_rdt_server() -> None:
+    rng = np.random.default_rng(2)
+    with sensor_server("rdt://127.0.0.1:0") as server, _udp_socket() as stranger:
+        assert isinstance(server, RdtServer)
+        for k in range(COUNT):
+            data = rng.bytes(8) if k % 2 else _rubbish(rng, 30)
+            stranger.sendto(data if data[:2] != b"\x12\x34" else b"", server.address)
+            if k % 50 == 49:
+                until(lambda k=k: server.poll() or server.counts[Event.MALFORMED] >= k + 1)
+        server.publish(np.ones(6), 1.0)
+        stranger.settimeout(0.05)
+        with pytest.raises(TimeoutError):
+            stranger.recv(100)  # no one has asked
+
+
+GOOD = '<Rob Type="KUKA"><RIst X="{x}" Y="0" Z="0" A="0" B="0" C="0"/><IPOC>{ipoc}</IPOC></Rob>'
+WRONG_TELEGRAMS = [
+    "<Rob>",
+    GOOD.replace("</Rob>", ""),
+    GOOD.replace("Rob", "Bob"),
+    GOOD.format(x="nan", ipoc=9_000_008),
+    GOOD.format(x="inf", ipoc=9_000_008),
+    GOOD.format(x="1e300", ipoc=9_000_008),
+    GOOD.format(x="", ipoc=9_000_008),
+    GOOD.format(x="1,5", ipoc=9_000_008),
+    GOOD.format(x="1", ipoc="-9000008"),
+    GOOD.format(x="1", ipoc="9000008.0"),
+    GOOD.format(x="1", ipoc="9" * 400),
+    GOOD.format(x="1", ipoc="٩٠٠٠٠٠٨"),
+    GOOD.format(x="1", ipoc=""),
+    GOOD.format(x="1", ipoc=9_000_009),  # not a whole number of cycles
+    GOOD.format(x="1", ipoc=90_000_000_000),  # hours ahead
+    GOOD.format(x="1", ipoc=9_000_008).replace(' C="0"', ""),
+    GOOD.format(x="1", ipoc=9_000_008) + GOOD.format(x="1", ipoc=9_000_008),
+    GOOD.format(x="1", ipoc=9_000_008) + " " * 5000,
+    '<!DOCTYPE Rob [<!ENTITY a "1">]>' + GOOD.format(x="&a;", ipoc=9_000_008),
+    '<!DOCTYPE Rob SYSTEM "file:///etc/passwd">' + GOOD.format(x="1", ipoc=9_000_008),
+    '<?xml version="1.0" encoding="no-such"?>' + GOOD.format(x="1", ipoc=9_000_008),
+    "<?go away?>" + GOOD.format(x="1", ipoc=9_000_008),
+    "<Rob>" + "<a>" * 500 + "</a>" * 500 + "</Rob>",
+]
+
+
+def _telegram(rng: np.random.Generator, k: int) -> bytes:
+    if k < len(WRONG_TELEGRAMS):
+        return WRONG_TELEGRAMS[k].encode()
+    if k % 3 == 0:
+        return _rubbish(rng, 1000)
+    good = GOOD.format(x="12.5", ipoc=9_000_008).encode()
+    return good[: int(rng.integers(1, len(good)))] if k % 3 == 1 else rng.permutation(np.frombuffer(good, np.uint8)).tobytes()
+
+
+def test_rsi_client() -> None:
+    (port,) = free_ports(1)
+    client = platform_client(f"rsi://127.0.0.1:{port}")
+    assert isinstance(client, RsiClient)
+    rng = np.random.default_rng(3)
+    with _udp_socket() as robot, _udp_socket() as stranger:
+        good = GOOD.format(x="10.0", ipoc=9_000_000).encode()
+        with going(lambda: robot.sendto(good, ("127.0.0.1", port))):
+            client.open()
+        client.poll()
+        start = client.start.copy()
+        _throw(client, robot, ("127.0.0.1", port), lambda k: _telegram(rng, k))
+        np.testing.assert_array_equal(client.start, start)
+        stranger.sendto(GOOD.format(x="1", ipoc=9_000_004).encode(), ("127.0.0.1", port))
+        until(lambda: client.poll() or client.counts[Event.SENDER] == 1)
+        assert client.state.sequence == 9_000_000
+    client.close()
+
+
+def test_rsi_server() -> None:
+    rng = np.random.default_rng(4)
+    with _udp_socket() as system:
+        server = platform_server(f"rsi://127.0.0.1:{system.getsockname()[1]}")
+        with server:
+            server.publish(START, 0.0)
+            data, robot = system.recvfrom(4096)
+            _throw(server, system, robot, lambda k: _telegram(rng, k).replace(b"Rob", b"Sen").replace(b"RIst", b"RKorr"))
+            assert data.startswith(b"<Rob")
+
+
+@pytest.mark.parametrize("part", ["sensor", "platform"])
+def test_udp_client(part: str) -> None:
+    """The default layout: each bit that flips is told by the CRC."""
+    ours, theirs = free_ports(2)
+    rng = np.random.default_rng(5)
+    options = f"udp://127.0.0.1:{theirs}?listen={ours}&connect=5"
+    client = sensor_client(options) if part == "sensor" else platform_client(options)
+    values = np.arange(6.0) if isinstance(client, SensorClient) else START
+    body = struct.pack(f"<IdI{len(values)}d", 5, 0.25, 0, *values)
+    good = body + zlib.crc32(body).to_bytes(4, "little")
+    with _udp_socket(theirs) as device:
+        with going(lambda: device.sendto(good, ("127.0.0.1", ours))):
+            client.open()
+        client.poll()
+
+        def bad(k: int) -> bytes:
+            data = bytearray(good)
+            place = int(rng.integers(0, 8 * len(data)))
+            data[place // 8] ^= 1 << place % 8
+            return bytes(data) if k % 2 else _rubbish(rng)
+
+        _throw(client, device, ("127.0.0.1", ours), bad)
+    client.close()
+
+
+def test_udp_server() -> None:
+    ours, theirs = free_ports(2)
+    rng = np.random.default_rng(6)
+    with platform_server(f"udp://127.0.0.1:{theirs}?peer={ours}") as server, _udp_socket(ours) as client:
+        server.publish(START, 0.0)
+        _throw(server, client, ("127.0.0.1", theirs), lambda k: rng.bytes(84) if k % 2 else _rubbish(rng))
+
+
+def test_rtde_client() -> None:
+    """Packages with the right frame and the wrong inside; then bytes that are no package at all, which end the connection."""
+    rng = np.random.default_rng(7)
+    values = {"actual_TCP_pose": [0.1] * 6, "safety_status_bits": [1], "robot_status_bits": [3]}
+    inside = {"thrown": 0}
+
+    class Controller(rtde_peer.IndependentController):
+        def _exchange(self, connection: socket.socket, outputs: list[str], inputs: int) -> None:
+            rtde_peer.send(connection, "U", struct.pack("!B7d2I", 1, 1000.0, *[0.1] * 6, 1, 3))
+            until(lambda: inside["thrown"] == 1)
+            for k in range(COUNT):
+                size = 65 + int(rng.integers(1, 40)) * (1 if k % 2 else -1)
+                nan = struct.pack("!B7d2I", 1, *[float("nan")] * 7, 1, 3)
+                wrong_recipe = struct.pack("!B7d2I", 9, *[2000.0] * 7, 1, 3)
+                rtde_peer.send(connection, "U", [rng.bytes(max(size, 0)), nan, wrong_recipe][k % 3])
+            until(lambda: inside["thrown"] == 2)
+            connection.sendall(b"\x00\x01\xff" + rng.bytes(500))
+            until(lambda: inside["thrown"] == 3)
+
+    controller = Controller(values)
+    client = platform_client(f"rtde://127.0.0.1:{controller.port}?connect=5")
+    client.open()
+    state = _state(client)
+    inside["thrown"] = 1
+    until(lambda: client.poll() or client.counts[Event.MALFORMED] == COUNT)
+    inside["thrown"] = 2
+    until(lambda: client.poll() or client.counts[Event.GONE] == 1)
+    inside["thrown"] = 3
+    assert _state(client) == state
+    client.close()
+    controller.close()
+
+
+def test_rtde_server() -> None:
+    rng = np.random.default_rng(8)
+    with platform_server("rtde://127.0.0.1:0") as server:
+        assert isinstance(server, RtdePlatformServer)
+        server.publish(START, 0.0)
+        state = _state(server)
+        for k in range(COUNT):
+            with socket.create_connection(server.controller.address, 2.0) as stranger:
+                data = rng.bytes(int(rng.integers(3, 60)))
+                stranger.sendall(data if k % 2 else struct.pack("!HB", 3 + len(data), ord("UIO"[k % 3])) + data)
+            server.poll()
+        until(lambda: server.poll() or not server.controller._clients)
+        assert _state(server) == state
+        assert server.counts[Event.RECEIVED] == 0
+
+
+def test_shm_client() -> None:
+    rng = np.random.default_rng(9)
+    name = f"hiltestbed-test-{os.getpid()}-malformed"
+    with platform_server(f"shm://{name}") as server:
+        server.publish(START, 0.5)
+        with platform_client(f"shm://{name}") as client:
+            intruder = attach(f"{name}.state")
+            assert intruder is not None
+            state = _state(client)
+            for _ in range(COUNT):
+                intruder._words[1:] = rng.integers(0, 2**63, 5, dtype=np.uint64)
+                intruder._numbers[:] = np.frombuffer(rng.bytes(64))
+                assert not client.poll()
+            assert _state(client) == state
+            intruder.close()

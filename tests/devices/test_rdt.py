@@ -1,0 +1,180 @@
+"""ATI's Raw Data Transfer against peers that share no code with it."""
+
+from __future__ import annotations
+
+import urllib.request
+import xml.etree.ElementTree as ElementTree
+
+import numpy as np
+import pytest
+
+from hiltestbed.devices.interface import DeviceError, Event
+from hiltestbed.devices.rdt import RdtClient, RdtServer
+from hiltestbed.devices.table import sensor_client, sensor_server
+from hiltestbed.errors import InputError
+from tests.devices.independent.rdt_peer import IndependentRdtClient, IndependentRdtSensor
+from tests.devices.running import going, until
+
+WRENCH = np.array([1.5, -2.25, 310.125, 0.5, -0.125, 7.75])
+
+
+def _server(options: str = "") -> RdtServer:
+    server = sensor_server("rdt://127.0.0.1:0?" + options)
+    assert isinstance(server, RdtServer)
+    return server
+
+
+def _client(port: int, options: str = "counts_per_force=1e6&counts_per_torque=1e6") -> RdtClient:
+    client = sensor_client(f"rdt://127.0.0.1:{port}?{options}")
+    assert isinstance(client, RdtClient)
+    return client
+
+
+def test_an_independent_client_reads_the_emulated_sensor() -> None:
+    with _server("counts_per_force=1e5&counts_per_torque=2e6&internal_rate=7000") as server:
+        client = IndependentRdtClient(server.address, 1e5, 2e6)
+        server.publish(WRENCH, 0.0)  # nobody has asked yet
+        client.request(2)
+        until(server.poll)
+        for k in range(1, 4):
+            server.publish(k * WRENCH, 0.001 * k)
+            (record,) = client.records()
+            assert record["rdt"] == k
+            assert record["ft"] == 7 * k
+            assert record["status"] == 0
+            np.testing.assert_allclose(record["force"], k * WRENCH[:3], atol=0.5e-5)
+            np.testing.assert_allclose(record["torque"], k * WRENCH[3:], atol=0.25e-6)
+        client.close()
+
+
+def test_a_request_for_three_records_gives_three_and_counts_from_one_again() -> None:
+    with _server() as server:
+        client = IndependentRdtClient(server.address, 1e6, 1e6)
+        for _ in range(2):
+            client.request(2, 3)
+            until(server.poll)
+            for k in range(6):
+                server.publish(WRENCH, 0.001 * k)
+            assert [client.records()[0]["rdt"] for _ in range(3)] == [1, 2, 3]
+        client.socket.settimeout(0.05)
+        with pytest.raises(TimeoutError):
+            client.records()
+        client.close()
+
+
+def test_bias_buffered_mode_latch_and_stop() -> None:
+    with _server("buffer=4") as server:
+        client = IndependentRdtClient(server.address, 1e6, 1e6)
+        client.request(3)
+        until(server.poll)
+        server.publish(WRENCH, 0.0)
+        client.request(0x42)  # the present load becomes zero
+        until(server.poll)
+        for k in range(1, 4):
+            server.publish(WRENCH + k, 0.001 * k, status=1 << 16 if k == 1 else 0)
+        records = client.records()
+        assert [r["rdt"] for r in records] == [1, 2, 3, 4]
+        np.testing.assert_allclose(records[3]["force"], [3.0, 3.0, 3.0], atol=1e-6)
+        assert [r["status"] for r in records] == [0, 0x80010000, 0x80010000, 0x80010000]
+        client.request(0x41)
+        until(server.poll)
+        for k in range(4):
+            server.publish(WRENCH, 0.01 + 0.001 * k)
+        assert client.records()[0]["status"] == 0
+        client.request(0)
+        until(server.poll)
+        server.publish(WRENCH, 0.1)
+        client.socket.settimeout(0.05)
+        with pytest.raises(TimeoutError):
+            client.records()
+        client.close()
+
+
+def test_counts_end_at_the_limits_of_the_record() -> None:
+    with _server("counts_per_force=1e9&counts_per_torque=1e9") as server:
+        client = IndependentRdtClient(server.address, 1.0, 1.0)
+        client.request(2)
+        until(server.poll)
+        server.publish(np.array([1e3, -1e3, 0, 0, 0, 0]), 0.0)
+        assert client.records()[0]["force"][:2] == [2**31 - 1, -(2**31)]
+        client.close()
+
+
+def test_the_client_reads_an_independent_sensor() -> None:
+    sensor = IndependentRdtSensor(lambda k: [k, -k, 1000 * k, 2 * k, -3 * k, 10 * k])
+    with _client(sensor.port, "counts_per_force=1000&counts_per_torque=1e4&internal_rate=3500") as client:
+        assert sensor.requests[0] == bytes.fromhex("1234000200000000")
+        for _ in range(20):
+            assert client.wait(5.0)
+            k = client.reading.sequence
+            expected = [k / 1e3, -k / 1e3, k, 2 * k / 1e4, -3 * k / 1e4, 10 * k / 1e4]
+            np.testing.assert_allclose(client.reading.wrench, expected, rtol=1e-12)
+            assert client.reading.device_time == pytest.approx((7000 + 7 * k) / 3500.0)
+        assert client.counts[Event.LOST] == client.counts[Event.MALFORMED] == 0
+        client.bias()
+        until(lambda: sensor.requests[-1] == bytes.fromhex("1234004200000000"))
+    until(lambda: sensor.requests[-1] == bytes.fromhex("1234000000000000"))  # closing stops the stream
+    sensor.close()
+
+
+def test_a_lost_request_is_repeated_and_units_are_converted() -> None:
+    sensor = IndependentRdtSensor(lambda k: [1000, 0, 0, 0, 0, 1000])
+    sensor.ignore = 2
+    options = "counts_per_force=1000&counts_per_torque=1000&force_unit=lbf&torque_unit=lbf-in"
+    with _client(sensor.port, options) as client:
+        assert client.reading.wrench[0] == pytest.approx(4.4482216152605)  # one pound-force
+        assert client.reading.wrench[5] == pytest.approx(4.4482216152605 * 0.0254)
+    sensor.close()
+
+
+def test_buffered_records_are_taken_in_one_by_one() -> None:
+    sensor = IndependentRdtSensor(lambda k: [k] * 6)
+    with _client(sensor.port, "counts_per_force=1&counts_per_torque=1&mode=buffered") as client:
+        until(lambda: client.wait(1.0) and client.reading.sequence >= 50)
+        assert client.reading.sequence % 5 == 0
+        assert client.counts[Event.RECEIVED] == client.reading.sequence
+        assert client.counts[Event.LOST] == 0
+    sensor.close()
+
+
+def test_a_sensor_that_stands_still_and_one_with_an_error_give_nothing_new() -> None:
+    sensor = IndependentRdtSensor(lambda k: [k] * 6)
+    with _client(sensor.port, "counts_per_force=1&counts_per_torque=1") as client:
+        sensor.per_sample = 0
+        until(lambda: client.wait(0.05) is False and client.counts[Event.REPEATED] > 3)
+        before = client.reading.wrench.copy()
+        sensor.per_sample, sensor.status = 7, 0x80020000
+        until(lambda: client.poll() is False and client.counts[Event.STATUS] > 3)
+        assert client.reading.status == 0x80020000
+        np.testing.assert_array_equal(client.reading.wrench, before)
+    sensor.close()
+
+
+def test_the_configuration_page_tells_the_scale() -> None:
+    with _server("counts_per_force=12345&counts_per_torque=678&force_unit=kN&torque_unit=N-mm&rate=500&http=0") as server:
+        assert server.http is not None
+        page = urllib.request.urlopen(f"http://127.0.0.1:{server.http.port}/netftapi2.xml", timeout=5.0).read()
+        root = ElementTree.fromstring(page)
+        assert root.tag == "netft"
+        assert [root.findtext(name) for name in ("cfgcpf", "cfgcpt", "scfgfu", "scfgtu", "comrdtrate")] == [
+            "12345",
+            "678",
+            "kN",
+            "N-mm",
+            "500",
+        ]
+        client = _client(server.address[1], f"http={server.http.port}")
+        clock = iter(range(1, 100_000))
+        with going(lambda: server.publish(WRENCH, 0.002 * next(clock))), client:
+            assert client.period == pytest.approx(0.002)
+            np.testing.assert_allclose(client.reading.wrench, WRENCH, atol=1000 / 12345 / 2 + 1e-9)  # half a count is 40 mN
+
+
+def test_what_keeps_a_client_from_opening_is_said() -> None:
+    with _server() as server:
+        with pytest.raises(DeviceError, match=r"no good record in .* check the address"):
+            _client(server.address[1]).open()  # it is asked, but publishes nothing
+        with pytest.raises(DeviceError, match=r"configuration page .* cannot be read"):
+            _client(server.address[1], f"http={server.address[1]}").open()
+        with pytest.raises(InputError, match=r"is in use by another program; stop it or give another port"):
+            sensor_server(f"rdt://127.0.0.1:{server.address[1]}").open()

@@ -1,0 +1,163 @@
+"""The clock of a cycle, what the process is granted, the ring and the recording. No time is asserted that a busy machine could miss."""
+
+from __future__ import annotations
+
+import gc
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hiltestbed.devices.bench import measure
+from hiltestbed.devices.clock import CycleClock
+from hiltestbed.devices.realtime import prepared
+from hiltestbed.devices.recorder import Recorder
+from hiltestbed.devices.ring import Ring
+from hiltestbed.errors import HiltestbedError, InputError
+from tests.devices.running import until
+
+
+def test_cycles_are_due_at_whole_periods_from_the_start_and_none_begins_early() -> None:
+    clock = CycleClock(300.0, 60)  # a period that is no whole number of nanoseconds: nothing may add up
+    clock.start()
+    numbers, number = [], 0
+    for _ in range(60):
+        number += 1 + clock.wait()
+        numbers.append(number)
+        clock.done()
+    start = clock.due[0] - round(numbers[0] * 1e9 / 300.0)
+    np.testing.assert_array_equal(clock.due - start, np.rint(np.array(numbers) * 1e9 / 300.0).astype(int))
+    assert (clock.began >= clock.due).all()
+    assert (clock.ended >= clock.began).all()
+    np.testing.assert_allclose(clock.latency(), (clock.began - clock.due) * 1e-9)
+
+
+def test_a_cycle_that_takes_too_long_is_not_made_up_for() -> None:
+    clock = CycleClock(500.0, 10)
+    clock.start()
+    clock.wait()
+    time.sleep(0.011)  # five periods and a half
+    assert clock.left() < 0.0
+    left_out = clock.wait()
+    assert left_out >= 4
+    assert clock.skipped == left_out
+    assert clock.due[1] - clock.due[0] == pytest.approx((1 + left_out) * 2e6, abs=1)
+
+
+def test_of_more_cycles_than_it_can_keep_the_last_are_kept_in_order() -> None:
+    clock = CycleClock(5000.0, 8)
+    clock.start()
+    for _ in range(21):
+        clock.wait()
+        clock.done()
+    assert clock.cycles == 21
+    kept = np.sort(clock.began)
+    np.testing.assert_array_equal(np.roll(clock.began, -(21 % 8)), kept)
+    assert len(clock.busy()) == 8
+
+
+def test_a_rate_that_cannot_be_paced() -> None:
+    with pytest.raises(InputError, match=r"cannot be paced \(got 0 Hz for 5 cycles\); allowed are 0.1 to 1e5 Hz"):
+        CycleClock(0.0, 5)
+
+
+def test_what_is_asked_of_the_system_is_granted_or_refused_and_undone() -> None:
+    cpu = min(os.sched_getaffinity(0))
+    before = os.sched_getaffinity(0), os.sched_getscheduler(0), sys.getswitchinterval(), gc.isenabled()
+    with prepared(cpu=cpu, priority=1) as given:
+        asked = {"garbage collector off", "memory locked", f"processor {cpu}", "SCHED_FIFO 1"}
+        assert asked <= set(given.granted) | set(given.refused)
+        assert all(given.refused.values())
+        assert not gc.isenabled()
+        assert gc.get_freeze_count() > 0
+        if "SCHED_FIFO 1" in given.granted:
+            assert os.sched_getscheduler(0) == os.SCHED_FIFO
+        if f"processor {cpu}" in given.granted:
+            assert os.sched_getaffinity(0) == {cpu}
+    assert (os.sched_getaffinity(0), os.sched_getscheduler(0), sys.getswitchinterval(), gc.isenabled()) == before
+    assert gc.get_freeze_count() == 0
+
+
+def test_a_processor_or_a_priority_that_there_is_not() -> None:
+    with pytest.raises(InputError, match=r"cpu: is not one that this process may run on \(got 9999\); allowed: 0"), prepared(cpu=9999):
+        pass
+    with pytest.raises(InputError, match=r"priority: is out of range \(got 0\); allowed is 1 to 99"), prepared(priority=0):
+        pass
+
+
+def test_a_ring_hands_over_each_row_once_and_drops_what_does_not_fit() -> None:
+    ring = Ring(columns=3, rows=8)
+    rows = np.arange(60.0).reshape(20, 3)
+    assert [ring.push(row) for row in rows[:10]] == [True] * 8 + [False] * 2
+    np.testing.assert_array_equal(ring.take(), rows[:8])
+    assert len(ring.take()) == 0
+    taken = []
+    for row in rows[10:]:
+        assert ring.push(row)
+        taken.append(ring.take())
+    np.testing.assert_array_equal(np.concatenate(taken), rows[10:])
+    assert ring.dropped == 2
+    ring.push(rows[0])
+    ring._rows[18 % 8, -1] = -1.0  # a row whose end has not arrived yet
+    assert len(ring.take()) == 0
+    ring._rows[18 % 8, -1] = 18.0
+    np.testing.assert_array_equal(ring.take(), rows[:1])
+    ring.close()
+    with pytest.raises(InputError, match=r"cannot hold 1 rows of 3 numbers"):
+        Ring(3, 1)
+
+
+def test_a_recording_holds_every_row(tmp_path: Path) -> None:
+    recorder = Recorder(columns=4, rows=500, path=tmp_path / "rows.f64")
+    rows = np.random.default_rng(0).normal(size=(3000, 4))
+    for row in rows:
+        until(lambda row=row: recorder.push(row))
+    np.testing.assert_array_equal(recorder.finish(), rows)
+
+
+def test_a_recording_survives_the_loop(tmp_path: Path) -> None:
+    """The loop's process ends at once, without a word: what it had pushed is in the file."""
+    path = tmp_path / "rows.f64"
+    program = f"""
+import os, numpy as np
+from pathlib import Path
+from hiltestbed.devices.recorder import Recorder
+recorder = Recorder(2, 100, Path({str(path)!r}))
+for k in range(50):
+    recorder.push(np.array([k, -k], dtype=float))
+os._exit(9)
+"""
+    died = subprocess.run([sys.executable, "-c", program], stderr=subprocess.DEVNULL, check=False)
+    assert died.returncode == 9
+    until(lambda: path.stat().st_size == 50 * 2 * 8)
+    np.testing.assert_array_equal(np.fromfile(path).reshape(-1, 2)[:, 0], np.arange(50.0))
+
+
+def test_a_recording_that_cannot_be_written(tmp_path: Path) -> None:
+    with pytest.raises(HiltestbedError, match=r"did not start; check that the folder can be written to"):
+        Recorder(2, 100, tmp_path / "no folder" / "rows.f64")
+
+
+@pytest.mark.parametrize("device", [False, True])
+def test_the_measurement_accounts_for_every_cycle(device: bool) -> None:
+    result = measure(400.0, 0.25, device=device, priority=None)
+    assert result.cycles == 100
+    assert 0 <= result.missed <= 100
+    for times in (result.wake_up, result.round_trip) if device else (result.wake_up,):
+        assert times is not None
+        levels = list(times.percentiles.values())
+        assert levels == sorted(levels)
+        assert levels[-1] <= times.worst
+        assert sum(times.histogram) <= 100
+    assert sum(result.wake_up.histogram) == 100
+    assert (result.round_trip is not None) == device
+    assert result.record()["rate"] == 400.0
+
+
+def test_a_measurement_that_cannot_be_made() -> None:
+    with pytest.raises(InputError, match=r"cannot be made \(got 0.5 Hz for 1 s\); allowed are 1 to 20000 Hz and up to a day"):
+        measure(0.5, 1.0)

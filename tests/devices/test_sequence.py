@@ -1,0 +1,57 @@
+"""What sequence numbers say, against the truth of a stream that was disturbed on purpose."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hiltestbed.devices.interface import Event
+from hiltestbed.devices.sequence import Sequence
+
+
+def _follow(numbers: list[int], bits: int = 32, step: int = 1) -> tuple[list[bool], np.ndarray, Sequence]:
+    counts = np.zeros(len(Event), dtype=np.int64)
+    sequence = Sequence(counts, bits, step, longest_gap=10 if bits == 8 else 10_000)
+    return [sequence.judge(n) for n in numbers], counts, sequence
+
+
+def test_lost_repeated_and_reordered() -> None:
+    judged, counts, _ = _follow([7, 8, 11, 9, 11, 12])
+    assert judged == [True, True, True, False, False, True]
+    assert (counts[Event.LOST], counts[Event.REORDERED], counts[Event.REPEATED]) == (2, 1, 1)
+
+
+def test_a_counter_that_wraps_goes_on() -> None:
+    for bits in (8, 16, 32):
+        top = (1 << bits) - 2
+        judged, counts, sequence = _follow([(top + k) % (1 << bits) for k in (0, 1, 2, 4, 3)], bits)
+        assert judged == [True, True, True, True, False]
+        assert (counts[Event.LOST], counts[Event.REORDERED]) == (1, 1)
+        assert sequence.newest == top + 4
+
+
+def test_a_counter_of_milliseconds() -> None:
+    judged, counts, _ = _follow([1000, 1004, 1012, 1013, 1016], step=4)
+    assert judged == [True, True, True, False, True]
+    assert (counts[Event.LOST], counts[Event.MALFORMED]) == (1, 1)
+
+
+def test_a_number_that_cannot_follow_is_not_believed() -> None:
+    judged, counts, sequence = _follow([5, 5 + 10_001, 5 - 10_001, 6])
+    assert judged == [True, False, False, True]
+    assert counts[Event.MALFORMED] == 2
+    assert sequence.newest == 6
+
+
+def test_a_stream_with_losses_and_swaps_is_accounted_for() -> None:
+    """Every record is new, lost or out of order; those that are both lost at first and late after are counted as both."""
+    rng = np.random.default_rng(8)
+    sent = np.arange(5000)
+    kept = sent[rng.random(5000) > 0.02]
+    swaps = np.flatnonzero(rng.random(len(kept) - 1) < 0.02)
+    for i in swaps[np.diff(swaps, prepend=-9) > 1]:
+        kept[[i, i + 1]] = kept[[i + 1, i]]
+    kept = kept[np.argmin(kept) :]
+    judged, counts, _ = _follow([int(n) for n in kept])
+    new, last = sum(judged), int(kept.max())
+    assert counts[Event.REORDERED] == len(kept) - new
+    assert new + counts[Event.LOST] == last - int(kept[0]) + 1

@@ -1,0 +1,114 @@
+"""Shared memory: whole messages or none, between two processes."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from hiltestbed.devices.interface import DeviceError, Event
+from hiltestbed.devices.mailbox import attach, make
+from hiltestbed.devices.table import platform_client, platform_server, sensor_client
+from hiltestbed.errors import InputError
+from tests.devices.running import START
+
+WRITER = """
+import sys
+import numpy as np
+from hiltestbed.devices.table import sensor_server
+with sensor_server("shm://" + sys.argv[1]) as server:
+    print("ready", flush=True)
+    k = 0
+    while sys.stdin.readable() and k < 400_000:
+        k += 1
+        server.publish(np.full(6, float(k)), 1e-3 * k)
+    sys.stdin.read()
+"""
+
+
+def _name(what: str) -> str:
+    return f"hiltestbed-test-{os.getpid()}-{what}"
+
+
+def test_a_reader_gets_whole_messages_from_another_process() -> None:
+    """The writer writes as fast as it can: each message that is read has six equal numbers, and its own time and number."""
+    name = _name("torn")
+    writer = subprocess.Popen([sys.executable, "-c", WRITER, name], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+    assert writer.stdout is not None
+    assert writer.stdin is not None
+    try:
+        assert writer.stdout.readline() == b"ready\n"
+        with sensor_client(f"shm://{name}?connect=10") as client:
+            seen = 0
+            while seen < 3000:
+                assert client.wait(5.0)
+                reading = client.reading
+                np.testing.assert_array_equal(reading.wrench, float(reading.sequence))
+                assert reading.device_time == pytest.approx(1e-3 * reading.sequence)
+                seen += 1
+            assert client.counts[Event.REORDERED] == 0
+    finally:
+        writer.stdin.close()
+        writer.wait(30)
+        writer.stdout.close()
+    assert writer.returncode == 0
+
+
+def test_a_platform() -> None:
+    name = _name("platform")
+    server = platform_server(f"shm://{name}")
+    with server:
+        server.publish(START, 0.5)
+        with platform_client(f"shm://{name}") as client:
+            np.testing.assert_array_equal(client.state.pose, START)
+            assert client.state.device_time == 0.5
+            assert server.poll()  # opening holds
+            target = START + np.array([0.01, 0, 0, 0, 0, 0, 0])
+            client.command(target)
+            assert server.poll()
+            np.testing.assert_array_equal(server.command, target)
+            assert not server.poll()
+            server.publish(target, 0.501)
+            assert client.poll()
+            server.publish(target, 0.502, status=4)
+            assert not client.poll()
+            assert client.state.status == 4
+            client.stop()
+            server.poll()
+            assert server.stopped is not None
+
+
+def test_a_message_that_is_not_whole_is_not_taken() -> None:
+    name = _name("half")
+    box = make(name, "here")
+    reader = attach(name)
+    assert reader is not None
+    box.write(np.arange(6.0), 1, 0.1, 0)
+    assert reader.read() is True
+    box.write(np.arange(6.0) + 1, 2, 0.2, 0)
+    box._numbers[3] += 1.0  # as if a store had not arrived yet
+    assert reader.read() is None
+    np.testing.assert_array_equal(reader.values[:6], np.arange(6.0))
+    box._numbers[3] -= 1.0
+    assert reader.read() is True
+    box._words[1] |= 1  # the writer is at it
+    box._words[2] = 3
+    assert reader.read() is False
+    box.write(np.arange(6.0) + 2, 3, 0.3, 0)
+    assert reader.read() is True
+    reader.close()
+    box.close()
+
+
+def test_names_that_are_taken_or_missing() -> None:
+    name = _name("taken")
+    box = make(f"{name}.state", "here")
+    with pytest.raises(InputError, match=r"is there already; stop the other device, remove what one has left, or give another name"):
+        platform_server(f"shm://{name}").open()
+    box.close()
+    assert attach(f"{name}.state") is None
+    with pytest.raises(DeviceError, match=r"there is no shared memory .* start the device first"):
+        sensor_client(f"shm://{name}?connect=0.02").open()

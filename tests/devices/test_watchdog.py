@@ -1,0 +1,128 @@
+"""The watchdog: a loop that falls silent, hangs or dies leaves its platform held or stopped."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from hiltestbed.devices.interface import DeviceError, Event, PlatformServer
+from hiltestbed.devices.table import platform_client, platform_server
+from hiltestbed.devices.watchdog import Watchdog
+from hiltestbed.errors import InputError
+from tests.devices.running import START, free_ports, going, until
+
+TARGET = START + np.array([0.01, 0.0, -0.02, 0.0, 0.0, 0.0, 0.0])
+
+
+def _urls(scheme: str) -> tuple[str, str]:
+    """Of the client and of the device."""
+    if scheme == "udp":
+        ours, theirs = free_ports(2)
+        return f"udp://127.0.0.1:{theirs}?listen={ours}&connect=5", f"udp://127.0.0.1:{theirs}?peer={ours}"
+    if scheme == "rsi":
+        (port,) = free_ports(1)
+        return f"rsi://127.0.0.1:{port}?connect=5", f"rsi://127.0.0.1:{port}?late_limit=1000000"
+    name = f"shm://hiltestbed-test-{os.getpid()}-watchdog"
+    return name, name
+
+
+class Device:
+    """An emulated platform that goes on by itself."""
+
+    def __init__(self, server: PlatformServer) -> None:
+        self.server, self.tick = server, 0
+
+    def step(self) -> None:
+        self.tick += 1
+        self.server.publish(START, 0.004 * self.tick)
+        self.server.wait(0.003)
+
+
+@pytest.mark.parametrize("scheme", ["udp", "rsi", "shm"])
+def test_a_loop_that_falls_silent_leaves_the_platform_held(scheme: str) -> None:
+    url, device_url = _urls(scheme)
+    device = Device(platform_server(device_url))
+    with device.server, going(device.step, 0.001), platform_client(url) as client:
+        watchdog = Watchdog(url, client, timeout=0.1, action="hold", lasting=1.0)
+        assert not watchdog.tripped
+
+        def at_target() -> bool:
+            client.wait(0.1)
+            client.command(TARGET)
+            watchdog.beat()
+            return bool(abs(device.server.command[0] - TARGET[0]) < 1e-6)
+
+        until(at_target)
+        assert not watchdog.tripped
+        before = device.server.counts[Event.RECEIVED]
+        until(lambda: watchdog.tripped)  # no beat any more
+        until(lambda: device.server.counts[Event.RECEIVED] > before + 10)
+        np.testing.assert_allclose(device.server.command, TARGET, atol=1e-6)
+        watchdog.close()
+    assert not watchdog.alive
+
+
+@pytest.mark.parametrize("scheme", ["udp", "shm"])
+def test_a_loop_that_falls_silent_stops_the_platform(scheme: str) -> None:
+    url, device_url = _urls(scheme)
+    device = Device(platform_server(device_url))
+    with device.server, going(device.step, 0.001), platform_client(url) as client:
+        watchdog = Watchdog(url, client, timeout=0.05, action="stop", lasting=0.2)
+        watchdog.beat()
+        until(lambda: device.server.stopped)
+        watchdog.close()
+
+
+def test_before_the_first_beat_and_after_it_is_disarmed_it_does_nothing() -> None:
+    url, device_url = _urls("udp")
+    device = Device(platform_server(device_url))
+    with device.server, going(device.step, 0.001), platform_client(url) as client:
+        watchdog = Watchdog(url, client, timeout=0.02, action="stop")
+        before = device.tick
+        until(lambda: device.tick > before + 50)
+        assert not watchdog.tripped
+        watchdog.beat()
+        watchdog.disarm()
+        before = device.tick
+        until(lambda: device.tick > before + 50)
+        assert not watchdog.tripped
+        assert watchdog.alive
+        watchdog.close()
+        assert device.server.stopped is None
+
+
+LOOP = """
+import os, sys
+from hiltestbed.devices.table import platform_client
+from hiltestbed.devices.watchdog import Watchdog
+client = platform_client(sys.argv[1])
+client.open()
+watchdog = Watchdog(sys.argv[1], client, timeout=0.2, action="stop", lasting=0.5)
+for _ in range(50):
+    client.wait(1.0)
+    client.hold()
+    watchdog.beat()
+os.kill(os.getpid(), 9)
+"""
+
+
+def test_a_loop_that_is_killed_stops_the_platform() -> None:
+    url, device_url = _urls("udp")
+    device = Device(platform_server(device_url))
+    with device.server, going(device.step, 0.001):
+        loop = subprocess.run([sys.executable, "-c", LOOP, url], stderr=subprocess.DEVNULL, check=False)
+        assert loop.returncode == -9
+        until(lambda: device.server.stopped)
+
+
+def test_what_cannot_be_set_is_said() -> None:
+    url, device_url = _urls("udp")
+    client = platform_client(url)
+    with pytest.raises(InputError, match=r"got timeout 0 s, action 'hold', lasting 2 s\); allowed are 0.005 to 10 s, hold or stop"):
+        Watchdog(url, client, timeout=0.0)
+    with platform_server(device_url), pytest.raises(DeviceError, match="the watchdog did not start"):
+        Watchdog("udp://127.0.0.1:1?layout=/no/such/file.yaml", client, timeout=1.0)
