@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from hiltestbed.frames import Array
-from hiltestbed.platform.model import load
+from hiltestbed.models import load
 from hiltestbed.platform.prs3.geometry import HEAVE, TILT, Upper, inverse, jacobian, motion, place, revolute
 
 UPPER = Upper.load()

@@ -6,9 +6,9 @@ from typing import Literal
 
 import numpy as np
 import pytest
+from hiltestbed.effects.platform import LAG, PARAMETERS, SCALE, SPEED, follow, second_order, start_axis
 from scipy.signal import lsim, lti
 
-from hiltestbed.effects.platform import LAG, PARAMETERS, SCALE, SPEED, follow, second_order, start_axis
 from hiltestbed.platform.facilities.response import ResponsePath, nominal, transfer
 from hiltestbed.platform.facilities.settings import ResponseSettings
 

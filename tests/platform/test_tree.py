@@ -8,12 +8,12 @@ import pytest
 
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array
+from hiltestbed.models import load
 from hiltestbed.platform.facilities.facility import compiled
 from hiltestbed.platform.facilities.inverse_dynamics import joint_forces, weights
 from hiltestbed.platform.facilities.kinematics import Axis, Kinematics
 from hiltestbed.platform.facilities.motion import move, place, scratch, tool_pose, tool_twist
 from hiltestbed.platform.facilities.tree import build_tree
-from hiltestbed.models import load
 from tests.platform.halls import apart, arms, mujoco_pose
 
 # Every type of joint, off their bodies' origins, with references that are not zero and several in one body.

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from hiltestbed.errors import InputError
+from hiltestbed.models import models_folder
 from hiltestbed.platform.facilities.facility import MOUNT_HOME, compiled
 from hiltestbed.platform.facilities.mjcf import Mjcf
 from hiltestbed.platform.facilities.stand import Stand
-from hiltestbed.models import models_folder
 from tests.platform.halls import GANTRY, UPRIGHT, apart, own
 
 B_DRIVE = '<position name="pb" joint="b" kp="2e6" kv="1.6e4"/>'

@@ -19,10 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hiltestbed.frames import Array
+from hiltestbed.models import load
 from hiltestbed.platform.facilities.drives import Drives
 from hiltestbed.platform.facilities.kinematics import Axis, Kinematics
 from hiltestbed.platform.facilities.tree import compose, inverse_pose
-from hiltestbed.models import load
 
 MOUNT = "mount"
 CARRIER = "passive_carrier"  # the body that carries force sensor and passive mechanism

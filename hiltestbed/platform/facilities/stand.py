@@ -14,8 +14,8 @@ from mujoco.batch import Batch
 from numba import njit
 
 from hiltestbed.frames import Array
-from hiltestbed.platform.facilities.facility import MOUNT, Facility, compiled
 from hiltestbed.models import load
+from hiltestbed.platform.facilities.facility import MOUNT, Facility, compiled
 
 PAYLOAD = "payload_"
 TOOL = PAYLOAD + "A"

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hiltestbed.frames import Array
+from hiltestbed.models import load
 from hiltestbed.platform.facilities import hydraulic
 from hiltestbed.platform.facilities.drives import Drives, drive_inputs, mass_matrix
 from hiltestbed.platform.facilities.facility import (
@@ -31,7 +32,6 @@ from hiltestbed.platform.facilities.force_servo import ForceServo
 from hiltestbed.platform.facilities.friction import Rubbing
 from hiltestbed.platform.facilities.kinematics import Axis
 from hiltestbed.platform.facilities.settings import HydraulicDrive, StewartSettings
-from hiltestbed.models import load
 
 STROKE = 1.04  # [m] of a cylinder
 ARMATURE = 120.0  # [kg] of an electric leg: rotor and screw 3e-3 kg m^2 at a lead of 31 mm
