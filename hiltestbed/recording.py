@@ -15,12 +15,21 @@ import numpy as np
 
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array
-from hiltestbed.scenario import dump_scenario, load_scenario
+from hiltestbed.models import copy_model
+from hiltestbed.scenario import Scenario, load_scenario, resolved
 from hiltestbed.signals import GROUPS, RunTrace
 from hiltestbed.simulation import Run
 from hiltestbed.snapshot import Snapshot, flatten, unflatten
+from hiltestbed.yaml_source import dump_yaml
 
-SUMMARY, SCENARIO, TRACE, RECORDING, FAILURE = "summary.json", "scenario.yaml", "trace.parquet", "recording.rrd", "failure.npz"
+SUMMARY, SCENARIO, TRACE, RECORDING, FAILURE, MODELS = (
+    "summary.json",
+    "scenario.yaml",
+    "trace.parquet",
+    "recording.rrd",
+    "failure.npz",
+    "models",
+)
 
 
 @contextmanager
@@ -40,8 +49,9 @@ def whole_folder(path: Path, mark: str = SUMMARY) -> Iterator[Path]:
         raise InputError(f"{path}: cannot be written ({error.strerror}); choose another --out") from None
     try:
         yield beside
-        for file in beside.iterdir():
-            _sync(file)
+        for file in beside.rglob("*"):
+            if file.is_file():
+                _sync(file)
         beside.chmod(0o755)
         _swap(beside, path)
     except BaseException:
@@ -88,7 +98,7 @@ def write_run(run: Run, path: str | Path, *, rerun: bool = True) -> Path:
     """
     path = Path(path)
     with whole_folder(path) as folder:
-        (folder / SCENARIO).write_text(dump_scenario(run.scenario), encoding="utf-8")
+        (folder / SCENARIO).write_text(dump_yaml(_with_models(run.scenario, folder)), encoding="utf-8")
         (folder / SUMMARY).write_text(json.dumps(run.summary, indent=2, allow_nan=False) + "\n", encoding="utf-8")
         if run.trace is not None:
             write_trace(run.trace, folder / TRACE)
@@ -99,6 +109,15 @@ def write_run(run: Run, path: str | Path, *, rerun: bool = True) -> Path:
         if run.failure is not None:
             np.savez(folder / FAILURE, **flatten(run.failure))  # type: ignore[arg-type]
     return path
+
+
+def _with_models(scenario: Scenario, folder: Path) -> dict[str, Any]:
+    """The resolved scenario; models of the user's are copied into ``folder``, and their keys name the copies."""
+    data = resolved(scenario)
+    for key in scenario.mechanism.fingerprint():
+        copy = copy_model(Path(data["mechanism"][key]), folder / MODELS / key)
+        data["mechanism"][key] = str(copy.relative_to(folder))
+    return data
 
 
 def read_run(path: str | Path) -> Run:

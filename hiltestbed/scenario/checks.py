@@ -23,6 +23,7 @@ def problems(scenario: Scenario) -> Iterator[Problem]:
     yield from _delay_problems(scenario)
     yield from _start_problems(scenario)
     yield from _effect_problems(scenario)
+    yield from _mechanism_problems(scenario)
 
 
 def _rate_problems(scenario: Scenario) -> Iterator[Problem]:
@@ -97,6 +98,13 @@ def _nine_axis_problems(scenario: Scenario) -> Iterator[Problem]:
             f"starts outside the workspace (the lower platform would stand at {where} m, turned by up to {turn.max():.3g} deg); allowed "
             f"are {WORKSPACE_TRANSLATION:g} m and {WORKSPACE_ROTATION_DEG:g} deg on each axis: take a smaller offset or attitude_deg",
         )
+
+
+def _mechanism_problems(scenario: Scenario) -> Iterator[Problem]:
+    from hiltestbed.contact.findings import faults
+
+    for message in faults(scenario):
+        yield ("mechanism",), message
 
 
 def _effect_problems(scenario: Scenario) -> Iterator[Problem]:

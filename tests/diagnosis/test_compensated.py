@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hiltestbed.diagnosis.compensated import compensated, noise_gain, uncomputed
 
 from hiltestbed import load_scenario, run
-from hiltestbed.diagnosis.compensated import compensated, noise_gain, uncomputed
 
 SCENARIO = Path(__file__).parents[2] / "scenarios" / "reference-bumper.yaml"
 METHODS = [

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hiltestbed.diagnosis.driven import followed, unfollowed
 
 from hiltestbed import load_scenario, run
-from hiltestbed.diagnosis.driven import followed, unfollowed
 from hiltestbed.diagnosis.find import find
 from hiltestbed.diagnosis.links import advanced
 from hiltestbed.measured import load_dataset

@@ -7,10 +7,10 @@ import re
 from pathlib import Path
 
 import pytest
-
 from hiltestbed.diagnosis.output import Cause, Finding, Parameter
 from hiltestbed.diagnosis.output.experiments import next_experiment
 from hiltestbed.effects.vocabulary import EFFECTS
+
 from hiltestbed.measured import MeasuredDataset, load_dataset
 
 from .recorded import recorded

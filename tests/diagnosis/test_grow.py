@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-
 from hiltestbed.diagnosis.candidates import Scales, platform_candidates
+
 from hiltestbed.diagnosis.fit import Residual, fit
 from hiltestbed.diagnosis.grow import far_off, grow
 from hiltestbed.diagnosis.links import LinkRun, PlatformLink

@@ -6,14 +6,14 @@ import math
 
 import numpy as np
 import pytest
-
 from hiltestbed.diagnosis.chain import lead_record, sense_record
-from hiltestbed.diagnosis.links import DynamicsLink, LinkRun, WrenchLink, advanced, flat_pose
-from hiltestbed.contact.law import PARAMETERS, STATES, contact_force, contact_parameters
-from hiltestbed.platform.response import PlatformPath, platform_parameters, replay_platform
 from hiltestbed.effects.sensor import sensor_chain
-from hiltestbed.scenario import scenario_from
+
+from hiltestbed.contact.law import PARAMETERS, STATES, contact_force, contact_parameters
+from hiltestbed.diagnosis.links import DynamicsLink, LinkRun, WrenchLink, advanced, flat_pose
 from hiltestbed.numerical_model.bodies import Spacecraft
+from hiltestbed.platform.response import PlatformPath, platform_parameters, replay_platform
+from hiltestbed.scenario import scenario_from
 
 H = 1e-3
 

@@ -11,12 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from hiltestbed.effects.vocabulary import EFFECTS
 
 from hiltestbed.bench.diagnosis import Task, judged_right, one_set
 from hiltestbed.diagnosis.find import cause_of
 from hiltestbed.diagnosis.investigate import investigate
 from hiltestbed.diagnosis.verdict import judge
-from hiltestbed.effects.vocabulary import EFFECTS
 from hiltestbed.measured import load_dataset
 from tests.measured_data import measured_data
 

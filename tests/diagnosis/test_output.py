@@ -8,14 +8,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
-from hiltestbed.diagnosis.links import WrenchLink
 from hiltestbed.diagnosis.output import Cause, Diagnosis, Finding, Heldout, Parameter, Ranked, conclude
 from hiltestbed.diagnosis.output.closed_loop import Motion, identified, restitution
 from hiltestbed.diagnosis.output.evidence import channel_residuals, link_series
 from hiltestbed.diagnosis.output.extend import effects_of_causes, in_words
 from hiltestbed.diagnosis.output.result import Isolable
 from hiltestbed.diagnosis.study import make_study, wrench_link
+
+from hiltestbed.diagnosis.links import WrenchLink
 from hiltestbed.errors import InputError
 from hiltestbed.measured import MeasuredDataset, load_dataset
 from hiltestbed.scenario import load_scenario, scenario_from, scenario_sha256
@@ -106,9 +106,8 @@ def test_the_folder_holds_four_files_that_can_be_used(diagnosis: Diagnosis, tmp_
 
 
 def test_the_recording_has_all_three_on_one_timeline(diagnosis: Diagnosis, tmp_path: Path):
-    from rerun.chunk import RrdReader
-
     from hiltestbed.diagnosis.output.recording import write_diagnosis_recording
+    from rerun.chunk import RrdReader
 
     write_diagnosis_recording(tmp_path / "d.rrd", diagnosis)
     rows: dict[str, int] = {}

@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-
 from hiltestbed.diagnosis.candidates import Scales, candidate, sensor_candidates
+from hiltestbed.diagnosis.tones import tone_beside
+
 from hiltestbed.diagnosis.fit import Residual, fit, square
 from hiltestbed.diagnosis.links import AHEAD, FORM, Effects, LinkRun, PlatformLink, WrenchLink, unstamped
 from hiltestbed.diagnosis.search import jitter_beside, null_fit, prescreen
 from hiltestbed.diagnosis.stiction import finest_sticks, stick_starts
-from hiltestbed.diagnosis.tones import tone_beside
 from hiltestbed.frames import Array
 from hiltestbed.scenario import scenario_from
 
