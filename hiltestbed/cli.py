@@ -88,7 +88,7 @@ def check(
 ) -> None:
     """Validate files: every fault at once, with file, line and column."""
     from hiltestbed.check import check_file
-    from hiltestbed.shipped import find_scenario
+    from hiltestbed.gallery import find_scenario
 
     found = [(file, *check_file(find_scenario(file))) for file in files]
     if as_json:
@@ -170,8 +170,8 @@ def sweep(
     from hiltestbed.campaign.schema import load_campaign
     from hiltestbed.campaign.sweep import default_folder
     from hiltestbed.campaign.sweep import sweep as run_sweep
+    from hiltestbed.gallery import find_scenario
     from hiltestbed.progress import case_bar
-    from hiltestbed.shipped import find_scenario
 
     if workers is not None and scheduler is not None:
         raise InputError("--workers is for this machine and --scheduler for a cluster; allowed is one of the two")
@@ -232,8 +232,8 @@ def overrides(sets: list[str] | None) -> dict[str, Any]:
 def _scenario(file: Path, sets: list[str] | None, case: int | None) -> Scenario:
     """The scenario in a file, or of one case of the campaign in it; another kind of file is named, not taken for a faulty scenario."""
     from hiltestbed.check import file_kind
+    from hiltestbed.gallery import find_scenario
     from hiltestbed.scenario import scenario_from
-    from hiltestbed.shipped import find_scenario
     from hiltestbed.yaml_source import read_source
 
     source = read_source(find_scenario(file))

@@ -58,7 +58,15 @@ def call(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
 def test_run_writes_the_folder_and_prints_a_table(folder: Path, call) -> None:
     status, out, _ = call("run", "s.yaml", "--no-rerun", "--out", "r")
     assert status == 0
-    for words in ("coefficient of restitution", "energy made by the rig", "peak force", "contact time", "times real time", "run folder: r"):
+    for words in (
+        "coefficient of restitution",
+        "energy made by the rig",
+        "neutral",
+        "peak force",
+        "contact time",
+        "times real time",
+        "run folder: r",
+    ):
         assert words in out
     summary = json.loads(Path("r/summary.json").read_text())
     assert f"{summary['cor']:.4g}" in out
