@@ -119,3 +119,29 @@ def _told_apart(labels: Sequence[str]) -> list[str]:
         seen[label] = seen.get(label, 0) + 1
         out.append(label if seen[label] == 1 else f"{label} ({seen[label]})")
     return out
+
+
+def write_comparison(comparison: Comparison, path: Path) -> None:
+    """The comparison as one HTML page with the contact forces over time.
+
+    Raises:
+        InputError: the page cannot be written.
+    """
+    from hiltestbed.report import Report, new_figure
+
+    report = Report("Runs side by side")
+    changed = ", ".join(comparison.differences) or "nothing but the name"
+    report.lead(f"{len(comparison.runs)} runs that differ in {changed}.")
+    report.table(("", *comparison.names), comparison.rows())
+    for name, run in zip(comparison.names, comparison.runs, strict=True):
+        for warning in run.assessment.warnings:
+            report.text(f"{name}: {warning}.")
+    if all(run.trace is not None for run in comparison.runs):
+        for column in ("wrench_true.fz", "pose_act.pz"):
+            figure, axes = new_figure(8.0, 3.4)
+            comparison.plot(column, axes=axes)
+            report.figure(figure, f"{column} of every run; shaded: in contact.")
+    try:
+        report.write(path)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror}); choose another --out") from None

@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from hiltestbed import plugins
 from hiltestbed.contact.truth import axis_truth
 from hiltestbed.ledger import delay_ledger, predicted_log_error
 from hiltestbed.log import stamp_late
@@ -160,6 +161,7 @@ def _run(batch: Batch, cor_reference: float | None, i: int) -> Run:
         "scenario_sha256": scenario_sha256(scenario),
         "seed": scenario.seed,
         "versions": versions(),
+        "plugins": plugins.loaded(),
         "status": trouble[1] if trouble else "completed",
         "stop_reason": f"tick {trouble[0]}, t = {trouble[0] / scenario.rate:.6f} s: {trouble[2]}" if trouble else None,
         "cor": cor,

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich import box
 from rich.console import Console
@@ -12,6 +13,9 @@ from rich.markup import escape
 from rich.table import Table
 
 from hiltestbed.assessment import assess
+
+if TYPE_CHECKING:
+    from hiltestbed.doctor import Finding
 
 
 def print_run(summary: dict[str, Any], folder: Path, recording: bool = True, elapsed: float | None = None) -> None:
@@ -39,6 +43,32 @@ def print_lines(title: str, lines: list[tuple[str, str]], folder: Path) -> None:
     console = Console(highlight=False)
     console.print(table)
     console.print(f"report: {folder / 'report.html'}", soft_wrap=True, markup=False)
+
+
+def print_comparison(names: Sequence[str], rows: Sequence[Sequence[str]], page: Path | None) -> None:
+    """Prints runs side by side to standard output."""
+    table = _table("runs side by side")
+    table.add_column("", overflow="fold")
+    for name in names:
+        table.add_column(escape(name), justify="right", overflow="fold")
+    for row in rows:
+        table.add_row(*map(escape, row))
+    console = Console(highlight=False)
+    console.print(table)
+    if page is not None:
+        console.print(f"page: {page}", soft_wrap=True, markup=False)
+
+
+def print_doctor(findings: Sequence[Finding]) -> None:
+    """Prints what an installation has to standard output."""
+    table = _table("this installation", header=False)
+    for name in ("", "what", "state"):
+        table.add_column(name, overflow="fold")
+    for found in findings:
+        table.add_row(
+            "[green]ok[/green]" if found.good else "[red]no[/red]" if found.needed else "-", escape(found.what), escape(found.state)
+        )
+    Console(highlight=False).print(table)
 
 
 def print_sweep(about: dict[str, Any], folder: Path) -> None:

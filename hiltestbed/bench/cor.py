@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from hiltestbed.bench.contacts import DELAYS, FREQUENCIES, Bounce, Contact, bounce, effective_contact, grid, random_rigs
-from hiltestbed.bench.contenders import BEST, CONTENDERS, Contender
+from hiltestbed.bench.contenders import BEST, CONTENDERS, Contender, contenders
 from hiltestbed.bench.cor_report import cor_report
 from hiltestbed.bench.result import BenchResult
 from hiltestbed.loop import Loop
@@ -31,10 +31,11 @@ RANDOM_METHODS = ("none", "phase_lead", "reconstruction", BEST)
 def cor(quick: bool = False, progress: Progress | None = None) -> BenchResult:
     """All methods on the whole grid; ``quick``: on its corners."""
     contacts = grid((2.0, 8.0), (0.005, 0.020), damping_ratios=(0.05,)) if quick else grid()
-    jobs = [(t, k, m) for t, k in _conditions(quick) for m in CONTENDERS if _takes_part(m, t, k, quick)]
+    methods = contenders()
+    jobs = [(t, k, m) for t, k in _conditions(quick) for m in methods if _takes_part(m, t, k, quick)]
     rigs, points = random_rigs(8 if quick else 64, seed=11), 6 if quick else 12
     random_methods = [m for m in CONTENDERS if m.name in RANDOM_METHODS and m.contact == "first"]
-    work = (len(jobs) + 1) * len(contacts) + 2 * len(random_methods) * len(rigs) + 3 * points**2 + len(CONTENDERS) * COST_RUNS
+    work = (len(jobs) + 1) * len(contacts) + 2 * len(random_methods) * len(rigs) + 3 * points**2 + len(methods) * COST_RUNS
     step = _counter(progress, work)  # in bounces
     reference = bounce([reference_scenario(c.scenario({"kind": "none"})) for c in contacts], THREADS)
     step(len(contacts))
@@ -50,7 +51,7 @@ def cor(quick: bool = False, progress: Progress | None = None) -> BenchResult:
     boundary = stability_boundary(points)
     step(3 * points**2)
     costs = {}
-    for m in CONTENDERS:
+    for m in methods:
         costs[m.name, m.contact] = cost(m, COST_TICKS // (2 if quick else 1))
         step(COST_RUNS)
     board = leaderboard(records, costs)
