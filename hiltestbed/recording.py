@@ -16,9 +16,9 @@ import numpy as np
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array
 from hiltestbed.models import copy_model
+from hiltestbed.result import Run
 from hiltestbed.scenario import Scenario, load_scenario, resolved
-from hiltestbed.signals import GROUPS, RunTrace
-from hiltestbed.simulation import Run
+from hiltestbed.signals import GROUPS, RunTrace, about_column
 from hiltestbed.snapshot import Snapshot, flatten, unflatten
 from hiltestbed.yaml_source import dump_yaml
 
@@ -146,16 +146,11 @@ def write_trace(trace: RunTrace, path: Path) -> None:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    about = {"t": ("s", "", "time from the start, tick/rate"), "contact": ("1", "", "the mechanisms touch")}
-    for group in GROUPS.values():
-        for column, unit in zip(group.columns, group.units, strict=True):
-            about[column] = (unit, group.frame, group.meaning)
     columns = trace.columns()
     fields = []
     for name, values in columns.items():
-        unit, frame, meaning = about[name]
         kind = pa.bool_() if values.dtype == bool else pa.float64()
-        fields.append(pa.field(name, kind, metadata={"unit": unit, "frame": frame, "meaning": meaning}))
+        fields.append(pa.field(name, kind, metadata=about_column(name)))
     arrays = [pa.array(np.ascontiguousarray(v)) for v in columns.values()]
     pq.write_table(pa.table(arrays, schema=pa.schema(fields)), path, compression="zstd", compression_level=1, use_dictionary=False)
 

@@ -9,8 +9,8 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
+from hiltestbed.result import Run
 from hiltestbed.signals import RunTrace
-from hiltestbed.simulation import Run
 from hiltestbed.viewer import spacecraft
 from hiltestbed.viewer.blueprint import Facts, layout
 from hiltestbed.viewer.forces import force_scale, send_force
