@@ -16,7 +16,7 @@ import numpy as np
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array
 from hiltestbed.scenario import dump_scenario, load_scenario
-from hiltestbed.signals import GROUPS, RunTrace
+from hiltestbed.signals import RECORDED, RunTrace
 from hiltestbed.simulation import Run
 from hiltestbed.snapshot import Snapshot, flatten, unflatten
 
@@ -128,7 +128,7 @@ def write_trace(trace: RunTrace, path: Path) -> None:
     import pyarrow.parquet as pq
 
     about = {"t": ("s", "", "time from the start, tick/rate"), "contact": ("1", "", "the mechanisms touch")}
-    for group in GROUPS.values():
+    for group in RECORDED.values():
         for column, unit in zip(group.columns, group.units, strict=True):
             about[column] = (unit, group.frame, group.meaning)
     columns = trace.columns()
@@ -147,5 +147,5 @@ def read_trace(path: Path) -> RunTrace:
 
     table = pq.read_table(path)
     columns: dict[str, Array] = {name: table[name].to_numpy() for name in table.column_names}
-    data = {g.name: np.stack([columns[c] for c in g.columns], axis=-1) for g in GROUPS.values() if g.columns[0] in columns}
+    data = {g.name: np.stack([columns[c] for c in g.columns], axis=-1) for g in RECORDED.values() if g.columns[0] in columns}
     return RunTrace(columns["t"], data, columns["contact"].astype(bool))

@@ -52,6 +52,15 @@ GROUPS = {
     )
 }
 
+CYCLE = Group(
+    "cycle",
+    ("period", "busy", "sensor_age", "missed"),
+    ("s", "s", "s", "1"),
+    "",
+    "of a run against devices: from the start of the cycle before, from its start to the command, age of the reading, ticks missed",
+)
+RECORDED = GROUPS | {CYCLE.name: CYCLE}  # what a trace may hold; the simulation has no cycles
+
 
 class Trace:
     """What a batch of runs did, tick by tick.
@@ -93,7 +102,7 @@ class RunTrace:
     def columns(self) -> dict[str, Array]:
         """Column name to ``(rows,)``, in the order of the trace file."""
         out = {"t": self.t}
-        for group in GROUPS.values():
+        for group in RECORDED.values():
             if group.name in self.data:
                 out |= {c: self.data[group.name][:, j] for j, c in enumerate(group.columns)}
         out["contact"] = self.contact
