@@ -58,7 +58,7 @@ class Emulator:
         for _ in range(WARM_UP):
             warm.step(warm.pose.copy())
         self.rig = SimulatedRig(scenario)
-        self.cycles = self.missed = 0
+        self.cycles = self.missed = self._silent = 0
         self._wrench, self._pose, self._goal = np.zeros(6), np.zeros(7), self.rig.pose.copy()
         self._opened = ExitStack()
 
@@ -78,7 +78,10 @@ class Emulator:
             self.sensor.poll()
             new = self.platform.poll()
             if self.platform.commanded:
-                self.missed += not new
+                self._silent += 1
+                if new:  # the silence after the last command is the end of the run, not a miss
+                    self.missed += self._silent - 1
+                    self._silent = 0
                 if self.platform.stopped is None:
                     self.mounting.pose_in_P(self.platform.command, self._goal)
             self.rig.step(self._goal)
