@@ -6,7 +6,7 @@ The wait for a tick moves the emulated devices on by one cycle and then takes in
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -29,6 +29,9 @@ def scenario_of(name: str, platform: str, **changes: Any) -> Scenario:
     rate = RATES[platform]
     still = {"rate": rate, "physics_rate": 4000.0, "sensor.noise": 0.0, "sensor.torque_noise": 0.0}
     return load_scenario(SCENARIOS / f"{name}.yaml", still | PATIENT | {key.replace("__", "."): value for key, value in changes.items()})
+
+
+Disturbance = Callable[[int, Emulator, Session], Collection[str]]
 
 
 @dataclass
@@ -62,18 +65,19 @@ class Outcome:
 def played(
     scenario: Scenario,
     platform: str,
-    disturb: Callable[[int, Emulator, Session], bool] | None = None,
+    disturb: Disturbance | None = None,
     emulated: Scenario | None = None,
     armed: bool = True,
 ) -> Outcome:
     """Run ``scenario`` against the emulated rig of ``emulated``, the same where it is not given.
 
     Args:
-        disturb: called before each cycle of the devices once the run is armed, with its number; True: its records do not arrive at all.
+        disturb: called before each cycle of the devices once the run is armed, with its number; the devices whose record of this cycle
+            does not arrive in it.
     """
     urls = urls_of(platform)
     emulator = Emulator(emulated or scenario, urls.emulated_sensor, urls.emulated_platform)
-    stepped, cycle = False, 0
+    stepped, begun, cycle = False, False, 0
 
     def pace(sensor: SensorClient, platform: PlatformClient, tick: float) -> Pace:
         nonlocal stepped
@@ -85,19 +89,20 @@ def played(
         return DevicePace(platform, tick, 1)
 
     def wait(timeout: float) -> bool:
-        nonlocal cycle
+        nonlocal begun, cycle
         sensor, moved = session.devices.sensor, session.devices.platform
         before = sensor.sample.sequence
-        lost = False
-        if session.rig.armed:
-            lost = disturb is not None and disturb(cycle, emulator, session)
+        lost: Collection[str] = ()
+        begun = begun or session.rig.armed
+        if begun:
+            lost = disturb(cycle, emulator, session) if disturb is not None else ()
             cycle += 1
         emulator.cycle()
-        if lost:
-            return False
-        until(moved.poll)
-        until(lambda: sensor.sample.sequence != before or sensor.poll())
-        return True
+        if "sensor" not in lost:
+            until(lambda: sensor.sample.sequence != before or sensor.poll())
+        if "platform" not in lost:
+            until(moved.poll)
+        return "platform" not in lost
 
     def step() -> None:
         if not stepped:
