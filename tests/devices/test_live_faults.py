@@ -87,7 +87,7 @@ class Fault:
 
 
 CASES = [(kind, who) for kind in ("lost", "late", "reordered", "truncated", "repeated", "gone") for who in ("sensor", "platform")]
-TRAVEL, TOUCHED = 15, 330  # cycles after arming at 1 kHz: on the way to the start, and in contact
+TRAVEL, TOUCHED = 15, 700  # cycles after arming at 1 kHz: on the way to the start, and in contact
 
 
 @pytest.mark.parametrize("at", [TRAVEL, TOUCHED])
@@ -108,7 +108,10 @@ def test_a_fault_stops_the_run_in_its_cycle(kind: str, who: str, at: int, tmp_pa
     assert f"{who} " in summary["stop_reason"]
     assert at <= sent[-1] <= at + (kind == "repeated")
     assert ("before the start" in summary["stop_reason"]) is (at == TRAVEL)
-    np.testing.assert_allclose(outcome.emulator.platform.command, outcome.session.rig.last, atol=1e-12)  # held
+    if (kind, who) != ("gone", "platform"):
+        np.testing.assert_allclose(outcome.emulator.platform.command, outcome.session.rig.last, atol=1e-12)  # held
+    if at == TOUCHED:
+        assert summary["peak_force"] > 10.0
     write_run(outcome.run, tmp_path / "run", rerun=False)
     assert read_run(tmp_path / "run").summary["stop_reason"] == summary["stop_reason"]
 
