@@ -86,6 +86,52 @@ def add(app: typer.Typer, scenario_of: ScenarioOf) -> None:
         else:
             print(f"{result.cycles} cycles, {result.missed} without a command in time, {result.skipped} skipped; {result.ended}")
 
+    @app.command()
+    def commission(
+        scenario: File,
+        sensor: Sensor,
+        platform: Platform,
+        arm: Arm = False,
+        out: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Folder to write; left out: runs/NAME-commission.")] = None,
+        force: Annotated[float, typer.Option("--force", metavar="N", help="Force of the presses [N].")] = 100.0,
+        sets: Sets = None,
+        cpu: Cpu = None,
+        as_json: Json = False,
+    ) -> None:
+        """Measure sensor and platform of a live facility by small known motions: its nominal scenario, and a dataset for `diagnose`."""
+        from hiltestbed.devices.commission.folder import RESULT, figures, write_commission
+        from hiltestbed.devices.commission.procedure import commission as run_commission
+        from hiltestbed.devices.session import Options
+        from hiltestbed.folders import free_folder, safe_name
+        from hiltestbed.progress import step_line
+        from hiltestbed.recording import refuse_foreign
+
+        spec = scenario_of(scenario, sets, None)
+        folder = out if out is not None else free_folder(Path("runs") / safe_name(f"{spec.name}-commission"))
+        refuse_foreign(folder, RESULT)
+        _end_like_ctrl_c()
+        with step_line(spec.name) as progress:
+            result = run_commission(spec, Options(sensor, platform, armed=arm, cpu=cpu), force, progress)
+        write_commission(result, folder)
+        found = figures(result)
+        if as_json:
+            print(json.dumps(found | {"folder": str(folder)}))
+        else:
+            _print_commission(found, folder)
+
+
+def _print_commission(found: dict[str, Any], folder: Path) -> None:
+    sensor, platform = found["sensor"], found["platform"]
+    angles = ", ".join(f"{value:.3f}" for value in sensor["attitude_deg"])
+    print(f"sensor: sign {sensor['sign']:+d}, attitude in P {angles} deg, delay {1e3 * sensor['delay']:.3f} ms")
+    for n in sensor["gains_and_crosstalk"]:
+        what = f"gain {n['axis']}" if n["source"] == n["axis"] else f"crosstalk {n['source']} to {n['axis']}"
+        print(f"  {what}: {n['value']:.4f} +- {n['ci95']:.4f}")
+    print("  noise: " + ", ".join(f"{axis} {value:.3g}" for axis, value in found["noise"].items()))
+    scale = ", ".join(f"{value:.4f}" for value in platform["scale"])
+    print(f"platform: delay {1e3 * platform['delay']:.3f} ms, scale {scale}, compliance {1e9 * platform['compliance']:.3g} nm/N")
+    print(f"{folder}: nominal.yaml, believed.yaml, dataset.yaml; next: hiltestbed diagnose {folder / 'dataset.yaml'}")
+
 
 def _end_like_ctrl_c() -> None:
     """A request to terminate ends a run as Ctrl-C does: with the platform held and its folder written."""

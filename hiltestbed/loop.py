@@ -18,6 +18,7 @@ from hiltestbed.compensation.blocks import make_drive
 from hiltestbed.compensation.input import InputDeadZone
 from hiltestbed.compensation.measurement import Measurement
 from hiltestbed.compensation.motion import MotionCommand
+from hiltestbed.contact.phases import Phases
 from hiltestbed.frames import Array
 from hiltestbed.identification.settings import IDENTIFIERS
 from hiltestbed.metrics import Tally
@@ -45,6 +46,7 @@ class RigSide(Protocol):
     upper_cmd: Array
     upper_act: Array
     diverged: NDArray[np.bool_]
+    phases: Phases | None
 
     def divergence(self, i: int) -> str: ...
     def payload_left(self, i: int) -> dict[str, float] | None: ...

@@ -62,13 +62,28 @@ def clients(scenario: Scenario, options: Options) -> tuple[SensorClient, Platfor
 
 @dataclass
 class Observed:
-    """What the devices show while nothing moves: reading and pose in P, spread of the reading, rate, and the events so far."""
+    """What the devices show while nothing moves: reading and pose in P, spread of the reading, rate, and the events so far.
+
+    Attributes:
+        shown, shown_noise: (6,) mean and spread of the reading in the sensor's own frame.
+    """
 
     pose: Array
     wrench: Array
     noise: Array
+    shown: Array
+    shown_noise: Array
     rate: float
     counts: dict[str, dict[str, int]]
+
+
+@dataclass
+class Row:
+    """A tick of a known motion: pose (7,) commanded for its end, pose (7,) of A in P reached, wrench (6,) as the sensor shows it."""
+
+    command: Array
+    pose: Array
+    shown: Array
 
 
 class Session:
@@ -108,12 +123,12 @@ class Session:
         """Watch the devices while the platform is held, tare the sensor, and wait for the watchdog's process."""
         rig, tare = self.rig, self.scenario.devices.sensor.tare
         ticks = round(max(OBSERVED if not self.armed else 0.0, tare) * self.scenario.rate)
-        readings = np.zeros((max(ticks, 2), 6))
+        readings, shown = np.zeros((2, max(ticks, 2), 6))
         rig.watch()
         began = time.monotonic()
         for k in range(len(readings)):
             self._hold()
-            readings[k] = rig.wrench_sub[0, 0]
+            readings[k], shown[k] = rig.wrench_sub[0, 0], self.devices.sensor.reading.wrench
         rate = len(readings) / max(time.monotonic() - began, 1e-9)
         wrench = readings.mean(axis=0)
         if tare > 0.0:
@@ -124,42 +139,57 @@ class Session:
             self._hold()
         if watchdog is not None and not watchdog.ready and rig.stop is None:
             rig.stop = f"the watchdog did not start within {READY:g} s"
-        return Observed(rig.pose_act[0].copy(), wrench, readings.std(axis=0), rate, self._counts())
+        spread = readings.std(axis=0)
+        return Observed(rig.pose_act[0].copy(), wrench, spread, shown.mean(axis=0), shown.std(axis=0), rate, self._counts())
 
     def run(self) -> None:
         """Arm, travel, run, stop."""
-        loop, began = self.loop, time.perf_counter()
+        self.guarded(self._run)
+        if self.loop.k == 0 and self.rig.stop is not None:
+            self.loop.trouble[0] = (0, "stopped", f"before the start: {self.rig.stop}")
+
+    def guarded(self, work: Callable[[], None]) -> None:
+        """Arm, do ``work``, and bring the platform to rest whatever comes of it; what has gone wrong stands in ``rig.stop``."""
+        rig = self.rig
         try:
-            self.rig.arm()
-            if self._approach():
-                self.rig.tick_zero()
-                began = time.perf_counter()
-                while loop.k < self.scenario.ticks and loop.alive[0]:
-                    loop.step(self.trace)
-            else:
-                loop.trouble[0] = (0, "stopped", f"before the start: {self.rig.stop}")
+            rig.arm()
+            work()
         except KeyboardInterrupt:
-            loop.trouble[0] = (loop.k, "stopped", "interrupted")
+            rig.stop = "interrupted"
         except (HiltestbedError, OSError) as error:  # a device that refuses is a reason to stop, not to lose the run
-            loop.trouble[0] = (loop.k, "stopped", str(error))
+            rig.stop = str(error)
+        finally:
+            reason = rig.stop
+            self._end()
+            rig.stop = reason
+            if reason is not None and not self.loop.trouble:
+                self.loop.trouble[0] = (self.loop.k, "stopped", reason)
+
+    def _run(self) -> None:
+        if not self._approach():
+            return
+        self.rig.tick_zero()
+        began = time.perf_counter()
+        try:
+            while self.loop.k < self.scenario.ticks and self.loop.alive[0]:
+                self.loop.step(self.trace)
         finally:
             self.wall = time.perf_counter() - began
-            self._end()
 
     def _approach(self) -> bool:
         """To where the run-up begins, and up to the approach velocity; False where something has stopped it."""
         tick, settings = self.rig.tick, self.scenario.devices.platform
         rest = next(run_up(self._pose, self._twist, tick, settings.run_up))
         way = travel(self.rig.last.copy(), rest, tick, settings.travel_speed, np.radians(settings.travel_rate_deg))
-        return self._go(way) and self._go(run_up(self._pose, self._twist, tick, settings.run_up))
+        return self.follow(way) and self.follow(run_up(self._pose, self._twist, tick, settings.run_up))
 
     def _end(self) -> None:
         """Bring the platform to rest: smoothly after a run that is complete, as the scenario says after one that is not."""
         rig, platform = self.rig, self.devices.platform
         try:
-            if not self.loop.trouble:
-                down = run_down(rig.last.copy(), self.loop.drive.twist[0].copy(), rig.tick, self.scenario.devices.platform.run_up)
-                if self._go(down):
+            if rig.stop is None and not self.loop.trouble:
+                down = run_down(rig.last.copy(), self._leaving(), rig.tick, self.scenario.devices.platform.run_up)
+                if self.follow(down):
                     self._hold()
                 else:
                     platform.hold()
@@ -170,6 +200,10 @@ class Session:
         finally:
             if self.devices.watchdog is not None:
                 self.devices.watchdog.disarm()
+
+    def _leaving(self) -> Array:
+        """The twist (6,) with which the platform is to come to rest: none where no run has moved it."""
+        return self.loop.drive.twist[0].copy() if self.loop.k > 0 else np.zeros(6)
 
     def _stop(self) -> None:
         settings, rig, platform = self.scenario.devices.on_stop, self.rig, self.devices.platform
@@ -182,18 +216,25 @@ class Session:
             goal[2] -= settings.distance
             rig.stop = None
             rig.guard.start(rig.last)
-            self._go(travel(rig.last.copy(), goal, rig.tick, settings.speed, np.radians(5.0)), tolerant=True)
+            self.follow(travel(rig.last.copy(), goal, rig.tick, settings.speed, np.radians(5.0)), tolerant=True)
         rig.armed = False
         for _ in range(2):
             self._hold()
 
-    def _go(self, poses: Iterable[Array], tolerant: bool = False) -> bool:
-        """Command ``poses``, one a tick; False where something has stopped it. ``tolerant``: only the guard does."""
+    def follow(self, poses: Iterable[Array], tolerant: bool = False, rows: list[Row] | None = None) -> bool:
+        """Command ``poses`` (7,), one a tick; False where something has stopped it.
+
+        Args:
+            tolerant: only the guard stops it: for a way out after a stop.
+            rows: takes what was read at each tick and commanded from it.
+        """
         rig = self.rig
         for pose in poses:
             self._to_send[0] = pose
             if tolerant:
                 rig.stop = None
+            if rows is not None:
+                rows.append(Row(pose, rig.pose_act[0].copy(), self.devices.sensor.reading.wrench.copy()))
             rig.begin(self._to_send, self._zero, self._zero)
             if rig.stop is not None:
                 return False
