@@ -18,7 +18,7 @@ from hiltestbed.frames import Array
 from hiltestbed.models import copy_model
 from hiltestbed.result import Run
 from hiltestbed.scenario import Scenario, load_scenario, resolved
-from hiltestbed.signals import GROUPS, RunTrace, about_column
+from hiltestbed.signals import RECORDED, RunTrace, about_column
 from hiltestbed.snapshot import Snapshot, flatten, unflatten
 from hiltestbed.yaml_source import dump_yaml
 
@@ -161,5 +161,5 @@ def read_trace(path: Path) -> RunTrace:
 
     table = pq.read_table(path)
     columns: dict[str, Array] = {name: table[name].to_numpy() for name in table.column_names}
-    data = {g.name: np.stack([columns[c] for c in g.columns], axis=-1) for g in GROUPS.values() if g.columns[0] in columns}
+    data = {g.name: np.stack([columns[c] for c in g.columns], axis=-1) for g in RECORDED.values() if g.columns[0] in columns}
     return RunTrace(columns["t"], data, columns["contact"].astype(bool))

@@ -59,6 +59,15 @@ GROUPS = {
     )
 }
 
+CYCLE = Group(
+    "cycle",
+    ("period", "busy", "sensor_age", "missed"),
+    ("s", "s", "s", "1"),
+    "",
+    "of a run against devices: from the start of the cycle before, from its start to the command, age of the reading, ticks missed",
+)
+RECORDED = GROUPS | {CYCLE.name: CYCLE}  # what a trace may hold; the simulation has no cycles
+
 
 class Trace:
     """What a batch of runs did, tick by tick.
@@ -122,7 +131,7 @@ class RunTrace(dict[str, Array]):
         return html_table(f"Trace of {len(self.t)} rows", ("group", "parts", "unit", "frame", "meaning"), rows)
 
     def _groups(self) -> list[Group]:
-        return [group for group in GROUPS.values() if group.name in self.data]
+        return [group for group in RECORDED.values() if group.name in self.data]
 
     def columns(self) -> dict[str, Array]:
         """Column name to ``(rows,)``, in the order of the trace file."""
@@ -173,5 +182,5 @@ def about_column(name: str) -> dict[str, str]:
     if name == "contact":
         return {"unit": "1", "frame": "", "meaning": "the mechanisms touch"}
     group, _, part = name.partition(".")
-    found = GROUPS[group]
+    found = RECORDED[group]
     return {"unit": found.units[found.parts.index(part)], "frame": found.frame, "meaning": found.meaning}
