@@ -9,16 +9,19 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array
 from hiltestbed.scenario import dump_scenario, load_scenario
-from hiltestbed.signals import GROUPS, RunTrace
+from hiltestbed.signals import RunTrace, groups
 from hiltestbed.simulation import Run
 from hiltestbed.snapshot import Snapshot, flatten, unflatten
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 SUMMARY, SCENARIO, TRACE, RECORDING, FAILURE = "summary.json", "scenario.yaml", "trace.parquet", "recording.rrd", "failure.npz"
 
@@ -128,7 +131,7 @@ def write_trace(trace: RunTrace, path: Path) -> None:
     import pyarrow.parquet as pq
 
     about = {"t": ("s", "", "time from the start, tick/rate"), "contact": ("1", "", "the mechanisms touch")}
-    for group in GROUPS.values():
+    for group in groups(trace.joints).values():
         for column, unit in zip(group.columns, group.units, strict=True):
             about[column] = (unit, group.frame, group.meaning)
     columns = trace.columns()
@@ -147,5 +150,12 @@ def read_trace(path: Path) -> RunTrace:
 
     table = pq.read_table(path)
     columns: dict[str, Array] = {name: table[name].to_numpy() for name in table.column_names}
-    data = {g.name: np.stack([columns[c] for c in g.columns], axis=-1) for g in GROUPS.values() if g.columns[0] in columns}
-    return RunTrace(columns["t"], data, columns["contact"].astype(bool))
+    joints = tuple(_unit(table, name) for name in table.column_names if name.startswith("slider_cmd."))
+    present = [g for g in groups(joints).values() if g.columns and g.columns[0] in columns]
+    data = {g.name: np.stack([columns[c] for c in g.columns], axis=-1) for g in present}
+    return RunTrace(columns["t"], data, columns["contact"].astype(bool), joints)
+
+
+def _unit(table: pa.Table, column: str) -> str:
+    """The unit of a column of a trace file."""
+    return ((table.schema.field(column).metadata or {}).get(b"unit", b"m")).decode()

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -45,27 +46,40 @@ GROUPS = {
         Group("wrench_comp", _WRENCH, _WRENCH_UNITS, "in P at P's origin", "wrench that drove the numerical model"),
         Group("stiffness_est", AXES, ("N/m",) * 3 + ("N m/rad",) * 3, "in P at P's origin", "running estimate of stiffness"),
         Group("damping_est", AXES, ("N s/m",) * 3 + ("N m s/rad",) * 3, "in P at P's origin", "running estimate of damping"),
-        Group("slider_cmd", _SLIDERS, ("m",) * 6, "platform", "slider positions commanded"),
-        Group("slider_act", _SLIDERS, ("m",) * 6, "platform", "slider positions reached"),
+        Group("slider_cmd", _SLIDERS, ("m",) * 6, "platform", "driven joints of the platform commanded: its sliders; 0 at home"),
+        Group("slider_act", _SLIDERS, ("m",) * 6, "platform", "driven joints of the platform reached: its sliders; 0 at home"),
         Group("upper_cmd", _SLIDERS[:3], ("m",) * 3, "upper platform", "slider positions of the upper platform commanded; 0 at home"),
         Group("upper_act", _SLIDERS[:3], ("m",) * 3, "upper platform", "slider positions of the upper platform reached; 0 at home"),
     )
 }
 
 
+SIX_SLIDERS = ("m",) * 6
+_JOINTS = ("slider_cmd", "slider_act")
+
+
+@lru_cache
+def groups(joints: tuple[str, ...] = SIX_SLIDERS) -> dict[str, Group]:
+    """The groups of a trace of a platform whose driven joints have the units ``joints``: as many columns; none where nothing is driven."""
+    parts = tuple(map(str, range(len(joints))))
+    return {name: replace(g, parts=parts, units=joints) if name in _JOINTS else g for name, g in GROUPS.items()}
+
+
 class Trace:
     """What a batch of runs did, tick by tick.
 
     Attributes:
+        joints: units of the platform's driven joints.
         t: ``(ticks,)`` time [s], ``tick/rate``.
         data: group name to ``(ticks, n, parts)``.
         contact: ``(ticks, n)`` bool, the mechanisms touch.
         length: ``(n,)`` rows that hold data: fewer than ``ticks`` where a run was stopped.
     """
 
-    def __init__(self, ticks: int, n: int, rate: float) -> None:
+    def __init__(self, ticks: int, n: int, rate: float, joints: tuple[str, ...] = SIX_SLIDERS) -> None:
+        self.joints = joints
         self.t = np.arange(ticks) / rate
-        self.data = {g.name: np.full((ticks, n, len(g.parts)), np.nan) for g in GROUPS.values()}
+        self.data = {g.name: np.full((ticks, n, len(g.parts)), np.nan) for g in groups(joints).values()}
         self.contact = np.zeros((ticks, n), dtype=bool)
         self.length = np.full(n, ticks)
 
@@ -76,16 +90,17 @@ class Trace:
         """The rows of run ``i``."""
         rows = int(self.length[i])
         data = {name: array[:rows, i] for name, array in self.data.items()}
-        return RunTrace(self.t[:rows], data, self.contact[:rows, i])
+        return RunTrace(self.t[:rows], data, self.contact[:rows, i], self.joints)
 
 
 @dataclass
 class RunTrace:
-    """One run: ``t`` ``(rows,)``, ``data`` group name to ``(rows, parts)``, ``contact`` ``(rows,)``."""
+    """One run: ``t`` ``(rows,)``, ``data`` group name to ``(rows, parts)``, ``contact`` ``(rows,)``; ``joints``: units of the driven ones."""
 
     t: Array
     data: dict[str, Array]
     contact: np.ndarray
+    joints: tuple[str, ...] = SIX_SLIDERS
 
     def __getitem__(self, name: str) -> Array:
         return self.data[name]
@@ -93,7 +108,7 @@ class RunTrace:
     def columns(self) -> dict[str, Array]:
         """Column name to ``(rows,)``, in the order of the trace file."""
         out = {"t": self.t}
-        for group in GROUPS.values():
+        for group in groups(self.joints).values():
             if group.name in self.data:
                 out |= {c: self.data[group.name][:, j] for j, c in enumerate(group.columns)}
         out["contact"] = self.contact
