@@ -9,7 +9,7 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -18,18 +18,15 @@ from hiltestbed.frames import Array
 from hiltestbed.models import copy_model
 from hiltestbed.result import Run
 from hiltestbed.scenario import Scenario, load_scenario, resolved
-from hiltestbed.signals import RECORDED, RunTrace, about_column
+from hiltestbed.signals import RunTrace, about_column, groups
 from hiltestbed.snapshot import Snapshot, flatten, unflatten
 from hiltestbed.yaml_source import dump_yaml
 
-SUMMARY, SCENARIO, TRACE, RECORDING, FAILURE, MODELS = (
-    "summary.json",
-    "scenario.yaml",
-    "trace.parquet",
-    "recording.rrd",
-    "failure.npz",
-    "models",
-)
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+SUMMARY, SCENARIO, TRACE, RECORDING, FAILURE = "summary.json", "scenario.yaml", "trace.parquet", "recording.rrd", "failure.npz"
+MODELS = "models"
 
 
 @contextmanager
@@ -150,7 +147,7 @@ def write_trace(trace: RunTrace, path: Path) -> None:
     fields = []
     for name, values in columns.items():
         kind = pa.bool_() if values.dtype == bool else pa.float64()
-        fields.append(pa.field(name, kind, metadata=about_column(name)))
+        fields.append(pa.field(name, kind, metadata=about_column(name, trace.joints)))
     arrays = [pa.array(np.ascontiguousarray(v)) for v in columns.values()]
     pq.write_table(pa.table(arrays, schema=pa.schema(fields)), path, compression="zstd", compression_level=1, use_dictionary=False)
 
@@ -161,5 +158,12 @@ def read_trace(path: Path) -> RunTrace:
 
     table = pq.read_table(path)
     columns: dict[str, Array] = {name: table[name].to_numpy() for name in table.column_names}
-    data = {g.name: np.stack([columns[c] for c in g.columns], axis=-1) for g in RECORDED.values() if g.columns[0] in columns}
-    return RunTrace(columns["t"], data, columns["contact"].astype(bool))
+    joints = tuple(_unit(table, name) for name in table.column_names if name.startswith("slider_cmd."))
+    present = [g for g in groups(joints).values() if g.columns and g.columns[0] in columns]
+    data = {g.name: np.stack([columns[c] for c in g.columns], axis=-1) for g in present}
+    return RunTrace(columns["t"], data, columns["contact"].astype(bool), joints)
+
+
+def _unit(table: pa.Table, column: str) -> str:
+    """The unit of a column of a trace file."""
+    return ((table.schema.field(column).metadata or {}).get(b"unit", b"m")).decode()

@@ -74,7 +74,7 @@ def simulate(
     """Drive the loop to its end; ``until_parted`` ends it when every run's rebound speed is known."""
     ticks = max(s.ticks for s in scenarios)
     loop = Loop(scenarios, nthread)
-    rows = trace(loop) if callable(trace) else Trace(ticks, len(scenarios), scenarios[0].rate) if trace else None
+    rows = trace(loop) if callable(trace) else Trace(ticks, len(scenarios), scenarios[0].rate, loop.plant.units) if trace else None
     snapshots = Snapshots(loop)
     start = 0.0
     while loop.k < ticks and loop.alive.any():
@@ -130,7 +130,8 @@ def reference_scenario(scenario: Scenario) -> Scenario:
     data["compensation"] = {"force": {"kind": "none"}, "motion": {"kind": "none"}}
     data["identification"] = {"kind": "none"}
     data["safety"] = dict.fromkeys(data["safety"])  # nothing is watched
-    data["rig"]["platform"]["tracking"] = data["rig"]["upper"]["tracking"] = "ideal"
+    data["rig"]["platform"] = scenario.rig.platform.reference()
+    data["rig"]["upper"]["tracking"] = "ideal"
     data["effects"] = [e for e in data["effects"] if e["kind"].startswith("contact.")]
     return scenario_from(data)
 
