@@ -15,6 +15,7 @@ from hiltestbed.signals import GROUPS
 
 SAME_PART = 0.99  # part of the rows in which two channels hold the same number, from which one is a copy
 TRAVEL = 20.0  # noise floors that a channel has to range over before a copy of it means anything
+MOVES = 1e-4  # [m] that the other pose has to move by: encoders have steps
 DEEP = 1e-5  # [m] into each other, or off a uniform motion, where a force is expected
 
 
@@ -58,7 +59,7 @@ def _constants(record: Record, found: Survey, scenario: Scenario) -> Iterator[Re
     for name, other in (("pose_act", "pose_cmd"), ("pose_cmd", "pose_act")):
         for part in ("px", "py", "pz"):
             a, b = f"{name}.{part}", f"{other}.{part}"
-            if {a, b} <= columns and _range(record.column(a)) == 0.0 and _range(record.column(b)) > TRAVEL * _floor(found, b):
+            if {a, b} <= columns and _range(record.column(a)) == 0.0 and _range(record.column(b)) > max(MOVES, TRAVEL * _floor(found, b)):
                 text = f"stands at {_first(record.column(a)):.6g} in every row while {b} moves by {_range(record.column(b)):.3g} m"
                 yield Remark("error", record.run, a, text, f"map the right column of {a}, or leave it out", {}, "constant")
         if {f"{name}.pz"} <= columns and f"{other}.pz" not in columns and _range(record.column(f"{name}.pz")) == 0.0:
