@@ -99,7 +99,7 @@ def test_a_ball_on_a_wall_of_the_mesh_is_pressed_along_its_normal(folder: Path) 
     depth, r = 1e-3, 0.03
     wall = np.array([1.0, 0.0, 1.0]) / np.sqrt(2.0)  # from the ball into the wall
     centre = np.array([0.06, 0.0, -0.06]) - (r - depth) * wall
-    pose = np.concatenate([centre + [0.0, 0.0, r], [0.0, 0.0, 0.0, 1.0]])[None]
+    pose = np.array([[*centre[:2], centre[2] + r, 0.0, 0.0, 0.0, 1.0]])
     plant.reset(pose, np.zeros((1, 6)))
     np.testing.assert_allclose(plant.wrench_sub[0, -1, :3], K * depth * wall, atol=1e-3 * K * depth)
 
@@ -138,12 +138,15 @@ def test_bad_files_are_refused(folder: Path) -> None:
     )
     assert "no geom is called 'ball'" in refused(folder, "active", active.replace('"ball"', '"bulb"'))
     assert "MJCF" in refused(folder, "active", "<mujoco><body>")
+    with pytest.raises(InputError, match="overlap at the start"):
+        (folder / "parts" / "active.xml").write_text(active)
+        mine(folder, **{"approach.gap": 0.001, "approach.offset": [0.08, 0.0]})
     with pytest.raises(InputError, match="no such file"):
         mine(folder, **{"mechanism.active": "parts/nowhere.xml"})
     (folder / "parts" / "active.xml").write_text(active)
     turned = "\n".join(line if line[0] == "v" else "f {0} {2} {1}".format(*line.split()[1:]) for line in pyramid().strip().splitlines())
     (folder / "parts" / "dish.obj").write_text(turned + "\n")
-    with pytest.raises(InputError, match="inside out|turned|normals"):
+    with pytest.raises(InputError, match="inverted|opposite"):
         Plant([mine(folder)])
 
 
