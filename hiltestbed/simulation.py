@@ -9,7 +9,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from hiltestbed import plugins
-from hiltestbed.contact.truth import axis_truth
+from hiltestbed.contact.truth import axis_truth, normal_truth
+from hiltestbed.identification.least_squares import RecursiveLeastSquares
 from hiltestbed.ledger import delay_ledger, predicted_log_error
 from hiltestbed.log import stamp_late
 from hiltestbed.loop import Loop
@@ -111,7 +112,7 @@ def collected(loop: Loop, rows: Any, wall: float, failures: dict[int, Snapshot])
         figures=[loop.tally.figures(i) for i in range(len(scenarios))],
         trouble=loop.trouble,
         identification=[_identified(loop, i) for i in range(len(scenarios))],
-        outcomes=[loop.outcomes.summary(i) | _capture(loop, i) for i in range(len(scenarios))],
+        outcomes=[loop.outcomes.summary(i) | _capture(loop, i) | _along_normal(loop, i) for i in range(len(scenarios))],
         payload=[loop.plant.payload_left(i) for i in range(len(scenarios))],
         ticks=loop.k,
         wall=wall,
@@ -138,7 +139,7 @@ def reference_scenario(scenario: Scenario) -> Scenario:
 
 def _identified(loop: Loop, i: int) -> dict[str, Any]:
     """Per axis: stiffness and damping identified, None where the axis gave no estimate, and the truth where there is one."""
-    truth = axis_truth(loop.scenarios[i])
+    truth = axis_truth(loop.scenarios[i], bool(loop.plant.captured[i]))
     estimate = loop.identification
     out = {}
     for j, axis in enumerate(AXES):
@@ -151,6 +152,17 @@ def _identified(loop: Loop, i: int) -> dict[str, Any]:
             "samples": int(estimate.samples[i, j]) if estimate else 0,
         }
     return out
+
+
+def _along_normal(loop: Loop, i: int) -> dict[str, Any]:
+    """What was identified along the normal of the contact, of a mechanism whose surfaces are not one plane, before it is latched."""
+    estimate, mechanism = loop.identification, loop.scenarios[i].mechanism
+    if not isinstance(estimate, RecursiveLeastSquares) or mechanism.flat or mechanism.captured:
+        return {}
+    k, c, k_sd, c_sd, samples = (_number(v) for v in estimate.along_normal[i])
+    truth = normal_truth(loop.scenarios[i]) or (None, None)
+    found = {"stiffness": k, "damping": c, "stiffness_sd": k_sd, "damping_sd": c_sd, "samples": int(samples or 0)}
+    return {"identification_normal": found | {"stiffness_true": truth[0], "damping_true": truth[1]}}
 
 
 def _capture(loop: Loop, i: int) -> dict[str, Any]:
