@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hiltestbed import interrupt
+from hiltestbed import cli_devices, interrupt
 from hiltestbed.errors import HiltestbedError, InputError
 from hiltestbed.folders import free_folder, safe_name
 
@@ -199,6 +199,7 @@ BENCHES = {  # name to the module whose function of that name measures
     "cor": "hiltestbed.bench.cor",
     "diagnosis": "hiltestbed.bench.diagnosis",
     "identification": "hiltestbed.bench.identification",
+    "realtime": "hiltestbed.bench.realtime",
     "throughput": "hiltestbed.bench.throughput",
 }
 
@@ -293,6 +294,14 @@ def diagnose(
         from hiltestbed.table import print_diagnosis
 
         print_diagnosis(result.to_json(), folder)
+
+
+def device_scenario(file: Path, sets: list[str] | None, seconds: float | None = None) -> Scenario:
+    """The scenario in a file, for ``seconds`` where they are given."""
+    return _scenario(file, [*(sets or []), *([f"duration={seconds!r}"] if seconds is not None else [])], None)
+
+
+cli_devices.add(app, device_scenario)
 
 
 def overrides(sets: list[str] | None) -> dict[str, Any]:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -52,27 +53,49 @@ GROUPS = {
         Group("wrench_comp", _WRENCH, _WRENCH_UNITS, "in P at P's origin", "wrench that drove the numerical model"),
         Group("stiffness_est", AXES, ("N/m",) * 3 + ("N m/rad",) * 3, "in P at P's origin", "running estimate of stiffness"),
         Group("damping_est", AXES, ("N s/m",) * 3 + ("N m s/rad",) * 3, "in P at P's origin", "running estimate of damping"),
-        Group("slider_cmd", _SLIDERS, ("m",) * 6, "platform", "slider positions commanded"),
-        Group("slider_act", _SLIDERS, ("m",) * 6, "platform", "slider positions reached"),
+        Group("slider_cmd", _SLIDERS, ("m",) * 6, "platform", "driven joints of the platform commanded: its sliders; 0 at home"),
+        Group("slider_act", _SLIDERS, ("m",) * 6, "platform", "driven joints of the platform reached: its sliders; 0 at home"),
         Group("upper_cmd", _SLIDERS[:3], ("m",) * 3, "upper platform", "slider positions of the upper platform commanded; 0 at home"),
         Group("upper_act", _SLIDERS[:3], ("m",) * 3, "upper platform", "slider positions of the upper platform reached; 0 at home"),
     )
 }
+
+CYCLE = Group(
+    "cycle",
+    ("period", "busy", "sensor_age", "missed"),
+    ("s", "s", "s", "1"),
+    "",
+    "of a run against devices: from the start of the cycle before, from its start to the command, age of the reading, ticks missed",
+)
+RECORDED = GROUPS | {CYCLE.name: CYCLE}  # what a trace may hold; the simulation has no cycles
+
+
+SIX_SLIDERS = ("m",) * 6
+_JOINTS = ("slider_cmd", "slider_act")
+
+
+@lru_cache
+def groups(joints: tuple[str, ...] = SIX_SLIDERS) -> dict[str, Group]:
+    """The groups of a trace of a platform whose driven joints have the units ``joints``: as many columns; none where nothing is driven."""
+    parts = tuple(map(str, range(len(joints))))
+    return {name: replace(g, parts=parts, units=joints) if name in _JOINTS else g for name, g in RECORDED.items()}
 
 
 class Trace:
     """What a batch of runs did, tick by tick.
 
     Attributes:
+        joints: units of the platform's driven joints.
         t: ``(ticks,)`` time [s], ``tick/rate``.
         data: group name to ``(ticks, n, parts)``.
         contact: ``(ticks, n)`` bool, the mechanisms touch.
         length: ``(n,)`` rows that hold data: fewer than ``ticks`` where a run was stopped.
     """
 
-    def __init__(self, ticks: int, n: int, rate: float) -> None:
+    def __init__(self, ticks: int, n: int, rate: float, joints: tuple[str, ...] = SIX_SLIDERS) -> None:
+        self.joints = joints
         self.t = np.arange(ticks) / rate
-        self.data = {g.name: np.full((ticks, n, len(g.parts)), np.nan) for g in GROUPS.values()}
+        self.data = {g.name: np.full((ticks, n, len(g.parts)), np.nan) for g in groups(joints).values() if g.name in GROUPS}
         self.contact = np.zeros((ticks, n), dtype=bool)
         self.length = np.full(n, ticks)
 
@@ -83,7 +106,7 @@ class Trace:
         """The rows of run ``i``."""
         rows = int(self.length[i])
         data = {name: array[:rows, i] for name, array in self.data.items()}
-        return RunTrace(self.t[:rows], data, self.contact[:rows, i])
+        return RunTrace(self.t[:rows], data, self.contact[:rows, i], self.joints)
 
 
 class RunTrace(dict[str, Array]):
@@ -93,8 +116,9 @@ class RunTrace(dict[str, Array]):
     group: ``trace["wrench_meas.fz"]`` ``(rows,)``, ``trace["wrench_meas"]`` ``(rows, 6)``, ``trace["t"]``, ``trace["contact"]``.
     """
 
-    def __init__(self, t: Array, data: dict[str, Array], contact: np.ndarray) -> None:
-        self.t, self.data, self.contact = t, data, contact
+    def __init__(self, t: Array, data: dict[str, Array], contact: np.ndarray, joints: tuple[str, ...] = SIX_SLIDERS) -> None:
+        """``joints``: units of the platform's driven joints."""
+        self.t, self.data, self.contact, self.joints = t, data, contact, joints
         super().__init__(t=t)
         for group in self._groups():
             self |= {column: data[group.name][:, j] for j, column in enumerate(group.columns)}
@@ -109,7 +133,7 @@ class RunTrace(dict[str, Array]):
         return super().__contains__(name) or name in self.data
 
     def __reduce__(self) -> tuple:
-        return RunTrace, (self.t, self.data, self.contact)
+        return RunTrace, (self.t, self.data, self.contact, self.joints)
 
     def __repr__(self) -> str:
         span = f"{self.t[0]:g} to {self.t[-1]:g} s" if len(self.t) else "empty"
@@ -122,7 +146,7 @@ class RunTrace(dict[str, Array]):
         return html_table(f"Trace of {len(self.t)} rows", ("group", "parts", "unit", "frame", "meaning"), rows)
 
     def _groups(self) -> list[Group]:
-        return [group for group in GROUPS.values() if group.name in self.data]
+        return [group for group in groups(self.joints).values() if group.name in self.data]
 
     def columns(self) -> dict[str, Array]:
         """Column name to ``(rows,)``, in the order of the trace file."""
@@ -130,7 +154,7 @@ class RunTrace(dict[str, Array]):
 
     def about(self) -> dict[str, dict[str, str]]:
         """Column name to its unit, frame and meaning."""
-        return {name: about_column(name) for name in self}
+        return {name: about_column(name, self.joints) for name in self}
 
     def to_pandas(self):
         """A pandas DataFrame, time [s] as its index; ``attrs`` holds unit, frame and meaning of each column."""
@@ -166,12 +190,12 @@ class UnknownColumn(KeyError, InputError):
         return Exception.__str__(self)
 
 
-def about_column(name: str) -> dict[str, str]:
+def about_column(name: str, joints: tuple[str, ...] = SIX_SLIDERS) -> dict[str, str]:
     """Unit, frame and meaning of a column of the trace."""
     if name == "t":
         return {"unit": "s", "frame": "", "meaning": "time from the start, tick/rate"}
     if name == "contact":
         return {"unit": "1", "frame": "", "meaning": "the mechanisms touch"}
     group, _, part = name.partition(".")
-    found = GROUPS[group]
+    found = groups(joints)[group]
     return {"unit": found.units[found.parts.index(part)], "frame": found.frame, "meaning": found.meaning}

@@ -60,7 +60,7 @@ def run_batch(
     different = dict(zip(names, references, strict=True))  # scenarios that differ in the rig alone share one
     reference = simulate(list(different.values()), until_parted=True, nthread=nthread)
     cors = dict(zip(different, (figures.cor for figures in reference.figures), strict=True))
-    return [_run(batch, cors[name], i) for i, name in enumerate(names)]
+    return [concluded(batch, cors[name], i) for i, name in enumerate(names)]
 
 
 def simulate(
@@ -74,7 +74,7 @@ def simulate(
     """Drive the loop to its end; ``until_parted`` ends it when every run's rebound speed is known."""
     ticks = max(s.ticks for s in scenarios)
     loop = Loop(scenarios, nthread)
-    rows = trace(loop) if callable(trace) else Trace(ticks, len(scenarios), scenarios[0].rate) if trace else None
+    rows = trace(loop) if callable(trace) else Trace(ticks, len(scenarios), scenarios[0].rate, loop.plant.units) if trace else None
     snapshots = Snapshots(loop)
     start = 0.0
     while loop.k < ticks and loop.alive.any():
@@ -100,6 +100,12 @@ def simulate(
             stamp_late(rows, scenarios)
         for i, (k, *_) in loop.trouble.items():
             rows.length[i] = k + 1
+    return collected(loop, rows, wall, snapshots.failures())
+
+
+def collected(loop: Loop, rows: Any, wall: float, failures: dict[int, Snapshot]) -> Batch:
+    """What ``loop`` has left behind, ``rows`` among it, after ``wall`` [s]."""
+    scenarios = loop.scenarios
     return Batch(
         scenarios=scenarios,
         figures=[loop.tally.figures(i) for i in range(len(scenarios))],
@@ -110,7 +116,7 @@ def simulate(
         ticks=loop.k,
         wall=wall,
         trace=rows,
-        failures=snapshots.failures(),
+        failures=failures,
     )
 
 
@@ -124,7 +130,8 @@ def reference_scenario(scenario: Scenario) -> Scenario:
     data["compensation"] = {"force": {"kind": "none"}, "motion": {"kind": "none"}}
     data["identification"] = {"kind": "none"}
     data["safety"] = dict.fromkeys(data["safety"])  # nothing is watched
-    data["rig"]["platform"]["tracking"] = data["rig"]["upper"]["tracking"] = "ideal"
+    data["rig"]["platform"] = scenario.rig.platform.reference()
+    data["rig"]["upper"]["tracking"] = "ideal"
     data["effects"] = [e for e in data["effects"] if e["kind"].startswith("contact.")]
     return scenario_from(data)
 
@@ -163,7 +170,8 @@ def _number(value: float) -> float | None:
     return None if not math.isfinite(value) else float(value)
 
 
-def _run(batch: Batch, cor_reference: float | None, i: int) -> Run:
+def concluded(batch: Batch, cor_reference: float | None, i: int) -> Run:
+    """Run ``i`` of a batch with its summary; ``cor_reference``: of the same contact with nothing in between."""
     scenario, figures = batch.scenarios[i], batch.figures[i]
     cor = figures.cor
     ledger = delay_ledger(scenario, figures)
@@ -199,7 +207,7 @@ def _run(batch: Batch, cor_reference: float | None, i: int) -> Run:
         "timing": {
             "ticks": batch.ticks,
             "wall": wall,
-            "real_time_factor": (batch.ticks - 1) / scenario.rate * len(batch.scenarios) / wall if wall > 0.0 else None,
+            "real_time_factor": (batch.ticks - 1) / scenario.rate * len(batch.scenarios) / wall if wall > 0.0 and batch.ticks > 1 else None,
         },
     }
     trace = batch.trace.run(i) if batch.trace is not None else None
