@@ -126,8 +126,8 @@ def _identified(report: Report, summary: dict[str, Any]) -> None:
 
 def _signals(trace: RunTrace):
     """Position and force along the insertion, what came of it below."""
-    step = max(1, len(trace.t) // POINTS)
-    t = trace.t[::step]
+    rows = _shown(trace)
+    t = trace.t[rows]
     figure, axes = new_figure(9.0, 5.6, nrows=3, sharex=True)
     panels = (
         ("force [N]", (("physical", "wrench_true.fz", 1.0), ("measured", "wrench_meas.fz", 1.0), ("used", "wrench_comp.fz", 1.0))),
@@ -137,14 +137,21 @@ def _signals(trace: RunTrace):
     for axis, (label, lines) in zip(axes, panels, strict=True):
         shade_contacts(axis, trace.t, trace.contact)
         for i, (name, column, scale) in enumerate(lines):
-            axis.plot(t, scale * trace[column][::step], color=PALETTE[i], linewidth=1.3, label=name, linestyle=("-", "--", ":")[i])
+            axis.plot(t, scale * trace[column][rows], color=PALETTE[i], linewidth=1.3, label=name, linestyle=("-", "--", ":")[i])
         if lines:
             axis.legend(loc="upper right", fontsize=8)
         axis.set_ylabel(label)
-    axes[1].plot(t, (trace["wrench_meas.fz"] - trace["wrench_true.fz"])[::step], color=PALETTE[1], linewidth=1.2)
+    axes[1].plot(t, (trace["wrench_meas.fz"] - trace["wrench_true.fz"])[rows], color=PALETTE[1], linewidth=1.2)
     axes[-1].set_xlabel("time [s]")
-    axes[-1].set_xlim(*_span(trace))
+    axes[-1].set_xlim(t[0], t[-1])
     return figure
+
+
+def _shown(trace: RunTrace) -> np.ndarray:
+    """The rows of the span that is shown, no more than can be told apart."""
+    start, end = _span(trace)
+    rows = np.flatnonzero((trace.t >= start) & (trace.t <= end))
+    return rows[:: max(1, len(rows) // POINTS)]
 
 
 def _span(trace: RunTrace) -> tuple[float, float]:
@@ -161,16 +168,16 @@ def _span(trace: RunTrace) -> tuple[float, float]:
 def _energy(trace: RunTrace, summary: dict[str, Any]):
     """What the rig has made so far: work that went into the physical contact less what the numerical model paid for it."""
     made = energy_made(trace)
-    step = max(1, len(trace.t) // POINTS)
+    rows = _shown(trace)
     figure, axis = new_figure(9.0, 2.6)
     shade_contacts(axis, trace.t, trace.contact)
-    axis.plot(trace.t[::step], 1e3 * made[::step], color=PALETTE[1] if made[-1] > 0.0 else PALETTE[0], linewidth=1.5)
+    axis.plot(trace.t[rows], 1e3 * made[rows], color=PALETTE[1] if made[-1] > 0.0 else PALETTE[0], linewidth=1.5)
     axis.axhline(0.0, color="#5b6b7a", linewidth=0.8)
     approach = summary.get("approach_energy")
     if approach and float(np.abs(made).max()) > 0.2 * CLOSE * approach:
         second = axis.secondary_yaxis("right", functions=(lambda mj: 0.1 * mj / approach, lambda share: 10.0 * share * approach))
         second.set_ylabel("% of the approach")
-    axis.set(xlabel="time [s]", ylabel="energy [mJ]", xlim=_span(trace))
+    axis.set(xlabel="time [s]", ylabel="energy [mJ]", xlim=(trace.t[rows[0]], trace.t[rows[-1]]))
     return figure
 
 

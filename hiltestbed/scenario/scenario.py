@@ -82,7 +82,7 @@ class Scenario(Strictly):
 @plugins.depends
 def _rebuild() -> None:
     """List the classes of a plugin in the schema, too."""
-    for model in (Compensation, Scenario):
+    for model in (Compensation, Rig, Scenario):
         model.model_rebuild(force=True)
 
 
