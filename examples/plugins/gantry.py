@@ -1,7 +1,7 @@
 """A platform of the user's own: a gantry of three slides with a wrist of three hinges, described by an MJCF file beside this one.
 
-    hiltestbed run 02-bumper --plugin examples/plugins/gantry.py --set 'rig.platform={kind: gantry}'
-    hiltestbed rig 02-bumper --plugin examples/plugins/gantry.py --set 'rig.platform={kind: gantry}'
+hiltestbed run 02-bumper --plugin examples/plugins/gantry.py --set 'rig.platform={kind: gantry}'
+hiltestbed rig 02-bumper --plugin examples/plugins/gantry.py --set 'rig.platform={kind: gantry}'
 """
 
 from __future__ import annotations
@@ -26,7 +26,9 @@ class Gantry(MjcfSettings):
 
     kind: Literal["gantry"]
     model: str = Field(default=str(MODEL), description="MJCF file of the rig, with a site `mount` and position actuators")
-    command: CommandPath = Field(default=CommandPath(controller_rate=1000.0), description="How commands reach the drives: every millisecond")
+    command: CommandPath = Field(
+        default=CommandPath(controller_rate=1000.0), description="How commands reach the drives: every millisecond"
+    )
 
     def facility(self) -> Facility:
         """Model, kinematics, drives and limits, measured on the MJCF model."""
