@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import shutil
 from collections.abc import Iterator
-from functools import cache
+from functools import cache, lru_cache
 from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -55,6 +55,24 @@ def digest(file: Path) -> str:
         whole.update(name.encode())
         whole.update((np.round(array, 9) + 0.0).tobytes() if array.dtype.kind == "f" else array.tobytes())
     return whole.hexdigest()
+
+
+def stamp(file: Path) -> tuple[int, ...]:
+    """When an MJCF file and each of its meshes were last written [ns]; empty where there is no such file."""
+    if not file.is_file():
+        return ()
+    written = file.stat().st_mtime_ns
+    return (written, *(path.stat().st_mtime_ns if path.is_file() else 0 for path in _asset_files(file, written)))
+
+
+@lru_cache(maxsize=64)
+def _asset_files(file: Path, written: int) -> tuple[Path, ...]:
+    import mujoco
+
+    try:
+        return tuple(path for _, path in _assets(mujoco.MjSpec.from_file(str(file))))
+    except ValueError:
+        return ()  # what is wrong with it is said where it is read
 
 
 def copy_model(file: Path, folder: Path) -> Path:

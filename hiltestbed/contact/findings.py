@@ -16,6 +16,7 @@ from hiltestbed.contact.sides import Pair, Sides, sides_of
 from hiltestbed.contact.wrench import meet_all
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array, quat_from_attitude_deg, quat_to_mujoco
+from hiltestbed.models import stamp
 
 if TYPE_CHECKING:
     from hiltestbed.contact.settings import Mechanism
@@ -32,14 +33,14 @@ def faults(scenario: Scenario) -> Iterator[str]:
         sides = sides_of(mechanism)
         model = _both(mechanism)
     except InputError as error:
-        yield from (fault.message for fault in error.faults)
+        yield str(error)
         return
     for phase in mechanism.phases():
         for find in (joints_of, actuators_of):
             try:
                 find(phase, model)
             except InputError as error:
-                yield from (fault.message for fault in error.faults)
+                yield str(error)
         lost = [pattern for pattern in phase.drop_contacts if not dropped_by(sides, [pattern]).size]
         if lost:
             yield f"phase {phase.name!r}: no geom of the active side that touches is called {', '.join(lost)}"
@@ -82,12 +83,12 @@ def _penetrations(sides: Sides, model: mujoco.MjModel, pose: Array) -> Iterator[
 
 
 def _both(mechanism: Mechanism) -> mujoco.MjModel:
-    stamps = tuple(f.stat().st_mtime_ns for f in mechanism.files())
+    stamps = tuple(stamp(f) for f in mechanism.files())
     return _compiled(drawn(mechanism), stamps)
 
 
 @lru_cache(maxsize=16)
-def _compiled(structure, stamps: tuple[int, ...]) -> mujoco.MjModel:
+def _compiled(structure, stamps: tuple[tuple[int, ...], ...]) -> mujoco.MjModel:
     """Both sides alone, the active one on a free body. Raises InputError."""
     spec = mujoco.MjSpec()
     add_side(spec, structure.mechanism, PASSIVE, spec.worldbody.add_body(name="P_body"))

@@ -26,6 +26,7 @@ from hiltestbed.contact.surfaces import Finding, Surface, of_geom, of_mesh
 from hiltestbed.contact.surfaces.shapes import KINDS
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array, quat_from_mujoco
+from hiltestbed.models import stamp
 
 if TYPE_CHECKING:
     from hiltestbed.contact.settings import Mechanism
@@ -103,14 +104,14 @@ class Sides:
 
 def sides_of(mechanism: Mechanism) -> Sides:
     """What the MJCF of a mechanism says of its contacts. Raises InputError."""
-    stamps = tuple((str(f), f.stat().st_mtime_ns if f.is_file() else 0) for f in mechanism.files())
+    stamps = tuple((str(f), stamp(f)) for f in mechanism.files())
     sites = {site for phase in mechanism.phases() for site in phase.sites()}
     return _sides(stamps, mechanism.rules(), tuple(sorted(sites)), mechanism.captured)
 
 
 @lru_cache(maxsize=32)
 def _sides(
-    stamps: tuple[tuple[str, int], ...], rules: tuple[Rule, ...], sites: tuple[tuple[str, str], ...], captured: bool
+    stamps: tuple[tuple[str, tuple[int, ...]], ...], rules: tuple[Rule, ...], sites: tuple[tuple[str, str], ...], captured: bool
 ) -> Sides:  # fmt: skip
     active, passive = (_Side(file, site) for (file, _), site in zip(stamps, ("A", "P"), strict=True))
     pairs = [] if captured else [(a, p, k) for k, rule in enumerate(rules) for a, p in _meeting(active, passive, rule)]
