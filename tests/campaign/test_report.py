@@ -106,7 +106,9 @@ def test_words_and_units(campaign: LoadedCampaign) -> None:
 def test_the_criterion_is_the_users(campaign: LoadedCampaign, tmp_path: Path) -> None:
     from hiltestbed.campaign.report import write_report
 
-    by_force = load_campaign(campaign.path, {"criterion": "peak_force", "vary": {"sensor.delay": {"values": [0.0, 0.01]}, "seed": {"values": [1, 2]}}})
+    by_force = load_campaign(
+        campaign.path, {"criterion": "peak_force", "vary": {"sensor.delay": {"values": [0.0, 0.01]}, "seed": {"values": [1, 2]}}}
+    )
     found = sweep(by_force, tmp_path / "out")
     write_report(found.folder, by_force)
     assert "peak_force: median" in (found.folder / "report.html").read_text()
