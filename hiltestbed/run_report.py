@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from hiltestbed.assessment import CLOSE, NEUTRAL, assess, energy_share
+from hiltestbed.energy import energy_generated
 from hiltestbed.labelled import PALETTE, shade_contacts
 from hiltestbed.notebook import number
 from hiltestbed.report import Report, new_figure
@@ -40,7 +41,8 @@ def run_report(run: Run) -> Report:
     report.heading("Is the loop passive?")
     report.text(_margin(run.scenario, summary))
     if run.trace is not None and summary["contact_duration"] and len(run.trace.t) > 1:
-        report.figure(_energy(run.trace, summary), "Energy that the rig has made so far. What a passive rig makes is never above zero.")
+        caption = "Energy that the rig has made so far. What a passive rig makes is never above zero."
+        report.figure(_energy(run.trace, run.scenario, summary), caption)
     _ledger(report, summary)
     _identified(report, summary)
     report.heading("What to do next")
@@ -165,9 +167,9 @@ def _span(trace: RunTrace) -> tuple[float, float]:
     return start, end
 
 
-def _energy(trace: RunTrace, summary: dict[str, Any]):
+def _energy(trace: RunTrace, scenario: Scenario, summary: dict[str, Any]):
     """What the rig has made so far: work that went into the physical contact less what the numerical model paid for it."""
-    made = energy_made(trace)
+    made = energy_generated(trace, scenario)
     rows = _shown(trace)
     figure, axis = new_figure(9.0, 2.6)
     shade_contacts(axis, trace.t, trace.contact)
@@ -179,20 +181,3 @@ def _energy(trace: RunTrace, summary: dict[str, Any]):
         second.set_ylabel("% of the approach")
     axis.set(xlabel="time [s]", ylabel="energy [mJ]", xlim=(trace.t[rows[0]], trace.t[rows[-1]]))
     return figure
-
-
-def energy_made(trace: RunTrace) -> np.ndarray:
-    """``(rows,)`` [J] energy that the rig has made up to each row, as the loop keeps it, from the trace alone.
-
-    The physical side takes in ``F . v`` at the rig's motion over the tick that ends at the row; the numerical model pays
-    ``F_used . v`` of the mean of the tick's velocities.
-    """
-    from hiltestbed.frames import twist_between
-
-    wrench, pose, used, twist = trace["wrench_true"], trace["pose_act"], trace["wrench_comp"], trace["twist_cmd"]
-    h = float(trace.t[1] - trace.t[0])
-    slope, out = np.zeros(6), np.zeros(len(trace.t))
-    for k in range(1, len(out)):
-        twist_between(pose[k - 1], pose[k], h, slope)
-        out[k] = 0.5 * h * ((wrench[k] + wrench[k - 1]) @ slope - used[k] @ (twist[k] + twist[k - 1]))
-    return np.cumsum(out)

@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 import hiltestbed
-from hiltestbed.run_report import energy_made, run_report
+from hiltestbed.energy import energy_generated
+from hiltestbed.run_report import run_report
 
 SHORT = {"duration": 0.6, "approach.gap": 0.002, "rig.platform.tracking": "ideal"}
 
@@ -24,7 +25,7 @@ def late() -> hiltestbed.Run:
 
 def test_the_energy_of_the_page_is_that_of_the_loop(late: hiltestbed.Run) -> None:
     """The sum over the trace against the one that the loop keeps tick by tick."""
-    assert energy_made(late.trace)[-1] == pytest.approx(late.summary["energy_generated"], rel=1e-3)
+    assert energy_generated(late.trace, late.scenario)[-1] == pytest.approx(late.summary["energy_generated"], rel=1e-9)
 
 
 def test_the_page_warns_and_advises(late: hiltestbed.Run, tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ from hiltestbed.validation import Problem, Strictly, Vector2, refuse, validate
 from hiltestbed.yaml_source import Source, key_path, read_source, referenced_source
 
 FIGURES = ("cor", "cor_log_error", "energy_generated", "peak_force", "contact_duration", "tracking_error")  # that a report shows
-CASE_LIMIT = 10_000_000  # a day on a thousand cores; past it a design is a slip of the pen
+CASE_LIMIT = 10_000_000  # a day on a thousand cores; more is taken for a typing error
 
 
 class Variation(Strictly):
