@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from hiltestbed.compensation.blocks import make_drive
+from hiltestbed.compensation.blocks import Drive, make_drive
 from hiltestbed.compensation.input import InputDeadZone
 from hiltestbed.compensation.measurement import Measurement
 from hiltestbed.compensation.motion import MotionCommand
@@ -24,6 +24,7 @@ from hiltestbed.identification.settings import IDENTIFIERS
 from hiltestbed.metrics import Tally
 from hiltestbed.numerical_model.model import NumericalModel
 from hiltestbed.outcome import Outcomes
+from hiltestbed.platform.free_motion import FreeMotion
 from hiltestbed.platform.plant import Plant
 from hiltestbed.safety import Safety
 from hiltestbed.scenario import Scenario
@@ -101,7 +102,7 @@ class Loop:
             self.identification.source.captured = self.plant.captured
         self.dead_zone = InputDeadZone(scenarios)
         self.model = NumericalModel(scenarios)
-        self.drive = make_drive(scenarios, self.model)
+        self.drive: Drive = FreeMotion(scenarios, self.plant) if self.plant.physical else make_drive(scenarios, self.model)
         self.motion = MotionCommand(scenarios)
         self.tally = Tally(scenarios)
         self.outcomes = Outcomes(scenarios)

@@ -93,6 +93,7 @@ def load_scenario(path: str | Path, set: Mapping[str, Any] | None = None) -> Sce
 
 def scenario_from(source: Source | Mapping[str, Any], set: Mapping[str, Any] | None = None) -> Scenario:
     """The scenario in data that is read already: a `Source`, or a plain dict as it would stand in a file. Raises InputError."""
+    plugins.load()
     if not isinstance(source, Source):
         source = Source("scenario", dict(source))
     return validate(Scenario, source.with_set(set), _SPECIMEN)

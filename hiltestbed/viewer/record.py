@@ -9,14 +9,14 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
+from hiltestbed.result import Run
 from hiltestbed.signals import RunTrace
-from hiltestbed.simulation import Run
 from hiltestbed.viewer import spacecraft
 from hiltestbed.viewer.blueprint import Facts, layout
 from hiltestbed.viewer.forces import force_scale, send_force
 from hiltestbed.viewer.frames import frame_rows
 from hiltestbed.viewer.plots import send_signals
-from hiltestbed.viewer.rig import CONTACT_FORCE, RigScene, port_poses
+from hiltestbed.viewer.rig import CONTACT_FORCE, RigScene
 from hiltestbed.viewer.text import figures
 
 APPLICATION = "hiltestbed"
@@ -66,7 +66,7 @@ def _rig(rec: rr.RecordingStream, run: Run, trace: RunTrace, rows: NDArray[np.in
     scene = RigScene(run.scenario)
     time, pose = rr.TimeColumn("time", duration=trace.t[rows]), trace["pose_act"][rows]
     scene.draw(rec)
-    scene.move(rec, time, pose, port_poses(run.scenario, rows, trace["pose_cmd"]))
+    scene.move(rec, time, pose, scene.port_poses(run.scenario, rows, trace["pose_cmd"], pose))
     send_force(rec, CONTACT_FORCE, time, _felt(trace)[rows], pose, trace.contact[rows], scale)
 
 
