@@ -21,7 +21,7 @@ from hiltestbed.devices.commission.expected import Expected
 from hiltestbed.frames import Array, rotation_matrix
 from hiltestbed.signals import AXES
 
-ROWS = 1200  # of all motions together, that a fit is made on
+ROWS = 6000  # of all motions together, that a fit is made on
 WORTH = 0.2  # part of the remaining square that one more number has to explain
 SIGNIFICANT = 4.0  # standard deviations by which it has to differ from none
 LEAST = 5e-4  # of a gain or a crosstalk
