@@ -33,14 +33,14 @@ def faults(scenario: Scenario) -> Iterator[str]:
         sides = sides_of(mechanism)
         model = _both(mechanism)
     except InputError as error:
-        yield from (fault.message for fault in error.faults)
+        yield str(error)
         return
     for phase in mechanism.phases():
         for find in (joints_of, actuators_of):
             try:
                 find(phase, model)
             except InputError as error:
-                yield from (fault.message for fault in error.faults)
+                yield str(error)
         lost = [pattern for pattern in phase.drop_contacts if not dropped_by(sides, [pattern]).size]
         if lost:
             yield f"phase {phase.name!r}: no geom of the active side that touches is called {', '.join(lost)}"
