@@ -48,6 +48,8 @@ class RigSide(Protocol):
     upper_act: Array
     diverged: NDArray[np.bool_]
     phases: Phases | None
+    units: tuple[str, ...]
+    physical: bool
 
     def divergence(self, i: int) -> str: ...
     def payload_left(self, i: int) -> dict[str, float] | None: ...
