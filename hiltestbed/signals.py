@@ -95,7 +95,7 @@ class Trace:
 
 @dataclass
 class RunTrace:
-    """One run: ``t`` ``(rows,)``, ``data`` group name to ``(rows, parts)``, ``contact`` ``(rows,)``; ``joints``: units of the driven ones."""
+    """One run: ``t`` ``(rows,)``, ``data`` group name to ``(rows, parts)``, ``contact`` ``(rows,)``; ``joints``: their units."""
 
     t: Array
     data: dict[str, Array]

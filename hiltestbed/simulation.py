@@ -117,7 +117,7 @@ def simulate(
         figures=[loop.tally.figures(i) for i in range(len(scenarios))],
         trouble=loop.trouble,
         identification=[_identified(loop, i) for i in range(len(scenarios))],
-        outcomes=[loop.outcomes.summary(i) for i in range(len(scenarios))],
+        outcomes=[loop.outcomes.summary(i) | _capture(loop, i) for i in range(len(scenarios))],
         payload=[loop.plant.payload_left(i) for i in range(len(scenarios))],
         ticks=loop.k,
         wall=wall,
@@ -157,6 +157,19 @@ def _identified(loop: Loop, i: int) -> dict[str, Any]:
             "samples": int(estimate.samples[i, j]) if estimate else 0,
         }
     return out
+
+
+def _capture(loop: Loop, i: int) -> dict[str, Any]:
+    """The phases of a mechanism that has them, each with the time at which it began [s], None where it has not."""
+    phases = loop.plant.phases
+    if phases is None:
+        return {}
+    ticks = [int(k) for k in phases.since[i]]
+    return {
+        "phases": [
+            {"name": name, "at": k / loop.scenarios[i].rate if k >= 0 else None} for name, k in zip(phases.names, ticks, strict=True)
+        ]
+    }
 
 
 def _number(value: float) -> float | None:

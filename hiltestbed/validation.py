@@ -6,9 +6,10 @@ import copy
 import difflib
 import types
 from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
 from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
 
-from pydantic import BaseModel, ConfigDict, Field, Strict, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, Strict, ValidationError, ValidationInfo
 from pydantic_core import ErrorDetails, PydanticCustomError
 
 from hiltestbed.errors import Fault, InputError
@@ -31,6 +32,17 @@ Vector2 = Annotated[tuple[float, ...], Strict(False), Field(min_length=2, max_le
 Vector3 = Annotated[tuple[float, ...], Strict(False), Field(min_length=3, max_length=3)]
 
 
+def _found(name: str, info: ValidationInfo) -> str:
+    """An existing file, as an absolute path; a relative one starts from the folder of the file that names it."""
+    path = ((info.context or {}).get("folder", Path()) / name).resolve()
+    if not path.is_file():
+        raise PydanticCustomError("no_file", "no such file (got {name}, looked for {path})", {"name": repr(name), "path": str(path)})
+    return str(path)
+
+
+ModelFile = Annotated[str, AfterValidator(_found)]
+
+
 def refuse(problems: Iterable[Problem]) -> None:
     """For a validator: raises all of `problems` (path below the model, message) together, if there are any."""
     found = list(problems)
@@ -48,7 +60,7 @@ def validate(model: type[Model], source: Source, specimen: Mapping[str, Any] | N
     problems: list[Problem] = []
     while True:
         try:
-            result = model.model_validate(data)
+            result = model.model_validate(data, context={"folder": source.folder})
         except ValidationError as error:
             new = [item for item in _problems(model, data, error) if not _overlaps(item[0], problems)]
         else:

@@ -11,6 +11,7 @@ A rule of the mechanism names geoms of both sides; without rules a geom touches 
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -311,6 +312,16 @@ def named(file: Path) -> mujoco.MjSpec:
             if not thing.name:
                 thing.name = f"{what}_{i}"
     return spec
+
+
+def digest(file: Path) -> str:
+    """SHA-256 of an MJCF file with what it includes, and of its meshes. Raises InputError."""
+    spec = named(file)
+    whole = hashlib.sha256(spec.to_xml().encode())
+    folder = Path(spec.modelfiledir or file.parent) / (spec.compiler.meshdir or "")
+    for mesh in sorted({m.file for m in spec.meshes if m.file}):
+        whole.update((folder / mesh).read_bytes())
+    return whole.hexdigest()
 
 
 def _first_line(error: Exception) -> str:

@@ -14,6 +14,7 @@ from hiltestbed.contact.composition import Structure, structure_of
 from hiltestbed.contact.engagement import Engagement
 from hiltestbed.contact.latch import LatchCondition
 from hiltestbed.contact.parameters import ContactParameters
+from hiltestbed.contact.phases import Phases
 from hiltestbed.effects.table import by_link
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array
@@ -58,7 +59,7 @@ class Plant:
         contact: (n,) bool, whether the mechanisms touch. captured: (n,) bool, whether they are latched to each other.
         slider_cmd, slider_act: (n, J) the platform's driven joints [units], 0 at home; none where nothing is driven. upper_cmd,
             upper_act: (n, 3) those of the upper one. units: (J,) "m" or "rad".
-        pose_W: (n, 7) pose of A in W, which is P without an upper platform.
+        phases: of capture, of a mechanism that has them. pose_W: (n, 7) pose of A in W, which is P without an upper platform.
         physical: bodies that move by themselves: commands are not heard, and the pose reached is the one that there is.
         diverged: (n,) bool, whether a run has left the finite numbers; it is frozen from then on.
     """
@@ -97,6 +98,9 @@ class Plant:
         self._latch: LatchCondition | None = None
         if force is None and any(s.mechanism.latch for s in scenarios):
             self._latch = LatchCondition(scenarios)
+        self.phases: Phases | None = None
+        if force is None and made_of.mechanism.phases():
+            self.phases = Phases(lower.batch, made_of, scenarios[0].tick, len(scenarios))
         self.pose_act: Array = self._tracking.pose_act
         self.twist_act: Array = self._tracking.twist_act
         self.wrench_sub: Array = self._tracking.wrench_sub
@@ -138,6 +142,8 @@ class Plant:
     def reset(self, pose: Array, twist: Array) -> None:
         """Start at the pose ``(n, 7)`` of A in P with the twist ``(n, 6)``: before t = 0 the approach is uniform."""
         self._tracking.reset(pose, twist)
+        if self.phases is not None:
+            self.phases.reset()
 
     def bare_steps(self, count: int) -> None:
         """``count`` steps of the same physics with nothing around them, a call each: what the loop's cost is compared with."""
@@ -155,6 +161,8 @@ class Plant:
         self._tracking.finish()
         if self._latch is not None:
             self._latch.close(self._tracking.contacts.engagement)
+        if self.phases is not None:
+            self.phases.look(self._tracking.contacts.engagement)
 
     def advance(self, pose_cmd: Array, twist_cmd: Array, accel_cmd: Array) -> None:
         """A whole tick: :meth:`begin` and :meth:`finish`."""

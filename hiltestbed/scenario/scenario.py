@@ -117,6 +117,8 @@ def dump_scenario(scenario: Scenario) -> str:
 
 
 def scenario_sha256(scenario: Scenario) -> str:
-    """SHA-256 of the resolved form, the same however the file was written."""
-    canonical = json.dumps(resolved(scenario), sort_keys=True, separators=(",", ":"), allow_nan=False)
+    """SHA-256 of the resolved form, the same however the file was written; models of the user's count by their content."""
+    data = resolved(scenario)
+    data["mechanism"] |= scenario.mechanism.fingerprint()
+    canonical = json.dumps(data, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return hashlib.sha256(canonical.encode()).hexdigest()
