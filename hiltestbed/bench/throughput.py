@@ -16,10 +16,10 @@ from typing import Any
 from hiltestbed.bench.growth import growth, report_growth
 from hiltestbed.bench.result import BenchResult
 from hiltestbed.errors import HiltestbedError
+from hiltestbed.gallery import shipped
 from hiltestbed.loop import Loop
 from hiltestbed.report import Report, new_figure
 from hiltestbed.scenario import Scenario, load_scenario
-from hiltestbed.shipped import shipped
 from hiltestbed.signals import Trace
 from hiltestbed.simulation import run
 from hiltestbed.state import arrays_of

@@ -70,7 +70,7 @@ class Mount:
             self.place[:] = self.tilt
 
     def ride(self, place: Array, motion: Array) -> None:
-        """Set ``place`` and ``motion`` of a rigid mount on a passive side whose P is at ``place`` (n, 7) and moves with ``motion`` (n, 6)."""
+        """Take over where the passive side is: P at ``place`` (n, 7), moving with ``motion`` (n, 6), on a rigid mount."""
         _ride(place, motion, self.tilt, self._offset, self.place, self.motion, self.centre)
 
 

@@ -151,8 +151,8 @@ def _replay(
     for i in range(len(run)):
         r = run[i]
         _contact(
-            poses[r], twists[r], ends[r], bent, before[r], clear[r], met, lever, h, geometry, captured[r], latch[r], r, mount, parts[i],
-            between, p[i], tilt[i], sub,
+            poses[r], twists[r], ends[r], bent, before[r], clear[r], met, lever, least_creep, h, geometry, captured[r], latch[r], r, mount,
+            parts[i], between, p[i], tilt[i], sub,
         )  # fmt: skip
         low[:], high[:], last_in[:] = 0.0, 0.0, 0.0
         back = int(math.floor(ticks[i]))

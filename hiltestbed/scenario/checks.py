@@ -20,6 +20,7 @@ def problems(scenario: Scenario) -> Iterator[Problem]:
     yield from _delay_problems(scenario)
     yield from _platform_problems(scenario)
     yield from _effect_problems(scenario)
+    yield from _mechanism_problems(scenario)
 
 
 def _rate_problems(scenario: Scenario) -> Iterator[Problem]:
@@ -61,6 +62,13 @@ def _platform_problems(scenario: Scenario) -> Iterator[Problem]:
         )
         return
     yield from platform.problems(scenario)
+
+
+def _mechanism_problems(scenario: Scenario) -> Iterator[Problem]:
+    from hiltestbed.contact.findings import faults
+
+    for message in faults(scenario):
+        yield ("mechanism",), message
 
 
 def _effect_problems(scenario: Scenario) -> Iterator[Problem]:

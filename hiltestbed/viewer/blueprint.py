@@ -10,8 +10,8 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from hiltestbed.frames import Array
+from hiltestbed.result import Run
 from hiltestbed.signals import AXES, RunTrace
-from hiltestbed.simulation import Run
 from hiltestbed.viewer import plots, rig, spacecraft
 
 Point = tuple[float, float, float]

@@ -13,9 +13,9 @@ from numba import njit
 
 from hiltestbed.frames import Array, rotation_vectors, twist_between
 from hiltestbed.numerical_model.bodies import approach_state
+from hiltestbed.result import Run
 from hiltestbed.scenario import Scenario
 from hiltestbed.signals import AXES, RunTrace
-from hiltestbed.simulation import Run
 from hiltestbed.viewer import colors
 
 ROOT = "signals"
