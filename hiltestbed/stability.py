@@ -43,7 +43,7 @@ WIDEST = 1e3  # times the stiffness, up to and down to which its limit is looked
 
 @dataclass(frozen=True)
 class RigResponse:
-    """Measured along the insertion: frequency (L,) [Hz] from 0 on, follows (L,) pose over command, yields (L,) [m/N] to the contact force."""
+    """Measured along the insertion, all (L,): frequency [Hz] from 0 on; follows, pose over command; yields, to the contact force [m/N]."""
 
     frequency: Array
     follows: Complex
@@ -87,7 +87,7 @@ class Stability:
         head = "stable" if self.stable else "unstable"
         parts = [f"{head}: net damping {self.net_damping:+.4g} N s/m of {self.damping:g}"]
         if self.largest_delay is not None:
-            parts.append(f"largest delay {1e3 * self.largest_delay:.2g} ms (now {1e3 * self.delay:.2g} ms)")
+            parts.append(f"largest delay {1e3 * self.largest_delay:.3g} ms (now {1e3 * round(self.delay, 9):.3g} ms)")
         if self.largest_stiffness is not None:
             parts.append(f"largest stiffness {self.largest_stiffness:.3g} N/m (now {self.stiffness:.3g} N/m)")
         return "; ".join(parts)
@@ -100,12 +100,17 @@ def stability(scenario: Scenario) -> dict[str, Any] | None:
         return None
     response = measured_response(scenario)
     bare = judge(scenario, response, force_path_delay(scenario, compensated=False), compensated=False)
+    if bare is None:
+        return None
+    without = asdict(bare) | {"verdict": bare.sentence()}
+    force = scenario.compensation.force
+    if force.adds_force:
+        said = f"not judged with {force.kind}, which adds a force of its own; without it {bare.sentence()}"
+        return dict.fromkeys(asdict(bare)) | {"compensated": True, "verdict": said, "uncompensated": without}
     corrects = scenario.compensation.force.corrects_platform or scenario.compensation.motion.corrects_force
     used = EXACT if corrects else response
     found = judge(scenario, used, force_path_delay(scenario, compensated=True), compensated=True)
-    if found is None or bare is None:
-        return None
-    return asdict(found) | {"verdict": found.sentence(), "uncompensated": asdict(bare) | {"verdict": bare.sentence()}}
+    return asdict(found) | {"verdict": found.sentence(), "uncompensated": without} if found is not None else None
 
 
 def stability_of_file(path: str | Path) -> dict[str, Any] | None:
@@ -274,4 +279,3 @@ def _measure(scenario: Scenario) -> RigResponse:
     return RigResponse(
         np.concatenate([[0.0], lines / PERIOD]), np.concatenate([[1.0], follows]), np.concatenate([[yields[0].real], yields])
     )
-

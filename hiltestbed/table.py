@@ -116,8 +116,8 @@ def _figures(summary: dict[str, Any], elapsed: float | None) -> Table:
     table.add_row("energy made by the rig", _number(summary["energy_generated"], 4, "J"), assess(summary).energy)
     stability = summary.get("stability")
     if stability:
-        head, _, rest = stability["verdict"].partition(": ")
-        table.add_row("the loop in contact", head, rest)
+        judged = {True: "stable", False: "unstable", None: "not judged"}[stability["stable"]]
+        table.add_row("the loop in contact", judged, stability["verdict"].removeprefix(f"{judged}: ").removeprefix(f"{judged} "))
     table.add_row("peak force", _number(summary["peak_force"], 4, "N"), "")
     table.add_row(
         "contact time", _number(summary["contact_duration"], 4, "s"), "" if summary["contact_duration"] else "the ports did not touch"
