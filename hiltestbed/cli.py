@@ -231,6 +231,7 @@ def schema(kind: Annotated[str, typer.Argument(metavar="[scenario|campaign|datas
 BENCHES = {  # name to the module whose function of that name measures
     "cor": "hiltestbed.bench.cor",
     "diagnosis": "hiltestbed.bench.diagnosis",
+    "facilities": "hiltestbed.bench.facilities",
     "identification": "hiltestbed.bench.identification",
     "realtime": "hiltestbed.bench.realtime",
     "throughput": "hiltestbed.bench.throughput",
