@@ -1,4 +1,4 @@
-"""The command line: `hiltestbed run | check | schema | view | compare | bench | sweep | diagnose | new | doctor`.
+"""The command line: `hiltestbed run | check | rig | schema | view | compare | bench | sweep | diagnose | new | doctor`.
 
 Exit status: 0 done; 2 bad input; 3 the simulation diverged or a safety limit stopped it; 1 anything else that failed. Results go to
 standard output, progress and messages to standard error. A command imports what it needs when it runs, so that --help is quick.
@@ -113,16 +113,49 @@ def check(
     """Validate files: every fault at once, with file, line and column."""
     from hiltestbed.check import check_file
     from hiltestbed.gallery import find_scenario
+    from hiltestbed.stability import stability_of_file
 
     found = [(file, *check_file(find_scenario(file))) for file in files]
+    stable = [stability_of_file(find_scenario(file)) if kind == "scenario" and not faults else None for file, kind, faults in found]
     if as_json:
-        rows = [{"file": str(file), "kind": kind, "faults": [vars(fault) for fault in faults]} for file, kind, faults in found]
+        rows = [
+            {"file": str(file), "kind": kind, "faults": [vars(fault) for fault in faults]} | ({"stability": judged} if judged else {})
+            for (file, kind, faults), judged in zip(found, stable, strict=True)
+        ]
         print(json.dumps({"valid": not any(faults for _, _, faults in found), "files": rows}))
     else:
-        for file, kind, faults in found:
+        for (file, kind, faults), judged in zip(found, stable, strict=True):
             print("\n".join(str(fault) for fault in faults) if faults else f"{file}: {kind}: no faults")
+            if judged:
+                print(f"{file}: {judged['verdict']}")
     if any(faults for _, _, faults in found):
         raise typer.Exit(2)
+
+
+@app.command()
+def rig(
+    scenario: Annotated[Path, typer.Argument(metavar="SCENARIO", help="Scenario file, or the name of a shipped one.")],
+    out: Out = None,
+    sets: Sets = None,
+    as_json: Json = False,
+) -> None:
+    """Measure the rig of a scenario: workspace, bandwidth and delay in six axes, modes, dynamic stiffness; in pictures and a JSON file."""
+    from hiltestbed.platform.rig_report import RIG, measure_rig, write_rig
+    from hiltestbed.progress import count_bar
+    from hiltestbed.recording import refuse_foreign
+
+    spec = _scenario(scenario, sets, None)
+    folder = out if out is not None else free_folder(Path("runs") / f"rig-{safe_name(spec.name)}")
+    refuse_foreign(folder, RIG)
+    with count_bar(f"rig {spec.name}") as progress:
+        figures = measure_rig(spec, progress)
+    write_rig(figures, folder)
+    if as_json:
+        print(json.dumps(figures.to_json() | {"folder": str(folder)}, allow_nan=False))
+    else:
+        from hiltestbed.table import print_lines
+
+        print_lines(f"rig of {spec.name}", figures.lines(), folder)
 
 
 @app.command()
@@ -198,6 +231,7 @@ def schema(kind: Annotated[str, typer.Argument(metavar="[scenario|campaign|datas
 BENCHES = {  # name to the module whose function of that name measures
     "cor": "hiltestbed.bench.cor",
     "diagnosis": "hiltestbed.bench.diagnosis",
+    "facilities": "hiltestbed.bench.facilities",
     "identification": "hiltestbed.bench.identification",
     "realtime": "hiltestbed.bench.realtime",
     "throughput": "hiltestbed.bench.throughput",

@@ -20,6 +20,7 @@ from hiltestbed.result import Run
 from hiltestbed.scenario import Scenario, scenario_from, scenario_sha256
 from hiltestbed.signals import AXES, Trace
 from hiltestbed.snapshot import Snapshot, Snapshots
+from hiltestbed.stability import stability
 from hiltestbed.versions import versions
 
 Progress = Callable[[int, int], None]
@@ -44,8 +45,10 @@ class Batch:
 
 
 def run(scenario: Scenario, progress: Progress | None = None, nthread: int = 1) -> Run:
-    """Run one scenario, with its trace and its reference."""
-    return run_batch([scenario], trace=True, progress=progress, nthread=nthread)[0]
+    """Run one scenario, with its trace, its reference, and whether its loop is stable in a contact."""
+    done = run_batch([scenario], trace=True, progress=progress, nthread=nthread)[0]
+    done.summary["stability"] = stability(scenario)
+    return done
 
 
 def run_batch(

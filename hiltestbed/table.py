@@ -114,6 +114,10 @@ def _figures(summary: dict[str, Any], elapsed: float | None) -> Table:
     if log_error is not None:
         table.add_row("  ln of the ratio", f"{log_error:+.4f}", _error_note(summary))
     table.add_row("energy made by the rig", _number(summary["energy_generated"], 4, "J"), assess(summary).energy)
+    stability = summary.get("stability")
+    if stability:
+        judged = {True: "stable", False: "unstable", None: "not judged"}[stability["stable"]]
+        table.add_row("the loop in contact", judged, stability["verdict"].removeprefix(f"{judged}: ").removeprefix(f"{judged} "))
     table.add_row("peak force", _number(summary["peak_force"], 4, "N"), "")
     table.add_row(
         "contact time", _number(summary["contact_duration"], 4, "s"), "" if summary["contact_duration"] else "the ports did not touch"
