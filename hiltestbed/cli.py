@@ -68,6 +68,12 @@ def run(
     from hiltestbed.simulation import run as simulate
 
     refuse_foreign(folder)
+    from hiltestbed.budget import refuse_beyond, run_budget
+    from hiltestbed.sense import warnings
+
+    refuse_beyond(run_budget([spec]), spec.name, "a shorter duration, a lower rate or shorter delays need less", folder)
+    for warning in warnings(spec):
+        print(f"{spec.name}: warning: {warning}", file=sys.stderr)
     with progress_bar(spec.name, spec.duration) as progress:
         result = simulate(spec, progress=progress)
     write_run(result, folder, rerun=not no_rerun)
@@ -86,18 +92,26 @@ def run(
 def check(
     files: Annotated[list[Path], typer.Argument(metavar="FILE ...", help="Scenarios, campaigns and datasets.")], as_json: Json = False
 ) -> None:
-    """Validate files: every fault at once, with file, line and column."""
-    from hiltestbed.check import check_file
+    """Validate files: every fault at once, with file, line and column; the data of a dataset are opened and checked, too."""
+    from hiltestbed.check import look_at
     from hiltestbed.shipped import find_scenario
 
-    found = [(file, *check_file(find_scenario(file))) for file in files]
+    found = [(file, look_at(find_scenario(file))) for file in files]
     if as_json:
-        rows = [{"file": str(file), "kind": kind, "faults": [vars(fault) for fault in faults]} for file, kind, faults in found]
-        print(json.dumps({"valid": not any(faults for _, _, faults in found), "files": rows}))
+        rows = [
+            {
+                "file": str(file), "kind": one.kind, "faults": [vars(fault) for fault in one.faults], "remarks": list(one.remarks),
+                "budget": vars(one.budget) if one.budget else None,
+            }
+            for file, one in found
+        ]  # fmt: skip
+        print(json.dumps({"valid": not any(one.faults for _, one in found), "files": rows}))
     else:
-        for file, kind, faults in found:
-            print("\n".join(str(fault) for fault in faults) if faults else f"{file}: {kind}: no faults")
-    if any(faults for _, _, faults in found):
+        for file, one in found:
+            print("\n".join(str(fault) for fault in one.faults) if one.faults else f"{file}: {one.kind}: no faults")
+            print("".join(f"{file}: {remark}\n" for remark in one.remarks), end="")
+            print(f"{file}: needs {one.budget}\n" if one.budget else "", end="")
+    if any(one.faults for _, one in found):
         raise typer.Exit(2)
 
 
@@ -178,6 +192,10 @@ def sweep(
     spec = load_campaign(find_scenario(campaign), overrides(sets))
     folder = out if out is not None else default_folder(spec)
     workers = workers if workers is not None else len(os.sched_getaffinity(0))
+    from hiltestbed.budget import campaign_budget, refuse_beyond
+
+    budget = campaign_budget(spec, max(workers, 1), max(chunk, 1))
+    refuse_beyond(budget, str(campaign), "fewer cases, keep: summary, fewer --workers or a smaller --chunk need less", folder)
     try:
         with case_bar() as progress:
             result = run_sweep(spec, folder, workers=workers, scheduler=scheduler, chunk=chunk, progress=progress)
@@ -206,8 +224,13 @@ def diagnose(
     label = dataset.stem if dataset.stem != "dataset" else dataset.resolve().parent.name
     folder = out if out is not None else free_folder(Path("runs") / f"diagnosis-{safe_name(label)}")
     refuse_foreign(folder, DIAGNOSIS)
+    from hiltestbed.budget import dataset_budget, refuse_beyond
+    from hiltestbed.dataset import load_dataset as load_specification
+
+    loaded = load_specification(dataset)
+    refuse_beyond(dataset_budget(loaded), str(dataset), "fewer or shorter runs need less", folder)
     with step_line(label) as progress:
-        result = run_diagnosis(dataset, progress)
+        result = run_diagnosis(loaded, progress)
         progress("report and recording")
         result.write(folder)
     if as_json:

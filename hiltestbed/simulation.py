@@ -5,15 +5,17 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
+from hiltestbed.budget import refuse_beyond, run_budget
 from hiltestbed.contact.truth import axis_truth
 from hiltestbed.ledger import delay_ledger, predicted_log_error
 from hiltestbed.log import stamp_late
 from hiltestbed.loop import Loop
 from hiltestbed.metrics import ContactFigures
 from hiltestbed.scenario import Scenario, scenario_from, scenario_sha256
+from hiltestbed.sense import warnings
 from hiltestbed.signals import AXES, RunTrace, Trace
 from hiltestbed.snapshot import Snapshot, Snapshots
 from hiltestbed.versions import versions
@@ -87,6 +89,8 @@ def simulate(
 ) -> Batch:
     """Drive the loop to its end; ``until_parted`` ends it when every run's rebound speed is known."""
     ticks = max(s.ticks for s in scenarios)
+    budget = run_budget(scenarios, rows=trace is True)
+    refuse_beyond(replace(budget, time=0.0, disk=0.0), scenarios[0].name, "a shorter duration, a lower rate or shorter delays need less")
     loop = Loop(scenarios, nthread)
     rows = trace(loop) if callable(trace) else Trace(ticks, len(scenarios), scenarios[0].rate) if trace else None
     snapshots = Snapshots(loop)
@@ -204,6 +208,7 @@ def _run(batch: Batch, cor_reference: float | None, i: int) -> Run:
         "tracking_compliance": figures.tracking_compliance,
         "payload_left": batch.payload[i],
         **batch.outcomes[i],
+        "warnings": list(warnings(scenario)),
         "delay_ledger": [vars(entry) for entry in ledger],
         "identification": batch.identification[i],
         "timing": {
