@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hiltestbed import interrupt
-from hiltestbed.errors import HiltestbedError, InputError
+from hiltestbed.errors import HiltestbedError, InputError, printable
 from hiltestbed.folders import free_folder, safe_name
 
 if TYPE_CHECKING:
@@ -73,7 +73,7 @@ def run(
 
     refuse_beyond(run_budget([spec]), spec.name, "a shorter duration, a lower rate or shorter delays need less", folder)
     for warning in warnings(spec):
-        print(f"{spec.name}: warning: {warning}", file=sys.stderr)
+        print(printable(f"{spec.name}: warning: {warning}"), file=sys.stderr)
     with progress_bar(spec.name, spec.duration) as progress:
         result = simulate(spec, progress=progress)
     write_run(result, folder, rerun=not no_rerun)
@@ -84,7 +84,10 @@ def run(
 
         print_run(result.summary, folder, recording=not no_rerun)
     if result.summary["status"] != "completed":
-        print(f"{spec.name}: {result.summary['status']}: {result.summary['stop_reason']}; its state lies in {folder}", file=sys.stderr)
+        print(
+            printable(f"{spec.name}: {result.summary['status']}: {result.summary['stop_reason']}; its state lies in {folder}"),
+            file=sys.stderr,
+        )
         raise typer.Exit(3)
 
 
@@ -109,7 +112,7 @@ def check(
     else:
         for file, one in found:
             print("\n".join(str(fault) for fault in one.faults) if one.faults else f"{file}: {one.kind}: no faults")
-            print("".join(f"{file}: {remark}\n" for remark in one.remarks), end="")
+            print(printable("".join(f"{file}: {remark}\n" for remark in one.remarks)), end="")
             print(f"{file}: needs {one.budget}\n" if one.budget else "", end="")
     if any(one.faults for _, one in found):
         raise typer.Exit(2)
@@ -279,7 +282,7 @@ def _fail(error: BaseException, text: str, status: int) -> int:
     if "--json" in sys.argv:
         faults = [vars(fault) for fault in error.faults] if isinstance(error, InputError) else []
         print(json.dumps({"status": "error", "exit_status": status, "error": text, "faults": faults}))
-    print(text, file=sys.stderr)
+    print(printable(text), file=sys.stderr)
     return status
 
 

@@ -11,6 +11,8 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from hiltestbed.errors import printable
+
 
 def print_run(summary: dict[str, Any], folder: Path, recording: bool = True) -> None:
     """Prints the summary of a run to standard output, and where it lies."""
@@ -133,7 +135,9 @@ def _identified(axes: dict[str, dict[str, Any]]) -> Table:
 
 
 def _table(title: str, header: bool = True) -> Table:
-    return Table(title=escape(title), title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, show_header=header, pad_edge=False)
+    return Table(
+        title=escape(printable(title)), title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, show_header=header, pad_edge=False
+    )
 
 
 def _against(value: float | None, true: float | None) -> tuple[str, str, str]:
