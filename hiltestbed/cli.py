@@ -140,6 +140,7 @@ BENCHES = {  # name to the module whose function of that name measures
     "cor": "hiltestbed.bench.cor",
     "diagnosis": "hiltestbed.bench.diagnosis",
     "identification": "hiltestbed.bench.identification",
+    "robustness": "hiltestbed.bench.robustness.run",
     "throughput": "hiltestbed.bench.throughput",
 }
 
@@ -149,6 +150,7 @@ def bench(
     name: Annotated[str, typer.Argument(metavar="|".join(BENCHES), help="Which benchmark.")],
     out: Out = None,
     quick: Annotated[bool, typer.Option("--quick", help="A smaller grid.")] = False,
+    minutes: Annotated[float | None, typer.Option("--for", metavar="MINUTES", min=0.01, help="robustness: how long to go on.")] = None,
     as_json: Json = False,
 ) -> None:
     """Run a benchmark and write its bench.json and report.html."""
@@ -156,6 +158,8 @@ def bench(
 
     if name not in BENCHES:
         raise InputError(f"bench: unknown benchmark (got {name!r}); allowed: {', '.join(BENCHES)}")
+    if minutes is not None and name != "robustness":
+        raise InputError(f"bench {name} --for {minutes:g}: takes as long as it takes; --for is for robustness")
     from hiltestbed.bench.result import BENCH, write_bench
     from hiltestbed.progress import count_bar
     from hiltestbed.recording import refuse_foreign
@@ -163,7 +167,8 @@ def bench(
     folder = out if out is not None else free_folder(Path("runs") / f"bench-{name}")
     refuse_foreign(folder, BENCH)
     with count_bar(f"bench {name}") as progress:
-        result = getattr(import_module(BENCHES[name]), name)(quick=quick, progress=progress)
+        more = {} if minutes is None else {"minutes": minutes}
+        result = getattr(import_module(BENCHES[name]), name)(quick=quick, progress=progress, **more)
     write_bench(result, folder)
     if as_json:
         print(json.dumps({"name": name, "folder": str(folder), "summary": result.summary}, allow_nan=False))
