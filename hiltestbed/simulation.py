@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from hiltestbed import plugins
+from hiltestbed.budget import refuse_beyond, run_budget
 from hiltestbed.contact.truth import axis_truth, normal_truth
 from hiltestbed.identification.least_squares import RecursiveLeastSquares
 from hiltestbed.ledger import delay_ledger, predicted_log_error
@@ -18,6 +19,7 @@ from hiltestbed.metrics import ContactFigures
 from hiltestbed.numerical_model.bodies import effective_mass
 from hiltestbed.result import Run
 from hiltestbed.scenario import Scenario, scenario_from, scenario_sha256
+from hiltestbed.sense import warnings
 from hiltestbed.signals import AXES, Trace
 from hiltestbed.snapshot import Snapshot, Snapshots
 from hiltestbed.stability import stability
@@ -77,6 +79,8 @@ def simulate(
 ) -> Batch:
     """Drive the loop to its end; ``until_parted`` ends it when every run's rebound speed is known."""
     ticks = max(s.ticks for s in scenarios)
+    budget = run_budget(scenarios, rows=trace is True)
+    refuse_beyond(replace(budget, time=0.0, disk=0.0), scenarios[0].name, "a shorter duration, a lower rate or shorter delays need less")
     loop = Loop(scenarios, nthread)
     rows = trace(loop) if callable(trace) else Trace(ticks, len(scenarios), scenarios[0].rate, loop.plant.units) if trace else None
     snapshots = Snapshots(loop)
@@ -217,6 +221,7 @@ def concluded(batch: Batch, cor_reference: float | None, i: int) -> Run:
         "tracking_compliance": figures.tracking_compliance,
         "payload_left": batch.payload[i],
         **batch.outcomes[i],
+        "warnings": list(warnings(scenario)),
         "delay_ledger": [vars(entry) for entry in ledger],
         "identification": batch.identification[i],
         "timing": {

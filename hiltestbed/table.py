@@ -13,6 +13,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from hiltestbed.assessment import assess
+from hiltestbed.errors import printable
 
 if TYPE_CHECKING:
     from hiltestbed.doctor import Finding
@@ -173,7 +174,9 @@ def _identified(axes: dict[str, dict[str, Any]]) -> Table:
 
 
 def _table(title: str, header: bool = True) -> Table:
-    return Table(title=escape(title), title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, show_header=header, pad_edge=False)
+    return Table(
+        title=escape(printable(title)), title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, show_header=header, pad_edge=False
+    )
 
 
 def _against(value: float | None, true: float | None) -> tuple[str, str, str]:
