@@ -37,6 +37,14 @@ COMPENSATION_FLOOR = 0.05  # of the force noise: what two realisations of one fi
 CORRELATED = 50  # rows of a computed channel that count as one: its errors are smooth
 TAIL = 0.15  # [s] after the last contact that a search looks at: where leaks and rings show
 
+# Noise of the force, from free flight
+ENOUGH_FREE = 150  # rows of all runs: six channels of as many know a correlation to 0.03
+SIGNIFICANT = 4.0  # derived: standard deviations of chance; one of 15,000 white records is taken for more
+HEAVY = 3  # samples beyond four standard deviations, more than normal ones have
+KNEE = 3.0  # [sigma] from which a sample of noise with outliers counts by its logarithm
+STANDS_OUT = 6.0  # times the power beside it: a spectral line and not a colour
+SHARE_SHOWS = 0.3  # of the noise's variance, that a share of the reading has to add at its largest readings
+
 # Adequacy: is what is left noise?
 BLOCK = 8  # samples whose mean is judged, too: a smooth misfit far below the noise shows there
 SPREAD = 4.5  # standard deviations that a figure may lie off: of some 30 figures, one in 5000 sets does
