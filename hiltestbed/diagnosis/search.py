@@ -16,6 +16,7 @@ from hiltestbed.diagnosis.residual import Residual, square
 from hiltestbed.diagnosis.settings import (
     AMBIGUITY,
     BEAM,
+    CLOSE_BY,
     DETECTION,
     MOST_CAUSES,
     PARTNERS,
@@ -142,7 +143,9 @@ class Search:
             if self.progress:
                 self.progress(" + ".join([*base.kinds, c.kind]))
             together = [np.concatenate([base.theta, s]) for s in starts]
-            fits.append(fit(residual, (*base.causes, c), together, tries=2 if base.causes else 3))
+            best = min(fits, key=lambda f: f.chi2, default=base)
+            near = best.chi2 + CLOSE_BY * inflation(best)
+            fits.append(fit(residual, (*base.causes, c), together, tries=2 if base.causes else 3, known=near))
         fits += [f for make in special if (f := make(residual, base)) is not None]
         return sorted(fits, key=_order)
 
