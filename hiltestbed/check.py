@@ -48,9 +48,11 @@ def _load(kind: Kind, source: Source) -> None:
 
 def json_schema(kind: Kind) -> dict[str, Any]:
     """The JSON Schema of one kind of file."""
+    from hiltestbed import plugins
     from hiltestbed.campaign.schema import Campaign
     from hiltestbed.dataset import Dataset
     from hiltestbed.scenario import Scenario
 
+    plugins.load()
     model = {"scenario": Scenario, "campaign": Campaign, "dataset": Dataset}[kind]
     return {"$schema": "https://json-schema.org/draft/2020-12/schema"} | model.model_json_schema()

@@ -10,7 +10,7 @@ import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
@@ -18,6 +18,8 @@ from hiltestbed.errors import Fault, InputError
 from hiltestbed.scenario import Scenario, scenario_from
 from hiltestbed.validation import Strictly, nearest, validate
 from hiltestbed.yaml_source import KeyPath, Source, read_source, referenced_source
+
+Check = Literal["unit", "sign", "axes", "start", "attitude", "lever", "copy", "constant", "shift"]
 
 
 class Channel(Strictly):
@@ -48,6 +50,12 @@ class Dataset(Strictly):
     runs: Annotated[tuple[MeasuredRun, ...], Field(strict=False, min_length=1)]
     channels: dict[str, Channel] | None = Field(
         default=None, description="signal of the trace to its column; a signal left out is looked for under the trace's own name and unit"
+    )
+    accept: Annotated[tuple[Check, ...], Field(strict=False)] = Field(
+        default=(),
+        description="checks whose refusal is overridden, the data taken as they are: a list of what the refusal names: unit, sign, "
+        "axes (exchanged), start (place and speed at the start), attitude, lever (torque over force), copy (of another channel), constant "
+        "(where it should move), shift (by whole rows)",
     )
 
 

@@ -30,6 +30,8 @@ def delay_ledger(scenario: Scenario, figures: ContactFigures) -> list[Delay]:
     """Every delay between the contact and the numerical model's motion, what leads as negative, their sum last."""
     # Read at t_k, step the model, run linearly to its pose by t_(k+1): the semi-implicit step makes up for the tick.
     compensation, w = scenario.compensation, contact_frequency(scenario)
+    if scenario.rig.platform.physical:  # no loop: the bodies themselves move
+        return [Delay("total", 0.0, 0.0)]
     delays = [*_sensor(scenario, w), *_compensation(scenario), ("coupling", 0.0), *_effects(scenario, w, "dynamics")]
     if scenario.rig.platform.tracking == "servo":
         delays.append(("platform.servo", figures.tracking_delay or 0.0))

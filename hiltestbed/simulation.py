@@ -8,36 +8,22 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from hiltestbed import plugins
 from hiltestbed.contact.truth import axis_truth
 from hiltestbed.ledger import delay_ledger, predicted_log_error
 from hiltestbed.log import stamp_late
 from hiltestbed.loop import Loop
 from hiltestbed.metrics import ContactFigures
+from hiltestbed.numerical_model.bodies import effective_mass
+from hiltestbed.result import Run
 from hiltestbed.scenario import Scenario, scenario_from, scenario_sha256
-from hiltestbed.signals import AXES, RunTrace, Trace
+from hiltestbed.signals import AXES, Trace
 from hiltestbed.snapshot import Snapshot, Snapshots
 from hiltestbed.versions import versions
 
 Progress = Callable[[int, int], None]
 MakeTrace = Callable[[Loop], Any]  # what takes the rows of a loop in place of a Trace
 PROGRESS_TICKS = 500
-
-
-@dataclass
-class Run:
-    """One run: what the run folder holds.
-
-    Attributes:
-        scenario: as it was run.
-        summary: the contents of summary.json.
-        trace: the rows, or None where none was kept.
-        failure: the state some ticks before a divergence or a stop, from which it can be replayed.
-    """
-
-    scenario: Scenario
-    summary: dict[str, Any]
-    trace: RunTrace | None = None
-    failure: Snapshot | None = None
 
 
 @dataclass
@@ -74,7 +60,7 @@ def run_batch(
     different = dict(zip(names, references, strict=True))  # scenarios that differ in the rig alone share one
     reference = simulate(list(different.values()), until_parted=True, nthread=nthread)
     cors = dict(zip(different, (figures.cor for figures in reference.figures), strict=True))
-    return [_run(batch, cors[name], i) for i, name in enumerate(names)]
+    return [concluded(batch, cors[name], i) for i, name in enumerate(names)]
 
 
 def simulate(
@@ -88,7 +74,7 @@ def simulate(
     """Drive the loop to its end; ``until_parted`` ends it when every run's rebound speed is known."""
     ticks = max(s.ticks for s in scenarios)
     loop = Loop(scenarios, nthread)
-    rows = trace(loop) if callable(trace) else Trace(ticks, len(scenarios), scenarios[0].rate) if trace else None
+    rows = trace(loop) if callable(trace) else Trace(ticks, len(scenarios), scenarios[0].rate, loop.plant.units) if trace else None
     snapshots = Snapshots(loop)
     start = 0.0
     while loop.k < ticks and loop.alive.any():
@@ -98,6 +84,8 @@ def simulate(
             snapshots.failures()
         if loop.k == 1:  # the first tick may have compiled the blocks: it is not timed
             start = time.perf_counter()
+            if progress:
+                progress(1, ticks)
         if loop.k % PROGRESS_TICKS == 0:
             if progress:
                 progress(loop.k, ticks)
@@ -112,17 +100,23 @@ def simulate(
             stamp_late(rows, scenarios)
         for i, (k, *_) in loop.trouble.items():
             rows.length[i] = k + 1
+    return collected(loop, rows, wall, snapshots.failures())
+
+
+def collected(loop: Loop, rows: Any, wall: float, failures: dict[int, Snapshot]) -> Batch:
+    """What ``loop`` has left behind, ``rows`` among it, after ``wall`` [s]."""
+    scenarios = loop.scenarios
     return Batch(
         scenarios=scenarios,
         figures=[loop.tally.figures(i) for i in range(len(scenarios))],
         trouble=loop.trouble,
         identification=[_identified(loop, i) for i in range(len(scenarios))],
-        outcomes=[loop.outcomes.summary(i) for i in range(len(scenarios))],
+        outcomes=[loop.outcomes.summary(i) | _capture(loop, i) for i in range(len(scenarios))],
         payload=[loop.plant.payload_left(i) for i in range(len(scenarios))],
         ticks=loop.k,
         wall=wall,
         trace=rows,
-        failures=snapshots.failures(),
+        failures=failures,
     )
 
 
@@ -136,7 +130,8 @@ def reference_scenario(scenario: Scenario) -> Scenario:
     data["compensation"] = {"force": {"kind": "none"}, "motion": {"kind": "none"}}
     data["identification"] = {"kind": "none"}
     data["safety"] = dict.fromkeys(data["safety"])  # nothing is watched
-    data["rig"]["platform"]["tracking"] = data["rig"]["upper"]["tracking"] = "ideal"
+    data["rig"]["platform"] = scenario.rig.platform.reference()
+    data["rig"]["upper"]["tracking"] = "ideal"
     data["effects"] = [e for e in data["effects"] if e["kind"].startswith("contact.")]
     return scenario_from(data)
 
@@ -158,11 +153,25 @@ def _identified(loop: Loop, i: int) -> dict[str, Any]:
     return out
 
 
+def _capture(loop: Loop, i: int) -> dict[str, Any]:
+    """The phases of a mechanism that has them, each with the time at which it began [s], None where it has not."""
+    phases = loop.plant.phases
+    if phases is None:
+        return {}
+    ticks = [int(k) for k in phases.since[i]]
+    return {
+        "phases": [
+            {"name": name, "at": k / loop.scenarios[i].rate if k >= 0 else None} for name, k in zip(phases.names, ticks, strict=True)
+        ]
+    }
+
+
 def _number(value: float) -> float | None:
     return None if not math.isfinite(value) else float(value)
 
 
-def _run(batch: Batch, cor_reference: float | None, i: int) -> Run:
+def concluded(batch: Batch, cor_reference: float | None, i: int) -> Run:
+    """Run ``i`` of a batch with its summary; ``cor_reference``: of the same contact with nothing in between."""
     scenario, figures = batch.scenarios[i], batch.figures[i]
     cor = figures.cor
     ledger = delay_ledger(scenario, figures)
@@ -173,6 +182,7 @@ def _run(batch: Batch, cor_reference: float | None, i: int) -> Run:
         "scenario_sha256": scenario_sha256(scenario),
         "seed": scenario.seed,
         "versions": versions(),
+        "plugins": plugins.loaded(),
         "status": trouble[1] if trouble else "completed",
         "stop_reason": f"tick {trouble[0]}, t = {trouble[0] / scenario.rate:.6f} s: {trouble[2]}" if trouble else None,
         "cor": cor,
@@ -180,6 +190,7 @@ def _run(batch: Batch, cor_reference: float | None, i: int) -> Run:
         "cor_log_error": log_error(cor, cor_reference),
         "cor_log_error_predicted": predicted_log_error(scenario, ledger),
         "approach_speed": figures.approach_speed,
+        "approach_energy": None if figures.approach_speed is None else 0.5 * effective_mass(scenario) * figures.approach_speed**2,
         "rebound_speed": figures.rebound_speed,
         "energy_generated": figures.energy_generated,
         "peak_force": figures.peak_force,
@@ -196,7 +207,7 @@ def _run(batch: Batch, cor_reference: float | None, i: int) -> Run:
         "timing": {
             "ticks": batch.ticks,
             "wall": wall,
-            "real_time_factor": (batch.ticks - 1) / scenario.rate * len(batch.scenarios) / wall if wall > 0.0 else None,
+            "real_time_factor": (batch.ticks - 1) / scenario.rate * len(batch.scenarios) / wall if wall > 0.0 and batch.ticks > 1 else None,
         },
     }
     trace = batch.trace.run(i) if batch.trace is not None else None

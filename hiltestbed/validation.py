@@ -6,9 +6,10 @@ import copy
 import difflib
 import types
 from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
 from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
 
-from pydantic import BaseModel, ConfigDict, Field, Strict, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, Strict, ValidationError, ValidationInfo
 from pydantic_core import ErrorDetails, PydanticCustomError
 
 from hiltestbed.errors import Fault, InputError
@@ -31,6 +32,17 @@ Vector2 = Annotated[tuple[float, ...], Strict(False), Field(min_length=2, max_le
 Vector3 = Annotated[tuple[float, ...], Strict(False), Field(min_length=3, max_length=3)]
 
 
+def _found(name: str, info: ValidationInfo) -> str:
+    """An existing file, as an absolute path; a relative one starts from the folder of the file that names it."""
+    path = ((info.context or {}).get("folder", Path()) / name).resolve()
+    if not path.is_file():
+        raise PydanticCustomError("no_file", "no such file (got {name}, looked for {path})", {"name": repr(name), "path": str(path)})
+    return str(path)
+
+
+ModelFile = Annotated[str, AfterValidator(_found)]
+
+
 def refuse(problems: Iterable[Problem]) -> None:
     """For a validator: raises all of `problems` (path below the model, message) together, if there are any."""
     found = list(problems)
@@ -48,7 +60,7 @@ def validate(model: type[Model], source: Source, specimen: Mapping[str, Any] | N
     problems: list[Problem] = []
     while True:
         try:
-            result = model.model_validate(data)
+            result = model.model_validate(data, context={"folder": source.folder})
         except ValidationError as error:
             new = [item for item in _problems(model, data, error) if not _overlaps(item[0], problems)]
         else:
@@ -169,6 +181,13 @@ def _items(annotation: Any) -> Any:
     if origin in (list, tuple, dict) and members:
         return members[-1] if origin is dict else members[0]
     return None
+
+
+def description_of(model: type[BaseModel], data: Any, path: KeyPath) -> str:
+    """What the key at ``path`` of ``data`` means, or nothing; among the members of a union, the one whose `kind` the data names."""
+    owner = _model_at(model, data, path[:-1])
+    field = owner.model_fields.get(str(path[-1])) if owner is not None else None
+    return (field.description or "") if field is not None else ""
 
 
 def unit_of(model: Any, key: str) -> str:

@@ -45,6 +45,14 @@ class ForceMethod(Strictly):
         """The time constant [s] with which it forgets a force that has ended."""
         return 0.0
 
+    @classmethod
+    def contest(cls, stiffness: float, damping: float, delay: float) -> Mapping[str, Any]:
+        """Settings for a contact of the benchmark, with the true stiffness [N/m] and damping [N s/m] and the believed delay [s].
+
+        A method that needs no knowledge of the contact leaves it at its defaults.
+        """
+        return {}
+
 
 class MotionMethod(Strictly):
     """Base of every way to tell the platform where to go. A class needs a docstring and the parts named in :data:`PARTS`.

@@ -75,7 +75,7 @@ def structure_of(mechanism: Mechanism, departs: bool, rubs: bool) -> Structure:
     """
     mounted = mechanism.mount is not None
     latched = mechanism.captured or mechanism.latch is not None
-    constant = not (departs or rubs or mounted or latched) and sides_of(mechanism).exact
+    constant = not (departs or rubs or mounted or latched or mechanism.phases()) and sides_of(mechanism).exact
     return Structure(mechanism.shape(), mounted, constant, rubs, latched, mechanism)
 
 

@@ -117,6 +117,16 @@ class Engagement:
         self._live[:] = True
         self.latches.open(captured=self._captured)
 
+    @property
+    def frames(self) -> Array:
+        """(n, F, 7) poses in W of A, S and of parts that move, at the last update."""
+        return self._bodies.frames
+
+    @property
+    def motions(self) -> Array:
+        """(n, F, 6) their twists."""
+        return self._bodies.motions
+
     def update(self, pose: Array, twist: Array, place: Array, motion: Array) -> None:
         """Make MuJoCo's contacts those of the state: pose (n, 7) and twist (n, 6) of A in W, and those of S; once an instant."""
         b, p = self._bodies, self._pairs
@@ -372,6 +382,8 @@ def _touch_natively(
             out[:] = 0.0
             out[0] = -said[DIST] if points > 0.0 else -1.0
             if points == 0.0:
+                if linear[i, c]:
+                    continue
                 law_of(dt, least_creep, row, state[i, c], -1.0, 0.0, slip)
                 continue
             depth, out[1] = out[0], -said[LINVEL]

@@ -145,7 +145,7 @@ def _hold(dt, rows, spring, law, turns, pairs, places, ids, frames, motions, car
     for i in range(pose.shape[0]):
         for k in range(ids.shape[0]):
             for side in range(2):
-                _site(frames[i, pairs[k, side]], motions[i, pairs[k, side]], places[k, side], site[side], velocity[side])
+                site_state(frames[i, pairs[k, side]], motions[i, pairs[k, side]], places[k, side], site[side], velocity[side])
             at, rate = pose[i, k], twist[i, k]
             relate_one(site[0], velocity[0], site[1], velocity[1], at, rate, work)
             if not closed[i, k]:
@@ -167,7 +167,7 @@ def _hold(dt, rows, spring, law, turns, pairs, places, ids, frames, motions, car
 
 
 @njit(cache=True)
-def _site(frame, motion, place, pose, twist):
+def site_state(frame, motion, place, pose, twist):
     """Pose (7,) and twist (6,) in W of a site at ``place`` (7,) in a frame."""
     rotate(frame[3:7], place[0:3], pose[0:3])
     quat_mul(frame[3:7], place[3:7], pose[3:7])

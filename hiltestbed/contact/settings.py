@@ -72,6 +72,10 @@ class Mechanism(Strictly):
         """The MJCF of the active and of the passive side, with the sites A and P."""
         raise NotImplementedError
 
+    def fingerprint(self) -> dict[str, str]:
+        """Keys of the section that name a file of the user's, and the SHA-256 of all that the file holds."""
+        return {}
+
     def sides(self) -> tuple[MjSpec, MjSpec]:
         """Both sides as MJCF, every geom and body with a name. Raises InputError."""
         from hiltestbed.contact.sides import named

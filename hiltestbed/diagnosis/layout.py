@@ -30,6 +30,8 @@ from hiltestbed.measured.noise import white_noise
 from hiltestbed.replay.compensation import needs
 from hiltestbed.signals import GROUPS
 
+MEMORY = 0.05  # [s] for which platform, contact and compensation are taken to remember a sample that is missing
+MOSTLY = 0.9  # part of the rows of every run, which hang on samples that are missing
 ROTATIONS = ("rx", "ry", "rz")
 
 
@@ -95,6 +97,8 @@ def _lacking(runs: Sequence[MeasuredRun]) -> dict[str, str]:
             out["compensation"] = f"needs {' and '.join(groups)} in every run for compensation.force {kinds}"
     if not _all(runs, "wrench_comp", "pose_cmd"):
         out["dynamics"] = "needs wrench_comp and pose_cmd in every run"
+    elif all(r.record.unknown("wrench_comp")[-1] and r.record.unknown("wrench_comp").mean() > MOSTLY for r in runs):
+        out["dynamics"] = "needs wrench_comp without gaps: what a missing sample did to the motion stays in it"
     if not _all(runs, "wrench_meas"):
         out["wrench"] = "needs wrench_meas in every run"
     elif not all(r.record.has("pose_act") or r.record.has("pose_cmd") for r in runs):
@@ -122,7 +126,7 @@ def compensation_link(layout: Layout, rows: Sequence[int]) -> CompensationLink:
     twists = {g.replace("pose", "twist") for g in groups if _all(layout.runs, g.replace("pose", "twist"))}
     pairs = list(zip(layout.runs, rows, strict=True))
     records = {g: [np.ascontiguousarray(r.record.filled(g)[:n]) for r, n in pairs] for g in groups | twists}
-    runs = [_computed_run(r, r.record.data["wrench_comp"], level, n) for r, n in pairs]
+    runs = [_computed_run(r, r.record.data["wrench_comp"], level, n, "wrench_meas", MEMORY) for r, n in pairs]
     return CompensationLink(runs, [np.ascontiguousarray(r.record.filled("wrench_meas")[:n]) for r, n in pairs], records)
 
 
@@ -130,7 +134,7 @@ def dynamics_link(layout: Layout, rows: Sequence[int]) -> DynamicsLink:
     """The numerical model on the first ``rows`` of each run."""
     level = DYNAMICS_FLOOR * math.sqrt(CORRELATED)
     pairs = list(zip(layout.runs, rows, strict=True))
-    runs = [_computed_run(r, flat_pose(r.record.data["pose_cmd"]), level, n) for r, n in pairs]
+    runs = [_computed_run(r, flat_pose(r.record.data["pose_cmd"]), level, n, "wrench_comp", None) for r, n in pairs]
     return DynamicsLink(runs, [np.ascontiguousarray(r.record.filled("wrench_comp")[:n]) for r, n in pairs])
 
 
@@ -184,7 +188,10 @@ def _force_run(run: MeasuredRun, layout: Layout, i: int, rows: int, least: Array
     reading = np.nan_to_num(run.record.data["wrench_meas"][:rows]) - layout.force.offset[i]
     level = np.hypot(level, layout.force.share * reading)
     sigma = np.where(run.record.valid["wrench_meas"][:rows], level, np.inf)
-    measured = np.where(np.isfinite(sigma), reading, 0.0)
+    path = next((g for g in ("pose_act", "pose_cmd") if run.record.has(g)), None)
+    if path is not None:
+        sigma[run.record.unknown(path, MEMORY + run.scenario.sensor.delay)[:rows]] = np.inf
+    measured = np.where(run.record.valid["wrench_meas"][:rows], reading, 0.0)
     return LinkRun(run.scenario, measured, sigma, touching(run, rows), layout.force.heavy)
 
 
@@ -194,12 +201,15 @@ def _pose_run(run: MeasuredRun, noise: Mapping[str, float], doubt: Array, rows: 
     level = np.maximum([noise.get(f"pose_act.{part}", 0.0) for part in ("px", "py", "pz", *ROTATIONS)], NO_POSE_NOISE)
     counted = np.concatenate([valid[:, :3], np.repeat(np.all(valid[:, 3:], axis=1)[:, None], 3, axis=1)], axis=1)
     sigma = np.where(counted, np.hypot(level, doubt), np.inf)
+    sigma[run.record.unknown("pose_cmd", MEMORY)[:rows]] = np.inf
     sigma[0] = np.inf  # the start pose stands for itself
     return LinkRun(run.scenario, np.nan_to_num(flat_pose(run.record.data["pose_act"][:rows])), sigma, touching(run, rows))
 
 
-def _computed_run(run: MeasuredRun, values: Array, level: float, rows: int) -> LinkRun:
+def _computed_run(run: MeasuredRun, values: Array, level: float, rows: int, given: str, memory: float | None) -> LinkRun:
+    """given: the group that the values are computed from; memory: [s], see `Record.unknown`."""
     sigma = np.where(np.isfinite(values[:rows]), level, np.inf)
+    sigma[run.record.unknown(given, memory)[:rows]] = np.inf
     return LinkRun(run.scenario, np.nan_to_num(values[:rows]), sigma, touching(run, rows))
 
 

@@ -24,6 +24,7 @@ BEAM = 5  # first causes that a second one is sought for
 PARTNERS = 6  # second causes that are fitted beside each
 SIMILAR = 3  # hypotheses of one effect (axes, variants) that are fitted
 SINGLES = 40  # first causes that are fitted
+VARIANT = 0.3  # of what the best takes off chi-square: where one reading of an effect takes less, the others are not fitted
 CLOSE_BY = 60.0  # of chi-square: hypotheses this near to the best are fitted to the end, others as long as they may come so near
 FAR = 1e6  # sigma: a prediction that left the finite numbers
 

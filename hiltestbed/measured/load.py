@@ -23,6 +23,7 @@ LINKS = {
     "compensation": ("wrench_meas", "wrench_comp"),
     "dynamics": ("wrench_comp", "pose_cmd"),
 }
+FEWEST = 30  # ticks of a run, from which a noise floor can be read
 
 
 @dataclass(frozen=True)
@@ -85,16 +86,26 @@ def examine(path: str | Path | LoadedDataset, set: Mapping[str, Any] | None = No
             faults += error.faults
             continue
         remarks += found
-        if record is not None:
+        if record is None or record.ticks < FEWEST:
+            remarks += [] if any(r.severity == "error" for r in found) else [_nothing(index, record)]
+        else:
             record, found_in, more = check_run(record, scenario)
             runs.append(MeasuredRun(record, scenario, found_in))
             remarks += more
     if faults:
         raise InputError(faults)
     remarks += check_dataset([run.record for run in runs], LINKS)
+    accepted = loaded.spec.accept
+    remarks = [remark.accepted() if remark.severity == "error" and remark.check in accepted else remark for remark in remarks]
     return MeasuredDataset(loaded.path, loaded.spec, loaded.nominal, loaded.files, tuple(runs), tuple(remarks))
+
+
+def _nothing(run: int, record: Record | None) -> Remark:
+    """The error of a run of which nothing can be said."""
+    text = "holds no channel with enough samples" if record is None else f"lasts {record.ticks} ticks; a run needs at least {FEWEST}"
+    return Remark("error", run, "", text, "record the run again or take it out of the dataset")
 
 
 def _as_fault(remark: Remark, dataset: MeasuredDataset) -> Fault:
     file = dataset.path if remark.run is None else dataset.files[remark.run]
-    return Fault(str(file), None, None, remark.channel, remark.text + (f"; {remark.fix}" if remark.fix else ""))
+    return Fault(str(file), None, None, remark.channel, remark.text + (f"; {remark.remedy}" if remark.remedy else ""))

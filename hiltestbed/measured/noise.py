@@ -14,6 +14,7 @@ THIRD_DIFFERENCE = math.sqrt(20.0)  # of white noise: 1 + 9 + 9 + 1 times its va
 MAD_TO_SIGMA = 1.4826
 UNIFORM = 2.0  # rms over white, above which a pose does not move uniformly and a straight line says nothing of its noise
 ROUND_OFF = 1e-12  # of the largest value: such steps are those of the number format
+SPARSE = 0.7  # part of the ticks that hold a sample, below which they are the samples of a slower log
 SAME = 1e-9  # of the range: values this close are one value
 
 
@@ -50,7 +51,7 @@ def noise_of(values: Array, free: int, step: float, pose: bool) -> Noise:
 
 def white_noise(values: Array) -> float:
     """1 sigma of the part of ``values`` that differs from sample to sample; 0 when there are too few."""
-    third = np.diff(values, 3)
+    third = np.diff(_samples(values), 3)
     third = third[np.isfinite(third)]
     if len(third) < 8:
         return 0.0
@@ -58,11 +59,17 @@ def white_noise(values: Array) -> float:
     return sigma if sigma > 0 else float(np.std(third)) / THIRD_DIFFERENCE
 
 
+def _samples(values: Array) -> Array:
+    """``values``; those that are there alone where most are not, as on the ticks of a loop that is faster than its log."""
+    known = np.isfinite(values)
+    return values[known] if len(values) and known.mean() < SPARSE else values
+
+
 def finest_noise(values: Array) -> float:
     """1 sigma of white noise in a column that moves: the least of differences of orders 3, 5 and 7, in which motion counts ever less."""
     found = [white_noise(values)]
     for order in (5, 7):
-        differences = np.diff(values, order)
+        differences = np.diff(_samples(values), order)
         differences = differences[np.isfinite(differences)]
         if len(differences) >= 8:
             found.append(MAD_TO_SIGMA * float(np.median(np.abs(differences))) / math.sqrt(math.comb(2 * order, order)))

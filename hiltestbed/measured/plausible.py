@@ -1,8 +1,8 @@
 """Units, signs and orders that contradict the physics of the scenario. Found, never corrected.
 
-A quantity is held against what the scenario expects of it: the pose against gap and approach velocity, the force against k x + c v
-and against v sqrt(k mu), the attitude against the start attitude. Effects that a diagnosis looks for change these by a factor of a
-few; a unit is off by a thousand.
+The pose is held against gap and approach velocity, the attitude against the start attitude, and force and pose against each other by
+momentum. Where the bodies do not float freely on record, the force is held against k x + c v and v sqrt(k mu), which effects change by a
+factor of a few: there a unit has to be off by hundreds.
 """
 
 from __future__ import annotations
@@ -12,18 +12,18 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from hiltestbed.dataset import Check
 from hiltestbed.frames import Array, quat_from_attitude_deg
-from hiltestbed.measured.noise import FREE_MINIMUM
+from hiltestbed.measured.balance import balances, imbalances
 from hiltestbed.measured.record import Record
 from hiltestbed.measured.remark import Remark
-from hiltestbed.measured.survey import MOVED, Survey, baseline
+from hiltestbed.measured.sameness import copies_and_constants
+from hiltestbed.measured.shifts import shifts
+from hiltestbed.measured.start import factor_text, likely_scale, scale_fix, starts_at_fault
+from hiltestbed.measured.survey import MOVED, Survey, baseline, penetration
 from hiltestbed.scenario import Scenario
 
-UNIT_FACTOR = 100.0  # off by more than this: another unit
-FORCE_FACTOR = 200.0  # the same for the force, which a hard stop changes by more
-CLEAR = 50.0  # sigma, above which a start position or a travel is told from zero
-REVERSED = -0.3  # of what is expected, start and travel alike: the sign is the other way round
-REVERSED_ALONE = -0.7  # the same where only one of them can be told from zero
+FORCE_FACTOR = 200.0  # off by more than this: another unit, whatever the contact is
 CORRELATION = -0.5
 QUAT_NORM = 0.01
 QUAT_NORM_NOTE = 1e-3
@@ -34,55 +34,25 @@ LEVER_LIMIT = 20.0  # [m] from torque over force: no rig is that large
 def contradictions(record: Record, found: Survey, scenario: Scenario) -> list[Remark]:
     """Errors for what cannot be right, notes for what is merely odd."""
     return [
-        *_poses(record, found, scenario),
+        *starts_at_fault(record, found, scenario),
         *_attitudes(record, scenario),
-        *_measured_force(record, found, scenario),
-        *_force_pair(record, found),
+        *copies_and_constants(record, found, scenario),
+        *_forces(record, found, scenario),
         *_torques(record, found),
     ]
 
 
-def scale_fix(channel: str, scale: float) -> str:
-    """The entry of the channel map that would put a channel right, beside any scale it has."""
-    return f"if so, multiply its scale by {scale:g}: channels: {{{channel}: {{scale: {scale:g}}}}}"
+def _forces(record: Record, found: Survey, scenario: Scenario) -> list[Remark]:
+    """By momentum where the bodies float freely, by the law of the contact where they do not."""
+    pairs = balances(record, scenario)
+    wrong = list(imbalances(record, found, scenario, pairs))
+    if pairs:
+        return wrong or list(shifts(record, found, scenario))
+    return [*_measured_force(record, found, scenario), *_force_pair(record, found)]
 
 
-def _error(record: Record, channel: str, text: str, fix: str, **evidence: float) -> Remark:
-    return Remark("error", record.run, channel, text, fix, evidence)
-
-
-def _poses(record: Record, found: Survey, scenario: Scenario) -> Iterator[Remark]:
-    """Start and speed of each translation before the first touch, against gap, offset and approach velocity."""
-    if scenario.mechanism.captured:
-        return
-    start = (*scenario.approach.offset, -scenario.approach.gap)
-    for group in ("pose_cmd", "pose_act"):
-        for axis, name in enumerate(f"{group}.p{a}" for a in "xyz"):
-            if name in record.columns():
-                yield from _translation(record, found, name, start[axis], scenario.approach.velocity[axis])
-
-
-def _translation(record: Record, found: Survey, name: str, start: float, speed: float) -> Iterator[Remark]:
-    values, sigma = record.column(name), found.noise[name].white
-    free = max(found.free, FREE_MINIMUM)
-    known = np.flatnonzero(np.isfinite(values[:free]))
-    if len(known) < 3:
-        return
-    begin, end = float(np.median(values[known[:3]])), float(np.median(values[known[-3:]]))
-    travel, expected = end - begin, speed * (record.t[known[-1]] - record.t[known[0]])
-    pairs = [(m, e) for m, e in ((begin, start), (travel, expected)) if e != 0 and max(abs(m), abs(e)) > CLEAR * sigma and abs(e) > 1e-6]
-    ratios = [m / e for m, e in pairs]
-    if not ratios:
-        return
-    seen = f"starts at {begin:.4g} and moves by {travel:.4g} before the first touch; the scenario has {start:.4g} m and {expected:.4g} m"
-    evidence = {"start": begin, "travel": travel, "expected_start": start, "expected_travel": expected}
-    powers = [math.log10(abs(r)) if r else -math.inf for r in ratios]
-    if all(p > math.log10(UNIT_FACTOR) for p in powers) or all(-math.inf < p < -math.log10(UNIT_FACTOR) for p in powers):
-        power = round(sum(powers) / len(powers))
-        text = f"{seen}: off by about {10.0**power:g}, as if in another unit{' (mm?)' if power == 3 else ''}"
-        yield _error(record, name, text, scale_fix(name, 10.0**-power), **evidence)
-    elif all(r < (REVERSED if len(ratios) > 1 else REVERSED_ALONE) for r in ratios):
-        yield _error(record, name, f"{seen}: the sign is the other way round", scale_fix(name, -1.0), **evidence)
+def _error(check: Check, record: Record, channel: str, text: str, fix: str, **evidence: float) -> Remark:
+    return Remark("error", record.run, channel, text, fix, evidence, check)
 
 
 def _attitudes(record: Record, scenario: Scenario) -> Iterator[Remark]:
@@ -99,7 +69,7 @@ def _attitudes(record: Record, scenario: Scenario) -> Iterator[Remark]:
         name = f"{group}.q*"
         if off > QUAT_NORM:
             text = f"is no unit quaternion: its length is off by up to {off:.3g}; allowed is {QUAT_NORM:g}"
-            yield _error(record, name, text, "check scale and columns of qx, qy, qz, qw", length_error=off)
+            yield _error("attitude", record, name, text, "check scale and columns of qx, qy, qz, qw", length_error=off)
             continue
         if off > QUAT_NORM_NOTE:
             text = f"has a length that is off by up to {off:.3g}; it is used as it is"
@@ -116,13 +86,13 @@ def _order(record: Record, name: str, q: Array, expected: Array) -> Iterator[Rem
     if given > TURNED_DEG and w_first < 0.5 * TURNED_DEG:
         text = f"starts {given:.0f} deg from the scenario's attitude, {w_first:.1f} deg when read w first: the order is w, x, y, z"
         fix = f"exchange the columns under channels: {group}.qw takes that of qx, qx that of qy, qy that of qz, qz that of qw"
-        yield _error(record, name, text, fix, angle_deg=given, w_first_deg=w_first)
+        yield _error("attitude", record, name, text, fix, angle_deg=given, w_first_deg=w_first)
     elif given > TURNED_DEG:
         text = f"starts {given:.0f} deg from the scenario's attitude; the platform turns by 10 deg at most"
-        yield _error(record, name, text, "check frames and columns, or set approach.attitude_deg", angle_deg=given)
+        yield _error("attitude", record, name, text, "check frames and columns, or set approach.attitude_deg", angle_deg=given)
     elif given > 1.0 and conjugate < 0.2 * given:
         text = f"starts {given:.1f} deg from the scenario's attitude, {conjugate:.1f} deg when turned the other way: it is P in A"
-        yield _error(record, name, text, "give the scale -1 to its qx, qy and qz", angle_deg=given, conjugate_deg=conjugate)
+        yield _error("attitude", record, name, text, "give the scale -1 to its qx, qy and qz", angle_deg=given, conjugate_deg=conjugate)
 
 
 def _angle_deg(q: Array, expected: Array) -> float:
@@ -141,15 +111,16 @@ def _measured_force(record: Record, found: Survey, scenario: Scenario) -> Iterat
     clear = max(peak, -low) > MOVED * found.noise[name].rms
     if clear and _pulls(record, force, peak, low, scenario):
         text = f"pulls while pushing: {low:.4g} N at its strongest against {peak:.4g} N, and falls as the penetration grows"
-        yield _error(record, name, text, scale_fix(name, -1.0), lowest=low, highest=peak)
-    expected = _expected_force(found, scenario)
+        yield _error("sign", record, name, text, scale_fix(name, -1.0), lowest=low, highest=peak)
+    expected = _expected_force(record, scenario)
     if not expected:
         return
     ratio = max(peak, -low) / expected
     if clear and not 1 / FORCE_FACTOR < ratio < FORCE_FACTOR:
-        power = round(math.log10(ratio))
-        text = f"peaks at {max(peak, -low):.4g} N, the scenario gives some {expected:.4g} N: off by about {10.0**power:g}, another unit?"
-        yield _error(record, name, text, scale_fix(name, 10.0**-power), peak=max(peak, -low), expected=expected)
+        text = f"peaks at {max(peak, -low):.4g} N, the scenario gives some {expected:.4g} N: {factor_text(ratio, 'N')}"
+        yield _error(
+            "unit", record, name, text, scale_fix(name, 10.0 ** -round(math.log10(ratio))), peak=max(peak, -low), expected=expected
+        )
     elif not clear:
         yield from _other_axis(record, found, name, expected)
 
@@ -180,14 +151,27 @@ def correlation(a: Array, b: Array) -> float:
     return float(a @ b) / size if size > 0 else 0.0
 
 
-def _expected_force(found: Survey, scenario: Scenario) -> float | None:
-    """The peak that the scenario leads to [N]: v sqrt(k mu) for two free bodies, k x for a latched mechanism; None without motion."""
-    k = scenario.mechanism.contact.stiffness
+def _expected_force(record: Record, scenario: Scenario) -> float | None:
+    """The peak that the scenario leads to [N]: v sqrt(k mu) for two free bodies, k x + c v for a latched mechanism; None without motion."""
+    k, c = scenario.mechanism.contact.stiffness, scenario.mechanism.contact.damping
     if scenario.mechanism.captured:
-        deepest = max((abs(c.penetration or 0.0) for c in found.contacts), default=0.0)
-        return k * deepest or None
+        depth = penetration(record)
+        if depth is None:
+            return None
+        known = depth[np.isfinite(depth)]
+        return float(k * np.abs(known).max(initial=0.0) + c * _fastest(record, depth)) or None
     chaser, target = scenario.spacecraft.chaser.mass, scenario.spacecraft.target.mass
-    return abs(scenario.approach.velocity[2]) * math.sqrt(k * chaser * target / (chaser + target)) or None
+    speed = abs(scenario.approach.velocity[2])
+    return speed * math.sqrt(k * chaser * target / (chaser + target)) + c * speed or None
+
+
+def _fastest(record: Record, depth: Array) -> float:
+    """The 99th percentile of the rate of penetration [m/s], over steps that are long enough for the noise of the pose."""
+    known = np.flatnonzero(np.isfinite(depth))
+    stride = max(1, len(known) // 500)
+    known = known[::stride]
+    rates = np.abs(np.diff(depth[known]) / np.diff(record.t[known])) if len(known) > 2 else np.zeros(1)
+    return float(np.percentile(rates, 99))
 
 
 def _other_axis(record: Record, found: Survey, name: str, expected: float) -> Iterator[Remark]:
@@ -196,9 +180,10 @@ def _other_axis(record: Record, found: Survey, name: str, expected: float) -> It
         if other not in record.columns():
             continue
         peak = float(np.nanmax(np.abs(record.column(other) - baseline(record, found, other))))
-        if 0.3 * expected < peak < 3 * expected:
+        own = float(np.nanmax(np.abs(record.column(name) - baseline(record, found, name))))
+        if 0.3 * expected < peak < 3 * expected and own < 0.1 * peak:
             text = f"stays in its noise while {other} peaks at {peak:.4g} N, about what is expected along z: the axes are swapped"
-            yield _error(record, name, text, f"exchange the columns of {name} and {other}", other_peak=peak, expected=expected)
+            yield _error("axes", record, name, text, f"exchange the columns of {name} and {other}", other_peak=peak, expected=expected)
 
 
 def _force_pair(record: Record, found: Survey) -> Iterator[Remark]:
@@ -217,11 +202,10 @@ def _force_pair(record: Record, found: Survey) -> Iterator[Remark]:
         together = correlation(a, b)
         if together < CORRELATION:
             text = f"goes against {meas} (correlation {together:.2f}): the sign of one is the other way round"
-            yield _error(record, comp, text, scale_fix(comp, -1.0), correlation=together)
+            yield _error("sign", record, comp, text, scale_fix(comp, -1.0), correlation=together)
         if not 1 / FORCE_FACTOR < high_b / high_a < FORCE_FACTOR:
-            power = round(math.log10(high_b / high_a))
-            text = f"peaks at {high_b:.4g} where {meas} peaks at {high_a:.4g}: off by about {10.0**power:g}, another unit?"
-            yield _error(record, comp, text, scale_fix(comp, 10.0**-power), peak=high_b, measured_peak=high_a)
+            text = f"peaks at {high_b:.4g} where {meas} peaks at {high_a:.4g}: {factor_text(high_b / high_a, 'N')}"
+            yield _error("unit", record, comp, text, scale_fix(comp, likely_scale(high_b / high_a, "N")), peak=high_b, measured_peak=high_a)
 
 
 def _torques(record: Record, found: Survey) -> Iterator[Remark]:
@@ -230,9 +214,11 @@ def _torques(record: Record, found: Survey) -> Iterator[Remark]:
         names = [n for n in record.columns() if n.startswith(group + ".")]
         peaks = {n[-2:]: float(np.nanmax(np.abs(record.column(n) - baseline(record, found, n)))) for n in names}
         forces = [v for n, v in peaks.items() if n[0] == "f"]
+        largest = max(forces, default=0.0)
+        if len(forces) < 3 or largest == 0.0:
+            continue
         for axis, peak in peaks.items():
             name = f"{group}.{axis}"
-            if axis[0] == "t" and forces and max(forces) > 0 and peak > MOVED * found.noise[name].rms and peak > LEVER_LIMIT * max(forces):
-                arm = peak / max(forces)
-                text = f"peaks at {peak:.4g} N m against {max(forces):.4g} N of force: a lever arm of {arm:.3g} m, another unit?"
-                yield _error(record, name, text, scale_fix(name, 1e-3), torque=peak, force=max(forces))
+            if axis[0] == "t" and peak > max(MOVED * found.noise[name].rms, LEVER_LIMIT * largest):
+                text = f"peaks at {peak:.4g} N m against {largest:.4g} N of force: a lever arm of {peak / largest:.3g} m, another unit?"
+                yield _error("lever", record, name, text, scale_fix(name, 1e-3), torque=peak, force=largest)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from hiltestbed.frames import Array
 from hiltestbed.signals import GROUPS
 
 MEASURED_GROUPS = ("pose_cmd", "pose_act", "twist_cmd", "twist_act", "wrench_meas", "wrench_comp")
+FOLLOWING = 20  # samples that tell the speed before the first of them
 IDENTITY = (0.0, 0.0, 0.0, 1.0)
 
 
@@ -67,7 +69,8 @@ class Record:
         """``(ticks, parts)`` without NaN, to drive a model with; not for residuals, which count where ``valid`` alone.
 
         Gaps are bridged linearly (quaternions are brought to unit length again) and before the first and after the last sample the
-        value is held. Axes that are absent are zero, an absent attitude is none.
+        value is held, but for places of a pose before the first sample, which move uniformly. Axes that are absent are zero, an absent
+        attitude is none.
         """
         values = self.data[group].copy()
         default = (0.0,) * 3 + IDENTITY if group.startswith("pose") else (0.0,) * values.shape[1]
@@ -77,11 +80,42 @@ class Record:
                 values[:, j] = default[j]
             elif not known.all():
                 values[:, j] = np.interp(self.t, self.t[known], values[known, j])
+                if group.startswith("pose") and j < 3 and not known[0]:
+                    self._run_back(values[:, j], known)
         if group.startswith("pose"):
             bridged = ~self.valid[group][:, 3:].all(axis=1)
             norm = np.linalg.norm(values[bridged, 3:], axis=1, keepdims=True)
             values[bridged, 3:] = np.where(norm > 0, values[bridged, 3:] / np.where(norm > 0, norm, 1.0), IDENTITY)
         return values
+
+    def _run_back(self, values: Array, known: NDArray[np.bool_]) -> None:
+        """Extend ``values`` (ticks,) before the first sample at the speed of the samples that follow."""
+        first = np.flatnonzero(known)[:FOLLOWING]
+        if len(first) > 1:
+            t = self.t - self.t[first[0]]
+            slope = float(np.polyfit(t[first], values[first], 1)[0])
+            values[: first[0]] = values[first[0]] + slope * t[: first[0]]
+
+    def unknown(self, group: str, memory: float | None = None) -> NDArray[np.bool_]:
+        """``(ticks,)``: what a block does here hangs on samples of ``group`` that are missing.
+
+        Args:
+            memory: [s] for which a block remembers its input; None: for good, as an integral does.
+
+        Ticks between two samples of a log that is slower than the loop are not missing. Columns that are absent do not count.
+        """
+        known = np.all([self.measured(c) for c in GROUPS[group].columns if c not in self.absent], axis=0)
+        rate = (self.ticks - 1) / self.t[-1] if self.ticks > 1 else 1.0
+        stride = math.ceil(rate / self.sample_rate - 1e-6) if self.sample_rate else 1
+        at = np.flatnonzero(known)
+        missing = np.zeros(self.ticks, dtype=bool)
+        for before, after in zip(np.r_[-1, at], np.r_[at, self.ticks], strict=True):
+            if after - before > stride + (stride > 1):
+                missing[before + 1 : after] = True
+        lasting = self.ticks if memory is None else round(memory * rate)
+        ends = np.flatnonzero(missing)
+        last = np.maximum.accumulate(np.where(missing, np.arange(self.ticks), -1)) if len(ends) else np.full(self.ticks, -1)
+        return (last >= 0) & (np.arange(self.ticks) - last <= lasting)
 
 
 def place(column: str) -> tuple[str, int]:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
+
+from hiltestbed.dataset import Check
 
 Severity = Literal["error", "loss", "note"]
 
@@ -21,6 +23,7 @@ class Remark:
         text: what was found, with its numbers.
         fix: what to do, as it would stand in the dataset file where that is possible; may be empty.
         evidence: the numbers, by name.
+        check: what was checked, as the dataset's ``accept`` names it; empty for an error that cannot be accepted.
     """
 
     severity: Severity
@@ -29,7 +32,20 @@ class Remark:
     text: str
     fix: str = ""
     evidence: Mapping[str, float] = field(default_factory=dict)
+    check: Check | Literal[""] = ""
 
     def __str__(self) -> str:
         where = "all runs" if self.run is None else f"run {self.run}"
-        return f"{self.severity}: {where}: {self.channel + ': ' if self.channel else ''}{self.text}{'; ' + self.fix if self.fix else ''}"
+        return (
+            f"{self.severity}: {where}: {self.channel + ': ' if self.channel else ''}{self.text}{'; ' + self.remedy if self.remedy else ''}"
+        )
+
+    def accepted(self) -> Remark:
+        """The same as a note: the dataset says that the data are meant to be as they are."""
+        return replace(self, severity="note", text=f"{self.text} (accepted by the dataset: {self.check})")
+
+    @property
+    def remedy(self) -> str:
+        """The fix, and the key with which the data are taken as they are where that is possible."""
+        anyway = f"to use the data as they are, accept: [{self.check}]" if self.severity == "error" and self.check else ""
+        return "; ".join(part for part in (self.fix, anyway) if part)

@@ -19,7 +19,6 @@ from hiltestbed.contact.composition import Structure
 from hiltestbed.contact.contacts import Contacts
 from hiltestbed.frames import Array, pose_step, rotate_back, twist_between
 from hiltestbed.platform import model
-from hiltestbed.platform.pss33.kinematics import Platform, inverse
 from hiltestbed.platform.response import PlatformResponse
 from hiltestbed.sensor.readout import read_wrench
 
@@ -61,6 +60,17 @@ def _between(pose_before, pose_now, twist, time, last, bent, path, pose, qpos, q
         rotate_back(pose[i, 3:7], twist[i, 3:6], qvel[i, d + 3 : d + 6])
 
 
+@njit(cache=True)
+def _change(pose, twist, qvel, at, per_step, push):
+    """``push`` (n, 6): what brings the free joint from its velocity to ``twist`` (n, 6) in one step; angular in the body's axes."""
+    turn = np.empty(3)
+    for i in range(pose.shape[0]):
+        rotate_back(pose[i, 3:7], twist[i, 3:6], turn)
+        for j in range(3):
+            push[i, j] = per_step * (twist[i, j] - qvel[i, at + j])
+            push[i, 3 + j] = per_step * (turn[j] - qvel[i, at + 3 + j])
+
+
 NONE = int(mujoco.mjtStage.mjSTAGE_NONE)
 
 
@@ -77,12 +87,13 @@ class IdealTracking:
         )  # fmt: skip
         self.path = PlatformResponse(scenarios)
         self._ticks = np.zeros(1, dtype=np.int64)
-        self.platform = Platform.load()
+        self.follower = first.rig.platform.follower(scenarios, structure, first.tick / first.substeps)
         bind = self.batch.bind
         self._qpos, self._qvel, self._warmstart = bind("qpos"), bind("qvel"), bind("qacc_warmstart")
         self._reading = bind("sensordata")[:, model.sensor_columns(self.model)]
         free = self.model.joint("A_joint")
         self._joint = np.array([free.qposadr[0], free.dofadr[0]])
+        self._push = bind("qfrc_applied")[:, int(free.dofadr[0]) : int(free.dofadr[0]) + 6] if structure.sides.moving else None
         self._integrated = self.contacts.mount.moves or structure.sides.moving
         self._tare, self._all = np.zeros((n, 6)), np.arange(n)  # there is no gravity
         self._goal = np.zeros((n, 7))
@@ -90,7 +101,8 @@ class IdealTracking:
         self.pose_act, self.twist_act = np.zeros((n, 7)), np.zeros((n, 6))
         self.wrench_sub = np.zeros((n, self.substeps, 6))
         self.contact_now = self.contacts.touching
-        self.slider_act, self.slider_cmd = np.zeros((n, 6)), np.zeros((n, 6))
+        joints = len(self.follower.units)
+        self.slider_act, self.slider_cmd = np.zeros((n, joints)), np.zeros((n, joints))
         self.diverged = np.zeros(n, dtype=bool)  # the platform cannot: a command that is lost is the loop's to end
         self.causes = [""] * n
 
@@ -140,13 +152,22 @@ class IdealTracking:
 
     def _run(self) -> None:
         """Mount and moving parts are integrated: a step reads the wrench of its start; the last instant takes a forward pass of its own."""
+        if self._push is not None:
+            self._accelerate()
         for s in range(1, self.substeps + 1):
             self.batch.step()
+            if self._push is not None and s == 1:
+                self._push[:] = 0.0
             if s > 1:
                 read_wrench(self._reading, self._tare, self._all, self.wrench_sub, s - 2)
             self._place(s)
         self.batch.forward()
         read_wrench(self._reading, self._tare, self._all, self.wrench_sub, self.substeps - 1)
+
+    def _accelerate(self) -> None:
+        """Let the parts that move on the active side feel how A changes its velocity, in the first step of the tick."""
+        per_step = model.INTEGRATED_MASS * self.substeps / self.tick
+        _change(self._between, self.twist_act, self._qvel, self._joint[1], per_step, self._push)
 
     def _place(self, s: int) -> None:
         """Put A where it is at the sub-instant ``s`` of m, and the wrench of that state on the passive side."""
@@ -162,5 +183,5 @@ class IdealTracking:
 
     def _conclude(self) -> None:
         self.contacts.look()
-        inverse(self.platform.limbs, self.pose_act, self.slider_act)
+        self.follower.follow(self.pose_act, self.twist_act, self.slider_act)
         self.slider_cmd[:] = self.slider_act

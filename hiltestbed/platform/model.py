@@ -15,6 +15,7 @@ from hiltestbed.models import load
 
 PRESCRIBED_MASS = 1e15  # [kg], [kg m^2]
 INTEGRATED_MASS = 1e8  # likewise where something beside it is integrated: from 1e12 on MuJoCo's solver does not move at all
+SOLVED = 1e-12  # of the solver: forces to nine digits
 PORT = np.array([0.0, 0.0, 0.60])  # [m] A above the platform's mounting plane; an adapter makes up for what a mechanism is shorter
 
 
@@ -60,7 +61,10 @@ def ideal_model(structure: Structure, timestep: float) -> mujoco.MjModel:
     model = spec.compile()
     model.body_invweight0[model.body_weldid == model.body("A_body").id] = 1.0
     if integrated:
-        model.opt.tolerance = 0.0  # the solver judges its progress by the mean inertia: beside such a mass it would never see any
+        # The solver judges its progress by the mean inertia: of what moves by itself, or beside such a mass it would never see any
+        first = int(model.joint("A_joint").dofadr[0])
+        model.stat.meaninertia = np.delete(model.dof_M0, slice(first, first + 6)).mean()
+        model.opt.tolerance = SOLVED
     return model
 
 

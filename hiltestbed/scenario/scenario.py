@@ -16,6 +16,7 @@ from pydantic import Field, model_validator
 from hiltestbed import plugins
 from hiltestbed.compensation.section import Compensation
 from hiltestbed.contact.settings import AnyMechanism
+from hiltestbed.devices.section import Devices
 from hiltestbed.effects.table import AnyEffect
 from hiltestbed.identification.settings import IDENTIFIERS, AnyIdentifier
 from hiltestbed.platform.settings import Rig
@@ -52,6 +53,7 @@ class Scenario(Strictly):
         description="How stiffness and damping are estimated while the contact lasts",
     )
     safety: Safety = Field(default=Safety(), description="Limits past which the run stops; null: not watched")
+    devices: Devices = Field(default=Devices(), description="Real devices in the place of the simulated rig, for live, emulate, commission")
     effects: Annotated[tuple[AnyEffect, ...], Field(strict=False)] = Field(
         default=(), description="Departures of the rig from what is believed of it: a list of {kind: ID, parameter: value}"
     )
@@ -91,6 +93,7 @@ def load_scenario(path: str | Path, set: Mapping[str, Any] | None = None) -> Sce
 
 def scenario_from(source: Source | Mapping[str, Any], set: Mapping[str, Any] | None = None) -> Scenario:
     """The scenario in data that is read already: a `Source`, or a plain dict as it would stand in a file. Raises InputError."""
+    plugins.load()
     if not isinstance(source, Source):
         source = Source("scenario", dict(source))
     return validate(Scenario, source.with_set(set), _SPECIMEN)
@@ -117,6 +120,8 @@ def dump_scenario(scenario: Scenario) -> str:
 
 
 def scenario_sha256(scenario: Scenario) -> str:
-    """SHA-256 of the resolved form, the same however the file was written."""
-    canonical = json.dumps(resolved(scenario), sort_keys=True, separators=(",", ":"), allow_nan=False)
+    """SHA-256 of the resolved form, the same however the file was written; models of the user's count by their content."""
+    data = resolved(scenario)
+    data["mechanism"] |= scenario.mechanism.fingerprint()
+    canonical = json.dumps(data, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return hashlib.sha256(canonical.encode()).hexdigest()

@@ -10,8 +10,8 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from hiltestbed.frames import Array
+from hiltestbed.result import Run
 from hiltestbed.signals import AXES, RunTrace
-from hiltestbed.simulation import Run
 from hiltestbed.viewer import plots, rig, spacecraft
 
 Point = tuple[float, float, float]
@@ -93,6 +93,12 @@ def _scene(name: str, origin: str, eye: Point, target: Point, contents: Sequence
     )
 
 
+JOINT_PLOTS = (
+    ("m", "platform/slider_mm", "Sliders of the platform [mm]"),
+    ("rad", "platform/joint_deg", "Joints of the platform [deg]"),
+)
+
+
 def _signals(facts: Facts) -> rrb.Tabs:
     return rrb.Tabs(
         _contact(facts),
@@ -100,7 +106,7 @@ def _signals(facts: Facts) -> rrb.Tabs:
         _six(facts, "Wrench", ("force", "Force", "N"), ("torque", "Torque", "N m")),
         _estimates(facts),
         rrb.Vertical(
-            _plot(facts, "platform/slider_mm", "Sliders of the platform [mm]"),
+            *(_plot(facts, path, title) for unit, path, title in JOINT_PLOTS if unit in facts.trace.joints),
             _plot(facts, "platform/tracking_error_mm", "Tracking error: reached less desired [mm]"),
             name="Platform",
         ),

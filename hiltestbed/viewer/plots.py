@@ -13,14 +13,18 @@ from numba import njit
 
 from hiltestbed.frames import Array, rotation_vectors, twist_between
 from hiltestbed.numerical_model.bodies import approach_state
+from hiltestbed.result import Run
 from hiltestbed.scenario import Scenario
 from hiltestbed.signals import AXES, RunTrace
-from hiltestbed.simulation import Run
 from hiltestbed.viewer import colors
 
 ROOT = "signals"
 XYZ = "xyz"
 BROAD = (4.0, 1.5, 1.5)  # line widths: what the others are held against lies broad underneath
+JOINTS = (  # path, unit in the trace, name of a curve, what it is multiplied by
+    ("platform/slider_mm", "m", "slider {j} [mm]", 1e3),
+    ("platform/joint_deg", "rad", "joint {j} [deg]", 180.0 / np.pi),
+)
 PHASE = f"{ROOT}/contact_phase"
 PHASES = {
     "approach": ("Approach", (84, 96, 116)),
@@ -93,8 +97,11 @@ def _estimates(plotter: Plotter, run: Run, trace: RunTrace) -> None:
 
 
 def _platform(plotter: Plotter, trace: RunTrace) -> None:
-    sliders = [f"slider {j} [mm]" for j in range(6)]
-    plotter.curves("platform/slider_mm", sliders, colors.SERIES, 1e3 * trace["slider_act"])
+    for path, unit, name, factor in JOINTS:
+        which = [j for j, u in enumerate(trace.joints) if u == unit]
+        if which and "slider_act" in trace.data:
+            shades = [colors.SERIES[j % len(colors.SERIES)] for j in range(len(which))]
+            plotter.curves(path, [name.format(j=j) for j in which], shades, factor * trace["slider_act"][:, which])
     behind = np.zeros((len(trace.t), 3))  # pose_cmd[k] is to be reached in row k + 1
     behind[1:] = 1e3 * (trace["pose_act"][1:, :3] - trace["pose_cmd"][:-1, :3])
     plotter.curves("platform/tracking_error_mm", [f"{a} [mm]" for a in XYZ], colors.SERIES[:3], behind)

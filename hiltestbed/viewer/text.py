@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from hiltestbed.simulation import Run
+from hiltestbed.result import Run
 
 
 def figures(run: Run) -> str:

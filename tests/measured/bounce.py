@@ -38,19 +38,24 @@ def columns(rate: float = RATE, force_noise: float = 0.1, pose_noise: float = 1e
     """Column name to samples at ``rate`` [Hz] over DURATION, pose and measured wrench with white noise of known size."""
     rng = np.random.default_rng(seed)
     t = np.arange(round(DURATION * rate)) / rate
-    inside = (t >= TOUCH) & (t <= PARTING)
-    pz = np.where(t < TOUCH, SPEED * (t - TOUCH), -SPEED * (t - PARTING))
-    pz[inside] = SPEED / OMEGA * np.sin(OMEGA * (t[inside] - TOUCH))
-    force = np.where(inside, STIFFNESS * pz, 0.0)
+    force = STIFFNESS * np.maximum(_depth(t), 0.0)
     out = {"t": t}
-    for group, noise in (("pose_cmd", 0.0), ("pose_act", pose_noise)):
-        pose = {"px": SIDE * t, "py": 0 * t, "pz": pz, "qx": 0 * t, "qy": 0 * t, "qz": 0 * t, "qw": 1 + 0 * t}
+    for group, noise, at in (("pose_cmd", 0.0, t + 1 / RATE), ("pose_act", pose_noise, t)):  # a command is reached a tick later
+        pose = {"px": SIDE * at, "py": 0 * t, "pz": _depth(at), "qx": 0 * t, "qy": 0 * t, "qz": 0 * t, "qw": 1 + 0 * t}
         out |= {f"{group}.{part}": values + noise * rng.standard_normal(len(t)) for part, values in pose.items()}
     for part in ("fx", "fy", "fz", "tx", "ty", "tz"):
         noise = force_noise * rng.standard_normal(len(t)) * (1.0 if part[0] == "f" else 0.2)
         out[f"wrench_meas.{part}"] = noise + (force if part == "fz" else 0.0)
         out[f"wrench_comp.{part}"] = out[f"wrench_meas.{part}"].copy()
     return out
+
+
+def _depth(t: np.ndarray) -> np.ndarray:
+    """pz [m] at t."""
+    pz = np.where(t < TOUCH, SPEED * (t - TOUCH), -SPEED * (t - PARTING))
+    inside = (t >= TOUCH) & (t <= PARTING)
+    pz[inside] = SPEED / OMEGA * np.sin(OMEGA * (t[inside] - TOUCH))
+    return pz
 
 
 def write_dataset(folder: Path, *tables: dict[str, Any], channels: str = "", files: tuple[str, ...] = ()) -> Path:

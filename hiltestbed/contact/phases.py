@@ -1,0 +1,155 @@
+"""The steps of capture: when each begins, and what it sets in motion.
+
+Looked at once a tick, at the state that the contacts were last evaluated in. A phase begins when its condition has held for as long as
+it asks and the phase before it has begun: its latch closes, its actuators get their commands, its geoms touch no more.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+from mujoco.batch import Batch
+from numba import njit
+from numpy.typing import NDArray
+
+from hiltestbed.contact.composition import ACTIVE, Structure
+from hiltestbed.contact.description import Phase, matching
+from hiltestbed.contact.engagement import Engagement
+from hiltestbed.contact.latches import site_state
+from hiltestbed.contact.sides import Sides
+from hiltestbed.contact.wrench import relate_one
+from hiltestbed.errors import InputError
+from hiltestbed.frames import Array
+
+
+class _Condition(NamedTuple):
+    """What a kernel needs of a condition: frames (Q, 2) and places (Q, 2, 7) of its pairs of sites, how many must meet, and the limits."""
+
+    frames: NDArray[np.int64]
+    places: Array
+    needed: int
+    limits: Array  # distance [m], cosine, speed [m/s]
+    joints: NDArray[np.int64]  # where they stand in qpos
+    ranges: Array  # (J, 2) [m, rad]
+    lasting: float
+
+
+class Phases:
+    """How far the capture of `n` runs has come.
+
+    Attributes:
+        begun: (n,) int64, phases that have begun. since: (n, K) [ticks] when each began, -1 before. names: of the phases.
+    """
+
+    def __init__(self, batch: Batch, structure: Structure, tick: float, n: int) -> None:
+        """``tick`` [s] between two looks. Raises InputError where a phase names a joint, an actuator or a geom that there is not."""
+        self._phases = structure.mechanism.phases()
+        self.names = [p.name for p in self._phases]
+        self._tick, model = tick, batch.model
+        sides = structure.sides
+        self._conditions = [_condition(phase, sides.sites, model) for phase in self._phases]
+        self._commands = [actuators_of(phase, model) for phase in self._phases]
+        self._dropped = [dropped_by(sides, phase.drop_contacts) for phase in self._phases]
+        self._ctrl, self._qpos = batch.bind("ctrl"), batch.bind("qpos")
+        self.begun, self.since = np.zeros(n, dtype=np.int64), np.full((n, len(self._phases)), -1, dtype=np.int64)
+        self._held, self._due = np.zeros(n), np.zeros(n, dtype=bool)
+        self._ticks = np.zeros(1, dtype=np.int64)
+
+    def reset(self) -> None:
+        """No phase has begun."""
+        self.begun[:], self.since[:], self._held[:], self._ticks[0] = 0, -1, 0.0, 0
+
+    def look(self, engagement: Engagement) -> None:
+        """Once a tick: begin the phases whose conditions hold."""
+        self._ticks[0] += 1
+        frames, motions = engagement.frames, engagement.motions
+        for k in range(len(self._phases) - 1, -1, -1):  # from the last one down: a run begins one phase a tick
+            if not (self.begun == k).any():
+                continue
+            c = self._conditions[k]
+            _look(
+                k, self.begun, c.frames, c.places, c.needed, c.limits, c.joints, c.ranges, c.lasting, self._tick, self._qpos, frames,
+                motions, self._held, self._due,
+            )  # fmt: skip
+            if self._due.any():
+                self._begin(k, engagement)
+
+    def _begin(self, k: int, engagement: Engagement) -> None:
+        phase, due = self._phases[k], self._due
+        if phase.close is not None:
+            engagement.close(engagement.latches.number(phase.name), due, np.zeros((len(due), 3)))
+        for actuator, value in self._commands[k]:
+            self._ctrl[due, actuator] = value
+        if self._dropped[k].size:
+            engagement.release(due, self._dropped[k])
+        self.begun[due] = k + 1
+        self.since[due, k] = self._ticks[0]
+        self._held[due] = 0.0
+
+
+def _condition(phase: Phase, sites: dict[tuple[str, str], tuple[int, Array]], model: mujoco.MjModel) -> _Condition:
+    when = phase.when
+    pairs = [(sites["A", a], sites["P", p]) for a, p in when.pairs]
+    return _Condition(
+        np.array([[a[0], p[0]] for a, p in pairs], dtype=np.int64), np.array([[a[1], p[1]] for a, p in pairs]),
+        when.count or len(pairs), np.array([when.within, np.cos(np.radians(when.angle_deg)), when.speed]),
+        joints_of(phase, model), np.array(list(when.joints.values())).reshape(-1, 2), when.lasting,
+    )  # fmt: skip
+
+
+def joints_of(phase: Phase, model: mujoco.MjModel) -> NDArray[np.int64]:
+    """Where the joints of a phase's condition stand in qpos. Raises InputError."""
+    names = [model.joint(i).name for i in range(model.njnt)]
+    return np.array([model.jnt_qposadr[_index(name, names, phase, "joint")] for name in phase.when.joints], dtype=np.int64)
+
+
+def actuators_of(phase: Phase, model: mujoco.MjModel) -> list[tuple[int, float]]:
+    """Numbers of the actuators that a phase commands, and what they are told. Raises InputError."""
+    names = [model.actuator(i).name for i in range(model.nu)]
+    return [(_index(name, names, phase, "actuator"), value) for name, value in phase.command.items()]
+
+
+def dropped_by(sides: Sides, patterns: Sequence[str]) -> NDArray[np.int64]:
+    """Numbers of the pairs whose active geom is called by one of the ``patterns``."""
+    pairs = (*sides.facets, *sides.native)
+    return np.array([k for k, pair in enumerate(pairs) if any(matching(p, [pair.active]) for p in patterns)], dtype=np.int64)
+
+
+def _index(name: str, names: list[str], phase: Phase, what: str) -> int:
+    if ACTIVE + name not in names:
+        have = ", ".join(n.removeprefix(ACTIVE) for n in names if n.startswith(ACTIVE)) or "none"
+        raise InputError(f"phase {phase.name!r}: the active side has no {what} {name!r}; its {what}s are {have}")
+    return names.index(ACTIVE + name)
+
+
+@njit(cache=True)
+def _look(k, begun, pairs, places, needed, limits, joints, ranges, lasting, tick, qpos, frames, motions, held, due):
+    """Mark in ``due`` (n,) the runs in which the phase ``k`` begins now; ``held`` (n,) [s]: for how long its condition has held."""
+    site, velocity = np.empty((2, 7)), np.empty((2, 6))
+    at, rate, work = np.empty(7), np.empty(6), np.empty((1, 3))
+    for i in range(begun.shape[0]):
+        due[i] = False
+        if begun[i] != k:
+            continue
+        met = 0
+        for q in range(pairs.shape[0]):
+            for e in range(2):
+                f = pairs[q, e]
+                site_state(frames[i, f], motions[i, f], places[q, e], site[e], velocity[e])
+            relate_one(site[0], velocity[0], site[1], velocity[1], at, rate, work)
+            away = at[0] ** 2 + at[1] ** 2 + at[2] ** 2
+            speed = rate[0] ** 2 + rate[1] ** 2 + rate[2] ** 2
+            aligned = 1.0 - 2.0 * (at[3] ** 2 + at[4] ** 2)  # cosine between the z axes
+            if away <= limits[0] ** 2 and speed <= limits[2] ** 2 and aligned >= limits[1]:
+                met += 1
+        holds = met >= needed
+        for j in range(joints.shape[0]):
+            holds &= ranges[j, 0] <= qpos[i, joints[j]] <= ranges[j, 1]
+        if not holds:
+            held[i] = 0.0
+            continue
+        due[i] = held[i] >= lasting - 0.5 * tick
+        held[i] += tick

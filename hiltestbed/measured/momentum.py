@@ -1,0 +1,176 @@
+"""Momentum: what the logged force, acting on the believed bodies, does to the logged pose.
+
+The bodies float freely, so that the relative motion of the ports follows from the wrench alone::
+
+    x(t) = x0 + v0 t - s integral integral L W dt dt,    L = the sum over both bodies of their inverse inertia seen at the port
+
+s is 1 where mass, force and length belong together, whatever contact, sensor and compensation do. A force in pounds makes it 4.448,
+a sign turned round -1, and exchanged axes leave motion that no s explains.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import permutations, product
+
+import numpy as np
+
+from hiltestbed.frames import Array, quat_from_attitude_deg, rotation_matrix
+from hiltestbed.measured.record import Record
+from hiltestbed.numerical_model.bodies import inertia_matrix, port_pose
+from hiltestbed.scenario import Scenario
+
+PLACES = ("px", "py", "pz")
+FORCES = ("fx", "fy", "fz")
+GAP_LIMIT = 0.02  # part of the rows that may be missing: an impulse that was not logged cannot be integrated
+BETTER = 0.02  # part of the motion by which another order or other signs have to explain more
+CLEAR = 50.0  # times the noise of the pose that the force has to move it by
+
+
+@dataclass(frozen=True)
+class Momentum:
+    """What one force and one pose say of each other.
+
+    Attributes:
+        force, pose: the groups. scale: s above, of all axes together; axes: axis to its own s, where the force moves it clearly.
+        explained: part of the motion's square that s explains. order, signs: of the force's axes that explain it best.
+        explained_in_order: the same part with the axes in that order and of these signs, whatever s above 0.
+    """
+
+    force: str
+    pose: str
+    scale: float
+    axes: Mapping[str, float]
+    explained: float
+    order: tuple[str, ...]
+    signs: tuple[int, ...]
+    explained_in_order: float
+
+
+def momentum(record: Record, scenario: Scenario, force: str, pose: str) -> Momentum | None:
+    """What force and pose say of each other; None where axes or rows are missing or nothing moves."""
+    names = [*(f"{pose}.{p}" for p in PLACES), *(f"{force}.{f}" for f in FORCES)]
+    if not set(names) <= set(record.columns()):
+        return None
+    known = np.all([record.measured(name) for name in names], axis=0)
+    rows = np.flatnonzero(known)
+    if len(rows) < 50 or not _whole(rows, record, scenario):
+        return None
+    place = np.stack([record.column(f"{pose}.{p}")[rows] for p in PLACES])
+    wrench = np.stack([record.column(n) if n in record.columns() else np.zeros(record.ticks) for n in _wrench(force)])[:, rows]
+    scale = np.abs(place).max() or 1.0
+    motion = _without_line(record.t[rows], place)
+    noise = np.array([_roughness(p) for p in place])
+    moved = np.sqrt(np.mean(motion**2, axis=1)) > np.maximum(CLEAR * noise, 1e-9 * scale)
+    if not moved.any():
+        return None
+    parts = _Parts.of(record.t[rows], mobility(scenario), wrench, motion, scenario.tick)
+    if not parts.driven.any():
+        return None
+    as_given = parts.fit(FORCES, (1, 1, 1))
+    order, signs, best = parts.best(as_given)
+    axes = {a: parts.axis(j) for j, a in enumerate("xyz") if moved[j] and np.sum(motion[j] ** 2) > 0.05 * np.sum(motion**2)}
+    return Momentum(force, pose, as_given[0], {a: s for a, s in axes.items() if s}, as_given[1], order, signs, best)
+
+
+@dataclass(frozen=True)
+class _Parts:
+    """What each column of the force does to each axis, in inner products, so that every order and sign of the axes is judged at once.
+
+    Attributes:
+        driven: (10, 3, rows) what column j does, acting along axis i, at 3 i + j; the torques last; all without their lines.
+        gram: (10, 10) of them with each other, shown: (10,) with the motion, square: of the motion.
+    """
+
+    driven: Array
+    motion: Array
+    gram: Array
+    shown: Array
+    square: float
+
+    @classmethod
+    def of(cls, t: Array, response: Array, wrench: Array, motion: Array, tick: float) -> _Parts:
+        doubled = _without_line(t, _twice(t, wrench, tick))
+        along = [np.outer(response[:, i], doubled[j]) for i in range(3) for j in range(3)]
+        driven = np.stack([*along, response[:, 3:] @ doubled[3:]])
+        flat = driven.reshape(10, -1)
+        return cls(driven, motion, flat @ flat.T, flat @ motion.reshape(-1), float(np.sum(motion**2)))
+
+    def fit(self, order: tuple[str, ...], signs: tuple[int, ...]) -> tuple[float, float]:
+        """s, and the part of the motion's square that it explains, torques in the force's unit or in their own."""
+        force = np.zeros(10)
+        for i, (name, sign) in enumerate(zip(order, signs, strict=True)):
+            force[3 * i + FORCES.index(name)] = sign
+        torque = np.eye(10)[9]
+        tied, apart = force + torque, force
+        found = [(s, 1.0 - self._left(s * tied) / self.square) for s in [self._best(tied, np.zeros(10))]]
+        found += [(s, 1.0 - self._left(s * apart + torque) / self.square) for s in [self._best(apart, torque)]]
+        return found[0] if found[0][1] > found[1][1] - 0.01 else found[1]
+
+    def _best(self, scaled: Array, fixed: Array) -> float:
+        square = float(scaled @ self.gram @ scaled)
+        return float(scaled @ (self.shown - self.gram @ fixed)) / square if square > 0 else 0.0
+
+    def _left(self, weights: Array) -> float:
+        return float(self.square - 2 * weights @ self.shown + weights @ self.gram @ weights)
+
+    def best(self, as_given: tuple[float, float]) -> tuple[tuple[str, ...], tuple[int, ...], float]:
+        """The order and signs that explain the motion best, the given ones unless others are clearly better; and how much they do."""
+        found: tuple[tuple[str, ...], tuple[int, ...], float] = FORCES, (1, 1, 1), as_given[1]
+        for order in permutations(FORCES):
+            for signs in product((1, -1), repeat=3):
+                s, part = self.fit(order, signs)
+                if s > 0 and part > found[2] + BETTER:
+                    found = order, signs, part
+        return found
+
+    def axis(self, j: int) -> float:
+        """The s of axis j alone, forces in the given order; 0 where the force along it does nothing."""
+        driven = sum(self.driven[4 * i][j] for i in range(3)) + self.driven[9][j]
+        square = float(np.sum(driven**2))
+        return float(np.sum(driven * self.motion[j])) / square if square > 0 else 0.0
+
+
+def mobility(scenario: Scenario) -> Array:
+    """``(3, 6)`` [1/kg, 1/(kg m)] acceleration of A relative to P, in P, of a unit wrench that A exerts on P, at the start attitude."""
+    turned = rotation_matrix(quat_from_attitude_deg(scenario.approach.attitude_deg))
+    total = np.zeros((3, 6))
+    for body, port_in_p in ((scenario.spacecraft.chaser, turned), (scenario.spacecraft.target, np.eye(3))):
+        port = port_pose(body)
+        to_body = rotation_matrix(port[3:]) @ port_in_p.T
+        r, inertia = port[:3], inertia_matrix(body.inertia)
+        lever = np.array([[0.0, -r[2], r[1]], [r[2], 0.0, -r[0]], [-r[1], r[0], 0.0]])
+        turn = np.linalg.inv(inertia) @ np.hstack([lever, np.eye(3)])
+        at_port = np.hstack([np.eye(3) / body.mass, np.zeros((3, 3))]) - lever @ turn
+        total -= to_body.T @ at_port @ np.kron(np.eye(2), to_body)
+    return total
+
+
+def _wrench(group: str) -> list[str]:
+    return [f"{group}.{part}" for part in (*FORCES, "tx", "ty", "tz")]
+
+
+def _whole(rows: np.ndarray, record: Record, scenario: Scenario) -> bool:
+    """Whether the rows are dense: as dense as the file samples, but for GAP_LIMIT of them."""
+    stride = max(1.0, scenario.rate / record.sample_rate) if record.sample_rate else 1.0
+    return len(rows) * stride > (1 - GAP_LIMIT) * (rows[-1] - rows[0]) and rows[0] < 0.2 * record.ticks
+
+
+def _twice(t: Array, rate: Array, tick: float) -> Array:
+    """Integral of the integral of ``rate`` ``(3, rows)``: semi-implicit, as the model steps, where every tick is there."""
+    step = np.diff(t, prepend=t[0] - tick)
+    return np.cumsum(np.cumsum(rate * step, axis=1) * step, axis=1)
+
+
+def _without_line(t: Array, values: Array) -> Array:
+    """``values`` ``(axes, rows)`` without their best line in t: start and speed are not looked at."""
+    basis = np.stack([np.ones_like(t), t - t.mean()])
+    basis /= np.linalg.norm(basis, axis=1, keepdims=True)
+    return values - (values @ basis.T) @ basis
+
+
+def _roughness(values: Array) -> float:
+    """1 sigma of what differs from sample to sample."""
+    third = np.abs(np.diff(values, 3))
+    return 1.4826 * float(np.median(third)) / np.sqrt(20.0) if len(third) else 0.0

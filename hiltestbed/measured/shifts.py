@@ -1,0 +1,183 @@
+"""Channels that are some rows early or late in the record: an output that comes before its input, which no rig can do.
+
+Of the four links of the loop three tell their delay to a fraction of a row: the numerical model moves the pose by the force of the same
+row; a platform that tracks ideally is where it was sent one row later; and the noise of the sensor goes through the compensation in the
+row that it is read in. A channel that was shifted makes the link before it too late and the one after it too early by the same rows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from hiltestbed.compensation.input import InputParameters
+from hiltestbed.frames import Array
+from hiltestbed.measured.record import Record
+from hiltestbed.measured.remark import Remark
+from hiltestbed.measured.survey import Survey
+from hiltestbed.numerical_model.parameters import DynamicsParameters, stack
+from hiltestbed.replay import Departing, follows_exactly, replay_compensation, replay_model
+from hiltestbed.replay.compensation import needs
+from hiltestbed.scenario import Scenario
+
+FURTHEST = 40  # rows that a shift is looked for
+LEFT = 0.1  # part of the misfit that may be left once the shift is taken back
+EXCHANGED = 0.02  # of the misfit, that is left where two forces are exchanged
+ECHO = 0.3  # correlation of the noise of two forces, from which they are one noise
+LOGGER = 2.25  # rows up to which a shift is a note: loggers stamp each channel up to a row early or late
+AHEAD = 0.5  # rows by which a platform is ahead of what it can be
+CLEAR = 20.0  # noise floors that the pose has to move by within a row, all rows together
+
+
+def shifts(record: Record, found: Survey, scenario: Scenario) -> Iterator[Remark]:
+    """Errors for an output before its input, by more than the rows that a logger may choose; notes for those."""
+    if abs(record.sample_rate * scenario.tick - 1.0) > 1e-3:
+        return  # rows of the file are no ticks of the loop
+    given = compensated(record, scenario)
+    if _exchanged_forces(record, scenario, given):
+        text = "gives wrench_comp worse than wrench_comp gives it, by the scenario's own compensation: the two are exchanged"
+        yield Remark("error", record.run, "wrench_meas", text, "exchange the columns of wrench_meas and wrench_comp", {}, "shift")
+        return
+    moved = _model_lag(record, scenario)
+    echo = _echo(record, given)
+    ahead = _platform_lead(record, found, scenario)
+    if moved is not None and moved != 0 and echo == -moved:
+        yield _shifted(record, "wrench_comp", -moved, scenario, "neither follows wrench_meas nor moves pose_cmd when it should")
+    elif moved is not None and moved < 0 and echo in (0, None):
+        channel = "pose_cmd" if echo == 0 or ahead is None or ahead < 0 else "wrench_comp"
+        yield _shifted(record, channel, moved if channel == "pose_cmd" else -moved, scenario, "pose_cmd moves before wrench_comp pushes it")
+    elif moved == 0 and echo is not None and echo > 0:
+        yield _shifted(record, "wrench_meas", -echo, scenario, f"its noise shows in wrench_comp {echo} rows later")
+    if ahead is not None and ahead > 0:
+        yield _ahead(record, ahead, moved, scenario, found)
+
+
+def _shifted(record: Record, channel: str, rows: float, scenario: Scenario, why: str) -> Remark:
+    """``rows`` that a channel is late in the record; early where negative."""
+    when = f"{abs(rows):.3g} row{'s' if abs(rows) != 1 else ''} {'late' if rows > 0 else 'early'}"
+    seconds = -rows * scenario.tick
+    fix = f"move it by {seconds:.6g} s before the export: all channels share the rows of one clock"
+    return _remark(record, channel, f"stands {when} in the record: {why}", fix, rows)
+
+
+def _remark(record: Record, channel: str, text: str, fix: str, rows: float) -> Remark:
+    return Remark("error" if abs(rows) > LOGGER else "note", record.run, channel, text, fix, {"rows": float(rows)}, "shift")
+
+
+def _ahead(record: Record, rows: float, moved: int | None, scenario: Scenario, found: Survey) -> Remark:
+    if moved is not None and moved > 0 and abs(moved - rows) < 1.0:
+        return _shifted(record, "pose_cmd", float(moved), scenario, "the platform is ahead of it, and it follows its own force too late")
+    if abs(rows - 2.0) < AHEAD and _rough(found, "pose_cmd") > 3 * _rough(found, "pose_act"):
+        text = "follows pose_act a row later and carries a sensor's noise, which pose_act does not: the two are exchanged"
+        return Remark("error", record.run, "pose_cmd", text, "exchange the columns of pose_cmd and pose_act", {"rows": rows}, "shift")
+    text = f"is {rows:.3g} rows ahead of where its command takes it: it stands early in the record, or is exchanged with pose_cmd"
+    fix = f"move it by {rows * scenario.tick:.6g} s before the export, or exchange the columns of pose_cmd and pose_act"
+    return _remark(record, "pose_act", text, fix, rows)
+
+
+def _rough(found: Survey, group: str) -> float:
+    return max((found.noise[n].white for n in (f"{group}.px", f"{group}.py", f"{group}.pz") if n in found.noise), default=0.0)
+
+
+def _model_lag(record: Record, scenario: Scenario) -> int | None:
+    """Whole rows by which pose_cmd shows the force late (negative: early); None where nothing can be said, 0 where it fits as it is."""
+    names = [f"pose_cmd.p{a}" for a in "xyz"] + [f"wrench_comp.{p}" for p in ("fx", "fy", "fz", "tx", "ty", "tz")]
+    if not set(names) <= set(record.columns()) or not all(record.measured(n).all() for n in names):
+        return None
+    wrench = np.ascontiguousarray(record.data["wrench_comp"])
+    both = np.stack([wrench, np.zeros_like(wrench)])
+    poses = replay_model(Departing([scenario] * 2, stack([DynamicsParameters()] * 2)), both, np.arange(2))
+    if not np.isfinite(poses).all() or record.ticks < 4 * FURTHEST:
+        return None
+    pushed = poses[0, :, :3] - poses[1, :, :3]
+    shown = record.data["pose_cmd"][:, :3] - poses[1, :, :3]
+    inner = slice(FURTHEST, record.ticks - FURTHEST)
+    t = record.t[inner]
+    left = np.array([_misfit(t, shown[inner], pushed[FURTHEST - n : record.ticks - FURTHEST - n]) for n in range(-FURTHEST, FURTHEST + 1)])
+    best = int(np.argmin(left)) - FURTHEST
+    now = left[FURTHEST]
+    if now < 1e-18 * max(1.0, float(np.sum(shown**2))) or best == 0:
+        return 0
+    if left.min() < LEFT * now and abs(best) < FURTHEST:
+        return best
+    return 0
+
+
+def _misfit(t: Array, shown: Array, pushed: Array) -> float:
+    """Square of what is left of ``shown`` (rows, 3) when ``pushed`` and a straight line are taken from it."""
+    basis = np.stack([np.ones_like(t), t - t.mean()], axis=1)
+    rest = shown - pushed
+    rest = rest - basis @ np.linalg.lstsq(basis, rest, rcond=None)[0]
+    return float(np.sum(rest**2))
+
+
+def compensated(record: Record, scenario: Scenario, source: str = "wrench_meas") -> Array | None:
+    """``(ticks, 6)`` what the believed compensation makes of a recorded wrench; None where it needs more than that, or rows are missing."""
+    if needs(scenario) != {"wrench_meas"} or not (record.has(source) and record.valid[source].all()):
+        return None
+    reading = np.ascontiguousarray(record.data[source])[None]
+    return replay_compensation([scenario], [InputParameters()], {}, reading, np.zeros(1, dtype=int))[0]
+
+
+def _exchanged_forces(record: Record, scenario: Scenario, given: Array | None) -> bool:
+    """Whether the believed compensation makes wrench_meas of wrench_comp, and not the other way round."""
+    crossed = compensated(record, scenario, "wrench_comp")
+    if given is None or crossed is None:
+        return False
+    meas, comp = record.data["wrench_meas"], record.data["wrench_comp"]
+    return float(np.sum((crossed - meas) ** 2)) < EXCHANGED * float(np.sum((given - comp) ** 2))
+
+
+def _echo(record: Record, given: Array | None) -> int | None:
+    """Rows by which the noise of what the compensation gives shows later in wrench_comp (negative: earlier); None: not in both."""
+    columns, best = set(record.columns()), None
+    for j, name in enumerate(f"wrench_comp.{axis}" for axis in ("fx", "fy", "fz")):
+        if given is None or name not in columns or not record.measured(name).all():
+            continue
+        a, b = np.diff(given[:, j], 3), np.diff(record.column(name), 3)
+        a, b = (np.clip(v, *(np.array([-4.0, 4.0]) * 1.4826 * np.median(np.abs(v)))) for v in (a, b))
+        if not (a.any() and b.any()) or len(a) < 4 * FURTHEST:
+            continue
+        inner = a[FURTHEST:-FURTHEST]
+        scores = [_correlated(inner, b[FURTHEST + n : len(b) - FURTHEST + n]) for n in range(-FURTHEST, FURTHEST + 1)]
+        top = int(np.argmax(np.abs(scores)))
+        if abs(scores[top]) > ECHO and (best is None or abs(scores[top]) > best[1]):
+            best = (top - FURTHEST, abs(scores[top]))
+    return None if best is None else best[0]
+
+
+def _correlated(a: Array, b: Array) -> float:
+    size = float(np.sqrt((a @ a) * (b @ b)))
+    return float(a @ b) / size if size > 0 else 0.0
+
+
+def _platform_lead(record: Record, found: Survey, scenario: Scenario) -> float | None:
+    """Rows by which the pose is earlier than one row after its command; negative: later; None where nothing can be said."""
+    if not follows_exactly(scenario):
+        return None
+    above = below = 0.0
+    for part in ("px", "py", "pz"):
+        names = (f"pose_cmd.{part}", f"pose_act.{part}")
+        if not set(names) <= set(record.columns()):
+            continue
+        command, reached = (record.column(n) for n in names)
+        rate = np.gradient(command)
+        known = np.isfinite(rate) & np.isfinite(reached)
+        if known.sum() < 50:
+            continue
+        turn, size = rate[known] - rate[known].mean(), command[known] - command[known].mean()
+        turn = turn - size * (turn @ size) / max(float(size @ size), 1e-300)  # of another speed, whatever the scale is
+        behind = (command - reached)[known]
+        square = float(turn @ turn)
+        if square == 0.0:
+            continue
+        rows = float(turn @ behind) / square
+        left = behind - behind.mean() - rows * turn - size * (behind @ size) / max(float(size @ size), 1e-300)
+        variance = max(float(np.mean(left**2)), found.noise[names[1]].white ** 2, 1e-24)
+        above += rows * square / variance
+        below += square / variance
+    if below < CLEAR**2:
+        return None
+    lead = 1.0 - above / below
+    return lead if abs(lead) > AHEAD + 5 / np.sqrt(below) else 0.0

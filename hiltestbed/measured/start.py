@@ -1,0 +1,147 @@
+"""Where and how fast a run begins, against gap, offset and approach velocity of its scenario."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from hiltestbed.measured.noise import FREE_MINIMUM
+from hiltestbed.measured.record import Record
+from hiltestbed.measured.remark import Remark
+from hiltestbed.measured.survey import Survey
+from hiltestbed.measured.units import likely_unit
+from hiltestbed.scenario import Scenario
+
+UNIT_FACTOR = 100.0  # off by more than this: another unit, even where only one of start and travel can be told from zero
+OTHER_UNIT = 2.2  # the same where both agree on it; the smallest factor between two units of length is 2.54
+AGREE = 1.3  # factor within which two ratios agree
+CLEAR = 50.0  # sigma, above which a start position or a travel is told from zero
+REVERSED = -0.3  # of what is expected, start and travel alike: the sign is the other way round
+REVERSED_ALONE = -0.7  # the same where only one of them can be told from zero
+OTHER_SPEED = 2.0  # factor off the scenario's speed, above which the run is not that of the scenario
+UNTOUCHED = 0.7  # of the way to the nominal first touch: a cone is met before it
+
+
+@dataclass(frozen=True)
+class Start:
+    """One translation of one run at its start.
+
+    Attributes:
+        begin: [m], travel: [m] before the first touch. place, speed: ratios to what the scenario has, None where not told from zero.
+        expected_begin, expected_travel: [m]; velocity: [m/s], of the scenario.
+    """
+
+    begin: float
+    travel: float
+    place: float | None
+    speed: float | None
+    expected_begin: float
+    expected_travel: float
+    velocity: float
+
+    @property
+    def ratios(self) -> list[float]:
+        return [r for r in (self.place, self.speed) if r is not None]
+
+    @property
+    def unit(self) -> float | None:
+        """How many times larger than in metres the numbers are, or None when they are in metres as far as can be told."""
+        sizes = [abs(r) for r in self.ratios]
+        if not sizes or any(size == 0.0 for size in sizes):
+            return None
+        middle = math.exp(sum(map(math.log, sizes)) / len(sizes))
+        together = len(sizes) > 1 and max(sizes) < AGREE * min(sizes)
+        least = OTHER_UNIT if together else UNIT_FACTOR
+        off = [size > least or size < 1.0 / least for size in sizes]
+        return middle if all(off) and (together or all(s > 1 for s in sizes) or all(s < 1 for s in sizes)) else None
+
+    @property
+    def reversed(self) -> bool:
+        return bool(self.ratios) and all(r < (REVERSED if len(self.ratios) > 1 else REVERSED_ALONE) for r in self.ratios)
+
+
+def start_of(record: Record, found: Survey, scenario: Scenario, name: str) -> Start | None:
+    """The start of the translation ``name``; None where too little of it was measured."""
+    axis = "xyz".index(name[-1])
+    begin_at = (*scenario.approach.offset, -scenario.approach.gap)[axis]
+    velocity = scenario.approach.velocity[axis]
+    values, sigma = record.column(name), found.noise[name].white
+    known = np.flatnonzero(np.isfinite(values[: max(found.free, FREE_MINIMUM)]))
+    untouched = record.t[known] <= record.t[known[:1]] + UNTOUCHED * _way_to_touch(scenario) if len(known) else known > 0
+    known = known[untouched] if untouched.sum() > FREE_MINIMUM else known
+    if len(known) < 3:
+        return None
+    begin, end = float(np.median(values[known[:3]])), float(np.median(values[known[-3:]]))
+    travel, expected = end - begin, velocity * float(record.t[known[-1]] - record.t[known[0]])
+    begin_at += velocity * float(record.t[known[0]])  # of a record that begins late
+
+    def ratio(measured: float, given: float) -> float | None:
+        return measured / given if abs(given) > 1e-6 and max(abs(measured), abs(given)) > CLEAR * sigma else None
+
+    return Start(begin, travel, ratio(begin, begin_at), ratio(travel, expected), begin_at, expected, velocity)
+
+
+def _way_to_touch(scenario: Scenario) -> float:
+    """[s] until the nominal first touch; infinite where the scenario does not approach."""
+    speed = scenario.approach.velocity[2]
+    return scenario.approach.gap / speed if speed > 0 and scenario.approach.gap > 0 else math.inf
+
+
+def starts_at_fault(record: Record, found: Survey, scenario: Scenario) -> Iterator[Remark]:
+    """Errors for a translation in another unit, of the other sign, or of another run."""
+    if scenario.mechanism.captured:
+        return
+    for group in ("pose_cmd", "pose_act"):
+        for name in (f"{group}.p{a}" for a in "xyz"):
+            if name in record.columns():
+                start = start_of(record, found, scenario, name)
+                if start is not None:
+                    yield from _fault(record, name, start)
+
+
+def _fault(record: Record, name: str, start: Start) -> Iterator[Remark]:
+    evidence = {
+        "start": start.begin, "travel": start.travel, "expected_start": start.expected_begin, "expected_travel": start.expected_travel
+    }  # fmt: skip
+    seen = (
+        f"starts at {start.begin:.4g} and moves by {start.travel:.4g} before the first touch; "
+        f"the scenario has {start.expected_begin:.4g} m and {start.expected_travel:.4g} m"
+    )
+    size = start.unit
+    if size is not None:
+        text = f"{seen}: {factor_text(size, 'm')}"
+        yield Remark("error", record.run, name, text, scale_fix(name, likely_scale(size, "m")), evidence, "unit")
+    elif start.reversed:
+        yield Remark("error", record.run, name, f"{seen}: the sign is the other way round", scale_fix(name, -1.0), evidence, "sign")
+    elif name == "pose_cmd.pz" and start.speed is not None and not 1 / OTHER_SPEED < start.speed < OTHER_SPEED:
+        text = f"{seen}: {abs(start.speed):.3g} times the speed"
+        fix = f"if the run was driven so, set in its entry: set: {{approach.velocity.2: {start.speed * start.velocity:.4g}}}"
+        yield Remark("error", record.run, name, text, fix, evidence, "start")
+
+
+def scale_fix(channel: str, scale: float) -> str:
+    """The entry of the channel map that would put a channel right, beside any scale it has."""
+    return f"if so, multiply its scale by {scale:.8g}: channels: {{{channel}: {{scale: {scale:.8g}}}}}"
+
+
+def factor_text(size: float, si: str) -> str:
+    """What numbers that are ``size`` times those in SI are taken for."""
+    unit = likely_unit(si, 1.0 / size, 0.03) or likely_unit(si, 1.0 / size, AGREE - 1.0)
+    power = round(math.log10(size))
+    about = f"{size:.3g}" if abs(math.log10(size) - power) > 0.05 else f"{10.0**power:g}"
+    return f"off by about {about}, as if in another unit" + (f" ({unit[0]}?)" if unit else "")
+
+
+def likely_scale(size: float, si: str) -> float:
+    """The factor that brings numbers which are ``size`` times those in SI back: that of a unit, of a power of ten, or 1/size."""
+    unit = likely_unit(si, 1.0 / size, 0.03)
+    power = round(math.log10(size))
+    if unit is not None:
+        return unit[1]
+    if abs(math.log10(size) - power) < 0.15:
+        return 10.0**-power
+    rough = likely_unit(si, 1.0 / size, AGREE - 1.0)
+    return rough[1] if rough else float(f"{1.0 / size:.3g}")

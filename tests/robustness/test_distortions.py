@@ -1,0 +1,74 @@
+"""A good data set, distorted as people distort theirs: refused or remarked on before the fit, with what to change."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from hiltestbed.bench.independent_rig.sets import draw_set
+from hiltestbed.bench.independent_rig.writing import write_set
+from hiltestbed.bench.robustness.distortions import DISTORTIONS
+from hiltestbed.measured import examine
+
+DESIGNS = ("bumper", "docking")
+
+
+@pytest.fixture(scope="session")
+def good(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """A healthy set of each design."""
+    folder = tmp_path_factory.mktemp("good")
+    return {d: write_set(folder / d, draw_set(np.random.default_rng(3), "healthy", design=d)) for d in DESIGNS}  # type: ignore[arg-type]
+
+
+def distorted(good: Path, folder: Path, name: str, runs: int = 2, lines: str = "") -> Path:
+    """The dataset of the first runs, each distorted."""
+    (folder / "nominal.yaml").write_text((good / "nominal.yaml").read_text())
+    from hiltestbed.yaml_source import dump_yaml, read_source
+
+    entries = read_source(good / "dataset.yaml").data["runs"][:runs]
+    for entry in entries:
+        table = {n: c.to_numpy().copy() for n, c in zip(*_columns(good / entry["file"]), strict=True)}
+        DISTORTIONS[name].apply(table)
+        pq.write_table(pa.table(table), folder / entry["file"])
+    path = folder / "dataset.yaml"
+    path.write_text(dump_yaml({"scenario": "nominal.yaml", "runs": entries}) + lines)
+    return path
+
+
+def _columns(file: Path):
+    table = pq.read_table(file)
+    return table.column_names, table.columns
+
+
+@pytest.mark.parametrize("design", DESIGNS)
+def test_the_good_set_is_left_alone(good: dict[str, Path], design: str) -> None:
+    assert examine(good[design] / "dataset.yaml").remarks == ()
+
+
+@pytest.mark.parametrize("design", DESIGNS)
+@pytest.mark.parametrize("name", DISTORTIONS)
+def test_a_distortion_is_met_before_the_fit(good: dict[str, Path], tmp_path: Path, name: str, design: str) -> None:
+    expected = DISTORTIONS[name]
+    remarks = examine(distorted(good[design], tmp_path, name)).remarks
+    errors = [r for r in remarks if r.severity == "error"]
+    if expected.verdict == "refused":
+        assert errors, remarks
+        assert not expected.check or expected.check in {r.check for r in errors}, errors
+        assert all(r.fix for r in errors)
+    else:
+        assert not errors, errors
+        assert remarks
+
+
+@pytest.mark.parametrize("name", [n for n, d in DISTORTIONS.items() if d.check])
+def test_a_refusal_is_overridden_by_what_it_names(good: dict[str, Path], tmp_path: Path, name: str) -> None:
+    path = distorted(good["bumper"], tmp_path, name)
+    checks = sorted({r.check for r in examine(path).remarks if r.severity == "error"})
+    accepted = distorted(good["bumper"], tmp_path, name, lines=f"accept: [{', '.join(checks)}]\n")
+    remarks = examine(accepted).remarks
+    assert not [r for r in remarks if r.severity == "error"]
+    assert any("accepted by the dataset" in r.text for r in remarks)
