@@ -128,8 +128,9 @@ def _print_commission(found: dict[str, Any], folder: Path) -> None:
         what = f"gain {n['axis']}" if n["source"] == n["axis"] else f"crosstalk {n['source']} to {n['axis']}"
         print(f"  {what}: {n['value']:.4f} +- {n['ci95']:.4f}")
     print("  noise: " + ", ".join(f"{axis} {value:.3g}" for axis, value in found["noise"].items()))
-    scale = ", ".join(f"{value:.4f}" for value in platform["scale"])
-    print(f"platform: delay {1e3 * platform['delay']:.3f} ms, scale {scale}, compliance {1e9 * platform['compliance']:.3g} nm/N")
+    scale = ", ".join(f"{value:.4f}" for value in platform["scale"] or ()) or "not measured"
+    gives = ", ".join(f"{1e9 * value:.3g}" for value in platform["compliance"])
+    print(f"platform: delay {1e3 * platform['delay']:.3f} ms, scale {scale}, compliance {gives} nm/N")
     print(f"{folder}: nominal.yaml, believed.yaml, dataset.yaml; next: hiltestbed diagnose {folder / 'dataset.yaml'}")
 
 

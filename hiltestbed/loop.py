@@ -48,6 +48,8 @@ class RigSide(Protocol):
     upper_act: Array
     diverged: NDArray[np.bool_]
     phases: Phases | None
+    units: tuple[str, ...]
+    physical: bool
 
     def divergence(self, i: int) -> str: ...
     def payload_left(self, i: int) -> dict[str, float] | None: ...
@@ -100,6 +102,8 @@ class Loop:
         self.identification = IDENTIFIERS[scenarios[0].identification.kind].start(scenarios)
         if self.identification:
             self.identification.source.captured = self.plant.captured
+            if self.plant.phases is not None:
+                self.identification.source.steps = self.plant.phases.begun
         self.dead_zone = InputDeadZone(scenarios)
         self.model = NumericalModel(scenarios)
         self.drive: Drive = FreeMotion(scenarios, self.plant) if self.plant.physical else make_drive(scenarios, self.model)

@@ -94,7 +94,7 @@ class Session:
         self.devices = Connected(*options.connect(scenario, options))
         self.rig = DeviceRig(scenario, self.devices, scenario.ticks + 1)
         self.loop = Loop([scenario], side=side_of(self.rig))
-        self.trace = Trace(scenario.ticks, 1, scenario.rate)
+        self.trace = Trace(scenario.ticks, 1, scenario.rate, self.rig.units)
         self.granted = Granted()
         self.wall = 0.0
         state = approach_state(scenario)
