@@ -87,9 +87,6 @@ def _warnings(summary: dict[str, Any], passive: bool | None) -> list[str]:
     stability = summary.get("stability")
     if stability and stability["stable"] is False:
         out.append(f"the loop is {stability['verdict']}")
-    stability = summary.get("stability")
-    if stability and stability["stable"] is False and summary["contact_duration"]:
-        out.append(f"the loop is not passive in this contact: {stability['verdict'].removeprefix('unstable: ')}")
     for axis, values in summary["identification"].items():
         for quantity in ("stiffness", "damping"):
             found, true = values[quantity], values[f"{quantity}_true"]
