@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from hiltestbed.diagnosis.diagnose import diagnose
     from hiltestbed.failure import replay_failure
     from hiltestbed.gallery import shipped
+    from hiltestbed.plugins import load_plugins
     from hiltestbed.recording import read_run, write_run
     from hiltestbed.result import Run
     from hiltestbed.scenario import Scenario, dump_scenario, load_scenario
@@ -42,6 +43,7 @@ __all__ = [
     "dump_scenario",
     "load_campaign",
     "load_dataset",
+    "load_plugins",
     "load_scenario",
     "read_run",
     "read_sweep",
@@ -64,6 +66,7 @@ _HOME = {
     "dump_scenario": "scenario",
     "load_campaign": "campaign.schema",
     "load_dataset": "dataset",
+    "load_plugins": "plugins",
     "load_scenario": "scenario",
     "read_run": "recording",
     "read_sweep": "campaign.sweep",

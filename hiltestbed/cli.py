@@ -1,4 +1,4 @@
-"""The command line: `hiltestbed run | check | schema | view | compare | bench | sweep | diagnose | new | doctor`.
+"""The command line: `hiltestbed run | check | rig | schema | view | compare | bench | sweep | diagnose | new | doctor`.
 
 Exit status: 0 done; 2 bad input; 3 the simulation diverged or a safety limit stopped it; 1 anything else that failed. Results go to
 standard output, progress and messages to standard error. A command imports what it needs when it runs, so that --help is quick.
@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hiltestbed import cli_devices, interrupt
-from hiltestbed.errors import HiltestbedError, InputError
+from hiltestbed.errors import HiltestbedError, InputError, printable
 from hiltestbed.folders import free_folder, safe_name
 
 if TYPE_CHECKING:
@@ -88,6 +88,13 @@ def run(
     from hiltestbed.simulation import run as simulate
 
     refuse_foreign(folder)
+    from hiltestbed.budget import refuse_beyond, run_budget
+    from hiltestbed.sense import warnings
+
+    refuse_beyond(run_budget([spec]), spec.name, "a shorter duration, a lower rate or shorter delays need less", folder)
+    for warning in warnings(spec):
+        print(printable(f"{spec.name}: warning: {warning}"), file=sys.stderr)
+
     from hiltestbed.kernels import compiled
 
     if not compiled():
@@ -102,7 +109,10 @@ def run(
 
         print_run(result.summary, folder, not no_rerun, time.monotonic() - start)
     if result.summary["status"] != "completed":
-        print(f"{spec.name}: {result.summary['status']}: {result.summary['stop_reason']}; its state lies in {folder}", file=sys.stderr)
+        print(
+            printable(f"{spec.name}: {result.summary['status']}: {result.summary['stop_reason']}; its state lies in {folder}"),
+            file=sys.stderr,
+        )
         raise typer.Exit(3)
 
 
@@ -110,19 +120,60 @@ def run(
 def check(
     files: Annotated[list[Path], typer.Argument(metavar="FILE ...", help="Scenarios, campaigns and datasets.")], as_json: Json = False
 ) -> None:
-    """Validate files: every fault at once, with file, line and column."""
-    from hiltestbed.check import check_file
+    """Validate files: every fault at once, with file, line and column; the data of a dataset are opened and checked, too."""
+    from hiltestbed.check import look_at
     from hiltestbed.gallery import find_scenario
+    from hiltestbed.stability import stability_of_file
 
-    found = [(file, *check_file(find_scenario(file))) for file in files]
+    paths = [find_scenario(file) for file in files]
+    found = [(file, look_at(path)) for file, path in zip(files, paths, strict=True)]
+    stable = [
+        stability_of_file(path) if one.kind == "scenario" and not one.faults else None
+        for path, (_, one) in zip(paths, found, strict=True)
+    ]  # fmt: skip
     if as_json:
-        rows = [{"file": str(file), "kind": kind, "faults": [vars(fault) for fault in faults]} for file, kind, faults in found]
-        print(json.dumps({"valid": not any(faults for _, _, faults in found), "files": rows}))
+        rows = [
+            {
+                "file": str(file), "kind": one.kind, "faults": [vars(fault) for fault in one.faults], "remarks": list(one.remarks),
+                "budget": vars(one.budget) if one.budget else None,
+            } | ({"stability": judged} if judged else {})
+            for (file, one), judged in zip(found, stable, strict=True)
+        ]  # fmt: skip
+        print(json.dumps({"valid": not any(one.faults for _, one in found), "files": rows}))
     else:
-        for file, kind, faults in found:
-            print("\n".join(str(fault) for fault in faults) if faults else f"{file}: {kind}: no faults")
-    if any(faults for _, _, faults in found):
+        for (file, one), judged in zip(found, stable, strict=True):
+            print("\n".join(str(fault) for fault in one.faults) if one.faults else f"{file}: {one.kind}: no faults")
+            print(printable("".join(f"{file}: {remark}\n" for remark in one.remarks)), end="")
+            print(f"{file}: needs {one.budget}\n" if one.budget else "", end="")
+            print(f"{file}: {judged['verdict']}\n" if judged else "", end="")
+    if any(one.faults for _, one in found):
         raise typer.Exit(2)
+
+
+@app.command()
+def rig(
+    scenario: Annotated[Path, typer.Argument(metavar="SCENARIO", help="Scenario file, or the name of a shipped one.")],
+    out: Out = None,
+    sets: Sets = None,
+    as_json: Json = False,
+) -> None:
+    """Measure the rig of a scenario: workspace, bandwidth and delay in six axes, modes, dynamic stiffness; in pictures and a JSON file."""
+    from hiltestbed.platform.rig_report import RIG, measure_rig, write_rig
+    from hiltestbed.progress import count_bar
+    from hiltestbed.recording import refuse_foreign
+
+    spec = _scenario(scenario, sets, None)
+    folder = out if out is not None else free_folder(Path("runs") / f"rig-{safe_name(spec.name)}")
+    refuse_foreign(folder, RIG)
+    with count_bar(f"rig {spec.name}") as progress:
+        figures = measure_rig(spec, progress)
+    write_rig(figures, folder)
+    if as_json:
+        print(json.dumps(figures.to_json() | {"folder": str(folder)}, allow_nan=False))
+    else:
+        from hiltestbed.table import print_lines
+
+        print_lines(f"rig of {spec.name}", figures.lines(), folder)
 
 
 @app.command()
@@ -198,8 +249,35 @@ def schema(kind: Annotated[str, typer.Argument(metavar="[scenario|campaign|datas
 BENCHES = {  # name to the module whose function of that name measures
     "cor": "hiltestbed.bench.cor",
     "diagnosis": "hiltestbed.bench.diagnosis",
+    "facilities": "hiltestbed.bench.facilities",
     "identification": "hiltestbed.bench.identification",
-    "realtime": "hiltestbed.bench.realtime",
+    """Validate files: every fault at once, with file, line and column; the data of a dataset are opened and checked, too."""
+    from hiltestbed.check import look_at
+    from hiltestbed.gallery import find_scenario
+    from hiltestbed.stability import stability_of_file
+
+    paths = [find_scenario(file) for file in files]
+    found = [(file, look_at(path)) for file, path in zip(files, paths, strict=True)]
+    stable = [
+        stability_of_file(path) if one.kind == "scenario" and not one.faults else None
+        for path, (_, one) in zip(paths, found, strict=True)
+    ]  # fmt: skip
+    if as_json:
+        rows = [
+            {
+                "file": str(file), "kind": one.kind, "faults": [vars(fault) for fault in one.faults], "remarks": list(one.remarks),
+                "budget": vars(one.budget) if one.budget else None,
+            } | ({"stability": judged} if judged else {})
+            for (file, one), judged in zip(found, stable, strict=True)
+        ]  # fmt: skip
+        print(json.dumps({"valid": not any(one.faults for _, one in found), "files": rows}))
+    else:
+        for (file, one), judged in zip(found, stable, strict=True):
+            print("\n".join(str(fault) for fault in one.faults) if one.faults else f"{file}: {one.kind}: no faults")
+            print(printable("".join(f"{file}: {remark}\n" for remark in one.remarks)), end="")
+            print(f"{file}: needs {one.budget}\n" if one.budget else "", end="")
+            print(f"{file}: {judged['verdict']}\n" if judged else "", end="")
+    if any(one.faults for _, one in found):
     "throughput": "hiltestbed.bench.throughput",
 }
 
@@ -209,6 +287,7 @@ def bench(
     name: Annotated[str, typer.Argument(metavar="|".join(BENCHES), help="Which benchmark.")],
     out: Out = None,
     quick: Annotated[bool, typer.Option("--quick", help="A smaller grid.")] = False,
+    minutes: Annotated[float | None, typer.Option("--for", metavar="MINUTES", min=0.01, help="robustness: how long to go on.")] = None,
     as_json: Json = False,
 ) -> None:
     """Run a benchmark and write its bench.json and report.html."""
@@ -216,6 +295,8 @@ def bench(
 
     if name not in BENCHES:
         raise InputError(f"bench: unknown benchmark (got {name!r}); allowed: {', '.join(BENCHES)}")
+    if minutes is not None and name != "robustness":
+        raise InputError(f"bench {name} --for {minutes:g}: takes as long as it takes; --for is for robustness")
     from hiltestbed.bench.result import BENCH, write_bench
     from hiltestbed.progress import count_bar
     from hiltestbed.recording import refuse_foreign
@@ -223,7 +304,8 @@ def bench(
     folder = out if out is not None else free_folder(Path("runs") / f"bench-{name}")
     refuse_foreign(folder, BENCH)
     with count_bar(f"bench {name}") as progress:
-        result = getattr(import_module(BENCHES[name]), name)(quick=quick, progress=progress)
+        more = {} if minutes is None else {"minutes": minutes}
+        result = getattr(import_module(BENCHES[name]), name)(quick=quick, progress=progress, **more)
     write_bench(result, folder)
     if as_json:
         print(json.dumps({"name": name, "folder": str(folder), "summary": result.summary}, allow_nan=False))
@@ -256,6 +338,10 @@ def sweep(
     spec = load_campaign(find_scenario(campaign), overrides(sets))
     folder = out if out is not None else default_folder(spec)
     workers = workers if workers is not None else len(os.sched_getaffinity(0))
+    from hiltestbed.budget import campaign_budget, refuse_beyond
+
+    budget = campaign_budget(spec, max(workers, 1), max(chunk, 1))
+    refuse_beyond(budget, str(campaign), "fewer cases, keep: summary, fewer --workers or a smaller --chunk need less", folder)
     try:
         with case_bar() as progress:
             result = run_sweep(spec, folder, workers=workers, scheduler=scheduler, chunk=chunk, progress=progress)
@@ -284,8 +370,13 @@ def diagnose(
     label = dataset.stem if dataset.stem != "dataset" else dataset.resolve().parent.name
     folder = out if out is not None else free_folder(Path("runs") / f"diagnosis-{safe_name(label)}")
     refuse_foreign(folder, DIAGNOSIS)
+    from hiltestbed.budget import dataset_budget, refuse_beyond
+    from hiltestbed.dataset import load_dataset as load_specification
+
+    loaded = load_specification(dataset)
+    refuse_beyond(dataset_budget(loaded), str(dataset), "fewer or shorter runs need less", folder)
     with step_line(label) as progress:
-        result = run_diagnosis(dataset, progress)
+        result = run_diagnosis(loaded, progress)
         progress("report and recording")
         result.write(folder)
     if as_json:
@@ -343,7 +434,7 @@ def _fail(error: BaseException, text: str, status: int) -> int:
     if "--json" in sys.argv:
         faults = [vars(fault) for fault in error.faults] if isinstance(error, InputError) else []
         print(json.dumps({"status": "error", "exit_status": status, "error": text, "faults": faults}))
-    print(text, file=sys.stderr)
+    print(printable(text), file=sys.stderr)
     return status
 
 

@@ -46,6 +46,13 @@ def delay_ledger(scenario: Scenario, figures: ContactFigures) -> list[Delay]:
     return [Delay(source, delay, 0.0 - k * delay) for source, delay in delays]
 
 
+def force_path_delay(scenario: Scenario, compensated: bool) -> float:
+    """How late [s] the force is that drives the numerical model: sensor and effects, less what the compensation takes out."""
+    w = contact_frequency(scenario)
+    parts = [*_sensor(scenario, w), *_effects(scenario, w, "dynamics"), *(_compensation(scenario) if compensated else ())]
+    return sum(delay for _, delay in parts)
+
+
 def _sensor(scenario: Scenario, w: float) -> Iterator[tuple[str, float]]:
     sensor = scenario.sensor
     yield "sensor.delay", sensor.delay

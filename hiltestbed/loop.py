@@ -101,6 +101,8 @@ class Loop:
         self.identification = IDENTIFIERS[scenarios[0].identification.kind].start(scenarios)
         if self.identification:
             self.identification.source.captured = self.plant.captured
+            if self.plant.phases is not None:
+                self.identification.source.steps = self.plant.phases.begun
         self.dead_zone = InputDeadZone(scenarios)
         self.model = scenarios[0].numerical_model.start(scenarios)
         self.drive: Drive = FreeMotion(scenarios, self.plant) if self.plant.physical else make_drive(scenarios, self.model)

@@ -41,7 +41,7 @@ def bounce(kind: str, gantry: str = "", tracking: str | None = "servo", set: dic
     if kind == "mjcf":
         about["model"] = gantry
     quiet = {"sensor": {}, "compensation.force.kind": "none", "duration": 0.8}
-    return load_scenario(SCENARIOS / "15-stewart.yaml", set={"rig.platform": about} | quiet | (set or {}))
+    return load_scenario(SCENARIOS / "18-stewart.yaml", set={"rig.platform": about} | quiet | (set or {}))
 
 
 def test_an_ideal_drive_gives_the_same_restitution_on_every_facility(gantry) -> None:
