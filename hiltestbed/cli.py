@@ -251,33 +251,8 @@ BENCHES = {  # name to the module whose function of that name measures
     "diagnosis": "hiltestbed.bench.diagnosis",
     "facilities": "hiltestbed.bench.facilities",
     "identification": "hiltestbed.bench.identification",
-    """Validate files: every fault at once, with file, line and column; the data of a dataset are opened and checked, too."""
-    from hiltestbed.check import look_at
-    from hiltestbed.gallery import find_scenario
-    from hiltestbed.stability import stability_of_file
-
-    paths = [find_scenario(file) for file in files]
-    found = [(file, look_at(path)) for file, path in zip(files, paths, strict=True)]
-    stable = [
-        stability_of_file(path) if one.kind == "scenario" and not one.faults else None
-        for path, (_, one) in zip(paths, found, strict=True)
-    ]  # fmt: skip
-    if as_json:
-        rows = [
-            {
-                "file": str(file), "kind": one.kind, "faults": [vars(fault) for fault in one.faults], "remarks": list(one.remarks),
-                "budget": vars(one.budget) if one.budget else None,
-            } | ({"stability": judged} if judged else {})
-            for (file, one), judged in zip(found, stable, strict=True)
-        ]  # fmt: skip
-        print(json.dumps({"valid": not any(one.faults for _, one in found), "files": rows}))
-    else:
-        for (file, one), judged in zip(found, stable, strict=True):
-            print("\n".join(str(fault) for fault in one.faults) if one.faults else f"{file}: {one.kind}: no faults")
-            print(printable("".join(f"{file}: {remark}\n" for remark in one.remarks)), end="")
-            print(f"{file}: needs {one.budget}\n" if one.budget else "", end="")
-            print(f"{file}: {judged['verdict']}\n" if judged else "", end="")
-    if any(one.faults for _, one in found):
+    "realtime": "hiltestbed.bench.realtime",
+    "robustness": "hiltestbed.bench.robustness.run",
     "throughput": "hiltestbed.bench.throughput",
 }
 
