@@ -5,13 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from hiltestbed.shipped import shipped
 
 from hiltestbed.budget import run_budget
 from hiltestbed.check import look_at
 from hiltestbed.errors import InputError
 from hiltestbed.scenario import Scenario, load_scenario
 from hiltestbed.sense import warnings
-from hiltestbed.shipped import shipped
 from hiltestbed.simulation import run
 from tests.measured import bounce
 
