@@ -11,8 +11,12 @@ The closed loop is ``hiltestbed/loop.py``: read that first. From Python as from 
 
 from __future__ import annotations
 
+import os
 from importlib import import_module
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from hiltestbed.kernel_cache import settle
 
 if TYPE_CHECKING:
     from hiltestbed.campaign.schema import load_campaign
@@ -24,6 +28,8 @@ if TYPE_CHECKING:
     from hiltestbed.scenario import dump_scenario, load_scenario
     from hiltestbed.shipped import shipped
     from hiltestbed.simulation import run, run_batch
+
+settle(Path(__file__).parent, os.environ)  # before any kernel is loaded
 
 __all__ = [
     "diagnose",

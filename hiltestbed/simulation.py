@@ -10,6 +10,7 @@ from typing import Any
 
 from hiltestbed.budget import refuse_beyond, run_budget
 from hiltestbed.contact.truth import axis_truth
+from hiltestbed.errors import HiltestbedError
 from hiltestbed.ledger import delay_ledger, predicted_log_error
 from hiltestbed.log import stamp_late
 from hiltestbed.loop import Loop
@@ -97,7 +98,13 @@ def simulate(
     start = 0.0
     while loop.k < ticks and loop.alive.any():
         snapshots.keep()
-        loop.step(rows)
+        try:
+            loop.step(rows)
+        except ZeroDivisionError:  # numbers so far from any rig that they have no ratio
+            if len(scenarios) > 1:
+                raise HiltestbedError("a run of the batch divided by zero; each alone says which") from None
+            loop.trouble[0] = (loop.k, "diverged", "a quantity reached zero or overflowed where it divides")
+            loop.alive[:] = False
         if loop.trouble:
             snapshots.failures()
         if loop.k == 1:  # the first tick may have compiled the blocks: it is not timed
