@@ -20,26 +20,40 @@ from hiltestbed.kernel_cache import settle
 
 if TYPE_CHECKING:
     from hiltestbed.campaign.schema import load_campaign
-    from hiltestbed.campaign.sweep import read_sweep, sweep
+    from hiltestbed.campaign.sweep import Sweep, read_sweep, sweep
+    from hiltestbed.comparison import Comparison, compare
     from hiltestbed.dataset import load_dataset
     from hiltestbed.diagnosis.diagnose import diagnose
-    from hiltestbed.failure import replay
+    from hiltestbed.failure import replay_failure
+    from hiltestbed.gallery import shipped
+    from hiltestbed.plugins import load_plugins
     from hiltestbed.recording import read_run, write_run
-    from hiltestbed.scenario import dump_scenario, load_scenario
-    from hiltestbed.shipped import shipped
+    from hiltestbed.result import Run
+    from hiltestbed.scenario import Scenario, dump_scenario, load_scenario
+    from hiltestbed.signals import RunTrace
     from hiltestbed.simulation import run, run_batch
+
+    __version__: str
 
 settle(Path(__file__).parent, os.environ)  # before any kernel is loaded
 
 __all__ = [
+    "Comparison",
+    "Run",
+    "RunTrace",
+    "Scenario",
+    "Sweep",
+    "__version__",
+    "compare",
     "diagnose",
     "dump_scenario",
     "load_campaign",
     "load_dataset",
+    "load_plugins",
     "load_scenario",
     "read_run",
     "read_sweep",
-    "replay",
+    "replay_failure",
     "run",
     "run_batch",
     "shipped",
@@ -48,17 +62,24 @@ __all__ = [
 ]
 
 _HOME = {
+    "Comparison": "comparison",
+    "Run": "result",
+    "RunTrace": "signals",
+    "Scenario": "scenario",
+    "Sweep": "campaign.sweep",
+    "compare": "comparison",
     "diagnose": "diagnosis.diagnose",
     "dump_scenario": "scenario",
     "load_campaign": "campaign.schema",
     "load_dataset": "dataset",
+    "load_plugins": "plugins",
     "load_scenario": "scenario",
     "read_run": "recording",
     "read_sweep": "campaign.sweep",
-    "replay": "failure",
+    "replay_failure": "failure",
     "run": "simulation",
     "run_batch": "simulation",
-    "shipped": "shipped",
+    "shipped": "gallery",
     "sweep": "campaign.sweep",
     "write_run": "recording",
 }
@@ -66,6 +87,10 @@ _HOME = {
 
 def __getattr__(name: str) -> Any:
     """Public names are imported when they are asked for, so that importing the package costs nothing."""
+    if name == "__version__":
+        from importlib.metadata import version
+
+        return version("hiltestbed")
     if name in _HOME:
         return getattr(import_module(f"hiltestbed.{_HOME[name]}"), name)
     raise AttributeError(f"module 'hiltestbed' has no attribute {name!r}")

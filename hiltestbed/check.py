@@ -106,9 +106,11 @@ def _within(found: Findings, source: Source) -> Findings:
 
 def json_schema(kind: Kind) -> dict[str, Any]:
     """The JSON Schema of one kind of file."""
+    from hiltestbed import plugins
     from hiltestbed.campaign.schema import Campaign
     from hiltestbed.dataset import Dataset
     from hiltestbed.scenario import Scenario
 
+    plugins.load()
     model = {"scenario": Scenario, "campaign": Campaign, "dataset": Dataset}[kind]
     return {"$schema": "https://json-schema.org/draft/2020-12/schema"} | model.model_json_schema()

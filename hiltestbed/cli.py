@@ -1,4 +1,4 @@
-"""The command line: `hiltestbed run | check | schema | view | bench | sweep | diagnose`.
+"""The command line: `hiltestbed run | check | rig | schema | view | compare | bench | sweep | diagnose | new | doctor`.
 
 Exit status: 0 done; 2 bad input; 3 the simulation diverged or a safety limit stopped it; 1 anything else that failed. Results go to
 standard output, progress and messages to standard error. A command imports what it needs when it runs, so that --help is quick.
@@ -10,12 +10,13 @@ import io
 import json
 import os
 import sys
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hiltestbed import interrupt
+from hiltestbed import cli_devices, interrupt
 from hiltestbed.errors import HiltestbedError, InputError, printable
 from hiltestbed.folders import free_folder, safe_name
 
@@ -45,8 +46,21 @@ def _version(wanted: bool) -> None:
 
 
 @app.callback()
-def _root(version: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version.")] = False) -> None:
-    pass
+def _root(
+    version: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version.")] = False,
+    plugin: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--plugin",
+            metavar="MODULE",
+            help="Load effects, methods, mechanisms or platforms of your own: a module, or a .py file (repeatable, with every command).",
+        ),
+    ] = None,
+) -> None:
+    if plugin and not {"--help", "-h"} & set(sys.argv):
+        from hiltestbed import plugins
+
+        plugins.load(plugin)
 
 
 @app.command()
@@ -58,7 +72,13 @@ def run(
     as_json: Json = False,
     case: Annotated[int | None, typer.Option("--case", metavar="N", help="Run case N of a campaign in full.")] = None,
 ) -> None:
-    """Run one scenario, or one case of a campaign, and write its run folder."""
+    """Run one scenario, or one case of a campaign, and write its run folder.
+
+    hiltestbed run 04-bumper-delay-compensated
+
+    hiltestbed run my-rig.yaml --set sensor.delay=0.010 --out runs/late
+    """
+    start = time.monotonic()
     from hiltestbed.progress import progress_bar
 
     spec = _scenario(scenario, sets, case)
@@ -75,6 +95,11 @@ def run(
     refuse_beyond(run_budget([spec]), spec.name, "a shorter duration, a lower rate or shorter delays need less", folder)
     for warning in warnings(spec):
         print(printable(f"{spec.name}: warning: {warning}"), file=sys.stderr)
+
+    from hiltestbed.kernels import compiled
+
+    if not compiled():
+        print("compiling the inner loops: once after the install, half a minute or so", file=sys.stderr)
     with progress_bar(spec.name, spec.duration) as progress:
         result = simulate(spec, progress=progress)
     write_run(result, folder, rerun=not no_rerun)
@@ -83,7 +108,7 @@ def run(
     else:
         from hiltestbed.table import print_run
 
-        print_run(result.summary, folder, recording=not no_rerun)
+        print_run(result.summary, folder, not no_rerun, time.monotonic() - start)
     if result.summary["status"] != "completed":
         print(
             printable(f"{spec.name}: {result.summary['status']}: {result.summary['stop_reason']}; its state lies in {folder}"),
@@ -98,25 +123,58 @@ def check(
 ) -> None:
     """Validate files: every fault at once, with file, line and column; the data of a dataset are opened and checked, too."""
     from hiltestbed.check import look_at
-    from hiltestbed.shipped import find_scenario
+    from hiltestbed.gallery import find_scenario
+    from hiltestbed.stability import stability_of_file
 
-    found = [(file, look_at(find_scenario(file))) for file in files]
+    paths = [find_scenario(file) for file in files]
+    found = [(file, look_at(path)) for file, path in zip(files, paths, strict=True)]
+    stable = [
+        stability_of_file(path) if one.kind == "scenario" and not one.faults else None
+        for path, (_, one) in zip(paths, found, strict=True)
+    ]  # fmt: skip
     if as_json:
         rows = [
             {
                 "file": str(file), "kind": one.kind, "faults": [vars(fault) for fault in one.faults], "remarks": list(one.remarks),
                 "budget": vars(one.budget) if one.budget else None,
-            }
-            for file, one in found
+            } | ({"stability": judged} if judged else {})
+            for (file, one), judged in zip(found, stable, strict=True)
         ]  # fmt: skip
         print(json.dumps({"valid": not any(one.faults for _, one in found), "files": rows}))
     else:
-        for file, one in found:
+        for (file, one), judged in zip(found, stable, strict=True):
             print("\n".join(str(fault) for fault in one.faults) if one.faults else f"{file}: {one.kind}: no faults")
             print(printable("".join(f"{file}: {remark}\n" for remark in one.remarks)), end="")
             print(f"{file}: needs {one.budget}\n" if one.budget else "", end="")
+            print(f"{file}: {judged['verdict']}\n" if judged else "", end="")
     if any(one.faults for _, one in found):
         raise typer.Exit(2)
+
+
+@app.command()
+def rig(
+    scenario: Annotated[Path, typer.Argument(metavar="SCENARIO", help="Scenario file, or the name of a shipped one.")],
+    out: Out = None,
+    sets: Sets = None,
+    as_json: Json = False,
+) -> None:
+    """Measure the rig of a scenario: workspace, bandwidth and delay in six axes, modes, dynamic stiffness; in pictures and a JSON file."""
+    from hiltestbed.platform.rig_report import RIG, measure_rig, write_rig
+    from hiltestbed.progress import count_bar
+    from hiltestbed.recording import refuse_foreign
+
+    spec = _scenario(scenario, sets, None)
+    folder = out if out is not None else free_folder(Path("runs") / f"rig-{safe_name(spec.name)}")
+    refuse_foreign(folder, RIG)
+    with count_bar(f"rig {spec.name}") as progress:
+        figures = measure_rig(spec, progress)
+    write_rig(figures, folder)
+    if as_json:
+        print(json.dumps(figures.to_json() | {"folder": str(folder)}, allow_nan=False))
+    else:
+        from hiltestbed.table import print_lines
+
+        print_lines(f"rig of {spec.name}", figures.lines(), folder)
 
 
 @app.command()
@@ -125,6 +183,58 @@ def view(run: Annotated[Path, typer.Argument(metavar="RUN", help="A run folder, 
     from hiltestbed.viewer import view as show
 
     show(run)
+
+
+@app.command()
+def compare(
+    runs: Annotated[list[Path], typer.Argument(metavar="RUN RUN ...", help="Run folders.")],
+    out: Annotated[Path | None, typer.Option("--out", metavar="FILE", help="Write the comparison as an HTML page, too.")] = None,
+    as_json: Json = False,
+) -> None:
+    """Put runs side by side: what differs in their scenarios, and what that did to the figures."""
+    from hiltestbed.comparison import compare as side_by_side
+    from hiltestbed.comparison import write_comparison
+
+    result = side_by_side(list(runs))
+    if out is not None:
+        write_comparison(result, out)
+    if as_json:
+        print(json.dumps({"runs": list(result.names), "differences": result.differences, "figures": result.figures}, allow_nan=False))
+    else:
+        from hiltestbed.table import print_comparison
+
+        print_comparison(result.names, result.rows(), out)
+
+
+@app.command()
+def new(
+    name: Annotated[str, typer.Argument(metavar="NAME", help="Name of the scenario; NAME.yaml is written.")],
+    as_json: Json = False,
+) -> None:
+    """Write a commented scenario to start from."""
+    from hiltestbed.template import write_template
+
+    path = write_template(name)
+    if as_json:
+        print(json.dumps({"file": str(path)}))
+    else:
+        print(f"{path}: written; next: hiltestbed check {path} && hiltestbed run {path}")
+
+
+@app.command()
+def doctor(as_json: Json = False) -> None:
+    """Say what this installation has: versions, extras, cores, viewer, compiled kernels. Status 1 where something needed is missing."""
+    from hiltestbed.doctor import examine
+
+    found = examine()
+    if as_json:
+        print(json.dumps({"healthy": all(f.good for f in found if f.needed), "findings": [vars(f) for f in found]}))
+    else:
+        from hiltestbed.table import print_doctor
+
+        print_doctor(found)
+    if not all(f.good for f in found if f.needed):
+        raise typer.Exit(1)
 
 
 @app.command()
@@ -140,6 +250,7 @@ def schema(kind: Annotated[str, typer.Argument(metavar="[scenario|campaign|datas
 BENCHES = {  # name to the module whose function of that name measures
     "cor": "hiltestbed.bench.cor",
     "diagnosis": "hiltestbed.bench.diagnosis",
+    "facilities": "hiltestbed.bench.facilities",
     "identification": "hiltestbed.bench.identification",
     "robustness": "hiltestbed.bench.robustness.run",
     "throughput": "hiltestbed.bench.throughput",
@@ -193,11 +304,12 @@ def sweep(
     from hiltestbed.campaign.schema import load_campaign
     from hiltestbed.campaign.sweep import default_folder
     from hiltestbed.campaign.sweep import sweep as run_sweep
+    from hiltestbed.gallery import campaign_names, find_scenario, refuse_unknown
     from hiltestbed.progress import case_bar
-    from hiltestbed.shipped import find_scenario
 
     if workers is not None and scheduler is not None:
         raise InputError("--workers is for this machine and --scheduler for a cluster; allowed is one of the two")
+    refuse_unknown(campaign, campaign_names())
     spec = load_campaign(find_scenario(campaign), overrides(sets))
     folder = out if out is not None else default_folder(spec)
     workers = workers if workers is not None else len(os.sched_getaffinity(0))
@@ -250,6 +362,14 @@ def diagnose(
         print_diagnosis(result.to_json(), folder)
 
 
+def device_scenario(file: Path, sets: list[str] | None, seconds: float | None = None) -> Scenario:
+    """The scenario in a file, for ``seconds`` where they are given."""
+    return _scenario(file, [*(sets or []), *([f"duration={seconds!r}"] if seconds is not None else [])], None)
+
+
+cli_devices.add(app, device_scenario)
+
+
 def overrides(sets: list[str] | None) -> dict[str, Any]:
     """`["a.b=1"]` as `{"a.b": "1"}`. Raises InputError for what has no `=`."""
     result = {}
@@ -264,10 +384,11 @@ def overrides(sets: list[str] | None) -> dict[str, Any]:
 def _scenario(file: Path, sets: list[str] | None, case: int | None) -> Scenario:
     """The scenario in a file, or of one case of the campaign in it; another kind of file is named, not taken for a faulty scenario."""
     from hiltestbed.check import file_kind
+    from hiltestbed.gallery import campaign_names, find_scenario, refuse_unknown, scenario_names
     from hiltestbed.scenario import scenario_from
-    from hiltestbed.shipped import find_scenario
     from hiltestbed.yaml_source import read_source
 
+    refuse_unknown(file, scenario_names() if case is None else campaign_names())
     source = read_source(find_scenario(file))
     kind = file_kind(source)
     if kind == "campaign" and case is not None:
@@ -306,10 +427,26 @@ def main() -> None:
     sys.exit(status)
 
 
+def _plugins_first(arguments: list[str]) -> list[str]:
+    """The arguments with every ``--plugin MODULE`` at their head, where the program takes it: it may stand behind any command."""
+    ahead, rest = [], []
+    waiting = iter(arguments)
+    for argument in waiting:
+        if argument == "--":
+            rest += [argument, *waiting]
+        elif argument == "--plugin":
+            ahead += [argument, *([following] if (following := next(waiting, None)) is not None else [])]
+        elif argument.startswith("--plugin="):
+            ahead.append(argument)
+        else:
+            rest.append(argument)
+    return [*ahead, *rest]
+
+
 def _run() -> int:
     interrupt.install()
     try:
-        app()
+        app(_plugins_first(sys.argv[1:]))
     except SystemExit as ended:  # what typer ends with: 2 for a wrong call, 130 after Ctrl-C
         return ended.code if ended.code in (0, 1, 2, 3) else int(ended.code is not None)  # type: ignore[return-value]
     except HiltestbedError as error:

@@ -10,7 +10,7 @@ from hiltestbed.recording import FAILURE, read_run
 from hiltestbed.snapshot import restore
 
 
-def replay(folder: str | Path) -> tuple[Loop, tuple[int, str, str]]:
+def replay_failure(folder: str | Path) -> tuple[Loop, tuple[int, str, str]]:
     """Run a failed run's loop again from its saved state to its failure.
 
     Args:

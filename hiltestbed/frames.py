@@ -124,6 +124,26 @@ def pose_between(pose_WP, pose_WA, out):
 
 
 @njit(cache=True)
+def pose_compose(pose_WP, pose_PA, out):
+    """``out``: pose of A in W, from that of P in W and of A in P; ``out`` may be neither."""
+    rotate(pose_WP[3:7], pose_PA[0:3], out[0:3])
+    for i in range(3):
+        out[i] += pose_WP[i]
+    quat_mul(pose_WP[3:7], pose_PA[3:7], out[3:7])
+
+
+@njit(cache=True)
+def wrench_moved(pose_PS, wrench_S, out):
+    """``out``: ``wrench_S``, expressed in S at S's origin, in P at P's origin; ``pose_PS`` is the pose of S in P."""
+    rotate(pose_PS[3:7], wrench_S[0:3], out[0:3])
+    rotate(pose_PS[3:7], wrench_S[3:6], out[3:6])
+    arm = np.empty(3)
+    cross(pose_PS[0:3], out[0:3], arm)
+    for i in range(3):
+        out[3 + i] += arm[i]
+
+
+@njit(cache=True)
 def pose_step(pose, twist, h, out):
     """``out``: ``pose`` moved for ``h`` [s] by a constant twist, both in the frame of the pose (linear and angular apart)."""
     r = np.empty(3)
@@ -174,6 +194,24 @@ def quat_from_attitude_deg(attitude_deg: ArrayLike) -> Array:
         ],
         axis=-1,
     )
+
+
+POLE = 1.0 - 1e-12  # |sin| of the middle angle from which on the first and the last turn about the same axis
+
+
+def attitude_deg_from_quat(q: Array) -> Array:
+    """Turns about the fixed x, then y, then z axis [deg] ``(3,)`` of the quaternion ``(4,)``; at y = +-90 deg x is 0.
+
+    The inverse of :func:`quat_from_attitude_deg`.
+    """
+    x, y, z, w = map(float, q)
+    sine = max(-1.0, min(1.0, 2.0 * (w * y - z * x)))
+    if abs(sine) < POLE:
+        about_z = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+        about_x = math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
+    else:
+        about_z, about_x = -2.0 * math.copysign(1.0, sine) * math.atan2(x, w), 0.0
+    return np.degrees(np.array([about_x, math.asin(sine), about_z]))
 
 
 def rotation_matrix(q: Array) -> Array:

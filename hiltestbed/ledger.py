@@ -30,6 +30,8 @@ def delay_ledger(scenario: Scenario, figures: ContactFigures) -> list[Delay]:
     """Every delay between the contact and the numerical model's motion, what leads as negative, their sum last."""
     # Read at t_k, step the model, run linearly to its pose by t_(k+1): the semi-implicit step makes up for the tick.
     compensation, w = scenario.compensation, contact_frequency(scenario)
+    if scenario.rig.platform.physical:  # no loop: the bodies themselves move
+        return [Delay("total", 0.0, 0.0)]
     delays = [*_sensor(scenario, w), *_compensation(scenario), ("coupling", 0.0), *_effects(scenario, w, "dynamics")]
     if scenario.rig.platform.tracking == "servo":
         delays.append(("platform.servo", figures.tracking_delay or 0.0))
@@ -40,6 +42,13 @@ def delay_ledger(scenario: Scenario, figures: ContactFigures) -> list[Delay]:
     delays.append(("total", sum(delay for _, delay in delays)))
     k = scenario.mechanism.contact.stiffness
     return [Delay(source, delay, 0.0 - k * delay) for source, delay in delays]
+
+
+def force_path_delay(scenario: Scenario, compensated: bool) -> float:
+    """How late [s] the force is that drives the numerical model: sensor and effects, less what the compensation takes out."""
+    w = contact_frequency(scenario)
+    parts = [*_sensor(scenario, w), *_effects(scenario, w, "dynamics"), *(_compensation(scenario) if compensated else ())]
+    return sum(delay for _, delay in parts)
 
 
 def _sensor(scenario: Scenario, w: float) -> Iterator[tuple[str, float]]:

@@ -7,20 +7,24 @@ the order of the signal, on arrays whose leading axis is the run in the batch.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import Any, Protocol
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
-from hiltestbed.compensation.blocks import make_drive
+from hiltestbed.compensation.blocks import Drive, make_drive
 from hiltestbed.compensation.input import InputDeadZone
 from hiltestbed.compensation.measurement import Measurement
 from hiltestbed.compensation.motion import MotionCommand
+from hiltestbed.contact.phases import Phases
+from hiltestbed.frames import Array
 from hiltestbed.identification.settings import IDENTIFIERS
 from hiltestbed.metrics import Tally
 from hiltestbed.numerical_model.model import NumericalModel
 from hiltestbed.outcome import Outcomes
+from hiltestbed.platform.free_motion import FreeMotion
 from hiltestbed.platform.plant import Plant
 from hiltestbed.safety import Safety
 from hiltestbed.scenario import Scenario
@@ -28,6 +32,56 @@ from hiltestbed.sensor.sensor import Sensor
 from hiltestbed.signals import Trace
 
 POSE_LIMIT = 10.0  # [m] a commanded position beyond it is a divergence: forty times the platform's reach
+
+
+class RigSide(Protocol):
+    """The rig as the loop sees it: see :class:`~hiltestbed.platform.plant.Plant`, which is one."""
+
+    pose_act: Array
+    twist_act: Array
+    wrench_sub: Array
+    contact: NDArray[np.bool_]
+    captured: NDArray[np.bool_]
+    slider_cmd: Array
+    slider_act: Array
+    upper_cmd: Array
+    upper_act: Array
+    diverged: NDArray[np.bool_]
+    phases: Phases | None
+    units: tuple[str, ...]
+    physical: bool
+
+    def divergence(self, i: int) -> str: ...
+    def payload_left(self, i: int) -> dict[str, float] | None: ...
+    def reset(self, pose: Array, twist: Array) -> None: ...
+    def begin(self, pose_cmd: Array, twist_cmd: Array, accel_cmd: Array) -> None: ...
+    def finish(self) -> None: ...
+
+
+class SensorSide(Protocol):
+    """The force sensor as the loop sees it: see :class:`~hiltestbed.sensor.sensor.Sensor`."""
+
+    reading: Array
+
+    def read(self, k: int, wrench_sub: Array) -> Array: ...
+    def feel(self, k: int, wrench: Array) -> None: ...
+
+
+class Watch(Protocol):
+    """What stops a run: see :class:`~hiltestbed.safety.Safety`."""
+
+    def passed(self, plant: Any, pose_before: Array, energy: Array) -> bool: ...
+    def reason(self, i: int) -> str | None: ...
+
+
+Side = tuple[SensorSide, RigSide, Watch]
+MakeSide = Callable[[Sequence[Scenario], int], Side]
+
+
+def simulated(scenarios: Sequence[Scenario], nthread: int) -> Side:
+    """The physical side in simulation."""
+    sensor = Sensor(scenarios, [np.random.default_rng(s.seed) for s in scenarios])
+    return sensor, Plant(scenarios, nthread, late=sensor.late), Safety(scenarios)
 
 
 class Loop:
@@ -40,21 +94,22 @@ class Loop:
         measurement: what the compensation and the identification know at t_k.
     """
 
-    def __init__(self, scenarios: Sequence[Scenario], nthread: int = 1) -> None:
+    def __init__(self, scenarios: Sequence[Scenario], nthread: int = 1, side: MakeSide = simulated) -> None:
+        """``side``: makes the physical side, simulated or of real devices, for the scenarios and a number of threads."""
         n = len(scenarios)
         self.scenarios = scenarios
-        self.sensor = Sensor(scenarios, [np.random.default_rng(s.seed) for s in scenarios])
-        self.plant = Plant(scenarios, nthread, late=self.sensor.late)
+        self.sensor, self.plant, self.safety = side(scenarios, nthread)
         self.identification = IDENTIFIERS[scenarios[0].identification.kind].start(scenarios)
         if self.identification:
             self.identification.source.captured = self.plant.captured
+            if self.plant.phases is not None:
+                self.identification.source.steps = self.plant.phases.begun
         self.dead_zone = InputDeadZone(scenarios)
         self.model = NumericalModel(scenarios)
-        self.drive = make_drive(scenarios, self.model)
+        self.drive: Drive = FreeMotion(scenarios, self.plant) if self.plant.physical else make_drive(scenarios, self.model)
         self.motion = MotionCommand(scenarios)
         self.tally = Tally(scenarios)
         self.outcomes = Outcomes(scenarios)
-        self.safety = Safety(scenarios)
         self.k = 0
         self.alive = np.ones(n, dtype=bool)
         self.trouble: dict[int, tuple[int, str, str]] = {}

@@ -16,6 +16,7 @@ from __future__ import annotations
 import hashlib
 import importlib.util
 import inspect
+import os
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from importlib import import_module
@@ -31,6 +32,7 @@ from hiltestbed.errors import InputError
 
 T = TypeVar("T")
 GROUP = "hiltestbed.plugins"
+ENVIRONMENT = "HILTESTBED_PLUGINS"  # modules that every process loads, separated as in PATH
 
 
 class Registry(Mapping[str, type[T]], Generic[T]):
@@ -91,6 +93,7 @@ class Registry(Mapping[str, type[T]], Generic[T]):
 _REGISTRIES: list[Registry[Any]] = []
 _DEPENDENTS: list[Callable[[], None]] = []
 _LOADED: dict[str, str] = {}
+_POINTS_READ: list[bool] = []
 
 
 def kind_of(cls: type) -> str | None:
@@ -118,9 +121,8 @@ def register(cls: type[T]) -> type[T]:
     """Class decorator: enter a class into the table of its kind of thing. Raises InputError where a part is missing."""
     for registry in _REGISTRIES:
         if issubclass(cls, registry.base):
-            known = cls.__module__ in _LOADED.values() or not cls.__module__.startswith("hiltestbed.")
             registry.add(cls)
-            if known:
+            if is_users(cls):
                 for refresh in _DEPENDENTS:
                     refresh()
             return cls
@@ -135,15 +137,34 @@ def depends(refresh: Callable[[], None]) -> Callable[[], None]:
 
 
 def load(modules: Sequence[str] = ()) -> None:
-    """Import the user's modules, by name or as .py files, and those of installed packages (entry points). Raises InputError."""
-    import_module("hiltestbed.scenario")  # the tables that a module may add to exist from here on
-    for point in sorted(entry_points(group=GROUP), key=lambda p: p.name):
-        if point.name not in _LOADED:
-            _import(point.value.partition(":")[0], f"entry point {point.name!r} of the group {GROUP}")
-            _LOADED[point.name] = point.value.partition(":")[0]
-    for name in modules:
-        if name not in _LOADED:
-            _LOADED[name] = _import(name, f"--plugin {name}")
+    """Import the user's modules, by name or as .py files, and those of installed packages (entry points). Raises InputError.
+
+    Processes that this one starts know the modules through the environment variable ``HILTESTBED_PLUGINS``.
+    """
+    asked = [*os.environ.get(ENVIRONMENT, "").split(os.pathsep), *(_absolute(name) for name in modules)]
+    wanted = [name for name in dict.fromkeys(asked) if name and name not in _LOADED]
+    points = [] if _POINTS_READ else sorted(entry_points(group=GROUP), key=lambda p: p.name)
+    if points or wanted:
+        import_module("hiltestbed.scenario")  # the tables that a module may add to exist from here on
+    _POINTS_READ.append(True)
+    for point in points:
+        _LOADED[point.name] = _import(point.value.partition(":")[0], f"entry point {point.name!r} of the group {GROUP}")
+    for name in wanted:
+        _LOADED[name] = _import(name, f"--plugin {name}")
+        os.environ[ENVIRONMENT] = os.pathsep.join([*filter(None, os.environ.get(ENVIRONMENT, "").split(os.pathsep)), name])
+
+
+load_plugins = load  # its name beside the others of the package
+
+
+def _absolute(name: str) -> str:
+    """A .py file by its whole path, so that it is found from any folder and loaded once."""
+    return str(Path(name).resolve()) if name.endswith(".py") else name
+
+
+def is_users(cls: type) -> bool:
+    """Whether a class comes from a module of the user's, not from hiltestbed itself."""
+    return cls.__module__ in _LOADED.values() or not cls.__module__.startswith("hiltestbed.")
 
 
 def _import(name: str, where: str) -> str:

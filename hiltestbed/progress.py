@@ -1,9 +1,15 @@
-"""Progress of long runs on standard error: a bar on a terminal, a line every ten seconds in a log, nothing for short runs."""
+"""Progress of long runs on standard error: a bar on a terminal, a line every ten seconds in a log, nothing for short runs.
+
+The time left is told from the pace of the work itself: the clock starts with the first part that is reported, so that imports and
+compiling are not counted in, and a single slow part (a kernel compiled at the first touch) does not set the pace.
+"""
 
 from __future__ import annotations
 
+import statistics
 import sys
 import time
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 
@@ -11,6 +17,43 @@ from hiltestbed import interrupt
 
 QUIET = 1.0  # [s] a run that ends within it shows nothing
 LOG_INTERVAL = 10.0  # [s]
+REMEMBERED = 32  # updates of which the pace is made
+ENOUGH = 3  # intervals before a time is told
+
+
+class Pace:
+    """How long a unit of work takes, from the latest updates."""
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
+        self._before: tuple[float, float] | None = None
+        self._paces: deque[tuple[float, float]] = deque(maxlen=REMEMBERED)  # seconds, work
+
+    def update(self, done: float) -> None:
+        """Take in that ``done`` units are done by now."""
+        now = self._clock()
+        if self._before is not None and done > self._before[1]:
+            self._paces.append((now - self._before[0], done - self._before[1]))
+        if self._before is None or done > self._before[1]:
+            self._before = (now, done)
+
+    def left(self, work: float) -> float | None:
+        """Seconds that ``work`` more units take; None while too little is known.
+
+        The mean of the latest intervals without those that took more than five times the median for their work.
+        """
+        if len(self._paces) < ENOUGH:
+            return None
+        middle = statistics.median(seconds / units for seconds, units in self._paces)
+        usual = [(seconds, units) for seconds, units in self._paces if seconds / units <= 5.0 * middle]
+        return work * sum(seconds for seconds, _ in usual) / sum(units for _, units in usual)
+
+
+def told_left(seconds: float | None) -> str:
+    """`, 40 s left`, or nothing while it is not known."""
+    if seconds is None:
+        return ""
+    return f", {seconds:.0f} s left" if seconds < 90.0 else f", {seconds / 60.0:.0f} min left"
 
 
 @contextmanager
@@ -21,8 +64,8 @@ def progress_bar(name: str, duration: float) -> Iterator[Callable[[int, int], No
 
 
 @contextmanager
-def count_bar(name: str) -> Iterator[Callable[[int, int], None]]:
-    """A callback (parts done, parts in all)."""
+def count_bar(name: str) -> Iterator[Callable[[float, float], None]]:
+    """A callback (work done, work in all), in any unit of equal effort."""
     with _bar_or_lines(name, lambda part: f"{100.0 * part:.0f} % done") as update:
         yield update
 
@@ -30,9 +73,10 @@ def count_bar(name: str) -> Iterator[Callable[[int, int], None]]:
 @contextmanager
 def case_bar() -> Iterator[Callable[[int, int, Mapping[str, int]], None]]:
     """A callback (cases done, cases in all, how many ended in which status) that tells rate and time left, from this session alone."""
-    start = shown = time.monotonic()
+    shown = time.monotonic()
     first: int | None = None
     terminal = sys.stderr.isatty()
+    pace = Pace()
 
     def update(done: int, total: int, statuses: Mapping[str, int]) -> None:
         nonlocal shown, first
@@ -40,14 +84,15 @@ def case_bar() -> Iterator[Callable[[int, int, Mapping[str, int]], None]]:
         now = time.monotonic()
         ran = sum(statuses.values())
         first = done - ran if first is None else first
+        pace.update(done)
         if not terminal and now - shown < LOG_INTERVAL and done < total:
             return
         shown = now
-        rate = ran / max(now - start, 1e-9)
+        one = pace.left(1.0)
+        rate = f", {1.0 / one:.1f} a second" if one else ""
         before = f" ({first} from before)" if first else ""
         odd = "".join(f", {count} {status}" for status, count in statuses.items() if status != "completed")
-        left = f"{(total - done) / rate:.0f} s left" if rate > 0 else ""
-        line = f"{done} of {total} cases{before}, {rate:.1f} a second, {left}{odd}"
+        line = f"{done} of {total} cases{before}{rate}{told_left(pace.left(total - done)) if done < total else ''}{odd}"
         sys.stderr.write(f"\r\x1b[K{line}" if terminal else f"{line}\n")
         sys.stderr.flush()
 
@@ -83,22 +128,23 @@ def step_line(name: str) -> Iterator[Callable[[str], None]]:
 
 
 @contextmanager
-def _bar_or_lines(name: str, told: Callable[[float], str]) -> Iterator[Callable[[int, int], None]]:
+def _bar_or_lines(name: str, told: Callable[[float], str]) -> Iterator[Callable[[float, float], None]]:
     start = shown = time.monotonic()
     bar = None
+    pace = Pace()
 
-    def update(done: int, total: int) -> None:
+    def update(done: float, total: float) -> None:
         nonlocal bar, shown
         interrupt.check()
         now = time.monotonic()
+        pace.update(done)
         if bar is None and now - start > QUIET and done < total and sys.stderr.isatty():
             bar = _bar(name, total)
         if bar is not None:
-            bar.update(bar.task_ids[0], completed=done)
-        elif now - shown > LOG_INTERVAL:
+            bar.update(bar.task_ids[0], completed=done, left=told_left(pace.left(total - done)).lstrip(", "))
+        elif now - shown > LOG_INTERVAL and done < total:
             shown = now
-            left = (now - start) * (total - done) / max(done, 1)
-            sys.stderr.write(f"{name}: {told(done / total)}, {left:.0f} s left\n")
+            sys.stderr.write(f"{name}: {told(done / total)}{told_left(pace.left(total - done))}\n")
 
     try:
         yield update
@@ -107,12 +153,12 @@ def _bar_or_lines(name: str, told: Callable[[float], str]) -> Iterator[Callable[
             bar.stop()
 
 
-def _bar(name: str, total: int):
+def _bar(name: str, total: float):
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+    from rich.progress import BarColumn, Progress, TextColumn
 
-    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:>3.0f} %"), TimeRemainingColumn())
+    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:>3.0f} %"), TextColumn("{task.fields[left]}"))
     bar = Progress(*columns, console=Console(stderr=True), transient=True)
-    bar.add_task(name, total=total)
+    bar.add_task(name, total=total, left="")
     bar.start()
     return bar

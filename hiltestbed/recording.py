@@ -1,4 +1,4 @@
-"""The run folder: scenario.yaml, summary.json, trace.parquet, recording.rrd. A folder that exists is complete."""
+"""The run folder: scenario.yaml, summary.json, trace.parquet, report.html, recording.rrd. A folder that exists is complete."""
 
 from __future__ import annotations
 
@@ -9,18 +9,24 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array
-from hiltestbed.scenario import dump_scenario, load_scenario
-from hiltestbed.signals import GROUPS, RunTrace
-from hiltestbed.simulation import Run
+from hiltestbed.models import copy_model
+from hiltestbed.result import Run
+from hiltestbed.scenario import Scenario, load_scenario, resolved
+from hiltestbed.signals import RunTrace, about_column, groups
 from hiltestbed.snapshot import Snapshot, flatten, unflatten
+from hiltestbed.yaml_source import dump_yaml
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 SUMMARY, SCENARIO, TRACE, RECORDING, FAILURE = "summary.json", "scenario.yaml", "trace.parquet", "recording.rrd", "failure.npz"
+MODELS = "models"
 
 
 @contextmanager
@@ -40,8 +46,9 @@ def whole_folder(path: Path, mark: str = SUMMARY) -> Iterator[Path]:
         raise InputError(f"{path}: cannot be written ({error.strerror}); choose another --out") from None
     try:
         yield beside
-        for file in beside.iterdir():
-            _sync(file)
+        for file in beside.rglob("*"):
+            if file.is_file():
+                _sync(file)
         beside.chmod(0o755)
         _swap(beside, path)
     except BaseException:
@@ -88,7 +95,7 @@ def write_run(run: Run, path: str | Path, *, rerun: bool = True) -> Path:
     """
     path = Path(path)
     with whole_folder(path) as folder:
-        (folder / SCENARIO).write_text(dump_scenario(run.scenario), encoding="utf-8")
+        (folder / SCENARIO).write_text(dump_yaml(_with_models(run.scenario, folder)), encoding="utf-8")
         (folder / SUMMARY).write_text(json.dumps(run.summary, indent=2, allow_nan=False) + "\n", encoding="utf-8")
         if run.trace is not None:
             write_trace(run.trace, folder / TRACE)
@@ -96,9 +103,21 @@ def write_run(run: Run, path: str | Path, *, rerun: bool = True) -> Path:
                 from hiltestbed.viewer import write_recording
 
                 write_recording(folder / RECORDING, run)
+        from hiltestbed.run_report import REPORT, write_run_report
+
+        write_run_report(run, folder / REPORT)
         if run.failure is not None:
             np.savez(folder / FAILURE, **flatten(run.failure))  # type: ignore[arg-type]
     return path
+
+
+def _with_models(scenario: Scenario, folder: Path) -> dict[str, Any]:
+    """The resolved scenario; models of the user's are copied into ``folder``, and their keys name the copies."""
+    data = resolved(scenario)
+    for key in scenario.mechanism.fingerprint():
+        copy = copy_model(Path(data["mechanism"][key]), folder / MODELS / key)
+        data["mechanism"][key] = str(copy.relative_to(folder))
+    return data
 
 
 def read_run(path: str | Path) -> Run:
@@ -127,16 +146,11 @@ def write_trace(trace: RunTrace, path: Path) -> None:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    about = {"t": ("s", "", "time from the start, tick/rate"), "contact": ("1", "", "the mechanisms touch")}
-    for group in GROUPS.values():
-        for column, unit in zip(group.columns, group.units, strict=True):
-            about[column] = (unit, group.frame, group.meaning)
     columns = trace.columns()
     fields = []
     for name, values in columns.items():
-        unit, frame, meaning = about[name]
         kind = pa.bool_() if values.dtype == bool else pa.float64()
-        fields.append(pa.field(name, kind, metadata={"unit": unit, "frame": frame, "meaning": meaning}))
+        fields.append(pa.field(name, kind, metadata=about_column(name, trace.joints)))
     arrays = [pa.array(np.ascontiguousarray(v)) for v in columns.values()]
     pq.write_table(pa.table(arrays, schema=pa.schema(fields)), path, compression="zstd", compression_level=1, use_dictionary=False)
 
@@ -147,5 +161,12 @@ def read_trace(path: Path) -> RunTrace:
 
     table = pq.read_table(path)
     columns: dict[str, Array] = {name: table[name].to_numpy() for name in table.column_names}
-    data = {g.name: np.stack([columns[c] for c in g.columns], axis=-1) for g in GROUPS.values() if g.columns[0] in columns}
-    return RunTrace(columns["t"], data, columns["contact"].astype(bool))
+    joints = tuple(_unit(table, name) for name in table.column_names if name.startswith("slider_cmd."))
+    present = [g for g in groups(joints).values() if g.columns and g.columns[0] in columns]
+    data = {g.name: np.stack([columns[c] for c in g.columns], axis=-1) for g in present}
+    return RunTrace(columns["t"], data, columns["contact"].astype(bool), joints)
+
+
+def _unit(table: pa.Table, column: str) -> str:
+    """The unit of a column of a trace file."""
+    return ((table.schema.field(column).metadata or {}).get(b"unit", b"m")).decode()

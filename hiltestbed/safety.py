@@ -45,7 +45,10 @@ class Safety:
         self._tick = 1.0 / scenarios[0].rate
         limits = [[getattr(s.safety, name) for name in LIMITS] for s in scenarios]
         self._limits = np.array([[math.inf if limit is None else limit for limit in row] for row in limits])
-        self._limbs = Platform.load().limbs
+        # A platform that states limits of its joints is watched against these (Plant.joint_limit); the others' sliders and limbs here.
+        stated = scenarios[0].rig.platform.states_limits
+        self._limbs = Platform.load().limbs[: 0 if stated else 6]
+        self._plant: Plant | None = None
         self.quantities = np.zeros((n, len(LIMITS)))
         self._sliders = np.zeros((n, 2, 6))  # positions and speeds at the tick before
         self._ticks = np.zeros(n, dtype=np.int64)
@@ -56,7 +59,9 @@ class Safety:
         Args:
             plant: at t_k. pose_before: ``(n, 7)`` that had been commanded for this tick. energy: ``(n,)`` created so far [J].
         """
-        return _watch(
+        self._plant = plant
+        passed = plant.joint_limit_passed()
+        return passed | _watch(
             self._tick, self._limbs, plant.slider_act, plant.pose_W, plant.pose_act, pose_before, plant.wrench_sub, energy,
             self._ticks, self._sliders, self.quantities, self._limits,
         )  # fmt: skip
@@ -67,7 +72,7 @@ class Safety:
             value, limit = self.quantities[i, j], self._limits[i, j]
             if value > limit:
                 return f"{_SAID[j].format(value=value)}; safety.{name} is {limit:g} {_UNITS[j]}"
-        return None
+        return self._plant.joint_limit(i) if self._plant is not None else None
 
 
 @njit(cache=True)
@@ -77,7 +82,7 @@ def _watch(h, limbs, sliders, pose_W, pose, pose_before, wrench_sub, energy, tic
     for i in range(sliders.shape[0]):
         q[i] = 0.0
         steepest = 1.0  # cosine of the angle between the limb that leans most and its slider
-        for j in range(6):
+        for j in range(limbs.shape[0]):
             speed = (sliders[i, j] - before[i, 0, j]) / h if ticks[i] > 0 else 0.0
             acceleration = (speed - before[i, 1, j]) / h if ticks[i] > 1 else 0.0
             before[i, 0, j], before[i, 1, j] = sliders[i, j], speed

@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import difflib
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hiltestbed.errors import InputError
 from hiltestbed.frames import Array
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 _POSE = ("px", "py", "pz", "qx", "qy", "qz", "qw")
@@ -45,27 +53,49 @@ GROUPS = {
         Group("wrench_comp", _WRENCH, _WRENCH_UNITS, "in P at P's origin", "wrench that drove the numerical model"),
         Group("stiffness_est", AXES, ("N/m",) * 3 + ("N m/rad",) * 3, "in P at P's origin", "running estimate of stiffness"),
         Group("damping_est", AXES, ("N s/m",) * 3 + ("N m s/rad",) * 3, "in P at P's origin", "running estimate of damping"),
-        Group("slider_cmd", _SLIDERS, ("m",) * 6, "platform", "slider positions commanded"),
-        Group("slider_act", _SLIDERS, ("m",) * 6, "platform", "slider positions reached"),
+        Group("slider_cmd", _SLIDERS, ("m",) * 6, "platform", "driven joints of the platform commanded: its sliders; 0 at home"),
+        Group("slider_act", _SLIDERS, ("m",) * 6, "platform", "driven joints of the platform reached: its sliders; 0 at home"),
         Group("upper_cmd", _SLIDERS[:3], ("m",) * 3, "upper platform", "slider positions of the upper platform commanded; 0 at home"),
         Group("upper_act", _SLIDERS[:3], ("m",) * 3, "upper platform", "slider positions of the upper platform reached; 0 at home"),
     )
 }
+
+CYCLE = Group(
+    "cycle",
+    ("period", "busy", "sensor_age", "missed"),
+    ("s", "s", "s", "1"),
+    "",
+    "of a run against devices: from the start of the cycle before, from its start to the command, age of the reading, ticks missed",
+)
+RECORDED = GROUPS | {CYCLE.name: CYCLE}  # what a trace may hold; the simulation has no cycles
+
+
+SIX_SLIDERS = ("m",) * 6
+_JOINTS = ("slider_cmd", "slider_act")
+
+
+@lru_cache
+def groups(joints: tuple[str, ...] = SIX_SLIDERS) -> dict[str, Group]:
+    """The groups of a trace of a platform whose driven joints have the units ``joints``: as many columns; none where nothing is driven."""
+    parts = tuple(map(str, range(len(joints))))
+    return {name: replace(g, parts=parts, units=joints) if name in _JOINTS else g for name, g in RECORDED.items()}
 
 
 class Trace:
     """What a batch of runs did, tick by tick.
 
     Attributes:
+        joints: units of the platform's driven joints.
         t: ``(ticks,)`` time [s], ``tick/rate``.
         data: group name to ``(ticks, n, parts)``.
         contact: ``(ticks, n)`` bool, the mechanisms touch.
         length: ``(n,)`` rows that hold data: fewer than ``ticks`` where a run was stopped.
     """
 
-    def __init__(self, ticks: int, n: int, rate: float) -> None:
+    def __init__(self, ticks: int, n: int, rate: float, joints: tuple[str, ...] = SIX_SLIDERS) -> None:
+        self.joints = joints
         self.t = np.arange(ticks) / rate
-        self.data = {g.name: np.full((ticks, n, len(g.parts)), np.nan) for g in GROUPS.values()}
+        self.data = {g.name: np.full((ticks, n, len(g.parts)), np.nan) for g in groups(joints).values() if g.name in GROUPS}
         self.contact = np.zeros((ticks, n), dtype=bool)
         self.length = np.full(n, ticks)
 
@@ -76,25 +106,97 @@ class Trace:
         """The rows of run ``i``."""
         rows = int(self.length[i])
         data = {name: array[:rows, i] for name, array in self.data.items()}
-        return RunTrace(self.t[:rows], data, self.contact[:rows, i])
+        return RunTrace(self.t[:rows], data, self.contact[:rows, i], self.joints)
 
 
-@dataclass
-class RunTrace:
-    """One run: ``t`` ``(rows,)``, ``data`` group name to ``(rows, parts)``, ``contact`` ``(rows,)``."""
+class RunTrace(dict[str, Array]):
+    """One run: ``t`` ``(rows,)``, ``data`` group name to ``(rows, parts)``, ``contact`` ``(rows,)``.
 
-    t: Array
-    data: dict[str, Array]
-    contact: np.ndarray
+    A dict of column names to columns, so that ``pandas.DataFrame(trace)`` has a column a column; the name of a group gives the whole
+    group: ``trace["wrench_meas.fz"]`` ``(rows,)``, ``trace["wrench_meas"]`` ``(rows, 6)``, ``trace["t"]``, ``trace["contact"]``.
+    """
 
-    def __getitem__(self, name: str) -> Array:
-        return self.data[name]
+    def __init__(self, t: Array, data: dict[str, Array], contact: np.ndarray, joints: tuple[str, ...] = SIX_SLIDERS) -> None:
+        """``joints``: units of the platform's driven joints."""
+        self.t, self.data, self.contact, self.joints = t, data, contact, joints
+        super().__init__(t=t)
+        for group in self.groups():
+            self |= {column: data[group.name][:, j] for j, column in enumerate(group.columns)}
+        self["contact"] = contact
+
+    def __missing__(self, name: str) -> Array:
+        if name in self.data:
+            return self.data[name]
+        raise UnknownColumn(name, [*self, *self.data])
+
+    def __contains__(self, name: object) -> bool:
+        return super().__contains__(name) or name in self.data
+
+    def __reduce__(self) -> tuple:
+        return RunTrace, (self.t, self.data, self.contact, self.joints)
+
+    def __repr__(self) -> str:
+        span = f"{self.t[0]:g} to {self.t[-1]:g} s" if len(self.t) else "empty"
+        return f"RunTrace({len(self.t)} rows, {span}: t, {', '.join(self.data)}, contact)"
+
+    def _repr_html_(self) -> str:
+        from hiltestbed.notebook import html_table
+
+        rows = [(g.name, ", ".join(g.parts), ", ".join(dict.fromkeys(g.units)), g.frame, g.meaning) for g in self.groups()]
+        return html_table(f"Trace of {len(self.t)} rows", ("group", "parts", "unit", "frame", "meaning"), rows)
+
+    def groups(self) -> list[Group]:
+        """The groups that it has, with the columns of its platform."""
+        return [group for group in groups(self.joints).values() if group.name in self.data]
 
     def columns(self) -> dict[str, Array]:
         """Column name to ``(rows,)``, in the order of the trace file."""
-        out = {"t": self.t}
-        for group in GROUPS.values():
-            if group.name in self.data:
-                out |= {c: self.data[group.name][:, j] for j, c in enumerate(group.columns)}
-        out["contact"] = self.contact
-        return out
+        return dict(self)
+
+    def about(self) -> dict[str, dict[str, str]]:
+        """Column name to its unit, frame and meaning."""
+        return {name: about_column(name, self.joints) for name in self}
+
+    def to_pandas(self):
+        """A pandas DataFrame, time [s] as its index; ``attrs`` holds unit, frame and meaning of each column."""
+        from hiltestbed.labelled import trace_to_pandas
+
+        return trace_to_pandas(self)
+
+    def to_xarray(self):
+        """An xarray Dataset: a variable ``(t, part)`` a group, with units and frame in its ``attrs``. Raises MissingExtra."""
+        from hiltestbed.labelled import trace_to_xarray
+
+        return trace_to_xarray(self)
+
+    def plot(self, *names: str, axes: Axes | None = None) -> Axes:
+        """Columns or groups over time, the contacts shaded; returns the Matplotlib axes. Raises UnknownColumn."""
+        from hiltestbed.labelled import plot_trace
+
+        return plot_trace(self, names or ("wrench_meas.fz",), axes)
+
+
+class UnknownColumn(KeyError, InputError):
+    """A trace has no such column or group; the message offers the nearest name."""
+
+    def __init__(self, name: str, allowed: Sequence[str]) -> None:
+        close = difflib.get_close_matches(str(name), allowed, n=1, cutoff=0.5)
+        hint = f" (did you mean {close[0]!r}?)" if close else ""
+        groups = [a for a in allowed if a in GROUPS]
+        InputError.__init__(
+            self, f"trace: no column {name!r}{hint}; allowed are t, contact, the groups {', '.join(groups)} and their parts"
+        )
+
+    def __str__(self) -> str:
+        return Exception.__str__(self)
+
+
+def about_column(name: str, joints: tuple[str, ...] = SIX_SLIDERS) -> dict[str, str]:
+    """Unit, frame and meaning of a column of the trace."""
+    if name == "t":
+        return {"unit": "s", "frame": "", "meaning": "time from the start, tick/rate"}
+    if name == "contact":
+        return {"unit": "1", "frame": "", "meaning": "the mechanisms touch"}
+    group, _, part = name.partition(".")
+    found = groups(joints)[group]
+    return {"unit": found.units[found.parts.index(part)], "frame": found.frame, "meaning": found.meaning}

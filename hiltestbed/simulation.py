@@ -8,39 +8,27 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from hiltestbed import plugins
 from hiltestbed.budget import refuse_beyond, run_budget
-from hiltestbed.contact.truth import axis_truth
+from hiltestbed.contact.truth import axis_truth, normal_truth
 from hiltestbed.errors import HiltestbedError
+from hiltestbed.identification.least_squares import RecursiveLeastSquares
 from hiltestbed.ledger import delay_ledger, predicted_log_error
 from hiltestbed.log import stamp_late
 from hiltestbed.loop import Loop
 from hiltestbed.metrics import ContactFigures
+from hiltestbed.numerical_model.bodies import effective_mass
+from hiltestbed.result import Run
 from hiltestbed.scenario import Scenario, scenario_from, scenario_sha256
 from hiltestbed.sense import warnings
-from hiltestbed.signals import AXES, RunTrace, Trace
+from hiltestbed.signals import AXES, Trace
 from hiltestbed.snapshot import Snapshot, Snapshots
+from hiltestbed.stability import stability
 from hiltestbed.versions import versions
 
 Progress = Callable[[int, int], None]
 MakeTrace = Callable[[Loop], Any]  # what takes the rows of a loop in place of a Trace
 PROGRESS_TICKS = 500
-
-
-@dataclass
-class Run:
-    """One run: what the run folder holds.
-
-    Attributes:
-        scenario: as it was run.
-        summary: the contents of summary.json.
-        trace: the rows, or None where none was kept.
-        failure: the state some ticks before a divergence or a stop, from which it can be replayed.
-    """
-
-    scenario: Scenario
-    summary: dict[str, Any]
-    trace: RunTrace | None = None
-    failure: Snapshot | None = None
 
 
 @dataclass
@@ -60,8 +48,10 @@ class Batch:
 
 
 def run(scenario: Scenario, progress: Progress | None = None, nthread: int = 1) -> Run:
-    """Run one scenario, with its trace and its reference."""
-    return run_batch([scenario], trace=True, progress=progress, nthread=nthread)[0]
+    """Run one scenario, with its trace, its reference, and whether its loop is stable in a contact."""
+    done = run_batch([scenario], trace=True, progress=progress, nthread=nthread)[0]
+    done.summary["stability"] = stability(scenario)
+    return done
 
 
 def run_batch(
@@ -77,7 +67,7 @@ def run_batch(
     different = dict(zip(names, references, strict=True))  # scenarios that differ in the rig alone share one
     reference = simulate(list(different.values()), until_parted=True, nthread=nthread)
     cors = dict(zip(different, (figures.cor for figures in reference.figures), strict=True))
-    return [_run(batch, cors[name], i) for i, name in enumerate(names)]
+    return [concluded(batch, cors[name], i) for i, name in enumerate(names)]
 
 
 def simulate(
@@ -93,7 +83,7 @@ def simulate(
     budget = run_budget(scenarios, rows=trace is True)
     refuse_beyond(replace(budget, time=0.0, disk=0.0), scenarios[0].name, "a shorter duration, a lower rate or shorter delays need less")
     loop = Loop(scenarios, nthread)
-    rows = trace(loop) if callable(trace) else Trace(ticks, len(scenarios), scenarios[0].rate) if trace else None
+    rows = trace(loop) if callable(trace) else Trace(ticks, len(scenarios), scenarios[0].rate, loop.plant.units) if trace else None
     snapshots = Snapshots(loop)
     start = 0.0
     while loop.k < ticks and loop.alive.any():
@@ -103,12 +93,14 @@ def simulate(
         except ZeroDivisionError:  # numbers so far from any rig that they have no ratio
             if len(scenarios) > 1:
                 raise HiltestbedError("a run of the batch divided by zero; each alone says which") from None
-            loop.trouble[0] = (loop.k, "diverged", "a quantity reached zero or overflowed where it divides")
+            loop.trouble[0] = (max(loop.k - 1, 0), "diverged", "a quantity reached zero or overflowed where it divides")
             loop.alive[:] = False
         if loop.trouble:
             snapshots.failures()
         if loop.k == 1:  # the first tick may have compiled the blocks: it is not timed
             start = time.perf_counter()
+            if progress:
+                progress(1, ticks)
         if loop.k % PROGRESS_TICKS == 0:
             if progress:
                 progress(loop.k, ticks)
@@ -123,17 +115,23 @@ def simulate(
             stamp_late(rows, scenarios)
         for i, (k, *_) in loop.trouble.items():
             rows.length[i] = k + 1
+    return collected(loop, rows, wall, snapshots.failures())
+
+
+def collected(loop: Loop, rows: Any, wall: float, failures: dict[int, Snapshot]) -> Batch:
+    """What ``loop`` has left behind, ``rows`` among it, after ``wall`` [s]."""
+    scenarios = loop.scenarios
     return Batch(
         scenarios=scenarios,
         figures=[loop.tally.figures(i) for i in range(len(scenarios))],
         trouble=loop.trouble,
         identification=[_identified(loop, i) for i in range(len(scenarios))],
-        outcomes=[loop.outcomes.summary(i) | _capture(loop, i) for i in range(len(scenarios))],
+        outcomes=[loop.outcomes.summary(i) | _capture(loop, i) | _along_normal(loop, i) for i in range(len(scenarios))],
         payload=[loop.plant.payload_left(i) for i in range(len(scenarios))],
         ticks=loop.k,
         wall=wall,
         trace=rows,
-        failures=snapshots.failures(),
+        failures=failures,
     )
 
 
@@ -147,14 +145,15 @@ def reference_scenario(scenario: Scenario) -> Scenario:
     data["compensation"] = {"force": {"kind": "none"}, "motion": {"kind": "none"}}
     data["identification"] = {"kind": "none"}
     data["safety"] = dict.fromkeys(data["safety"])  # nothing is watched
-    data["rig"]["platform"]["tracking"] = data["rig"]["upper"]["tracking"] = "ideal"
+    data["rig"]["platform"] = scenario.rig.platform.reference()
+    data["rig"]["upper"]["tracking"] = "ideal"
     data["effects"] = [e for e in data["effects"] if e["kind"].startswith("contact.")]
     return scenario_from(data)
 
 
 def _identified(loop: Loop, i: int) -> dict[str, Any]:
     """Per axis: stiffness and damping identified, None where the axis gave no estimate, and the truth where there is one."""
-    truth = axis_truth(loop.scenarios[i])
+    truth = axis_truth(loop.scenarios[i], bool(loop.plant.captured[i]))
     estimate = loop.identification
     out = {}
     for j, axis in enumerate(AXES):
@@ -167,6 +166,17 @@ def _identified(loop: Loop, i: int) -> dict[str, Any]:
             "samples": int(estimate.samples[i, j]) if estimate else 0,
         }
     return out
+
+
+def _along_normal(loop: Loop, i: int) -> dict[str, Any]:
+    """What was identified along the normal of the contact, of a mechanism whose surfaces are not one plane, before it is latched."""
+    estimate, mechanism = loop.identification, loop.scenarios[i].mechanism
+    if not isinstance(estimate, RecursiveLeastSquares) or mechanism.flat or mechanism.captured:
+        return {}
+    k, c, k_sd, c_sd, samples = (_number(v) for v in estimate.along_normal[i])
+    truth = normal_truth(loop.scenarios[i]) or (None, None)
+    found = {"stiffness": k, "damping": c, "stiffness_sd": k_sd, "damping_sd": c_sd, "samples": int(samples or 0)}
+    return {"identification_normal": found | {"stiffness_true": truth[0], "damping_true": truth[1]}}
 
 
 def _capture(loop: Loop, i: int) -> dict[str, Any]:
@@ -186,7 +196,8 @@ def _number(value: float) -> float | None:
     return None if not math.isfinite(value) else float(value)
 
 
-def _run(batch: Batch, cor_reference: float | None, i: int) -> Run:
+def concluded(batch: Batch, cor_reference: float | None, i: int) -> Run:
+    """Run ``i`` of a batch with its summary; ``cor_reference``: of the same contact with nothing in between."""
     scenario, figures = batch.scenarios[i], batch.figures[i]
     cor = figures.cor
     ledger = delay_ledger(scenario, figures)
@@ -197,6 +208,7 @@ def _run(batch: Batch, cor_reference: float | None, i: int) -> Run:
         "scenario_sha256": scenario_sha256(scenario),
         "seed": scenario.seed,
         "versions": versions(),
+        "plugins": plugins.loaded(),
         "status": trouble[1] if trouble else "completed",
         "stop_reason": f"tick {trouble[0]}, t = {trouble[0] / scenario.rate:.6f} s: {trouble[2]}" if trouble else None,
         "cor": cor,
@@ -204,6 +216,7 @@ def _run(batch: Batch, cor_reference: float | None, i: int) -> Run:
         "cor_log_error": log_error(cor, cor_reference),
         "cor_log_error_predicted": predicted_log_error(scenario, ledger),
         "approach_speed": figures.approach_speed,
+        "approach_energy": None if figures.approach_speed is None else 0.5 * effective_mass(scenario) * figures.approach_speed**2,
         "rebound_speed": figures.rebound_speed,
         "energy_generated": figures.energy_generated,
         "peak_force": figures.peak_force,
@@ -221,7 +234,7 @@ def _run(batch: Batch, cor_reference: float | None, i: int) -> Run:
         "timing": {
             "ticks": batch.ticks,
             "wall": wall,
-            "real_time_factor": (batch.ticks - 1) / scenario.rate * len(batch.scenarios) / wall if wall > 0.0 else None,
+            "real_time_factor": (batch.ticks - 1) / scenario.rate * len(batch.scenarios) / wall if wall > 0.0 and batch.ticks > 1 else None,
         },
     }
     trace = batch.trace.run(i) if batch.trace is not None else None

@@ -3,28 +3,35 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich import box
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from hiltestbed.assessment import assess
 from hiltestbed.errors import printable
 
+if TYPE_CHECKING:
+    from hiltestbed.doctor import Finding
 
-def print_run(summary: dict[str, Any], folder: Path, recording: bool = True) -> None:
-    """Prints the summary of a run to standard output, and where it lies."""
+
+def print_run(summary: dict[str, Any], folder: Path, recording: bool = True, elapsed: float | None = None) -> None:
+    """Prints the summary of a run to standard output, and where it lies; ``elapsed`` [s]: what the whole command took."""
     console = Console(highlight=False, soft_wrap=False)
-    console.print(_figures(summary))
+    console.print(_figures(summary, elapsed))
+    for warning in assess(summary).warnings:
+        console.print(f"[bold red]warning:[/bold red] {escape(warning)}")
     if summary["delay_ledger"]:
         console.print(_ledger(summary["delay_ledger"]))
     identified = _identified(summary["identification"])
     if identified.row_count:
         console.print(identified)
     look = f"hiltestbed view {folder}" if recording else "run again without --no-rerun, then hiltestbed view"
-    console.print(f"run folder: {folder}\nlook at it: {look}", soft_wrap=True, markup=False)
+    console.print(f"run folder: {folder}\nreport:     {folder / 'report.html'}\nlook at it: {look}", soft_wrap=True, markup=False)
 
 
 def print_lines(title: str, lines: list[tuple[str, str]], folder: Path) -> None:
@@ -37,6 +44,32 @@ def print_lines(title: str, lines: list[tuple[str, str]], folder: Path) -> None:
     console = Console(highlight=False)
     console.print(table)
     console.print(f"report: {folder / 'report.html'}", soft_wrap=True, markup=False)
+
+
+def print_comparison(names: Sequence[str], rows: Sequence[Sequence[str]], page: Path | None) -> None:
+    """Prints runs side by side to standard output."""
+    table = _table("runs side by side")
+    table.add_column("", overflow="fold")
+    for name in names:
+        table.add_column(escape(name), justify="right", overflow="fold")
+    for row in rows:
+        table.add_row(*map(escape, row))
+    console = Console(highlight=False)
+    console.print(table)
+    if page is not None:
+        console.print(f"page: {page}", soft_wrap=True, markup=False)
+
+
+def print_doctor(findings: Sequence[Finding]) -> None:
+    """Prints what an installation has to standard output."""
+    table = _table("this installation", header=False)
+    for name in ("", "what", "state"):
+        table.add_column(name, overflow="fold")
+    for found in findings:
+        table.add_row(
+            "[green]ok[/green]" if found.good else "[red]no[/red]" if found.needed else "-", escape(found.what), escape(found.state)
+        )
+    Console(highlight=False).print(table)
 
 
 def print_sweep(about: dict[str, Any], folder: Path) -> None:
@@ -71,7 +104,7 @@ def print_diagnosis(result: dict[str, Any], folder: Path) -> None:
     console.print(f"report: {folder / 'report.html'}", soft_wrap=True, markup=False)
 
 
-def _figures(summary: dict[str, Any]) -> Table:
+def _figures(summary: dict[str, Any], elapsed: float | None) -> Table:
     table = _table(f"{summary['name']}: {summary['status']}", header=False)
     table.add_column("figure")
     table.add_column("value", justify="right")
@@ -81,14 +114,20 @@ def _figures(summary: dict[str, Any]) -> Table:
     table.add_row("coefficient of restitution", _number(cor, 4), _cor_note(cor, reference))
     if log_error is not None:
         table.add_row("  ln of the ratio", f"{log_error:+.4f}", _error_note(summary))
-    table.add_row("energy made by the rig", _number(summary["energy_generated"], 4, "J"), "> 0: the rig is active")
+    table.add_row("energy made by the rig", _number(summary["energy_generated"], 4, "J"), assess(summary).energy)
+    stability = summary.get("stability")
+    if stability:
+        judged = {True: "stable", False: "unstable", None: "not judged"}[stability["stable"]]
+        table.add_row("the loop in contact", judged, stability["verdict"].removeprefix(f"{judged}: ").removeprefix(f"{judged} "))
     table.add_row("peak force", _number(summary["peak_force"], 4, "N"), "")
     table.add_row(
         "contact time", _number(summary["contact_duration"], 4, "s"), "" if summary["contact_duration"] else "the ports did not touch"
     )
     timing = summary["timing"]
-    pace = "" if timing["real_time_factor"] is None else f"{timing['real_time_factor']:.1f} times real time"
-    table.add_row("wall time", _number(timing["wall"], 3, "s"), f"{timing['ticks']} ticks, {pace}")
+    pace = "" if timing["real_time_factor"] is None else f", {timing['real_time_factor']:.1f} times real time"
+    table.add_row("time in the loop", _number(timing["wall"], 3, "s"), f"{timing['ticks']} ticks{pace}")
+    if elapsed is not None:
+        table.add_row("time in all", _number(elapsed, 3, "s"), "with start, compiling, reference and files")
     return table
 
 

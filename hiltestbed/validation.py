@@ -183,14 +183,11 @@ def _items(annotation: Any) -> Any:
     return None
 
 
-def unit_of(model: Any, key: str) -> str:
-    """The unit of a dotted key, as the description of its field has it in brackets, or nothing."""
-    description = ""
-    for part in key.split("."):
-        found = _pick(model, {})
-        if found is not None and part in found.model_fields:
-            model, description = _annotation(found, part), found.model_fields[part].description or ""
-    return description.partition("[")[2].partition("]")[0]
+def description_of(model: type[BaseModel], data: Any, path: KeyPath) -> str:
+    """What the key at ``path`` of ``data`` means, or nothing; among the members of a union, the one whose `kind` the data names."""
+    owner = _model_at(model, data, path[:-1])
+    field = owner.model_fields.get(str(path[-1])) if owner is not None else None
+    return (field.description or "") if field is not None else ""
 
 
 def _annotation(model: type[BaseModel], key: str) -> Any:

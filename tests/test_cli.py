@@ -58,7 +58,15 @@ def call(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
 def test_run_writes_the_folder_and_prints_a_table(folder: Path, call) -> None:
     status, out, _ = call("run", "s.yaml", "--no-rerun", "--out", "r")
     assert status == 0
-    for words in ("coefficient of restitution", "energy made by the rig", "peak force", "contact time", "times real time", "run folder: r"):
+    for words in (
+        "coefficient of restitution",
+        "energy made by the rig",
+        "neutral",
+        "peak force",
+        "contact time",
+        "times real time",
+        "run folder: r",
+    ):
         assert words in out
     summary = json.loads(Path("r/summary.json").read_text())
     assert f"{summary['cor']:.4g}" in out
@@ -173,9 +181,11 @@ def test_check_knows_the_kind_of_a_file_by_its_keys(folder: Path, call) -> None:
     status, out, _ = call("check", "s.yaml", "c.yaml", "d.yaml")
     lines = out.splitlines()
     assert status == 2  # the data of the dataset are opened, and hold one row
-    assert lines[0::2][:2] == ["s.yaml: scenario: no faults", "c.yaml: campaign: no faults"]
-    assert all(" of memory, " in line for line in lines[1::2][:2])
-    assert "run.csv" in lines[4]
+    assert lines[0] == "s.yaml: scenario: no faults"
+    assert lines[2].startswith("s.yaml: stable: net damping")
+    assert lines[3] == "c.yaml: campaign: no faults"
+    assert all(" of memory, " in lines[k] for k in (1, 4))
+    assert "run.csv" in lines[5]
 
 
 def test_check_follows_a_campaign_and_a_dataset_into_their_scenario(folder: Path, call) -> None:
@@ -249,3 +259,45 @@ def test_interrupted_leaves_no_folder_and_no_traceback(folder: Path) -> None:
     assert process.returncode == 1
     assert b"Traceback" not in err
     assert not Path("r").exists()
+
+
+def test_new_writes_a_scenario_that_runs_and_says_what_each_key_means(folder: Path, call) -> None:
+    status, out, _ = call("new", "my-rig")
+    assert status == 0
+    assert "hiltestbed run my-rig.yaml" in out
+    text = Path("my-rig.yaml").read_text()
+    keys = [line for line in text.splitlines() if not line.lstrip().startswith("#")]
+    assert text.count("# ") >= len(keys)
+    assert load_scenario("my-rig.yaml").name == "my-rig"
+    assert call("check", "my-rig.yaml")[0] == 0
+    assert call("new", "my-rig")[0] == 2, "nothing is overwritten"
+    assert call("new", "../my-rig")[0] == 2
+
+
+def test_an_unknown_name_is_answered_with_those_that_are_shipped(folder: Path, call) -> None:
+    status, _, err = call("run", "02-bumpr")
+    assert status == 2
+    assert "did you mean '02-bumper'?" in err
+    assert "14-rendezvous" in err
+    assert "dispersion" in call("sweep", "delay")[2]
+
+
+def test_compare_puts_runs_side_by_side(folder: Path, call) -> None:
+    for name, delay in (("a", 0.0), ("b", 0.01)):
+        assert call("run", "s.yaml", "--no-rerun", "--out", name, "--set", f"sensor.delay={delay}")[0] == 0
+    status, out, _ = call("compare", "a", "b", "--json", "--out", "both.html")
+    told = json.loads(out)
+    assert status == 0
+    assert told["differences"] == {"sensor.delay": [0.0, 0.01]}
+    assert "data:image/png" in Path("both.html").read_text()
+    assert "sensor.delay" in call("compare", "a", "b")[1]
+    assert call("compare", "a")[0] == 2
+    assert call("compare", "a", "gone")[0] == 2
+
+
+def test_doctor_finds_what_is_needed(folder: Path, call) -> None:
+    status, out, _ = call("doctor", "--json")
+    told = json.loads(out)
+    assert (status, told["healthy"]) == (0, True)
+    assert {"mujoco", "cores", "compiled kernels", "plugins"} <= {finding["what"] for finding in told["findings"]}
+    assert "mujoco" in call("doctor")[1]

@@ -8,7 +8,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from hiltestbed import load_scenario, read_run, replay, run, write_run
+from hiltestbed import load_scenario, read_run, replay_failure, run, write_run
 from hiltestbed import recording as recording_module
 from hiltestbed.errors import InputError
 from hiltestbed.signals import GROUPS
@@ -89,7 +89,7 @@ def test_a_divergence_says_when_and_why_and_can_be_replayed(tmp_path: Path) -> N
     assert failed.summary["status"] == "diverged"
     assert "tick" in failed.summary["stop_reason"]
     folder = write_run(failed, tmp_path / "failed", rerun=False)
-    loop, (tick, _, reason) = replay(folder)
+    loop, (tick, _, reason) = replay_failure(folder)
     assert f"tick {tick}," in failed.summary["stop_reason"]
     assert reason in failed.summary["stop_reason"]
     assert failed.trace is not None

@@ -151,7 +151,7 @@ def bounce(scenarios: list[Scenario], nthread: int = 1, trace: bool = False) -> 
     """Run a batch until every run has rebounded, or its time is over."""
     loop = Loop(scenarios, nthread)
     ticks = max(s.ticks for s in scenarios)
-    rows = Trace(ticks, len(scenarios), RATE) if trace else None
+    rows = Trace(ticks, len(scenarios), RATE, loop.plant.units) if trace else None
     craft = loop.model
     start, velocity = craft.v.copy(), np.full_like(craft.v, np.nan)
     seen = np.zeros(len(scenarios), dtype=bool)

@@ -6,7 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from hiltestbed import plugins
 from hiltestbed.bench.contacts import Contact
+from hiltestbed.compensation.settings import FORCE_METHODS, ForceMethod
 
 BEST = "resynchronised"
 
@@ -55,3 +57,18 @@ CONTENDERS = (
     Contender(BEST, "known", lambda c: {"kind": BEST, "contact": _model(c)}),
     Contender(f"{BEST}_delay_estimated", "first", lambda c: {"kind": BEST, "delay": "estimate"}, estimates_delay=True),
 )  # fmt: skip
+
+
+def contenders() -> tuple[Contender, ...]:
+    """The methods of the field, and those that a plugin brings."""
+    plugins.load()
+    users = [cls for cls in FORCE_METHODS.values() if plugins.is_users(cls)]
+    return (*CONTENDERS, *map(_user, users))
+
+
+def _user(method: type[ForceMethod]) -> Contender:
+    kind = str(plugins.kind_of(method))
+    knows = bool(method.contest(1.0, 0.0, 0.0))
+    return Contender(
+        kind, "known" if knows else "first", lambda c: {"kind": kind, **method.contest(c.stiffness, c.damping, c.believed_delay)}
+    )

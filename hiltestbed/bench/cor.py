@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from hiltestbed.bench.contacts import DELAYS, FREQUENCIES, Bounce, Contact, bounce, effective_contact, grid, random_rigs
-from hiltestbed.bench.contenders import BEST, CONTENDERS, Contender
+from hiltestbed.bench.contenders import BEST, CONTENDERS, Contender, contenders
 from hiltestbed.bench.cor_report import cor_report
 from hiltestbed.bench.result import BenchResult
 from hiltestbed.loop import Loop
@@ -31,23 +31,29 @@ RANDOM_METHODS = ("none", "phase_lead", "reconstruction", BEST)
 def cor(quick: bool = False, progress: Progress | None = None) -> BenchResult:
     """All methods on the whole grid; ``quick``: on its corners."""
     contacts = grid((2.0, 8.0), (0.005, 0.020), damping_ratios=(0.05,)) if quick else grid()
-    jobs = [(t, k, m) for t, k in _conditions(quick) for m in CONTENDERS if _takes_part(m, t, k, quick)]
-    total = len(jobs) + 2 + len(RANDOM_METHODS)
-    step = _counter(progress, total)
+    methods = contenders()
+    jobs = [(t, k, m) for t, k in _conditions(quick) for m in methods if _takes_part(m, t, k, quick)]
+    rigs, points = random_rigs(8 if quick else 64, seed=11), 6 if quick else 12
+    random_methods = [m for m in CONTENDERS if m.name in RANDOM_METHODS and m.contact == "first"]
+    work = (len(jobs) + 1) * len(contacts) + 2 * len(random_methods) * len(rigs) + 3 * points**2 + len(methods) * COST_RUNS
+    step = _counter(progress, work)  # in bounces
     reference = bounce([reference_scenario(c.scenario({"kind": "none"})) for c in contacts], THREADS)
-    step()
+    step(len(contacts))
     records: list[dict[str, Any]] = []
     for tracking, knowledge, contender in jobs:
         same = [_under(c, tracking, knowledge) for c in contacts]
         records += measure(contender, same, reference)
-        step()
-    rigs, random_records = random_rigs(8 if quick else 64, seed=11), []
-    for contender in (m for m in CONTENDERS if m.name in RANDOM_METHODS and m.contact == "first"):
+        step(len(contacts))
+    random_records = []
+    for contender in random_methods:
         random_records += measure_random(contender, rigs)
-        step()
-    boundary = stability_boundary(6 if quick else 12)
-    step()
-    costs = {(m.name, m.contact): cost(m, COST_TICKS // (2 if quick else 1)) for m in CONTENDERS}
+        step(2 * len(rigs))
+    boundary = stability_boundary(points)
+    step(3 * points**2)
+    costs = {}
+    for m in methods:
+        costs[m.name, m.contact] = cost(m, COST_TICKS // (2 if quick else 1))
+        step(COST_RUNS)
     board = leaderboard(records, costs)
     summary = {"leaderboard": board, "random_rigs": statistics_of(random_records), "boundary": boundary, "best": BEST}
     lines = [
@@ -193,12 +199,13 @@ def leaderboard(records: Sequence[dict[str, Any]], costs: dict[tuple[str, str], 
     for name, contact in dict.fromkeys((r["method"], r["contact"]) for r in records):
         mine = [r for r in records if (r["method"], r["contact"]) == (name, contact)]
         exact = [r for r in mine if r["delay_knowledge"] == "exact" and r["tracking"] == "ideal"]
-        row: dict[str, Any] = {"method": name, "contact": contact, "largest_log_error": _largest(exact)}
-        for limit in (0.26, 0.51, 1.01):
-            row[f"to_w_tau_{limit - 0.01:.2f}"] = _largest([r for r in exact if r["w_tau"] <= limit])
-        row["servo"] = _largest([r for r in mine if r["tracking"] == "servo"])
-        row["delay_off"] = _largest([r for r in mine if r["delay_knowledge"] == "off"])
-        row["delay_jitter"] = _largest([r for r in mine if r["delay_knowledge"] == "jitter"])
+        groups = {"largest_log_error": exact}
+        groups |= {f"to_w_tau_{limit:.2f}": [r for r in exact if r["w_tau"] <= limit + 0.01] for limit in (0.25, 0.5, 1.0)}
+        groups["servo"] = [r for r in mine if r["tracking"] == "servo"]
+        groups["delay_off"] = [r for r in mine if r["delay_knowledge"] == "off"]
+        groups["delay_jitter"] = [r for r in mine if r["delay_knowledge"] == "jitter"]
+        row: dict[str, Any] = {"method": name, "contact": contact, "runs": {key: len(group) for key, group in groups.items()}}
+        row |= {key: _largest(group) for key, group in groups.items()}
         row["energy_created"] = max(r["energy_generated"] / r["energy_of_approach"] for r in exact)
         row["peak_force_error"] = max(abs(r["peak_force_error"]) for r in exact)
         row["stable"] = sum(r["stable"] for r in exact) / len(exact)
@@ -216,12 +223,12 @@ def _number(value: float | None) -> str:
     return "no rebound" if value is None else f"{value:.4f}"
 
 
-def _counter(progress: Progress | None, total: int) -> Callable[[], None]:
+def _counter(progress: Progress | None, total: int) -> Callable[[int], None]:
     done = 0
 
-    def step() -> None:
+    def step(work: int) -> None:
         nonlocal done
-        done += 1
+        done += work
         if progress:
             progress(done, total)
 

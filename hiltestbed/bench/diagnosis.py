@@ -1,12 +1,14 @@
 """How often a hidden cause is found: sets of an independent rig with effects, sizes, rigs and seeds drawn at random.
 
-Alone and in pairs, healthy rigs, and effects that the vocabulary has no name for; then each effect ever smaller, until it is missed.
+Alone and in pairs, healthy rigs, and effects that the vocabulary has no name for; the same in dockings, with probe and cone, friction,
+tilt and spin, on a mount, latched; then each effect ever smaller, until it is missed.
 """
 
 from __future__ import annotations
 
 import os
 import tempfile
+import time
 from collections import Counter
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -23,6 +25,10 @@ from hiltestbed.effects.table import EFFECTS
 SEED = 400_000
 FULL = {"single": 82, "pair": 40, "healthy": 120, "foreign": 40}
 QUICK = {"single": 8, "pair": 3, "healthy": 3, "foreign": 3}
+DOCKING_SEED = 500_000
+DOCKING_FULL = {"single": 60, "pair": 20, "healthy": 60, "foreign": 20}
+DOCKING_QUICK = {"single": 3, "pair": 1, "healthy": 2, "foreign": 1}
+DOCKINGS = ("docking", "docking", "mounted", "held")  # in turn
 SMALLER = (0.3, 0.1, 0.03, 0.01)  # of the drawn size, down the ladder of the smallest that is found
 MOST_TOGETHER = 3  # a set of the truth and at most two others counts as right
 
@@ -35,6 +41,21 @@ class Task:
     kind: str
     names: tuple[str, ...] | None = None
     scale: float = 1.0
+    design: str = "bumper"
+
+
+def docking_tasks(counts: dict[str, int]) -> list[Task]:
+    """The docking sets; singles go through the effects that act in their design in turn."""
+    from hiltestbed.bench.independent_rig import acting_in
+
+    out: list[Task] = []
+    for kind, count in counts.items():
+        for i in range(count):
+            design = DOCKINGS[i % len(DOCKINGS)]
+            acting = acting_in(design)  # type: ignore[arg-type]
+            names = (acting[(i * 7) % len(acting)],) if kind == "single" else None
+            out.append(Task(DOCKING_SEED + len(out), kind, names, design=design))
+    return out
 
 
 def tasks(counts: dict[str, int], ladder: bool) -> list[Task]:
@@ -53,7 +74,7 @@ UNSCALED = {"dynamics.integrator", "dynamics.step_delay"}  # there is no smaller
 
 def diagnosis(quick: bool = False, progress: Callable[[int, int], None] | None = None) -> BenchResult:
     """The benchmark; `quick` draws a handful of sets and leaves out the smallest sizes."""
-    todo = tasks(QUICK if quick else FULL, not quick)
+    todo = [*tasks(QUICK if quick else FULL, not quick), *docking_tasks(DOCKING_QUICK if quick else DOCKING_FULL)]
     records: list[dict[str, Any]] = [{}] * len(todo)
     with ProcessPoolExecutor(max(1, len(os.sched_getaffinity(0)))) as pool:
         waiting = {pool.submit(one_set, task): i for i, task in enumerate(todo)}
@@ -79,7 +100,8 @@ def one_set(task: Task) -> dict[str, Any]:
     from hiltestbed.measured import load_dataset
 
     options: dict[str, Any] = {"names": task.names} if task.names else {}
-    hidden = draw_set(np.random.default_rng(task.seed), task.kind, scale=task.scale, **options)  # type: ignore[arg-type]
+    hidden = draw_set(np.random.default_rng(task.seed), task.kind, scale=task.scale, design=task.design, **options)  # type: ignore[arg-type]
+    start = time.process_time()
     with tempfile.TemporaryDirectory() as folder:
         write_set(folder, hidden)
         findings = investigate(load_dataset(Path(folder) / "dataset.yaml"))
@@ -91,11 +113,12 @@ def one_set(task: Task) -> dict[str, Any]:
     right = judged_right(task.kind, truth, list(hidden.links), verdict.verdict, verdict.link, sets)
     held, asked = coverage(hidden.effects, causes)
     return {
-        "seed": task.seed, "kind": task.kind, "scale": task.scale, "hidden": hidden.effects, "strengths": list(hidden.strengths),
+        "seed": task.seed, "kind": task.kind, "design": task.design, "scale": task.scale, "hidden": hidden.effects,
+        "strengths": list(hidden.strengths),
         "verdict": verdict.verdict, "link": verdict.link, "right": right, "intervals_held": held, "intervals": asked,
         "causes": [{"effect": c.effect, "indistinguishable_from": list(c.indistinguishable_from)} for c in causes],
         "alarm": alarm_figures(findings),
-        "gain": gain.reduction if gain else None,
+        "cpu": time.process_time() - start, "gain": gain.reduction if gain else None,
         "gain_true": true_gain(findings, verdict, hidden.effects) if right and task.kind == "single" else None,
     }  # fmt: skip
 
@@ -113,10 +136,12 @@ def alarm_figures(findings: Any) -> dict[str, float]:
 def judged_right(
     kind: str, truth: Sequence[str], links: Sequence[str], verdict: str, link: str | None, sets: Sequence[Sequence[str]]
 ) -> bool:
-    """Whether a verdict is right: healthy left alone, foreign unknown with its link, each hidden effect in a set of its own."""
+    """Whether a verdict is right: healthy left alone, foreign unknown with its link or inconclusive, each hidden effect in its own set."""
     if kind == "healthy":
         return verdict == "no_discrepancy"
     if kind == "foreign":  # contact and sensor are one link to the data
+        if verdict == "inconclusive":
+            return True
         return verdict == "unknown" and (link in links or {link, *links} <= {"contact", "sensor"})
     if verdict not in ("named", "ambiguous") or len(sets) != len(truth) or any(len(s) > MOST_TOGETHER for s in sets):
         return False
@@ -160,7 +185,8 @@ def true_gain(findings: Any, verdict: Any, hidden: Sequence[dict[str, Any]]) -> 
 
 def summarise(records: Sequence[dict[str, Any]]) -> dict[str, Any]:
     """The rates, the confusion of names, the smallest size of each effect that was found."""
-    moderate = [r for r in records if r["scale"] == 1.0]
+    moderate = [r for r in records if r["scale"] == 1.0 and r["design"] == "bumper"]
+    dockings = {kind: [r for r in records if r["design"] != "bumper" and r["kind"] == kind] for kind in DOCKING_FULL}
     by_kind = {kind: [r for r in moderate if r["kind"] == kind] for kind in FULL}
     hidden = by_kind["single"] + by_kind["pair"]
     asked = sum(r["intervals"] for r in hidden)
@@ -176,7 +202,14 @@ def summarise(records: Sequence[dict[str, Any]]) -> dict[str, Any]:
         "interval_coverage": sum(r["intervals_held"] for r in hidden) / asked if asked else None,
         "gain_ratio": float(np.median(ratios)) if ratios else None,
         "sets": {kind: len(part) for kind, part in by_kind.items()},
-        "confusion": confusion(by_kind["single"]),
+        "docking_named_rate": _rate(dockings["single"]),
+        "docking_pair_rate": _rate(dockings["pair"]),
+        "docking_false_alarm_rate": 1.0 - _rate(dockings["healthy"]) if dockings["healthy"] else 0.0,
+        "docking_foreign_unknown_rate": _rate(dockings["foreign"]),
+        "docking_sets": {kind: len(part) for kind, part in dockings.items()},
+        "cpu_median": float(np.median([r["cpu"] for r in records])) if records else None,
+        "cpu_longest": max((r["cpu"] for r in records), default=None),
+        "confusion": confusion(by_kind["single"] + dockings["single"]),
         "smallest_found": smallest(records),
     }
 
@@ -198,7 +231,7 @@ def smallest(records: Sequence[dict[str, Any]]) -> dict[str, dict[str, Any]]:
     """Effect to its smallest size that was found, with how far that stood above the noise."""
     out: dict[str, dict[str, Any]] = {}
     for r in records:
-        if r["kind"] != "single" or not r["right"]:
+        if r["kind"] != "single" or not r["right"] or r["design"] != "bumper":
             continue
         name, strength = r["hidden"][0]["kind"], r["strengths"][0]
         if name not in out or strength < out[name]["strength"]:

@@ -15,8 +15,14 @@ RATES = {
     "false_alarm_rate": "healthy rigs that were extended",
     "foreign_unknown_rate": "effects outside the vocabulary, unknown with the right link",
     "abstention_rate": "hidden effects on which it abstained",
+    "docking_named_rate": "one hidden effect in a docking, named",
+    "docking_pair_rate": "two hidden effects in a docking, both named",
+    "docking_false_alarm_rate": "healthy dockings that were extended",
+    "docking_foreign_unknown_rate": "effects outside the vocabulary in a docking, unknown or inconclusive",
     "interval_coverage": "true parameters in their 95 % intervals",
     "gain_ratio": "gain on left-out runs over the true model's gain (median)",
+    "cpu_median": "CPU time of a set [s], median",
+    "cpu_longest": "CPU time of a set [s], longest",
 }
 
 
@@ -28,15 +34,26 @@ def diagnosis_report(records: Sequence[dict[str, Any]], summary: dict[str, Any])
         f"of {summary['sets']['healthy']} healthy ones {100 * summary['false_alarm_rate']:.0f} % raised an alarm."
     )
     rows = [[text, "-" if summary[name] is None else f"{summary[name]:.3f}"] for name, text in RATES.items()]
-    report.table(["figure", "value"], rows, f"Sets: {', '.join(f'{n} {kind}' for kind, n in summary['sets'].items())}.")
+    report.table(["figure", "value"], rows, _counted(summary))
     report.figure(_strengths(records), "Single effects: how far each stood above the noise of its link, and whether it was named.")
     called = [[hidden, name, count] for hidden, names in summary["confusion"].items() for name, count in names.items()]
     report.table(["hidden", "called", "sets"], called, "What each hidden effect was called.")
     small = [[name, f"{found['strength']:.2g}", _sizes(found)] for name, found in summary["smallest_found"].items()]
     report.table(["effect", "rms over noise", "parameters"], small, "The smallest size of each effect that was named.")
-    wrong = [[r["seed"], r["kind"], _names(r["hidden"]), r["verdict"], _names(r["causes"], "effect")] for r in records if not r["right"]]
+    wrong = [
+        [r["seed"], f"{r['kind']}, {r['design']}", _names(r["hidden"]), r["verdict"], _names(r["causes"], "effect")]
+        for r in records
+        if not r["right"]
+    ]
     report.table(["seed", "kind", "hidden", "verdict", "called"], wrong, "Every set that was judged wrongly, or too small to be found.")
     return report
+
+
+def _counted(summary: dict[str, Any]) -> str:
+    def words(counts: dict[str, int]) -> str:
+        return ", ".join(f"{n} {kind}" for kind, n in counts.items())
+
+    return f"Sets of a bumper: {words(summary['sets'])}; of dockings: {words(summary['docking_sets'])}."
 
 
 def _sizes(found: dict[str, Any]) -> str:

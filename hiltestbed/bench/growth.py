@@ -28,7 +28,7 @@ def measured(cases: int, ticks: int) -> dict[str, Any]:
     """One point: chunks of a campaign whose scenario is the reference bumper, ended after `ticks`."""
     from hiltestbed.campaign.chunk import run_chunk
     from hiltestbed.campaign.schema import load_campaign
-    from hiltestbed.shipped import shipped
+    from hiltestbed.gallery import shipped
 
     file = shipped("scenarios") / "campaigns" / "delay-stiffness.yaml"
     campaign = load_campaign(file, {"set.duration": ticks / 2000.0, "set.identification": {"kind": "none"}})

@@ -38,16 +38,20 @@ def identification(quick: bool = False, progress: Progress | None = None) -> Ben
     seeds = 4 if quick else 16
     noises = (0.002,) if quick else NOISES
     at = [(m, n) for m in METHODS for n in noises]
+    small = grid((1.0, 8.0), (0.002, 0.020), damping_ratios=(0.02, 0.2))
+    contacts = [small if quick or noise != 0.002 else grid() for _, noise in at]
+    intervals_of = 100 if quick else 400
+    work = sum(len(c) * seeds for c in contacts) + intervals_of  # bounces
     records: list[dict[str, Any]] = []
-    for done, (method, noise) in enumerate(at):
+    done = 0
+    for (method, noise), grid_of in zip(at, contacts, strict=True):
         if progress:
-            progress(done, len(at) + 1)
-        small = quick or noise != 0.002
-        contacts = grid((1.0, 8.0), (0.002, 0.020), damping_ratios=(0.02, 0.2)) if small else grid()
-        records += measure(method, contacts, noise, seeds)
-    intervals = interval_coverage(100 if quick else 400)
+            progress(done, work)
+        records += measure(method, grid_of, noise, seeds)
+        done += len(grid_of) * seeds
+    intervals = interval_coverage(intervals_of)
     if progress:
-        progress(len(at) + 1, len(at) + 1)
+        progress(work, work)
     board = leaderboard(records)
     summary = {"leaderboard": board, "intervals": intervals, "best": board[0]["method"]}
     lines = [(row["method"], f"k within {_percent(row['stiffness_error'])}, c within {_percent(row['damping_error'])}") for row in board]

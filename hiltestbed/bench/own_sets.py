@@ -11,9 +11,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from hiltestbed.gallery import shipped
 from hiltestbed.recording import write_trace
 from hiltestbed.scenario import Scenario, dump_scenario, load_scenario, resolved, scenario_from
-from hiltestbed.shipped import shipped
 from hiltestbed.simulation import simulate
 from hiltestbed.yaml_source import dump_yaml
 

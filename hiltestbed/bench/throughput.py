@@ -16,10 +16,10 @@ from typing import Any
 from hiltestbed.bench.growth import growth, report_growth
 from hiltestbed.bench.result import BenchResult
 from hiltestbed.errors import HiltestbedError
+from hiltestbed.gallery import shipped
 from hiltestbed.loop import Loop
 from hiltestbed.report import Report, new_figure
 from hiltestbed.scenario import Scenario, load_scenario
-from hiltestbed.shipped import shipped
 from hiltestbed.signals import Trace
 from hiltestbed.simulation import run
 from hiltestbed.state import arrays_of
@@ -68,7 +68,7 @@ def throughput(quick: bool = False, progress: Progress | None = None) -> BenchRe
 def side_by_side(scenario: Scenario, n: int, threads: int, stretches: int) -> dict[str, Any]:
     """The loop and the bare steps of an equal plant, in turns over one scenario; medians over the stretches."""
     loop, bare = Loop([scenario] * n, threads), Loop([scenario] * n, threads)
-    trace = Trace(scenario.ticks, n, scenario.rate)
+    trace = Trace(scenario.ticks, n, scenario.rate, loop.plant.units)
     m = scenario.substeps
     loop.step(trace)
     bare.plant.bare_steps(m)
@@ -123,7 +123,7 @@ def docking_ratio(stretches: int) -> float:
 def per_block(scenario: Scenario, n: int) -> dict[str, float]:
     """Microseconds a tick in each block of the loop."""
     loop = Loop([scenario] * n)
-    trace = Trace(scenario.ticks, n, scenario.rate)
+    trace = Trace(scenario.ticks, n, scenario.rate, loop.plant.units)
     for _ in range(int(0.4 * scenario.rate)):
         loop.step(trace)
     plant, drive, repeats = loop.plant, loop.drive, 200

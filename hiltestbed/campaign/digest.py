@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hiltestbed.frames import Array
-from hiltestbed.signals import GROUPS, RunTrace
+from hiltestbed.signals import GROUPS, RunTrace, groups
 
 if TYPE_CHECKING:
     from hiltestbed.loop import Loop
@@ -39,7 +39,7 @@ class TraceDigest:
         self._hashes = [hashlib.sha256() for _ in range(n)]
         self._done = 0
         self.length = np.zeros(n, dtype=int)  # set by the simulation when it ends
-        self.data = {group.name: _Rows((n, len(group.parts))) for group in GROUPS.values()}
+        self.data = {group.name: _Rows((n, len(group.parts))) for group in groups(loop.plant.units).values()}
         self._contact = np.zeros((BLOCK, n))
 
     @property

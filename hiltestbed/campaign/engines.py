@@ -15,6 +15,7 @@ from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wai
 from concurrent.futures.process import BrokenProcessPool
 from itertools import islice
 
+from hiltestbed import plugins
 from hiltestbed.campaign.chunk import ChunkResult, run_chunk
 from hiltestbed.campaign.schema import LoadedCampaign
 from hiltestbed.errors import HiltestbedError, InputError, MissingExtra
@@ -103,6 +104,7 @@ def _begin_worker(parent: int) -> None:
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
+    plugins.load()  # a campaign holds objects of their classes
 
 
 def dask(address: str) -> Engine:

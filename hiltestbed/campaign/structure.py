@@ -18,7 +18,8 @@ def skeleton(scenario: Scenario) -> str:
     """The scenario without its numbers: kinds, methods, what is there and what is not, the rates and the number of ticks."""
     data = {key: value if key in _KEPT else _bare(value) for key, value in resolved(scenario).items() if key not in _FREE}
     contact = scenario.mechanism.contact
-    return json.dumps([scenario.ticks, contact.friction > 0, data], sort_keys=True)
+    platform = str(scenario.rig.platform.alike(scenario))  # numbers that its model depends on
+    return json.dumps([scenario.ticks, contact.friction > 0, platform, data], sort_keys=True)
 
 
 def _bare(value: Any) -> Any:

@@ -29,6 +29,7 @@ class ForceMethod(Strictly):
 
     kind: str
     reads: ClassVar[frozenset[Input]] = None  # type: ignore[assignment]
+    adds_force: ClassVar[bool] = False  # a force of its own, beside what it makes of the measured one
     corrects_platform: ClassVar[bool] = False
 
     @classmethod
@@ -44,6 +45,14 @@ class ForceMethod(Strictly):
     def memory(self) -> float:
         """The time constant [s] with which it forgets a force that has ended."""
         return 0.0
+
+    @classmethod
+    def contest(cls, stiffness: float, damping: float, delay: float) -> Mapping[str, Any]:
+        """Settings for a contact of the benchmark, with the true stiffness [N/m] and damping [N s/m] and the believed delay [s].
+
+        A method that needs no knowledge of the contact leaves it at its defaults.
+        """
+        return {}
 
 
 class MotionMethod(Strictly):

@@ -14,7 +14,7 @@ from hiltestbed.contact import solref
 from hiltestbed.contact.composition import ACTIVE, IMPEDANCE, Structure
 from hiltestbed.contact.engagement import Engagement
 from hiltestbed.contact.mount import Mount
-from hiltestbed.contact.wrench import load_body
+from hiltestbed.contact.wrench import load_body, to_frame
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array, rotate, rotate_back
 
@@ -84,14 +84,22 @@ class Contacts:
         """Hold the weight of what is on the mount, wherever the sides are."""
         load_body(1.0, self.mount.balance, self.mount.body, self.mount.centre, self._applied)
 
-    def meet(self, pose: Array, twist: Array) -> None:
-        """Make MuJoCo exert what belongs to the state: pose (n, 7) and twist (n, 6) of A in W, and that of the mount's joints."""
+    def meet(self, pose: Array, twist: Array, place: Array | None = None, motion: Array | None = None) -> None:
+        """Make MuJoCo exert what belongs to the state: pose (n, 7) and twist (n, 6) of A in W, and that of the mount's joints.
+
+        place, motion: (n, 7), (n, 6) those of P, where the passive side moves; else it stands in W.
+        """
         mount = self.mount
-        mount.observe(self._qpos, self._qvel)
+        if place is None or motion is None:
+            mount.observe(self._qpos, self._qvel)
+        else:
+            mount.ride(place, motion)
         if self._engagement is not None:
             self._engagement.update(pose, twist, mount.place, mount.motion)
         elif self._force is not None:
             self._pull[:] = self._force.next()
+            if place is not None:
+                _into_world(place, self._pull)
         if self._pulls:
             _centres(pose, self._arm, self._centre)
             load_body(-1.0, self._pull, self._active, self._centre, self._applied)
@@ -103,6 +111,15 @@ class Contacts:
         """Set ``touching`` where MuJoCo does it all by itself."""
         if self._engagement is None and self._force is None:
             np.greater(self._ncon, 0, out=self.touching)
+
+
+@njit(cache=True)
+def _into_world(place, wrench):
+    """Wrenches (n, 6) in P at P's origin become wrenches in W at W's origin, P at ``place`` (n, 7)."""
+    local = np.empty(6)
+    for i in range(wrench.shape[0]):
+        local[:] = wrench[i]
+        to_frame(place[i], local, wrench[i])
 
 
 @njit(cache=True)

@@ -37,7 +37,7 @@ class Mount:
     Attributes:
         place: (n, 7) pose of S in W; motion: (n, 6) its twist in W. On a rigid mount ``tilt``, and no motion.
         body: number of the body that carries the passive side; centre: (n, 3) its centre of mass in W [m], as MuJoCo has it.
-        balance: (n, 6) constant force upwards on the whole, in W at W's origin; 0 on a rigid mount.
+        balance: (n, 6) constant force against gravity on the whole, in W at W's origin; 0 on a rigid mount.
     """
 
     def __init__(self, batch: Batch, scenarios: Sequence[Scenario], tilt: Array) -> None:
@@ -53,7 +53,7 @@ class Mount:
         if not self.moves:
             return
         self._middle, mass = centre_of(model, self.body)
-        self.balance[:, 2] = -model.opt.gravity[2] * mass
+        self.balance[:, :3] = -np.array(model.opt.gravity) * mass
         joints = [model.joint(f"mount_{axis}") for axis in AXES]
         self._adr = np.array([joints[0].qposadr[0], joints[0].dofadr[0]])
         stiffness, damping = batch.expand("jnt_stiffness"), batch.expand("dof_damping")
@@ -69,6 +69,10 @@ class Mount:
         else:
             self.place[:] = self.tilt
 
+    def ride(self, place: Array, motion: Array) -> None:
+        """Take over where the passive side is: P at ``place`` (n, 7), moving with ``motion`` (n, 6), on a rigid mount."""
+        _ride(place, motion, self.tilt, self._offset, self.place, self.motion, self.centre)
+
 
 @njit(cache=True)
 def _observe(qpos, qvel, adr, tilt, offset, middle, place, motion, centre, balance):
@@ -77,7 +81,20 @@ def _observe(qpos, qvel, adr, tilt, offset, middle, place, motion, centre, balan
         mount_place(qpos[i, adr[0] : adr[0] + 6], qvel[i, adr[1] : adr[1] + 6], tilt[i], place[i], motion[i])
         _centre(qpos[i, adr[0] : adr[0] + 6], offset, centre[i])
         _centre(qpos[i, adr[0] : adr[0] + 6], middle, at)
-        balance[i, 3], balance[i, 4] = at[1] * balance[i, 2], -at[0] * balance[i, 2]
+        for j in range(3):
+            k, l = (j + 1) % 3, (j + 2) % 3
+            balance[i, 3 + j] = at[k] * balance[i, l] - at[l] * balance[i, k]
+
+
+@njit(cache=True)
+def _ride(carrier, speed, tilt, offset, place, motion, centre):
+    for i in range(place.shape[0]):
+        place[i, 0:3] = carrier[i, 0:3]  # a tilt turns about P's origin
+        quat_mul(carrier[i, 3:7], tilt[i, 3:7], place[i, 3:7])
+        motion[i] = speed[i]
+        rotate(carrier[i, 3:7], offset, centre[i])
+        for j in range(3):
+            centre[i, j] += carrier[i, j]
 
 
 @njit(cache=True)

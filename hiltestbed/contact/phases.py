@@ -6,8 +6,10 @@ it asks and the phase before it has begun: its latch closes, its actuators get t
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
+import mujoco
 import numpy as np
 from mujoco.batch import Batch
 from numba import njit
@@ -17,6 +19,7 @@ from hiltestbed.contact.composition import ACTIVE, Structure
 from hiltestbed.contact.description import Phase, matching
 from hiltestbed.contact.engagement import Engagement
 from hiltestbed.contact.latches import site_state
+from hiltestbed.contact.sides import Sides
 from hiltestbed.contact.wrench import relate_one
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array
@@ -48,16 +51,8 @@ class Phases:
         self._tick, model = tick, batch.model
         sides = structure.sides
         self._conditions = [_condition(phase, sides.sites, model) for phase in self._phases]
-        actuators = [model.actuator(i).name for i in range(model.nu)]
-        self._commands = [
-            [(_index(ACTIVE + name, actuators, phase, "actuator"), value) for name, value in phase.command.items()]
-            for phase in self._phases
-        ]
-        pairs = [pair.active for pair in (*sides.facets, *sides.native)]
-        self._dropped = [
-            np.array([k for k, name in enumerate(pairs) if any(matching(p, [name]) for p in phase.drop_contacts)], dtype=np.int64)
-            for phase in self._phases
-        ]
+        self._commands = [actuators_of(phase, model) for phase in self._phases]
+        self._dropped = [dropped_by(sides, phase.drop_contacts) for phase in self._phases]
         self._ctrl, self._qpos = batch.bind("ctrl"), batch.bind("qpos")
         self.begun, self.since = np.zeros(n, dtype=np.int64), np.full((n, len(self._phases)), -1, dtype=np.int64)
         self._held, self._due = np.zeros(n), np.zeros(n, dtype=bool)
@@ -76,8 +71,8 @@ class Phases:
                 continue
             c = self._conditions[k]
             _look(
-                k, self.begun, c.frames, c.places, c.needed, c.limits, c.joints, c.ranges, c.lasting, self._tick, self._qpos, frames, motions,
-                self._held, self._due,
+                k, self.begun, c.frames, c.places, c.needed, c.limits, c.joints, c.ranges, c.lasting, self._tick, self._qpos, frames,
+                motions, self._held, self._due,
             )  # fmt: skip
             if self._due.any():
                 self._begin(k, engagement)
@@ -95,23 +90,39 @@ class Phases:
         self._held[due] = 0.0
 
 
-def _condition(phase: Phase, sites: dict[tuple[str, str], tuple[int, Array]], model) -> _Condition:
+def _condition(phase: Phase, sites: dict[tuple[str, str], tuple[int, Array]], model: mujoco.MjModel) -> _Condition:
     when = phase.when
     pairs = [(sites["A", a], sites["P", p]) for a, p in when.pairs]
-    names = [model.joint(i).name for i in range(model.njnt)]
-    joints = [_index(ACTIVE + name, names, phase, "joint") for name in when.joints]
     return _Condition(
         np.array([[a[0], p[0]] for a, p in pairs], dtype=np.int64), np.array([[a[1], p[1]] for a, p in pairs]),
         when.count or len(pairs), np.array([when.within, np.cos(np.radians(when.angle_deg)), when.speed]),
-        np.array([model.jnt_qposadr[j] for j in joints], dtype=np.int64), np.array(list(when.joints.values())).reshape(-1, 2), when.lasting,
+        joints_of(phase, model), np.array(list(when.joints.values())).reshape(-1, 2), when.lasting,
     )  # fmt: skip
 
 
+def joints_of(phase: Phase, model: mujoco.MjModel) -> NDArray[np.int64]:
+    """Where the joints of a phase's condition stand in qpos. Raises InputError."""
+    names = [model.joint(i).name for i in range(model.njnt)]
+    return np.array([model.jnt_qposadr[_index(name, names, phase, "joint")] for name in phase.when.joints], dtype=np.int64)
+
+
+def actuators_of(phase: Phase, model: mujoco.MjModel) -> list[tuple[int, float]]:
+    """Numbers of the actuators that a phase commands, and what they are told. Raises InputError."""
+    names = [model.actuator(i).name for i in range(model.nu)]
+    return [(_index(name, names, phase, "actuator"), value) for name, value in phase.command.items()]
+
+
+def dropped_by(sides: Sides, patterns: Sequence[str]) -> NDArray[np.int64]:
+    """Numbers of the pairs whose active geom is called by one of the ``patterns``."""
+    pairs = (*sides.facets, *sides.native)
+    return np.array([k for k, pair in enumerate(pairs) if any(matching(p, [pair.active]) for p in patterns)], dtype=np.int64)
+
+
 def _index(name: str, names: list[str], phase: Phase, what: str) -> int:
-    if name not in names:
+    if ACTIVE + name not in names:
         have = ", ".join(n.removeprefix(ACTIVE) for n in names if n.startswith(ACTIVE)) or "none"
-        raise InputError(f"phase {phase.name!r}: the active side has no {what} {name.removeprefix(ACTIVE)!r}; its {what}s are {have}")
-    return names.index(name)
+        raise InputError(f"phase {phase.name!r}: the active side has no {what} {name!r}; its {what}s are {have}")
+    return names.index(ACTIVE + name)
 
 
 @njit(cache=True)

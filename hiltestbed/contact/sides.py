@@ -11,7 +11,6 @@ A rule of the mechanism names geoms of both sides; without rules a geom touches 
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -27,6 +26,7 @@ from hiltestbed.contact.surfaces import Finding, Surface, of_geom, of_mesh
 from hiltestbed.contact.surfaces.shapes import KINDS
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array, quat_from_mujoco
+from hiltestbed.models import stamp
 
 if TYPE_CHECKING:
     from hiltestbed.contact.settings import Mechanism
@@ -104,14 +104,14 @@ class Sides:
 
 def sides_of(mechanism: Mechanism) -> Sides:
     """What the MJCF of a mechanism says of its contacts. Raises InputError."""
-    stamps = tuple((str(f), f.stat().st_mtime_ns if f.is_file() else 0) for f in mechanism.files())
+    stamps = tuple((str(f), stamp(f)) for f in mechanism.files())
     sites = {site for phase in mechanism.phases() for site in phase.sites()}
     return _sides(stamps, mechanism.rules(), tuple(sorted(sites)), mechanism.captured)
 
 
 @lru_cache(maxsize=32)
 def _sides(
-    stamps: tuple[tuple[str, int], ...], rules: tuple[Rule, ...], sites: tuple[tuple[str, str], ...], captured: bool
+    stamps: tuple[tuple[str, tuple[int, ...]], ...], rules: tuple[Rule, ...], sites: tuple[tuple[str, str], ...], captured: bool
 ) -> Sides:  # fmt: skip
     active, passive = (_Side(file, site) for (file, _), site in zip(stamps, ("A", "P"), strict=True))
     pairs = [] if captured else [(a, p, k) for k, rule in enumerate(rules) for a, p in _meeting(active, passive, rule)]
@@ -267,6 +267,8 @@ def _meeting(active: _Side, passive: _Side, rule: Rule) -> list[tuple[int, int]]
             chosen.append(side.touching())
         else:
             names = side.names()
+            if not matching(pattern, names):
+                raise InputError(f"{side.file}: no geom is called {pattern!r}; its geoms are {', '.join(names[:20])}")
             chosen.append([names.index(name) for name in matching(pattern, names)])
     pairs = [(a, p) for a in chosen[0] for p in chosen[1]]
     if rule.reach is None:
@@ -279,11 +281,8 @@ def _apart(a: Array, p: Array) -> float:
 
 
 def _nothing_touches(active: _Side, passive: _Side, rules: Sequence[Rule]) -> str:
-    for rule in rules:
-        for side, pattern in ((active, rule.active), (passive, rule.passive)):
-            if pattern is not None and not matching(pattern, side.names()):
-                have = ", ".join(side.names()[:20])
-                return f"{side.file}: no geom is called {pattern!r}; its geoms are {have}"
+    if any(rule.active for rule in rules):
+        return f"{active.file}, {passive.file}: no pair of geoms is within the reach of its rule; give the rules a longer reach"
     return (
         f"{active.file}, {passive.file}: no geom of one can meet one of the other; a geom touches where contype and conaffinity are not 0: "
         'give at least one geom of each side contype="1" conaffinity="1"'
@@ -312,16 +311,6 @@ def named(file: Path) -> mujoco.MjSpec:
             if not thing.name:
                 thing.name = f"{what}_{i}"
     return spec
-
-
-def digest(file: Path) -> str:
-    """SHA-256 of an MJCF file with what it includes, and of its meshes. Raises InputError."""
-    spec = named(file)
-    whole = hashlib.sha256(spec.to_xml().encode())
-    folder = Path(spec.modelfiledir or file.parent) / (spec.compiler.meshdir or "")
-    for mesh in sorted({m.file for m in spec.meshes if m.file}):
-        whole.update((folder / mesh).read_bytes())
-    return whole.hexdigest()
 
 
 def _first_line(error: Exception) -> str:

@@ -102,7 +102,10 @@ class Link(ABC):
         where: the device as the user named it, for messages.
         counts: (10,) number of each :class:`Event` since :meth:`open`.
         period: time between two records or cycles [s]; NaN until it is known.
+        step: by which the number of a record grows from one to the next.
     """
+
+    step = 1
 
     def __init__(self, where: str) -> None:
         self.where = where

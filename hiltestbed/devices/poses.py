@@ -7,15 +7,21 @@ operating and programming instructions, "coordinate systems"). Universal Robots:
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from hiltestbed.devices.interface import Array
-from hiltestbed.frames import quat_conj_mul, quat_exp, quat_from_attitude_deg, quat_mul, rotate, rotate_back, rotation_vector
+from hiltestbed.frames import (
+    attitude_deg_from_quat,
+    pose_between,
+    pose_compose,
+    quat_exp,
+    quat_from_attitude_deg,
+    quat_mul,
+    quat_mul_conj,
+    rotation_vector,
+)
 
 MILLIMETRE = 1e-3  # [m]
-POLE = 1.0 - 1e-12  # |sin B| from which on A and C turn about the same axis
 
 
 def pose_from_kuka(frame: Array) -> Array:
@@ -26,15 +32,8 @@ def pose_from_kuka(frame: Array) -> Array:
 
 def kuka_from_pose(pose: Array) -> Array:
     """X Y Z A B C (6,) [mm, deg] of a pose (7,); at B = +-90 deg C is 0 and A takes the whole turn."""
-    x, y, z, w = map(float, pose[3:7])
-    sine = max(-1.0, min(1.0, 2.0 * (w * y - z * x)))
-    if abs(sine) < POLE:
-        a = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
-        c = math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
-    else:
-        a, c = -2.0 * math.copysign(1.0, sine) * math.atan2(x, w), 0.0
     position = [float(value) / MILLIMETRE for value in pose[:3]]
-    return np.array([*position, math.degrees(a), math.degrees(math.asin(sine)), math.degrees(c)])
+    return np.array([*position, *attitude_deg_from_quat(pose[3:7])[::-1]])
 
 
 def pose_from_rotation_vector(frame: Array) -> Array:
@@ -57,7 +56,7 @@ def offset_in_base(start: Array, pose: Array) -> Array:
     """The offset (7,) from ``start`` to ``pose``: shift in base axes, turn about base axes through the moved point."""
     offset = np.empty(7)
     offset[:3] = pose[:3] - start[:3]
-    quat_mul(pose[3:7], _conjugate(start), offset[3:7])
+    quat_mul_conj(pose[3:7], start[3:7], offset[3:7])
     return offset
 
 
@@ -72,20 +71,12 @@ def add_in_base(start: Array, offset: Array) -> Array:
 def offset_in_tool(start: Array, pose: Array) -> Array:
     """The offset (7,) from ``start`` to ``pose``, shift and turn in the axes of ``start``."""
     offset = np.empty(7)
-    offset[:3] = pose[:3] - start[:3]
-    rotate_back(start[3:7], offset[:3], offset[:3])
-    quat_conj_mul(start[3:7], pose[3:7], offset[3:7])
+    pose_between(start, pose, offset)
     return offset
 
 
 def add_in_tool(start: Array, offset: Array) -> Array:
     """The pose (7,) that lies at ``offset`` (7,) from ``start``; undoes :func:`offset_in_tool`."""
     pose = np.empty(7)
-    rotate(start[3:7], offset[:3], pose[:3])
-    pose[:3] += start[:3]
-    quat_mul(start[3:7], offset[3:7], pose[3:7])
+    pose_compose(start, offset, pose)
     return pose
-
-
-def _conjugate(pose: Array) -> Array:
-    return np.array([-pose[3], -pose[4], -pose[5], pose[6]])

@@ -85,6 +85,7 @@ class RsiClient(PlatformClient):
         super().__init__(settings.where)
         self.settings = settings
         self.period = settings.period_ms * MILLISECOND
+        self.step = settings.period_ms
         self.clock = Clock.DEVICE
         self.start: Array = self.state.pose.copy()
         self.delay = -1

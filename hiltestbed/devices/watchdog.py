@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import math
 import os
+import select
 import subprocess
 import sys
 import time
@@ -40,8 +41,10 @@ class Watchdog:
         timeout: [s] without a heartbeat after which it trips.
     """
 
-    def __init__(self, url: str, platform: PlatformClient, timeout: float, action: Action = "hold", lasting: float = LASTING) -> None:
-        """Start the process for the open ``platform`` at ``url``. Raises InputError, DeviceError."""
+    def __init__(
+        self, url: str, platform: PlatformClient, timeout: float, action: Action = "hold", lasting: float = LASTING, *, wait: bool = True
+    ) -> None:
+        """Start the process for the open ``platform`` at ``url``, and ``wait`` until it watches. Raises InputError, DeviceError."""
         if not 0.005 <= timeout <= 10.0 or action not in ACTIONS or lasting <= 0.0:
             raise InputError(
                 f"watchdog: cannot be set so (got timeout {timeout:g} s, action {action!r}, lasting {lasting:g} s); allowed are "
@@ -59,10 +62,22 @@ class Watchdog:
         self._process = subprocess.Popen(
             command, stdout=subprocess.PIPE, stdin=subprocess.DEVNULL, text=True, pass_fds=(fileno,) if fileno >= 0 else ()
         )
-        line = self._process.stdout.readline() if self._process.stdout else ""
-        if line.strip() != READY:
+        self._ready = False
+        if wait and not self._heard():
             self.close()
             raise DeviceError(f"{platform.where}: the watchdog did not start")
+
+    @property
+    def ready(self) -> bool:
+        """Whether its process watches."""
+        if not self._ready and self._process.stdout and select.select([self._process.stdout], [], [], 0.0)[0]:
+            self._heard()
+        return self._ready
+
+    def _heard(self) -> bool:
+        line = self._process.stdout.readline() if self._process.stdout else ""
+        self._ready = line.strip() == READY
+        return self._ready
 
     def beat(self) -> None:
         """Send a heartbeat; call once a cycle, after the command. The first one arms the watchdog."""

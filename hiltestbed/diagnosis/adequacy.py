@@ -14,6 +14,7 @@ import numpy as np
 from hiltestbed.diagnosis.fit import predicted
 from hiltestbed.diagnosis.links import WrenchLink
 from hiltestbed.diagnosis.links.base import Effects
+from hiltestbed.diagnosis.noise import softened
 from hiltestbed.diagnosis.residual import Residual
 from hiltestbed.diagnosis.settings import BLOCK, FLOOR_ERROR, MODEL_ERROR, SPREAD
 from hiltestbed.effects.base import Effect
@@ -90,7 +91,7 @@ def contact_leftovers(residual: Residual, effects: Effects) -> dict[str, Leftove
             if varies:
                 prediction, spread = link.shaken(i, effects, varies)
                 sigma = np.hypot(sigma, spread)
-        z = (run.measured - prediction) / sigma
+        z = softened((run.measured - prediction) / sigma, run.heavy)
         for c in range(len(link.channels)):
             counted = weight[:, c] > 0
             inside[c].append(z[run.touching & counted, c])

@@ -24,6 +24,7 @@ SETTLED = 1e-4  # change of chi-square below which a fit has settled
 SCANNED = 21  # places within a tenth of a parameter in which chi-square has jumps
 FINEST = 1e-3  # of such a parameter: the last step of the search for the lowest jump
 DAMPINGS = 4  # of the descent, tried together
+PATIENCE = 4  # steps of a descent, after which it is given up where steps like the last two would not bring it to the best that is known
 
 Run = Callable[[Sequence[Array] | Array], Array]  # thetas to residuals (H, M)
 
@@ -95,8 +96,13 @@ def bounds_of(causes: Sequence[Candidate]) -> tuple[Array, Array, np.ndarray]:
     return np.concatenate([c.low for c in causes]), np.concatenate([c.high for c in causes]), np.concatenate([c.log for c in causes])
 
 
-def fit(residual: Residual, causes: Sequence[Candidate], starts: Sequence[Sequence[float] | Array], tries: int = 2) -> Fit:
-    """The best of several descents from the best of `starts` (each for all causes, one after the other)."""
+def fit(
+    residual: Residual, causes: Sequence[Candidate], starts: Sequence[Sequence[float] | Array], tries: int = 2, known: float = np.inf
+) -> Fit:
+    """The best of several descents from the best of `starts` (each for all causes, one after the other).
+
+    known: chi-square that another hypothesis reaches already; a descent that will not come near it is not finished.
+    """
     causes = tuple(causes)
     low, high, log = bounds_of(causes)
 
@@ -109,8 +115,11 @@ def fit(residual: Residual, causes: Sequence[Candidate], starts: Sequence[Sequen
     if len(low) == 0:
         chi2, i = rated[0]
         return Fit(causes, thetas[i], chi2, found[i], np.zeros((found.shape[1], 0)))
-    best = min((_descend(run, causes, thetas[i], found[i], chi2, low, high, log) for chi2, i in rated[:tries]), key=lambda f: f.chi2)
-    return _polish(run, best, low, high)
+    descents: list[Fit] = []
+    for chi2, i in rated[:tries]:
+        reached = min([known, *(f.chi2 for f in descents)])
+        descents.append(_descend(run, causes, thetas[i], found[i], chi2, low, high, log, reached))
+    return _polish(run, min(descents, key=lambda f: f.chi2), low, high)
 
 
 def refit(residual: Residual, found: Fit) -> Fit:
@@ -140,9 +149,9 @@ def differences(run: Run, theta: Array, r: Array, scale: Array, low: Array, high
 
 
 def _descend(run: Run, causes: tuple[Candidate, ...], theta: Array, r: Array, chi2: float, low: Array, high: Array,
-             log: np.ndarray) -> Fit:  # fmt: skip
-    damping, jacobian = 1e-3, np.zeros((len(r), len(theta)))
-    for _ in range(ITERATIONS):
+             log: np.ndarray, known: float) -> Fit:  # fmt: skip
+    damping, jacobian, before = 1e-3, np.zeros((len(r), len(theta))), np.inf
+    for step in range(ITERATIONS):
         scale = scales(theta, low, high, log)
         jacobian = differences(run, theta, r, scale, low, high)
         gradient, normal = np.einsum("mi,m->i", jacobian, r), np.einsum("mi,mj->ij", jacobian, jacobian)
@@ -152,6 +161,9 @@ def _descend(run: Run, causes: tuple[Candidate, ...], theta: Array, r: Array, ch
         gain, theta, r, chi2, damping = chi2 - better[2], *better
         if gain < SETTLED * max(1.0, chi2 / len(r)) or gain < 1e-7 * chi2:
             break
+        if step >= PATIENCE and chi2 - max(gain, before) * (ITERATIONS - step) > known:
+            break
+        before = gain
     return Fit(causes, theta, chi2, r, jacobian)
 
 

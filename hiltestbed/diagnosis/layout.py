@@ -10,6 +10,7 @@ import numpy as np
 
 from hiltestbed.diagnosis.links import CompensationLink, DynamicsLink, Link, LinkRun, PlatformLink, WrenchLink, flat_pose
 from hiltestbed.diagnosis.links.base import padded
+from hiltestbed.diagnosis.noise import ForceNoise, force_noise
 from hiltestbed.diagnosis.settings import (
     ARM_UNKNOWN,
     COMPENSATION_FLOOR,
@@ -40,6 +41,7 @@ class Layout:
 
     Attributes:
         runs: as measured. rows: of each run that the search looks at. scales: what the data hold. noise: channel to its floor.
+        force: what free flight says of the noise of the force beside its floor.
         deflection: of each run how the believed rig departs from its command; None where it cannot be replayed.
         missing: link to why it cannot be replayed.
     """
@@ -48,6 +50,7 @@ class Layout:
     rows: tuple[int, ...]
     scales: Scales
     noise: Mapping[str, float]
+    force: ForceNoise
     deflection: tuple[Deflection, ...] | None
     missing: Mapping[str, str]
 
@@ -65,7 +68,8 @@ class Layout:
 def lay_out(dataset: MeasuredDataset) -> Layout:
     """Rows, noise floors and scales of a dataset, and what of it can be replayed."""
     runs = dataset.runs
-    noise = _floors(runs)
+    force = force_noise(runs)
+    noise = _floors(runs) | {c: float(v) for c, v in zip(GROUPS["wrench_meas"].columns, force.level, strict=True) if v > 0.0}
     missing: dict[str, str] = {}
     given = None
     if not _all(runs, "pose_cmd", "pose_act"):
@@ -78,7 +82,7 @@ def lay_out(dataset: MeasuredDataset) -> Layout:
         else:
             missing["platform"] = f"the believed rig cannot follow the command on record in run {lost}"
     missing |= _lacking(runs)
-    return Layout(runs, tuple(_rows(r) for r in runs), _scales(runs, noise), noise, given, missing)
+    return Layout(runs, tuple(_rows(r) for r in runs), _scales(runs, noise), noise, force, given, missing)
 
 
 def _lacking(runs: Sequence[MeasuredRun]) -> dict[str, str]:
@@ -153,7 +157,7 @@ def wrench_link(
     least = layout.scales.force * np.array([NO_FORCE_NOISE] * 3 + [ARM_UNKNOWN] * 3)
     runs = []
     for i, (run, n) in enumerate(zip(layout.runs, rows, strict=True)):
-        link_run = _measured_run(run, "wrench_meas", layout.noise, n, least)
+        link_run = _force_run(run, layout, i, n, least)
         runs.append(link_run if extra is None else replace(link_run, sigma=np.hypot(link_run.sigma, extra[i][:n])))
     return WrenchLink(runs, *(None if a is None else _cut(a, rows) for a in (paths, jumps, rates)))
 
@@ -182,13 +186,17 @@ def touching(run: MeasuredRun, rows: int) -> np.ndarray:
     return out[:rows]
 
 
-def _measured_run(run: MeasuredRun, group: str, noise: Mapping[str, float], rows: int, least: Array) -> LinkRun:
-    level = np.maximum([noise.get(name, 0.0) for name in GROUPS[group].columns], least)
-    sigma = np.where(run.record.valid[group][:rows], level, np.inf)
+def _force_run(run: MeasuredRun, layout: Layout, i: int, rows: int, least: Array) -> LinkRun:
+    """A measured force less the offset that it has in this run alone, with the noise of its colour and of its size."""
+    level = np.maximum([layout.noise.get(name, 0.0) for name in GROUPS["wrench_meas"].columns], least) * layout.force.colour
+    reading = np.nan_to_num(run.record.data["wrench_meas"][:rows]) - layout.force.offset[i]
+    level = np.hypot(level, layout.force.share * reading)
+    sigma = np.where(run.record.valid["wrench_meas"][:rows], level, np.inf)
     path = next((g for g in ("pose_act", "pose_cmd") if run.record.has(g)), None)
     if path is not None:
         sigma[run.record.unknown(path, MEMORY + run.scenario.sensor.delay)[:rows]] = np.inf
-    return LinkRun(run.scenario, np.nan_to_num(run.record.data[group][:rows]), sigma, touching(run, rows))
+    measured = np.where(run.record.valid["wrench_meas"][:rows], reading, 0.0)
+    return LinkRun(run.scenario, measured, sigma, touching(run, rows), layout.force.heavy)
 
 
 def _pose_run(run: MeasuredRun, noise: Mapping[str, float], doubt: Array, rows: int) -> LinkRun:

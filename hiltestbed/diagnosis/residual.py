@@ -8,6 +8,7 @@ import numpy as np
 
 from hiltestbed.diagnosis.links import Link
 from hiltestbed.diagnosis.links.base import Effects
+from hiltestbed.diagnosis.noise import softened
 from hiltestbed.diagnosis.settings import FAR
 from hiltestbed.frames import Array
 
@@ -50,7 +51,7 @@ class Residual:
         for _ in hypotheses:
             rows = []
             for i in self.runs:
-                r = (self.link.runs[i].measured - shown[at]) * self.weight[i]
+                r = softened((self.link.runs[i].measured - shown[at]) * self.weight[i], self.link.runs[i].heavy)
                 rows.append(r if np.isfinite(r).all() else np.clip(np.nan_to_num(r, nan=FAR), -FAR, FAR))
                 at += 1
             out.append(rows)

@@ -16,6 +16,7 @@ from hiltestbed.diagnosis.residual import Residual, square
 from hiltestbed.diagnosis.settings import (
     AMBIGUITY,
     BEAM,
+    CLOSE_BY,
     DETECTION,
     MOST_CAUSES,
     PARTNERS,
@@ -23,6 +24,7 @@ from hiltestbed.diagnosis.settings import (
     SELECTION_INADEQUATE,
     SIMILAR,
     SINGLES,
+    VARIANT,
     WORTH_A_FIT,
 )
 from hiltestbed.effects.search import Candidate
@@ -137,12 +139,14 @@ class Search:
         count: dict[str, int] = {}
         for _, c, starts in rated:
             count[c.kind] = count.get(c.kind, 0) + 1
-            if count[c.kind] > SIMILAR or len(fits) >= most:
+            if count[c.kind] > SIMILAR or len(fits) >= most or _beaten(c, base, fits):
                 continue
             if self.progress:
                 self.progress(" + ".join([*base.kinds, c.kind]))
             together = [np.concatenate([base.theta, s]) for s in starts]
-            fits.append(fit(residual, (*base.causes, c), together, tries=2 if base.causes else 3))
+            best = min(fits, key=lambda f: f.chi2, default=base)
+            near = best.chi2 + CLOSE_BY * inflation(best)
+            fits.append(fit(residual, (*base.causes, c), together, tries=2 if base.causes else 3, known=near))
         fits += [f for make in special if (f := make(residual, base)) is not None]
         return sorted(fits, key=_order)
 
@@ -166,6 +170,13 @@ class Search:
             if best > WORTH_A_FIT * inflation(base) * 0.5:
                 out.append((best, c, [grid[i] for i in order]))
         return out
+
+
+def _beaten(c: Candidate, base: Fit, fits: Sequence[Fit]) -> bool:
+    """Whether another variant of a hypothesis takes so little off chi-square, beside the best, that this one need not be tried."""
+    best = max((base.chi2 - f.chi2 for f in fits), default=0.0)
+    twins = [f for f in fits if f.causes[-1].kind == c.kind and f.causes[-1].fixed == c.fixed]
+    return any(base.chi2 - f.chi2 < VARIANT * best for f in twins)
 
 
 def _scored(residual: Residual, base: Fit, basis: Array, tried: Sequence[Effects]) -> Array:

@@ -24,6 +24,8 @@ BEAM = 5  # first causes that a second one is sought for
 PARTNERS = 6  # second causes that are fitted beside each
 SIMILAR = 3  # hypotheses of one effect (axes, variants) that are fitted
 SINGLES = 40  # first causes that are fitted
+VARIANT = 0.3  # of what the best takes off chi-square: where one reading of an effect takes less, the others are not fitted
+CLOSE_BY = 60.0  # of chi-square: hypotheses this near to the best are fitted to the end, others as long as they may come so near
 FAR = 1e6  # sigma: a prediction that left the finite numbers
 
 # Noise
@@ -36,6 +38,14 @@ DYNAMICS_FLOOR = 2e-6  # [m, rad] what integrators of one step size differ by, p
 COMPENSATION_FLOOR = 0.05  # of the force noise: what two realisations of one filter may differ by
 CORRELATED = 50  # rows of a computed channel that count as one: its errors are smooth
 TAIL = 0.15  # [s] after the last contact that a search looks at: where leaks and rings show
+
+# Noise of the force, from free flight
+ENOUGH_FREE = 150  # rows of all runs: six channels of as many know a correlation to 0.03
+SIGNIFICANT = 4.0  # derived: standard deviations of chance; one of 15,000 white records is taken for more
+HEAVY = 3  # samples beyond four standard deviations, more than normal ones have
+KNEE = 3.0  # [sigma] from which a sample of noise with outliers counts by its logarithm
+STANDS_OUT = 6.0  # times the power beside it: a spectral line and not a colour
+SHARE_SHOWS = 0.3  # of the noise's variance, that a share of the reading has to add at its largest readings
 
 # Adequacy: is what is left noise?
 BLOCK = 8  # samples whose mean is judged, too: a smooth misfit far below the noise shows there

@@ -71,9 +71,9 @@ def deflection(run: MeasuredRun, noise: float) -> Deflection | None:
 
 def _memory(scenario: Scenario) -> float:
     """[s] of a deflection that count as one: its noise is that of the force, through the drives."""
-    return 1.0 / scenario.rig.platform.bandwidth
+    return 1.0 / scenario.rig.platform.nearest_bandwidth(scenario)
 
 
 def _settling(scenario: Scenario) -> float:
     """[s] until where the drives start from is forgotten."""
-    return CONSTANTS / (2.0 * math.pi * scenario.rig.platform.bandwidth)
+    return CONSTANTS / (2.0 * math.pi * scenario.rig.platform.nearest_bandwidth(scenario))

@@ -1,4 +1,4 @@
-"""Servo tracking: the whole rig in MuJoCo, its platform driven towards the commanded pose."""
+"""Servo tracking: the whole rig in MuJoCo, its platform driven towards the commanded pose, or its bodies left to themselves."""
 
 from __future__ import annotations
 
@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from hiltestbed.contact.composition import Structure
 from hiltestbed.contact.contacts import Contacts
 from hiltestbed.frames import Array
-from hiltestbed.platform import model
-from hiltestbed.platform.pss33.servo import Servo
+from hiltestbed.platform.model import sensor_columns
 from hiltestbed.platform.response import PlatformResponse
 from hiltestbed.sensor.readout import read_history, read_wrench
 
@@ -54,37 +53,33 @@ class ServoTracking:
             mujoco.set_mju_user_warning(_said)
         self.substeps = m = first.substeps
         dt = first.tick / m
-        self.model = model.rig_model(structure, dt, kept=m)
+        self.servo = servo = first.rig.platform.driven(scenarios, structure, dt)
+        self.model = servo.model
         self.batch = Batch(self.model, n, nthread, persistent=True)
         self.contacts = Contacts(self.batch, scenarios, structure, dt, least_creep(dt), placed=False, force=force)
         self.path = PlatformResponse(scenarios)
         self._ticks = np.zeros(1, dtype=np.int64)
         self._goal = np.zeros((n, 7))
-        feed = np.array([s.compensation.motion.feeds for s in scenarios])
-        self.servo = Servo(self.model, scenarios, feed)
+        servo.start(self.batch, scenarios, dt)
+        self._stepwise = self.contacts.written or not servo.keeps_history
+        self._watched = self.contacts.written or servo.moves_passive  # between two steps, too
         bind = self.batch.bind
         self._qpos, self._qvel, self._ctrl, self._time = bind("qpos"), bind("qvel"), bind("ctrl"), bind("time")
         self._warmstart, self._history = bind("qacc_warmstart"), bind("history")
-        self.servo.add_friction(scenarios, bind("qfrc_applied"))
-        self._reading = bind("sensordata")[:, model.sensor_columns(self.model)]
+        self._sensordata = bind("sensordata")
+        columns = sensor_columns(self.model)
+        self._reading = self._sensordata[:, columns]
         self._tare, self._all = np.zeros((n, 6)), np.arange(n)
         self.pose_act, self.twist_act = np.zeros((n, 7)), np.zeros((n, 6))
         self.wrench_sub = np.zeros((n, m, 6))
         self.contact_now = self.contacts.touching
-        self.slider_act = np.zeros((n, 6))
-        self.slider_cmd = self.servo.target
+        self.slider_cmd = servo.target
+        self.slider_act = np.zeros_like(servo.target)
         self.diverged = np.zeros(n, dtype=bool)
         self.causes = [""] * n
         self._late = np.zeros(n, dtype=bool) if late is None else late
         self._going: NDArray[np.intp] | None = None  # the runs that are stepped; None: all
-        self._weigh()
-
-    def _weigh(self) -> None:
-        """Tare: the reading of the sensor at rest, the active side a metre away."""
-        self._qpos[:, self.model.joint("platform").qposadr[0] + 2] -= 1.0
-        self.contacts.balance()
-        self.batch.forward()
-        self._tare[:] = self._reading
+        self._tare[:] = servo.tare(self.contacts, self._reading, columns)
 
     def reset(self, pose: Array, twist: Array) -> None:
         """Start at ``pose`` (n, 7), moving with ``twist`` (n, 6); forces start from zero."""
@@ -95,12 +90,13 @@ class ServoTracking:
         self.servo.settle(pose, twist, self._qpos, self._qvel)
         self._ticks[0] = 0
         self.contacts.reset()
+        self._say()
         if self.contacts.written:
             self._look_ahead()
             self._meet()
         self.batch.forward()
         self.wrench_sub[:] = 0.0
-        read_wrench(self._reading, self._tare, self._all, self.wrench_sub, self.substeps - 1)
+        self._read(self._all, self.substeps - 1)
         self._observe()
 
     def begin(self, pose_cmd: Array, twist_cmd: Array, accel_cmd: Array) -> None:
@@ -112,12 +108,12 @@ class ServoTracking:
         self.servo.aim(self._goal, twist_cmd, accel_cmd)
         self._step(0)
         if self._latecomers.size:
-            read_wrench(self._reading, self._tare, self._latecomers, self.wrench_sub, self.substeps - 1)
+            self._read(self._latecomers, self.substeps - 1)
 
     def finish(self) -> None:
         """The rest of the tick."""
-        if self.contacts.written:
-            self._run_touching()
+        if self._stepwise:
+            self._run_stepwise()
         else:
             self._run()
         self.servo.arrive()
@@ -130,7 +126,7 @@ class ServoTracking:
 
     def _step(self, sub: int) -> None:
         self.servo.push(sub, self._qpos, self._qvel, self._ctrl)
-        if self.contacts.written or sub < self.substeps - 1:
+        if self._stepwise or sub < self.substeps - 1:
             self.batch.step(self._going, stage=self.contacts.stage)
             return
         for ids, stage in self._groups:
@@ -141,34 +137,52 @@ class ServoTracking:
             self._step(s)
         read_history(self._history, self._tare, self.wrench_sub)
         if self._prompt.size:
-            read_wrench(self._reading, self._tare, self._prompt, self.wrench_sub, self.substeps - 1)
+            self._read(self._prompt, self.substeps - 1)
 
-    def _run_touching(self) -> None:
+    def _run_stepwise(self) -> None:
         """A step's reading is that of its start; the last instant takes a forward pass of its own."""
         self._meet()
         for s in range(1, self.substeps):
             self._step(s)
-            read_wrench(self._reading, self._tare, self._all, self.wrench_sub, s - 1)
+            self._read(self._all, s - 1)
             self._meet()
         if self._prompt.size:
             self.batch.forward(self._groups[0][0])
-            read_wrench(self._reading, self._tare, self._prompt, self.wrench_sub, self.substeps - 1)
+            self._read(self._prompt, self.substeps - 1)
+
+    def _read(self, runs: NDArray[np.intp], sub: int) -> None:
+        """The wrench of the last evaluation of the physics."""
+        if self.servo.load is not None:
+            self.servo.load.read(self._sensordata, self.servo.mover.place_P, runs, self.wrench_sub, sub)
+        else:
+            read_wrench(self._reading, self._tare, runs, self.wrench_sub, sub)
 
     def _meet(self) -> None:
         """Let the sides touch as they stand."""
-        self.servo.observe(self._qpos, self._qvel, SPEED_LIMIT, self.pose_act, self.twist_act, self.slider_act, self.diverged)
-        self.contacts.meet(self.pose_act, self.twist_act)
+        servo = self.servo
+        if not self._watched:
+            return
+        self._say()
+        if not self.contacts.written:
+            return
+        if servo.moves_passive:
+            mover = servo.mover
+            self.contacts.meet(mover.place_A, mover.motion_A, mover.place_P, mover.motion_P)
+        else:
+            self.contacts.meet(self.pose_act, self.twist_act)
 
     def _look_ahead(self) -> None:
         """Have MuJoCo know what the contacts ask of it."""
         if self.contacts.stage != NONE:
             self.batch.forward(self._going, stage=self.contacts.stage)
 
+    def _say(self) -> bool:
+        """Pose, twist and joints as they stand; whether a run has just diverged."""
+        return self.servo.observe(self._qpos, self._qvel, SPEED_LIMIT, self.pose_act, self.twist_act, self.slider_act, self.diverged)
+
     def _observe(self) -> None:
-        lost = self.servo.observe(self._qpos, self._qvel, SPEED_LIMIT, self.pose_act, self.twist_act, self.slider_act, self.diverged)
+        lost = bool(self.diverged.any()) if self._watched else self._say()
         self.contacts.look()
-        if self.contacts.written:
-            lost = bool(self.diverged.any())  # between two substeps, too
         if lost:
             self._leave_out()
         if self._going is not None:
@@ -201,6 +215,9 @@ def _cause(m: mujoco.MjModel, qpos: Array, qvel: Array) -> str:
     if np.all(speed < SPEED_LIMIT):
         return "a position of the rig is not a number"
     dof = int(np.argmax(speed))
-    joint = m.joint(int(m.dof_jntid[dof])).name
-    unit = "rad/s" if joint.startswith("universal") or (joint == "platform" and dof - m.joint(joint).dofadr[0] > 2) else "m/s"
-    return f"{joint} moves at {qvel[dof]:.3g} {unit} (limit {SPEED_LIMIT:g})"
+    joint = m.joint(int(m.dof_jntid[dof]))
+    kind = int(joint.type[0])
+    turns = kind in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_BALL) or (
+        kind == mujoco.mjtJoint.mjJNT_FREE and dof - joint.dofadr[0] > 2
+    )
+    return f"{joint.name} moves at {qvel[dof]:.3g} {'rad/s' if turns else 'm/s'} (limit {SPEED_LIMIT:g})"

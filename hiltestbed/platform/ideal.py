@@ -19,7 +19,6 @@ from hiltestbed.contact.composition import Structure
 from hiltestbed.contact.contacts import Contacts
 from hiltestbed.frames import Array, pose_step, rotate_back, twist_between
 from hiltestbed.platform import model
-from hiltestbed.platform.pss33.kinematics import Platform, inverse
 from hiltestbed.platform.response import PlatformResponse
 from hiltestbed.sensor.readout import read_wrench
 
@@ -88,7 +87,7 @@ class IdealTracking:
         )  # fmt: skip
         self.path = PlatformResponse(scenarios)
         self._ticks = np.zeros(1, dtype=np.int64)
-        self.platform = Platform.load()
+        self.follower = first.rig.platform.follower(scenarios, structure, first.tick / first.substeps)
         bind = self.batch.bind
         self._qpos, self._qvel, self._warmstart = bind("qpos"), bind("qvel"), bind("qacc_warmstart")
         self._reading = bind("sensordata")[:, model.sensor_columns(self.model)]
@@ -102,7 +101,8 @@ class IdealTracking:
         self.pose_act, self.twist_act = np.zeros((n, 7)), np.zeros((n, 6))
         self.wrench_sub = np.zeros((n, self.substeps, 6))
         self.contact_now = self.contacts.touching
-        self.slider_act, self.slider_cmd = np.zeros((n, 6)), np.zeros((n, 6))
+        joints = len(self.follower.units)
+        self.slider_act, self.slider_cmd = np.zeros((n, joints)), np.zeros((n, joints))
         self.diverged = np.zeros(n, dtype=bool)  # the platform cannot: a command that is lost is the loop's to end
         self.causes = [""] * n
 
@@ -183,5 +183,5 @@ class IdealTracking:
 
     def _conclude(self) -> None:
         self.contacts.look()
-        inverse(self.platform.limbs, self.pose_act, self.slider_act)
+        self.follower.follow(self.pose_act, self.twist_act, self.slider_act)
         self.slider_cmd[:] = self.slider_act

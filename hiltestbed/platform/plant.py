@@ -37,7 +37,7 @@ def alike(scenario: Scenario) -> Hashable:
     """What must be equal in the scenarios of one :class:`Plant`; all other numbers may differ run by run."""
     platform, upper = scenario.rig.platform, scenario.rig.upper
     above = (upper.kind, upper.tracking if upper.kind != "fixed" else None)
-    return (scenario.rate, scenario.physics_rate, structure(scenario), platform.kind, platform.tracking, above)
+    return (scenario.rate, scenario.physics_rate, structure(scenario), platform.alike(scenario), platform.tracking, above)
 
 
 class AppliedForce(Protocol):
@@ -57,8 +57,10 @@ class Plant:
         wrench_sub: (n, m, 6) contact wrench, what the active side exerts on the passive one, in P at P's origin, tared [N, N m],
             at t_(k-1) + (s + 1) dt, s = 0 .. m - 1; the last, at t_k, may stand only after :meth:`begin` where a run is `late`.
         contact: (n,) bool, whether the mechanisms touch. captured: (n,) bool, whether they are latched to each other.
-        slider_cmd, slider_act: (n, 6) the platform's sliders [m], 0 at home. upper_cmd, upper_act: (n, 3) those of the upper one.
+        slider_cmd, slider_act: (n, J) the platform's driven joints [units], 0 at home; none where nothing is driven. upper_cmd,
+            upper_act: (n, 3) those of the upper one. units: (J,) "m" or "rad".
         phases: of capture, of a mechanism that has them. pose_W: (n, 7) pose of A in W, which is P without an upper platform.
+        physical: bodies that move by themselves: commands are not heard, and the pose reached is the one that there is.
         diverged: (n,) bool, whether a run has left the finite numbers; it is frozen from then on.
     """
 
@@ -84,10 +86,13 @@ class Plant:
         if force is not None:
             made_of = replace(made_of, constant=True, latched=False, touches=False)
         lower: IdealTracking | ServoTracking
+        self.physical = scenarios[0].rig.platform.physical
         if scenarios[0].rig.platform.tracking == "ideal":
             lower = IdealTracking(scenarios, nthread, made_of, force)
         else:
-            lower = ServoTracking(scenarios, nthread, made_of, late, force)
+            lower = ServoTracking(scenarios, nthread, made_of, None if self.physical else late, force)
+        self.units = lower.follower.units if isinstance(lower, IdealTracking) else lower.servo.units
+        self._rig = None if isinstance(lower, IdealTracking) else lower.servo
         self._tracking = NineAxes(scenarios, lower, nthread) if above else lower
         self.pose_W: Array = lower.pose_act
         self._latch: LatchCondition | None = None
@@ -116,6 +121,15 @@ class Plant:
     def contacts(self) -> Engagement:
         """Where what touches; of a spring and a damper without friction there is no more to know than the force."""
         return self._tracking.contacts.engagement
+
+    def joint_limit_passed(self) -> bool:
+        """Whether a joint of a run has passed a limit that the facility states for it, or a command is out of its reach."""
+        return self._rig is not None and self._rig.passed()
+
+    def joint_limit(self, i: int) -> str | None:
+        """Which such limit run ``i`` has passed, in words."""
+        watch = self._rig.watch if self._rig is not None else None
+        return watch.reason(i) if watch is not None else None
 
     def payload_left(self, i: int) -> dict[str, float] | None:
         """What of the passive side's weight and inertia has been left in the reading of run ``i``; None where it has not moved."""

@@ -86,8 +86,9 @@ def _replay(commands, run, start, velocity, h, late, parts, count, steps, speed,
                 )
                 continue
             before = _commanded(command, start[i, axis], velocity[i, axis], -late[i], h)
-            memory[:] = before
-            lagged[:, 0] = shaken[:, 0] = before
+            rest = _commanded(command, start[i, axis], velocity[i, axis], -max(late[i], 0.0), h)  # a response taken early starts no earlier
+            memory[:] = rest
+            lagged[:, 0] = shaken[:, 0] = rest
             lagged[:, 1] = shaken[:, 1] = velocity[i, axis]
             out[i, 0, axis] = start[i, axis]
             for k in range(out.shape[1] - 1):

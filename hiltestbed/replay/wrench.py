@@ -10,12 +10,12 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from hiltestbed.contact.geometry import Geometry, arm
+from hiltestbed.contact.geometry import VALUES, Geometry, arm, meet
 from hiltestbed.contact.latch import closes
 from hiltestbed.contact.law import STATES
 from hiltestbed.contact.mount import mount_place
 from hiltestbed.contact.mount_dynamics import BODY, SCRATCH, MountDynamics, mount_reading, mount_step
-from hiltestbed.contact.parameters import BRANCH_STIFFNESS, DRAG, LEVER, MODE, OFFSET, PARAMETERS, TILT_X, TILT_Y
+from hiltestbed.contact.parameters import BLUNT, BRANCH_STIFFNESS, DRAG, LEVER, MODE, OFFSET, PARAMETERS, TILT_X, TILT_Y
 from hiltestbed.contact.wrench import contact_wrench, held_at, meet_all, relate_one, surface_wrench, tilts
 from hiltestbed.frames import Array, quat_exp, quat_mul, twist_between
 from hiltestbed.log import LogParameters
@@ -211,7 +211,10 @@ def _contact(
     lean = abs(last_row[TILT_X]) + abs(last_row[TILT_Y])
     reach, longest = max(0.0, -last_row[OFFSET] if count == 0 else -p[0, OFFSET]), arm(values, count)
     remembers = last_row[BRANCH_STIFFNESS] > 0.0 or last_row[DRAG] > 0.0 or last_row[MODE] > 0.0 or latch[1] < 1.5
-    plain = lean == 0.0 and not mounted and latch[1] > 1.5 and last_row[LEVER] == lever and reach <= NEAR
+    plain = lean == 0.0 and not mounted and last_row[LEVER] == lever and reach <= NEAR
+    sharp = not mounted and last_row[MODE] == 0.0
+    for c in range(count):
+        sharp &= p[c, BLUNT] == 1.0
     for k in range(poses.shape[0]):
         last = before if k == 0 else poses[k - 1]
         if not latched and not mounted and last_row[MODE] == 0.0:
@@ -241,10 +244,12 @@ def _contact(
             dt = h * (parts[s] - passed)
             passed = parts[s]
             if parts[s] == 1.0 and plain and not latched:
+                frames[0], motions[0] = poses[k], ends[k]
                 surface_wrench(
                     index, dt, least_creep, p, frames, state, depths[r, k], rates[r, k], points[r, k], normals[r, k], slips[r, k], work[7],
                     sub[k, s],
                 )  # fmt: skip
+                wrench[:] = sub[k, s]
                 continue
             if parts[s] < 1.0:
                 _within(last, twist, ends[k - 1] if bent and k > 0 else ends[k], ends[k], h, parts[s], turn, frames[0], motions[0])
@@ -253,15 +258,41 @@ def _contact(
             if mounted and k > 0:  # at t = 0 the mount is at rest, and has borne nothing yet
                 mount_step(stiffness[r], damping[r], body, dt, wrench, q, qd, joints)
                 mount_place(q, qd, tilt, frames[1], motions[1])
-            contact_wrench(
-                index, values, dt, least_creep, p, frames, motions, latched, hold, state, depth, closing, point, normal, slip, work, wrench
-            )  # fmt: skip
+            if sharp and parts[s] == 1.0 and not latched:
+                _meet_near(index, values, p, frames, motions, depths[r, k], lean, work, depth, closing, point, normal, slip)
+                wrench[:] = 0.0
+                surface_wrench(index, dt, least_creep, p, frames, state, depth, closing, point, normal, slip, work[7], wrench)
+            else:
+                contact_wrench(
+                    index, values, dt, least_creep, p, frames, motions, latched, hold, state, depth, closing, point, normal, slip, work,
+                    wrench,
+                )  # fmt: skip
             if mounted:
                 mount_reading(stiffness[r], damping[r], q, qd, sub[k, s])
             else:
                 sub[k, s] = wrench
         if not latched and latch[1] < 1.5:
             latched = _caught(frames, motions, latch, last_row, wrench, hold, local_pose, local_twist, work)
+
+
+@njit(cache=True)
+def _meet_near(index, values, p, frames, motions, untilted, lean, work, depth, rate, point, normal, slip):
+    """Where those candidates meet whose penetrations ``untilted`` (C,), of a port that is not tilted, allow it by ``lean`` [rad].
+
+    A point turns about P's origin by its distance times the angle, and a penetration changes by no more than that.
+    """
+    pose, twist, scratch = work[5], work[6][:6], work[:5, :3]
+    away = math.sqrt(frames[0, 0] ** 2 + frames[0, 1] ** 2 + frames[0, 2] ** 2)
+    related = False
+    for c in range(depth.shape[0]):
+        longest = arm(values[c * VALUES : (c + 1) * VALUES], 1)
+        depth[c], rate[c] = -1.0, 0.0
+        if untilted[c] + lean * (away + longest) < min(p[c, OFFSET], 0.0):
+            continue
+        if not related:
+            relate_one(frames[0], motions[0], frames[1], motions[1], pose, twist, scratch)
+            related = True
+        depth[c], rate[c] = meet(index, values, c, pose, twist, p[c, LEVER], p[c, BLUNT], scratch, point[c], normal[c], slip[c])
 
 
 @njit(cache=True)

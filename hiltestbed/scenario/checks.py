@@ -11,9 +11,6 @@ from hiltestbed.validation import Problem
 if TYPE_CHECKING:
     from hiltestbed.scenario.scenario import Scenario
 
-WORKSPACE_TRANSLATION = 0.25  # [m] the platform's reach from home, any axis; home is at the nominal first touch
-WORKSPACE_ROTATION_DEG = 10.0
-UPPER_SPEED = 0.3  # [m/s] up to which the upper platform is clamped before the touch
 TICK_LIMIT = 20_000_000  # a trace of this many rows fills 16 GB
 
 
@@ -21,8 +18,9 @@ def problems(scenario: Scenario) -> Iterator[Problem]:
     """Every fault that shows only where several keys are read together."""
     yield from _rate_problems(scenario)
     yield from _delay_problems(scenario)
-    yield from _start_problems(scenario)
+    yield from _platform_problems(scenario)
     yield from _effect_problems(scenario)
+    yield from _mechanism_problems(scenario)
 
 
 def _rate_problems(scenario: Scenario) -> Iterator[Problem]:
@@ -54,49 +52,23 @@ def _delay_problems(scenario: Scenario) -> Iterator[Problem]:
         )
 
 
-def _start_problems(scenario: Scenario) -> Iterator[Problem]:
-    """The platform reaches WORKSPACE_TRANSLATION and WORKSPACE_ROTATION_DEG around the nominal first touch, and no further."""
-    approach, reach, turn = scenario.approach, WORKSPACE_TRANSLATION, WORKSPACE_ROTATION_DEG
-    if scenario.rig.upper.kind == "prs3":
-        yield from _nine_axis_problems(scenario)
-        return
-    lowest = -reach if scenario.mechanism.captured else 0.0
-    limits = [(("approach", "gap"), approach.gap, lowest, reach, "m")]
-    limits += [(("approach", "offset", axis), value, -reach, reach, "m") for axis, value in enumerate(approach.offset)]
-    limits += [(("approach", "attitude_deg", axis), value, -turn, turn, "deg") for axis, value in enumerate(approach.attitude_deg)]
-    for path, value, low, high, unit in limits:
-        if not low <= value <= high:
-            yield path, f"starts outside the workspace (got {value:g} {unit}); allowed is {low:g} to {high:g} {unit}"
-
-
-def _nine_axis_problems(scenario: Scenario) -> Iterator[Problem]:
-    """With the upper platform the gap may be as long as its heave; the lower platform's part of the start must be in its workspace."""
-    import numpy as np
-
-    from hiltestbed.frames import quat_from_attitude_deg, rotation_vectors
-    from hiltestbed.platform.prs3.allocation import LONGEST, lower_pose
-
-    approach = scenario.approach
-    lowest = -WORKSPACE_TRANSLATION if scenario.mechanism.captured else 0.0
-    if not lowest <= approach.gap <= LONGEST:
-        yield ("approach", "gap"), f"starts outside the workspace (got {approach.gap:g} m); allowed is {lowest:g} to {LONGEST:g} m"
-        return
-    if not abs(approach.velocity[2]) <= UPPER_SPEED:
+def _platform_problems(scenario: Scenario) -> Iterator[Problem]:
+    """A start that the platform cannot take, a rate that its controller does not divide, what does not go together with it."""
+    platform, upper = scenario.rig.platform, scenario.rig.upper
+    if upper.kind != "fixed" and not platform.carries_upper:
         yield (
-            ("approach", "velocity", 2),
-            f"is faster than the upper platform comes to rest before the touch (got {approach.velocity[2]:g} m/s); "
-            f"allowed is -{UPPER_SPEED:g} to {UPPER_SPEED:g} m/s",
+            ("rig", "upper", "kind"),
+            f"belongs to the 3-3 PSS platform (got {upper.kind!r} beside platform kind {platform.kind!r}); allowed is fixed",
         )
-    pose = np.array([[*approach.offset, -approach.gap, *quat_from_attitude_deg(approach.attitude_deg)]])
-    lower = lower_pose(pose)
-    place, turn = np.abs(lower[0, :3]), np.degrees(np.abs(rotation_vectors(lower[:, 3:])[0]))
-    if not (place.max() <= WORKSPACE_TRANSLATION and turn.max() <= WORKSPACE_ROTATION_DEG):
-        where = ", ".join(f"{value:.3g}" for value in lower[0, :3])
-        yield (
-            ("approach",),
-            f"starts outside the workspace (the lower platform would stand at {where} m, turned by up to {turn.max():.3g} deg); allowed "
-            f"are {WORKSPACE_TRANSLATION:g} m and {WORKSPACE_ROTATION_DEG:g} deg on each axis: take a smaller offset or attitude_deg",
-        )
+        return
+    yield from platform.problems(scenario)
+
+
+def _mechanism_problems(scenario: Scenario) -> Iterator[Problem]:
+    from hiltestbed.contact.findings import faults
+
+    for message in faults(scenario):
+        yield ("mechanism",), message
 
 
 def _effect_problems(scenario: Scenario) -> Iterator[Problem]:

@@ -16,7 +16,9 @@ from pydantic import Field, model_validator
 from hiltestbed import plugins
 from hiltestbed.compensation.section import Compensation
 from hiltestbed.contact.settings import AnyMechanism
+from hiltestbed.devices.section import Devices
 from hiltestbed.effects.table import AnyEffect
+from hiltestbed.gallery import find_scenario
 from hiltestbed.identification.settings import IDENTIFIERS, AnyIdentifier
 from hiltestbed.platform.settings import Rig
 from hiltestbed.scenario.checks import problems
@@ -52,6 +54,7 @@ class Scenario(Strictly):
         description="How stiffness and damping are estimated while the contact lasts",
     )
     safety: Safety = Field(default=Safety(), description="Limits past which the run stops; null: not watched")
+    devices: Devices = Field(default=Devices(), description="Real devices in the place of the simulated rig, for live, emulate, commission")
     effects: Annotated[tuple[AnyEffect, ...], Field(strict=False)] = Field(
         default=(), description="Departures of the rig from what is believed of it: a list of {kind: ID, parameter: value}"
     )
@@ -80,17 +83,22 @@ class Scenario(Strictly):
 @plugins.depends
 def _rebuild() -> None:
     """List the classes of a plugin in the schema, too."""
-    for model in (Compensation, Scenario):
+    for model in (Compensation, Rig, Scenario):
         model.model_rebuild(force=True)
 
 
 def load_scenario(path: str | Path, set: Mapping[str, Any] | None = None) -> Scenario:
-    """The scenario in a YAML file, with dotted keys overridden (`{"approach.velocity.2": 0.05}`). Raises InputError."""
-    return scenario_from(read_source(path).with_set(set))
+    """The scenario in a YAML file, or the one shipped under a name, with dotted keys overridden. Raises InputError.
+
+    >>> load_scenario("02-bumper", {"approach.velocity.2": 0.05}).approach.velocity
+    (0.0, 0.0, 0.05)
+    """
+    return scenario_from(read_source(find_scenario(path)).with_set(set))
 
 
 def scenario_from(source: Source | Mapping[str, Any], set: Mapping[str, Any] | None = None) -> Scenario:
     """The scenario in data that is read already: a `Source`, or a plain dict as it would stand in a file. Raises InputError."""
+    plugins.load()
     if not isinstance(source, Source):
         source = Source("scenario", dict(source))
     return validate(Scenario, source.with_set(set), _SPECIMEN)

@@ -10,8 +10,8 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from hiltestbed.frames import Array
+from hiltestbed.result import Run
 from hiltestbed.signals import AXES, RunTrace
-from hiltestbed.simulation import Run
 from hiltestbed.viewer import plots, rig, spacecraft
 
 Point = tuple[float, float, float]
@@ -93,6 +93,12 @@ def _scene(name: str, origin: str, eye: Point, target: Point, contents: Sequence
     )
 
 
+JOINT_PLOTS = (
+    ("m", "platform/slider_mm", "Sliders of the platform [mm]"),
+    ("rad", "platform/joint_deg", "Joints of the platform [deg]"),
+)
+
+
 def _signals(facts: Facts) -> rrb.Tabs:
     return rrb.Tabs(
         _contact(facts),
@@ -100,7 +106,7 @@ def _signals(facts: Facts) -> rrb.Tabs:
         _six(facts, "Wrench", ("force", "Force", "N"), ("torque", "Torque", "N m")),
         _estimates(facts),
         rrb.Vertical(
-            _plot(facts, "platform/slider_mm", "Sliders of the platform [mm]"),
+            *(_plot(facts, path, title) for unit, path, title in JOINT_PLOTS if unit in facts.trace.joints),
             _plot(facts, "platform/tracking_error_mm", "Tracking error: reached less desired [mm]"),
             name="Platform",
         ),
@@ -121,10 +127,11 @@ def _contact(facts: Facts) -> rrb.Vertical:
     return rrb.Vertical(
         _plot(facts, "position_mm/z", "Insertion, z [mm]"),
         _plot(facts, "force/z", "Contact force, z [N]"),
+        _plot(facts, "force_error", "Measured less physical force [N]"),
         _phases(facts),
         *between,
         _plot(facts, "energy_generated", "Energy made by the rig [J]"),
-        row_shares=[1.0, 1.25, 0.6, 0.9, 0.9, 0.9],
+        row_shares=[1.0, 1.25, 0.9, 0.6, 0.9, 0.9, 0.9],
         name="Contact",
     )
 

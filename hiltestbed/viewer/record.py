@@ -9,14 +9,14 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
+from hiltestbed.result import Run
 from hiltestbed.signals import RunTrace
-from hiltestbed.simulation import Run
 from hiltestbed.viewer import spacecraft
 from hiltestbed.viewer.blueprint import Facts, layout
 from hiltestbed.viewer.forces import force_scale, send_force
 from hiltestbed.viewer.frames import frame_rows
 from hiltestbed.viewer.plots import send_signals
-from hiltestbed.viewer.rig import CONTACT_FORCE, RigScene, port_poses
+from hiltestbed.viewer.rig import CONTACT_FORCE, RigScene
 from hiltestbed.viewer.text import figures
 
 APPLICATION = "hiltestbed"
@@ -66,8 +66,8 @@ def _rig(rec: rr.RecordingStream, run: Run, trace: RunTrace, rows: NDArray[np.in
     scene = RigScene(run.scenario)
     time, pose = rr.TimeColumn("time", duration=trace.t[rows]), trace["pose_act"][rows]
     scene.draw(rec)
-    scene.move(rec, time, pose, port_poses(run.scenario, rows, trace["pose_cmd"]))
-    send_force(rec, CONTACT_FORCE, time, trace["wrench_true"][rows], pose, trace.contact[rows], scale)
+    scene.move(rec, time, pose, scene.port_poses(run.scenario, rows, trace["pose_cmd"], pose))
+    send_force(rec, CONTACT_FORCE, time, _felt(trace)[rows], pose, trace.contact[rows], scale)
 
 
 def _spacecraft(rec: rr.RecordingStream, run: Run, trace: RunTrace, rows: NDArray[np.intp]) -> None:
@@ -80,8 +80,13 @@ def _spacecraft(rec: rr.RecordingStream, run: Run, trace: RunTrace, rows: NDArra
 
 def _peak(trace: RunTrace) -> float:
     """[N] the largest force that acted."""
-    force = np.linalg.norm(trace["wrench_true"][:, :3], axis=1)
+    force = np.linalg.norm(_felt(trace)[:, :3], axis=1)
     return float(force[np.isfinite(force)].max(initial=0.0))
+
+
+def _felt(trace: RunTrace) -> NDArray[np.float64]:
+    """(rows, 6) the contact wrench; of a run against real devices, which do not show it, the sensor's."""
+    return trace["wrench_meas"] if np.isnan(trace["wrench_true"]).all() else trace["wrench_true"]
 
 
 def _identity(run: Run) -> str:

@@ -39,7 +39,11 @@ class RigScene:
 
     def __init__(self, scenario: Scenario) -> None:
         self.nine_axes = scenario.rig.upper.kind != "fixed"
-        self.model = nine_axis_scene(scenario.mechanism) if self.nine_axes else rig_scene(scenario.mechanism)
+        self._facility = scenario.rig.platform.drawn(scenario)
+        if self._facility is not None:
+            self.model = self._facility.model
+        else:
+            self.model = nine_axis_scene(scenario.mechanism) if self.nine_axes else rig_scene(scenario.mechanism)
         self.data = mujoco.MjData(self.model)
         mujoco.mj_kinematics(self.model, self.data)
         self._home = self.data.qpos.copy()
@@ -47,10 +51,10 @@ class RigScene:
 
     def path(self, body: int) -> str:
         """Entity of a body: under the moving body that carries it, if any."""
-        root, name = int(self.model.body_weldid[body]), self.model.body(body).name or "world"
+        root, name = int(self.model.body_weldid[body]), self.model.body(body).name or ("world" if body == 0 else f"body_{body}")
         if root == body and root > 0:
             return f"{ROOT}/{name}"
-        return f"{ROOT}/{self.model.body(root).name if root > 0 else 'fixed'}/{name}"
+        return f"{ROOT}/{(self.model.body(root).name or f'body_{root}') if root > 0 else 'fixed'}/{name}"
 
     def draw(self, rec: rr.RecordingStream) -> None:
         """Everything that never changes in its own frame."""
@@ -81,10 +85,7 @@ class RigScene:
     def body_poses(self, pose: Array, pose_P: Array) -> Array:
         """``(moving, frames, 7)`` poses in W of the moving bodies, by inverse kinematics, at the poses ``(frames, 7)`` of A in P and of
         P in W."""
-        qpos = np.tile(self._home, (len(pose), 1))
-        self._lower_joints(pose if not self.nine_axes else _composed(pose_P, pose), qpos)
-        if self.nine_axes:
-            self._upper_joints(pose_P, qpos)
+        qpos = self._joints(pose, pose_P)
         place, attitude = np.empty((len(pose), len(self.moving), 3)), np.empty((len(pose), len(self.moving), 4))
         for f in range(len(pose)):
             self.data.qpos[:] = qpos[f]
@@ -92,6 +93,22 @@ class RigScene:
             place[f] = self.data.xpos[self.moving]
             attitude[f] = self.data.xquat[self.moving]
         return np.concatenate([place, quat_from_mujoco(attitude)], axis=-1).swapaxes(0, 1)
+
+    def _joints(self, pose: Array, pose_P: Array) -> Array:
+        """``(frames, nq)`` joint positions at the poses of A in P and of P in W."""
+        if self._facility is not None:
+            return self._facility.joints(pose)[0]
+        qpos = np.tile(self._home, (len(pose), 1))
+        self._lower_joints(pose if not self.nine_axes else _composed(pose_P, pose), qpos)
+        if self.nine_axes:
+            self._upper_joints(pose_P, qpos)
+        return qpos
+
+    def port_poses(self, scenario: Scenario, rows: NDArray[np.intp], pose_cmd: Array, pose: Array) -> Array:
+        """``(frames, 7)`` poses of P in W at the rows, where A stands at ``pose`` (frames, 7) in P."""
+        if self._facility is not None:
+            return self._facility.joints(pose)[1]
+        return port_poses(scenario, rows, pose_cmd)
 
     def _lower_joints(self, pose: Array, qpos: Array) -> None:
         """Limbs and free joint of the lower platform at the poses ``(frames, 7)`` of A in W."""

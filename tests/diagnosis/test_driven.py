@@ -2,73 +2,84 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from hiltestbed import load_scenario, run
-from hiltestbed.diagnosis.driven import followed, unfollowed
 from hiltestbed.diagnosis.find import find
-from hiltestbed.diagnosis.links import advanced
-from hiltestbed.measured import load_dataset
-from hiltestbed.recording import write_run
+from hiltestbed.diagnosis.investigate import investigate
+from hiltestbed.diagnosis.layout import lay_out
+from hiltestbed.diagnosis.links import flat_pose
+from hiltestbed.diagnosis.yielding import deflection
+from hiltestbed.measured import MeasuredDataset, load_dataset
+from hiltestbed.recording import write_trace
 
 SCENARIO = Path(__file__).parents[2] / "scenarios" / "reference-bumper.yaml"
 NOISE = 0.2  # [N]
+SPEEDS = (0.02, 0.04, 0.06)
 
 
-def test_the_replayed_drives_go_where_the_drives_went() -> None:
-    """Told the recorded command under the recorded force, 5 ms late and with its noise: the noise is what is left, 0.2 N on 4e7 N/m."""
-    result = run(load_scenario(SCENARIO, set={"duration": 1.0, "sensor.noise": NOISE}))
-    assert result.trace is not None
-    command, pose = result.trace["pose_cmd"], result.trace["pose_act"]
-    ticks = result.scenario.sensor.delay * result.scenario.rate
-    path = followed(result.scenario, command, advanced(result.trace["wrench_meas"], ticks))
-    assert path is not None
-    yielded = np.abs(pose[1:, 2] - command[:-1, 2]).max()
-    assert yielded > 4e-6
-    assert np.abs(path[:, 2] - pose[:, 2]).max() < 2e-3 * yielded
-
-
-@pytest.mark.parametrize("hidden", [None, {"kind": "platform.backlash", "width": 1e-4}])
-def test_of_a_driven_platform_only_what_is_hidden_is_named(tmp_path: Path, hidden: dict | None) -> None:
-    (tmp_path / "nominal.yaml").write_bytes(SCENARIO.read_bytes())
+def driven(folder: Path, effects: tuple[dict[str, Any], ...] = ()) -> MeasuredDataset:
+    """Runs of the reference bumper under its servo, with noise in the sensor, and with `effects` that are not believed."""
+    (folder / "nominal.yaml").write_bytes(SCENARIO.read_bytes())
     entries = []
-    for seed, speed in enumerate((0.02, 0.04, 0.06)):
-        approach = {"approach.velocity": [0.0, 0.0, speed]}
-        given = approach | {"duration": 0.9, "sensor.noise": NOISE, "sensor.torque_noise": 0.02, "seed": seed}
-        write_run(
-            run(load_scenario(SCENARIO, set=given | ({"effects": [hidden]} if hidden else {}))), tmp_path / f"run_{seed}", rerun=False
-        )
-        entries.append(f"  - {{file: run_{seed}/trace.parquet, set: {{approach.velocity: [0, 0, {speed}], duration: 0.9}}}}")
-    (tmp_path / "dataset.yaml").write_text("\n".join(["scenario: nominal.yaml", "runs:", *entries, ""]), encoding="utf-8")
-    finding = find(load_dataset(tmp_path / "dataset.yaml"))
-    if hidden is None:
-        assert finding.verdict == "no_discrepancy"
-    else:
-        assert finding.verdict == "named"
-        assert [c.effect for c in finding.causes] == [hidden["kind"]]
-        ends = finding.causes[0].parameters["width"].ci95
-        assert ends is not None
-        assert ends[0] <= hidden["width"] <= ends[1]
+    for seed, speed in enumerate(SPEEDS):
+        approach = {"approach.velocity": [0.0, 0.0, speed], "duration": 0.9}
+        given = approach | {"sensor.noise": NOISE, "sensor.torque_noise": 0.02, "seed": seed, "effects": list(effects)}
+        trace = run(load_scenario(SCENARIO, set=given)).trace
+        assert trace is not None
+        write_trace(trace, folder / f"run_{seed}.parquet")
+        entries.append(f"  - {{file: run_{seed}.parquet, set: {{approach.velocity: [0, 0, {speed}], duration: 0.9}}}}")
+    (folder / "dataset.yaml").write_text("\n".join(["scenario: nominal.yaml", "runs:", *entries, ""]), encoding="utf-8")
+    return load_dataset(folder / "dataset.yaml")
 
 
-def test_a_command_that_the_record_does_not_hold_is_not_guessed() -> None:
-    class Run:
-        scenario = load_scenario(SCENARIO, set={"compensation.motion": {"kind": "inverse_model"}})
-
-    reason = unfollowed([Run()])  # type: ignore[list-item]
-    assert reason is not None
-    assert "inverse_model" in reason
-    Run.scenario = load_scenario(SCENARIO.parent / "13-ring-down.yaml")
-    reason = unfollowed([Run()])  # type: ignore[list-item]
-    assert reason is not None
-    assert "mount" in reason
+@pytest.fixture(scope="module")
+def healthy(tmp_path_factory: pytest.TempPathFactory) -> MeasuredDataset:
+    return driven(tmp_path_factory.mktemp("healthy"))
 
 
-def test_a_command_that_the_drives_cannot_follow_is_not_taken_for_their_yield() -> None:
-    scenario = load_scenario(SCENARIO)
-    command = np.tile([0.0, 0.0, -0.01, 0.0, 0.0, 0.0, 1.0], (50, 1))
-    command[10:, 2] = 1e6  # [m]
-    assert followed(scenario, command, np.zeros((50, 6))) is None
+def test_where_the_drives_yield_to_is_known_to_their_doubt(healthy: MeasuredDataset) -> None:
+    """Told the recorded command under the recorded force, 5 ms late and with its noise: 0.2 N on 4e7 N/m is what is not told."""
+    measured = healthy.runs[-1]
+    found = deflection(measured, NOISE)
+    assert found is not None
+    told = np.concatenate([measured.record.filled("pose_act")[:1], measured.record.filled("pose_cmd")[:-1]])
+    left = measured.record.filled("pose_act") - told
+    known = np.isfinite(found.doubt[:, 2])
+    assert np.abs(left[known, 2]).max() > 4e-6
+    assert np.abs(left[known, 2] - found.away[known, 2]).max() < 0.01 * np.abs(left[known, 2]).max()
+    off = np.abs(flat_pose(left)[known] - found.away[known])[:, 2]
+    assert (off <= found.doubt[known, 2]).mean() > 0.99
+
+
+def test_of_a_driven_platform_nothing_is_named_where_nothing_is_hidden(healthy: MeasuredDataset) -> None:
+    finding = find(investigate(healthy))
+    assert finding.verdict == "no_discrepancy"
+    assert finding.causes == ()
+
+
+def test_of_a_driven_platform_only_what_is_hidden_is_named(tmp_path: Path) -> None:
+    hidden = {"kind": "platform.backlash", "width": 1e-4}
+    finding = find(investigate(driven(tmp_path, (hidden,))))
+    assert finding.verdict == "named"
+    assert [c.effect for c in finding.causes] == [hidden["kind"]]
+    ends = finding.causes[0].parameters["width"].ci95
+    assert ends is not None
+    assert ends[0] <= hidden["width"] <= ends[1]
+
+
+def test_a_command_that_the_drives_cannot_follow_is_not_taken_for_their_yield(healthy: MeasuredDataset) -> None:
+    first = healthy.runs[0]
+    record = first.record
+    jumped = record.data["pose_cmd"].copy()
+    jumped[len(jumped) // 2 :, 2] = 1e6  # [m]
+    moved = replace(first, record=replace(record, data=dict(record.data) | {"pose_cmd": jumped}))
+    assert deflection(moved, NOISE) is None
+    layout = lay_out(replace(healthy, runs=(moved, *healthy.runs[1:])))
+    assert layout.deflection is None
+    assert "cannot follow" in layout.missing["platform"]

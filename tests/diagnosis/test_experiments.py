@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from hiltestbed.diagnosis.output import Cause, Finding, Parameter
-from hiltestbed.diagnosis.output.experiments import next_experiment
-from hiltestbed.effects.vocabulary import EFFECTS
+from hiltestbed.diagnosis.report.experiments import next_experiment
+from hiltestbed.diagnosis.result import Cause, Finding, Parameter
+from hiltestbed.effects import EFFECTS
 from hiltestbed.measured import MeasuredDataset, load_dataset
 
 from .recorded import recorded
@@ -76,7 +76,7 @@ def test_damper_and_delay_are_separated_by_springs_and_never_by_masses(dataset: 
 
 def test_which_body_is_wrong_is_open_even_where_the_mass_is_named(dataset: MeasuredDataset):
     """1/mu = 1/m1 + 1/m2: the relative pose cannot tell; 500 kg by 1.15 beside 2000 kg is 2000 kg by 2.091 beside 500 kg."""
-    from hiltestbed.diagnosis.output.experiments import mass_of_either_body
+    from hiltestbed.diagnosis.report.experiments import mass_of_either_body
 
     cause = Cause("dynamics.mass", {"factor": Parameter(1.15, (1.14, 1.16), "-"), "body": Parameter("chaser", None)}, 1.0)
     named = Finding("named", "dynamics", (cause,))

@@ -15,13 +15,13 @@ import yaml
 from hiltestbed.bench.diagnosis import Task, judged_right, one_set
 from hiltestbed.diagnosis.find import cause_of
 from hiltestbed.diagnosis.investigate import investigate
-from hiltestbed.diagnosis.verdict import judge
-from hiltestbed.effects.vocabulary import EFFECTS
+from hiltestbed.diagnosis.verdict import decide
+from hiltestbed.effects import EFFECTS
 from hiltestbed.measured import load_dataset
 from tests.measured_data import measured_data
 
 SLOW = bool(os.environ.get("HILTESTBED_SLOW"))
-QUICK = ("sensor.drift", "contact.preload", "platform.lag", "dynamics.step_delay", "loop.deadzone")
+QUICK = ("sensor.drift", "platform.lag", "loop.deadzone")
 SETS = {1: (), 2: ("sensor.delay",), 3: ("contact.dry_friction",), 4: ("platform.lag",), 5: ("dynamics.mass",),
         6: ("sensor.crosstalk", "platform.backlash"), 7: None, 8: ()}  # fmt: skip
 
@@ -49,12 +49,12 @@ def test_what_has_no_name_is_called_unknown_with_its_link(seed):
     assert one_set(Task(seed, "foreign"))["right"]
 
 
-@pytest.mark.parametrize("number", SETS if SLOW else (1, 5, 6))
+@pytest.mark.parametrize("number", SETS if SLOW else (1, 6))
 def test_practice_sets(number):
     folder = measured_data("rig_practice")
     answers = yaml.safe_load((Path(folder) / "answers.yaml").read_text())[f"set_{number}"]
     findings = investigate(load_dataset(Path(folder) / f"set_{number}" / "dataset.yaml"))
-    verdict = judge(findings)
+    verdict = decide(findings)
     if SETS[number] is None:
         assert (verdict.verdict, verdict.link) == ("unknown", "contact")
         return

@@ -9,13 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hiltestbed.diagnosis.layout import lay_out, wrench_link
 from hiltestbed.diagnosis.links import WrenchLink
-from hiltestbed.diagnosis.output import Cause, Diagnosis, Finding, Heldout, Parameter, Ranked, conclude
-from hiltestbed.diagnosis.output.closed_loop import Motion, identified, restitution
-from hiltestbed.diagnosis.output.evidence import channel_residuals, link_series
-from hiltestbed.diagnosis.output.extend import effects_of_causes, in_words
-from hiltestbed.diagnosis.output.result import Isolable
-from hiltestbed.diagnosis.study import make_study, wrench_link
+from hiltestbed.diagnosis.report.closed_loop import Motion, identified, restitution
+from hiltestbed.diagnosis.report.conclude import conclude
+from hiltestbed.diagnosis.report.evidence import channel_residuals, link_series
+from hiltestbed.diagnosis.report.extend import in_words
+from hiltestbed.diagnosis.result import Cause, Diagnosis, Finding, Heldout, Isolable, Parameter, Ranked
+from hiltestbed.effects import EFFECTS
 from hiltestbed.errors import InputError
 from hiltestbed.measured import MeasuredDataset, load_dataset
 from hiltestbed.scenario import load_scenario, scenario_from, scenario_sha256
@@ -23,6 +24,7 @@ from hiltestbed.scenario import load_scenario, scenario_from, scenario_sha256
 from .recorded import NOMINAL, recorded
 
 DELAY = 0.004
+NAMED = [EFFECTS["sensor.delay"](delay=DELAY)]
 LATE = Cause("sensor.delay", {"delay": Parameter(DELAY, (0.0039, 0.0041), "s")}, 0.9, ("sensor.lag",))
 KEYS = {"verdict", "link", "causes", "residuals", "heldout", "closed_loop", "next_experiment", "extended_scenario"}
 
@@ -34,7 +36,8 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> MeasuredDataset:
 
 @pytest.fixture(scope="module")
 def link(dataset: MeasuredDataset) -> WrenchLink:
-    return wrench_link(make_study(dataset), lambda i: dataset.runs[i].record.filled("pose_act")[:, :3], whole=True)
+    layout = lay_out(dataset)
+    return wrench_link(layout, [r.record.filled("pose_act") for r in dataset.runs], layout.whole)
 
 
 @pytest.fixture(scope="module")
@@ -42,14 +45,12 @@ def diagnosis(dataset: MeasuredDataset, link: WrenchLink) -> Diagnosis:
     gain = Heldout((0, 1), 20.0, 1.0, 0.95, (0.9, 0.97), 0.1, {0: (15.0, 1.0), 1: (24.0, 1.0)})
     ranking = (Ranked(("sensor.delay",), 0.0, "wrench", "delay 0.004", 1.0, True), Ranked(("sensor.lag",), 300.0, "wrench"))
     table = (Isolable("sensor.delay", "delay", "s", 1e-5, ("log.skew",), 0.99), Isolable("sensor.drift", "rate", "N/s", None))
-    series = link_series(link, effects_of_causes([LATE]))
+    series = link_series(link, NAMED)
     return conclude(dataset, Finding("ambiguous", "sensor", (LATE,), series, {}, gain, ranking, table))
 
 
 def test_a_named_delay_takes_the_residual_down_to_the_noise(link: WrenchLink):
-    before, after = (
-        {r.channel: r for r in channel_residuals(link_series(link, effects), extends=True)} for effects in ([], effects_of_causes([LATE]))
-    )
+    before, after = ({r.channel: r for r in channel_residuals(link_series(link, effects), extends=True)} for effects in ([], NAMED))
     force = after["wrench_meas.fz"]
     assert force.rms > 5 * force.noise_floor
     assert not force.white
@@ -96,7 +97,7 @@ def test_the_folder_holds_four_files_that_can_be_used(diagnosis: Diagnosis, tmp_
     assert set(data["residuals"][0]) >= {"channel", "rms", "noise_floor", "rms_free", "rms_contact", "white"}
     assert len(data["closed_loop"]["cor_extended"]) == 2
     extended = load_scenario(folder / data["extended_scenario"])
-    assert extended.effects == ({"kind": "sensor.delay", "delay": DELAY},)
+    assert list(extended.effects) == NAMED
     page = (folder / "report.html").read_text()
     assert "sensor.delay" in page
     assert "sensor.lag" in page
@@ -108,7 +109,7 @@ def test_the_folder_holds_four_files_that_can_be_used(diagnosis: Diagnosis, tmp_
 def test_the_recording_has_all_three_on_one_timeline(diagnosis: Diagnosis, tmp_path: Path):
     from rerun.chunk import RrdReader
 
-    from hiltestbed.diagnosis.output.recording import write_diagnosis_recording
+    from hiltestbed.diagnosis.report.recording import write_diagnosis_recording
 
     write_diagnosis_recording(tmp_path / "d.rrd", diagnosis)
     rows: dict[str, int] = {}

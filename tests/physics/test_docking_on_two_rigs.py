@@ -22,6 +22,7 @@ QUIET = {
 NO_LATCH: dict[str, Any] = {"mechanism.latch": None, "duration": 2.0}
 MOUNT = {"stiffness": [3e5, 3e5, 8e5, 3e4, 3e4, 2e4], "damping": [500, 500, 900, 60, 60, 40]}
 LATE = {"sensor.delay": 0.0023}
+POSE, WRENCH = 1e-8, 1e-5  # [m], of the peak: here the cone is a mesh, whose vertices are single precision numbers
 
 
 def _both(changes: dict, effects: tuple[dict, ...] = ()) -> tuple[Any, Any]:
@@ -48,7 +49,7 @@ def _agree(trace: Any, records: Any, pose: float, force: float) -> None:
 def test_a_healthy_docking_with_friction_tilt_spin_and_capture_is_the_same_in_both() -> None:
     trace, records = _both({})
     assert 0 < records.captured < 4000
-    _agree(trace, records, 1e-9, 1e-7)
+    _agree(trace, records, POSE, WRENCH)
     np.testing.assert_array_equal(trace.contact[:, 0], records.touching)
 
 
@@ -69,8 +70,8 @@ METHODS = [
 @pytest.mark.parametrize("method", METHODS, ids=lambda m: "-".join(map(str, m.values())))
 def test_a_compensation_method_drives_both_alike(method: dict) -> None:
     trace, records = _both(LATE | {"compensation.force": method, "physics_rate": 10000, "duration": 3.6})
-    _agree(trace, records, 1e-9, 1e-7)
-    assert np.abs(trace["wrench_comp"][:, 0] - records.wrench_comp).max() < 1e-6
+    _agree(trace, records, POSE, WRENCH)
+    assert np.abs(trace["wrench_comp"][:, 0] - records.wrench_comp).max() < 1e-3  # [N] 20 nm of the stiffness
 
 
 EFFECTS = [
@@ -106,4 +107,4 @@ def test_a_bumper_met_with_tilt_and_spin_and_a_latch_from_the_start_are_the_same
         if kind == "latched":
             changes |= {"approach.gap": -0.002, "approach.offset": [0.001, -0.002], "approach.velocity": [0.0, 0.01, 0.02]}
         trace, records = _both(changes)
-        _agree(trace, records, 1e-9, 1e-7)
+        _agree(trace, records, POSE, WRENCH)

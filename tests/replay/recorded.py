@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from hiltestbed.contact.latch import latch_limits
-from hiltestbed.contact.mount import MountDynamics
-from hiltestbed.contact.parameters import ContactParameters
+from hiltestbed.contact.mount_dynamics import MountDynamics
+from hiltestbed.contact.parameters import believed_contacts, contact_rows
 from hiltestbed.contact.sides import sides_of
 from hiltestbed.effects import Effect
 from hiltestbed.frames import Array, pose_step
@@ -97,7 +97,8 @@ def felt(recorded: Recorded) -> Felt:
 def lane(s: Scenario, run: int, effects: Sequence[Effect] | None = None) -> Lane:
     """Contact, sensor and record of a scenario, with its own effects or with others."""
     effects = s.effects if effects is None else effects
-    contact = ContactParameters.believed(s.mechanism).with_effects(effects)
+    contacts = [c.with_effects(effects) for c in believed_contacts(s.mechanism)]
+    contact = contact_rows(contacts, sides_of(s.mechanism).rules, s.mechanism.captured)
     return Lane(run, contact, SensorParameters.believed(s.sensor, s.tick).with_effects(effects), log_parameters(effects))
 
 

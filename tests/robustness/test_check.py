@@ -9,9 +9,9 @@ import pytest
 from hiltestbed.budget import run_budget
 from hiltestbed.check import look_at
 from hiltestbed.errors import InputError
+from hiltestbed.gallery import shipped
 from hiltestbed.scenario import Scenario, load_scenario
 from hiltestbed.sense import warnings
-from hiltestbed.shipped import shipped
 from hiltestbed.simulation import run
 from tests.measured import bounce
 

@@ -24,8 +24,8 @@ from hiltestbed.contact.settings import Contact
 from hiltestbed.dataset import Dataset
 from hiltestbed.errors import InputError
 from hiltestbed.frames import rotation_vector
+from hiltestbed.gallery import shipped
 from hiltestbed.scenario import load_scenario, scenario_from
-from hiltestbed.shipped import shipped
 from hiltestbed.simulation import run
 from hiltestbed.validation import validate
 from hiltestbed.yaml_source import Source

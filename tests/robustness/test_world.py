@@ -16,9 +16,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hiltestbed.gallery import shipped
 from hiltestbed.kernel_cache import VARIABLE, settle
 from hiltestbed.recording import read_run
-from hiltestbed.shipped import shipped
 
 BUMPER = shipped("scenarios") / "02-bumper.yaml"
 CAMPAIGN = f"""scenario: {BUMPER}

@@ -16,9 +16,10 @@ import hiltestbed
 from hiltestbed.frames import Array, rotation_matrix
 from hiltestbed.platform.prs3.geometry import Upper
 from hiltestbed.platform.pss33.kinematics import Platform
+from hiltestbed.result import Run
 from hiltestbed.scenario import Scenario
 from hiltestbed.signals import RunTrace
-from hiltestbed.simulation import Run, run
+from hiltestbed.simulation import run
 from hiltestbed.viewer import write_recording
 from hiltestbed.viewer.forces import force_scale
 from hiltestbed.viewer.frames import CONTACT, FREE, frame_rows

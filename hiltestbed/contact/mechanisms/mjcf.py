@@ -10,7 +10,8 @@ from pydantic import Field, model_validator
 from hiltestbed.contact.described import Described
 from hiltestbed.contact.description import Phase, Touching
 from hiltestbed.contact.settings import Contact
-from hiltestbed.contact.sides import Rule, digest
+from hiltestbed.contact.sides import Rule
+from hiltestbed.models import digest
 from hiltestbed.plugins import register
 from hiltestbed.validation import ModelFile
 

@@ -40,13 +40,14 @@ class LinkRun:
     Attributes:
         scenario: as believed. measured: (N, C) at the output, 0 where it was not measured.
         sigma: (N, C) its noise, infinite where not measured. touching: (N,) bool, the nominal or the measured contact, with its tail
-        through the sensor.
+        through the sensor. heavy: whether the noise has outliers, see :func:`hiltestbed.diagnosis.noise.softened`.
     """
 
     scenario: Scenario
     measured: Array
     sigma: Array
     touching: np.ndarray
+    heavy: bool = False
 
     @property
     def rows(self) -> int:

@@ -172,6 +172,11 @@ class Drives:
         self._rubbing: Rubbing | None = None
         self._inputs = drive_inputs(model, [axis.joint for axis in kinematics.axes])
 
+    @property
+    def solution(self) -> Array:
+        """(n, nq) the joint positions that were last solved for."""
+        return self._qs
+
     # What a facility that moves both sides, or drives in another way, has of its own.
 
     def allocate(self, pose: Array, twist: Array, accel: Array, half: float) -> None:

@@ -23,7 +23,7 @@ UNREACHED = 1e-6  # [m], [rad] by how much a command may be missed
 
 
 @njit(cache=True)
-def _watch(h, limits, home, joints, rates, forces, missed, before, ticks, shares, which):
+def _watch(h, limits, home, joints, rates, forces, missed, before, ticks, watched, shares, which):
     """limits: (6, J) low, high, speed, acceleration, force, of the joints as they count. shares, which: (n, 5)."""
     passed = False
     for i in range(joints.shape[0]):
@@ -36,10 +36,10 @@ def _watch(h, limits, home, joints, rates, forces, missed, before, ticks, shares
             before[i, j] = rates[i, j]
             found = (travel, abs(rates[i, j]) / limits[2, j], accel / limits[3, j], abs(forces[i, j]) / limits[4, j])
             for k in range(4):
-                if found[k] > shares[i, k]:
+                if watched[i, k] * found[k] > shares[i, k]:
                     shares[i, k] = found[k]
                     which[i, k] = j
-        shares[i, 4] = missed[i] / UNREACHED
+        shares[i, 4] = watched[i, 4] * missed[i] / UNREACHED
         ticks[i] += 1
         for k in range(5):
             passed = passed or shares[i, k] > 1.0
@@ -53,19 +53,22 @@ class Watch:
         shares: (n, 5) the largest share of its limit of each quantity in :data:`QUANTITIES`, at this tick. which: (n, 5) of which joint.
     """
 
-    def __init__(self, axes: Sequence[Axis], home: Array, n: int, tick: float) -> None:
+    def __init__(self, axes: Sequence[Axis], home: Array, n: int, tick: float, watched: Array | None = None) -> None:
+        """``watched``: (n, 5) which quantities of a run count; all by default."""
+        self._watched = np.ones((n, 5)) if watched is None else np.asarray(watched, dtype=float)
         self._axes, self._home, self._tick = tuple(axes), np.asarray(home, dtype=float), tick
         self._limits = np.array([[a.low, a.high, a.speed, a.acceleration, a.force] for a in axes]).T.copy()
         self.shares, self.which = np.zeros((n, 5)), np.zeros((n, 5), dtype=np.int64)
         self._before, self._ticks = np.zeros((n, len(self._axes))), np.zeros(n, dtype=np.int64)
-        self._values: tuple[Array, ...] = ()
+        self._stood, self._missed = np.zeros((n, len(self._axes))), np.zeros(n)
 
     def passed(self, joints: Array, rates: Array, forces: Array, missed: Array) -> bool:
         """Whether a run has passed a limit: ``joints`` from home, ``rates`` and drive ``forces`` (n, J), what the command missed (n,)."""
-        self._values = (joints, rates, forces, missed)
+        self._stood[:], self._missed[:] = joints, missed
         return _watch(
-            self._tick, self._limits, self._home, joints, rates, forces, missed, self._before, self._ticks, self.shares, self.which
-        )
+            self._tick, self._limits, self._home, joints, rates, forces, missed, self._before, self._ticks, self._watched,
+            self.shares, self.which,
+        )  # fmt: skip
 
     def reason(self, i: int) -> str | None:
         """Which limit run ``i`` has passed, where, and by how much; None when it has passed none."""
@@ -73,13 +76,13 @@ class Watch:
         if not self.shares[i, worst] > 1.0:
             return None
         if worst == REACH:
-            return f"the command is {self._values[3][i]:.3g} m or rad out of the facility's reach"
+            return f"the command is {self._missed[i]:.3g} m or rad out of the facility's reach"
         axis, j = self._axes[int(self.which[i, worst])], int(self.which[i, worst])
         turn = math.degrees(1.0) if axis.unit == "rad" else 1.0
         unit = "deg" if axis.unit == "rad" else axis.unit
         share = self.shares[i, worst]
         if worst == TRAVEL:
-            value = (self._values[0][i, j] + self._home[j]) * turn
+            value = (self._stood[i, j] + self._home[j]) * turn
             return f"joint {axis.joint} stands at {value:.4g} {unit}; its travel is {axis.low * turn:.4g} to {axis.high * turn:.4g} {unit}"
         if worst == SPEED:
             return f"joint {axis.joint} moves at {share * axis.speed * turn:.4g} {unit}/s; its limit is {axis.speed * turn:.4g} {unit}/s"

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Hashable, Iterator, Sequence
-from pathlib import Path
 from typing import Any, ClassVar
 
 import mujoco
@@ -68,7 +67,7 @@ class Mjcf(Facility):
         return InputError(f"{self.settings.model}: {message}")
 
     def _read(self) -> mujoco.MjSpec:
-        path = Path(self.settings.model)
+        path = self.settings.file()
         if not path.is_file():
             raise self._fault("no such file; give the path of an MJCF file")
         try:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from difflib import get_close_matches
 from pathlib import Path
+
+from hiltestbed.errors import InputError
 
 _PACKAGE = Path(__file__).resolve().parent
 
@@ -27,5 +30,21 @@ def find_scenario(name: str | Path) -> Path:
 
 
 def scenario_names() -> list[str]:
-    """The names of the shipped scenarios."""
-    return sorted(path.stem for path in shipped("scenarios").glob("*.yaml"))
+    """The names of the shipped scenarios, those of folders as FOLDER/NAME."""
+    root = shipped("scenarios")
+    return sorted(str(path.relative_to(root).with_suffix("")) for path in root.rglob("*.yaml") if path.parent.name != "campaigns")
+
+
+def campaign_names() -> list[str]:
+    """The names of the shipped campaigns."""
+    return sorted(path.stem for path in (shipped("scenarios") / "campaigns").glob("*.yaml"))
+
+
+def refuse_unknown(name: str | Path, names: list[str]) -> None:
+    """Raises InputError with the shipped ``names`` where ``name`` is neither a file nor looks like the path of one."""
+    if not find_scenario(name).exists():
+        close = get_close_matches(str(name), names, n=1, cutoff=0.4)
+        hint = f" (did you mean {close[0]!r}?)" if close else ""
+        raise InputError(
+            f"{name}: no such file, and nothing of that name is shipped{hint}; allowed is a file, or one of {', '.join(names)}"
+        )

@@ -1,0 +1,124 @@
+"""What the figures of a run mean: whether the rig was passive and by what margin, what to be warned of, what to do next.
+
+Everything is derived from the summary, so that a run read from disk is judged as one that has just ended.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+NEUTRAL = 5e-3  # of the approach energy: e changes by half of it over e^2, about what a gain error of 0.5 % of the force sensor does
+CLOSE = 0.02  # |ln(e/e_ref)| up to which the rebound counts as right: 2 % of the rebound speed
+UNSURE = 0.10  # relative error of an identified stiffness or damping from which it is warned of
+
+
+@dataclass(frozen=True)
+class Assessment:
+    """A run in words.
+
+    Attributes:
+        passive: whether the rig made no energy; None where it is within the tolerance or nothing touched.
+        energy: what the energy figure means. headline: what happened, in a sentence.
+        warnings: what the user must not overlook. advice: what to do next.
+    """
+
+    passive: bool | None
+    energy: str
+    headline: str
+    warnings: tuple[str, ...]
+    advice: tuple[str, ...]
+
+
+def assess(summary: dict[str, Any]) -> Assessment:
+    """Judge a run by the contents of its summary.json."""
+    passive, energy = _energy(summary)
+    return Assessment(passive, energy, _headline(summary), tuple(_warnings(summary, passive)), tuple(_advice(summary, passive)))
+
+
+def energy_share(summary: dict[str, Any]) -> float | None:
+    """Energy made by the rig over the kinetic energy of the approach; None where nothing touched or the approach is not known."""
+    approach = summary.get("approach_energy")
+    return None if not approach else summary["energy_generated"] / approach
+
+
+def _energy(summary: dict[str, Any]) -> tuple[bool | None, str]:
+    made = summary["energy_generated"]
+    if not summary["contact_duration"]:
+        return None, "no contact"
+    share = energy_share(summary)
+    if share is None:
+        return (None, "neither gained nor lost") if made == 0.0 else (made < 0.0, "gained: active" if made > 0.0 else "lost: passive")
+    size = f"{100.0 * abs(share):.2g} % of the approach energy"
+    if abs(share) <= NEUTRAL:
+        return None, f"neutral: within {100.0 * NEUTRAL:g} % of the approach energy"
+    return (False, f"gained, {size}: active") if made > 0.0 else (True, f"lost, {size}: passive")
+
+
+def _headline(summary: dict[str, Any]) -> str:
+    if summary["status"] != "completed":
+        return f"The run {'diverged' if summary['status'] == 'diverged' else 'was stopped'}: {summary['stop_reason']}."
+    ended = {
+        "captured": "The ports were captured.",
+        "rebound": "The ports touched and parted.",
+        "in_contact": "The ports were still in contact when the run ended.",
+        "miss": "The ports did not touch.",
+    }
+    text = ended.get(summary["outcome"], f"Outcome: {summary['outcome']}.")
+    cor, reference = summary["cor"], summary["cor_reference"]
+    if cor is not None:
+        text += f" They parted at {cor:.4g} times the speed of approach"
+        text += "." if reference is None else f"; without delay and with ideal tracking it is {reference:.4g} times."
+    return text
+
+
+def _warnings(summary: dict[str, Any], passive: bool | None) -> list[str]:
+    out = []
+    cor, reference, error = summary["cor"], summary["cor_reference"], summary["cor_log_error"]
+    if cor is not None and cor > 1.0 and (reference is None or cor > reference * math.exp(CLOSE)):
+        out.append(f"the rebound is faster than the approach (e = {cor:.4g}): the loop feeds energy into the contact")
+    elif error is not None and abs(error) > CLOSE:
+        out.append(f"the rebound is {100.0 * math.expm1(error):+.1f} % off the reference")
+    if passive is False:
+        share = energy_share(summary)
+        size = "" if share is None else f", {100.0 * share:.2g} % of the approach energy"
+        out.append(f"the rig is active: it made {summary['energy_generated']:.3g} J{size}")
+    stability = summary.get("stability")
+    if stability and stability["stable"] is False:
+        out.append(f"the loop is {stability['verdict']}")
+    for axis, values in summary["identification"].items():
+        for quantity in ("stiffness", "damping"):
+            found, true = values[quantity], values[f"{quantity}_true"]
+            if found is not None and true and abs(found / true - 1.0) > UNSURE:
+                out.append(f"{quantity} along {axis} was identified as {found:.4g} where {true:.4g} is true")
+    return out
+
+
+def largest_delay(summary: dict[str, Any]) -> dict[str, Any] | None:
+    """The entry of the delay ledger that costs most damping, the sum left out; None where nothing delays."""
+    entries = [entry for entry in summary["delay_ledger"] if entry["source"] != "total" and entry["delay"] > 0.0]
+    return max(entries, key=lambda entry: entry["delay"], default=None)
+
+
+def _advice(summary: dict[str, Any], passive: bool | None) -> list[str]:
+    if summary["status"] != "completed":
+        return [
+            "Replay the last ticks with hiltestbed.replay_failure(FOLDER) and see which quantity grows first.",
+            "Lower the speed of approach, or raise the limit under `safety` if the rig allows it.",
+        ]
+    if summary["outcome"] == "miss":
+        return ["Raise `duration`, lower `approach.gap`, or aim with `approach.offset` and `approach.velocity`."]
+    error, largest = summary["cor_log_error"], largest_delay(summary)
+    total = summary["delay_ledger"][-1] if summary["delay_ledger"] else None
+    out = []
+    if (passive is False or (error is not None and abs(error) > CLOSE)) and total is not None:
+        if largest is not None and total["delay"] > 0.0:
+            out.append(
+                f"The delays that are left add up to {1e3 * total['delay']:.3g} ms, the largest is {largest['source']} "
+                f"({1e3 * largest['delay']:.3g} ms): compensate it, for example with --set 'compensation.force={{kind: resynchronised}}'."
+            )
+        out.append("Map where this rig diverges with a campaign over sensor.delay and mechanism.contact.stiffness (hiltestbed sweep).")
+    if not out and summary["outcome"] in ("rebound", "captured"):
+        out.append("The loop reproduces the contact. Vary what you know least, delay and stiffness first, with hiltestbed sweep.")
+    return out

@@ -1,0 +1,81 @@
+"""`bench realtime`: latency, jitter and missed deadlines of the cycle on this machine, bare and with a device on the loopback address."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from hiltestbed.bench.result import BenchResult
+from hiltestbed.devices.bench import Steadiness, measure
+from hiltestbed.report import Report, new_figure
+
+RATES = (250.0, 1000.0, 2000.0)  # [Hz]
+SECONDS, QUICK = 600.0, 2.0  # [s] in all: ten minutes, shared by the measurements
+
+
+@dataclass(frozen=True)
+class Case:
+    """A measurement to be made."""
+
+    rate: float
+    device: bool
+
+
+def realtime(quick: bool = False, progress: Callable[[int, int], None] | None = None) -> BenchResult:
+    """Measure the cycle at several rates; most of the time goes to 1 kHz with a device, the case that a run is like."""
+    cases = [Case(rate, device) for rate in RATES for device in (False, True)]
+    total = QUICK if quick else SECONDS
+    main = Case(1000.0, True)
+    measured: list[Steadiness] = []
+    for i, case in enumerate(cases):
+        seconds = total * (0.5 if case == main else 0.5 / (len(cases) - 1))
+        measured.append(measure(case.rate, seconds, device=case.device))
+        if progress is not None:
+            progress(i + 1, len(cases))
+    worst = measured[cases.index(main)]
+    summary = {
+        "missed_rate": worst.missed / max(worst.cycles, 1),
+        "worst_wake_up": worst.wake_up.worst,
+        "worst_round_trip": worst.round_trip.worst if worst.round_trip else None,
+        "cycles": worst.cycles,
+        "granted": worst.granted,
+        "refused": worst.refused,
+    }
+    lines = [(_label(m), _figures(m)) for m in measured]
+    lines += [("granted", ", ".join(worst.granted) or "nothing"), *((f"refused: {name}", why) for name, why in worst.refused.items())]
+    return BenchResult("realtime", [m.record() for m in measured], summary, _report(measured, lines), lines)
+
+
+def _label(m: Steadiness) -> str:
+    return f"{m.rate:g} Hz, {'with a device' if m.device else 'bare'}"
+
+
+def _figures(m: Steadiness) -> str:
+    trip = f", round trip 99.9 % {1e6 * m.round_trip.percentiles['99.9']:.0f} us" if m.round_trip else ""
+    wake = m.wake_up
+    late = (
+        f"wake-up median {1e6 * wake.percentiles['50']:.0f}, 99.9 % {1e6 * wake.percentiles['99.9']:.0f}, worst {1e6 * wake.worst:.0f} us"
+    )
+    return f"{m.missed} of {m.cycles} missed, {late}{trip}"
+
+
+def _report(measured: list[Steadiness], lines: list[tuple[str, str]]) -> Report:
+    """What was measured, with a histogram of each wake-up latency."""
+    import numpy as np
+
+    report = Report("The cycle in real time on this machine")
+    main = max((m for m in measured if m.device and m.rate == 1000.0), key=lambda m: m.cycles)
+    report.lead(f"At 1 kHz with a device on the loopback address {main.missed} of {main.cycles} cycles missed their deadline.")
+    report.table(["measurement", "figures"], lines)
+    figure, axes = new_figure(9.0, 4.5)
+    for m in measured:
+        counts = np.array(m.wake_up.histogram, dtype=float)
+        axes.step(1e6 * m.wake_up.bin_width * np.arange(len(counts)), np.maximum(counts / counts.sum(), 1e-9), label=_label(m))
+    axes.set(xlabel="wake-up latency [us]; the last bin holds all longer ones", ylabel="part of the cycles", yscale="log")
+    axes.legend()
+    report.figure(figure, "How late a cycle begins.")
+    report.text(
+        "A cycle misses its deadline where its work, or the device's answer, is not done when the next one is due. Measure on the machine "
+        "and in the state in which it is to be used; a quiet hour says nothing about a busy one."
+    )
+    return report

@@ -1,0 +1,128 @@
+"""What is wrong with a mechanism's files, and what one should know of its contacts before a run."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+import mujoco
+import numpy as np
+
+from hiltestbed.contact.composition import ACTIVE, PASSIVE, add_side, drawn
+from hiltestbed.contact.parameters import PARAMETERS
+from hiltestbed.contact.phases import actuators_of, dropped_by, joints_of
+from hiltestbed.contact.sides import Pair, Sides, sides_of
+from hiltestbed.contact.wrench import meet_all
+from hiltestbed.errors import InputError
+from hiltestbed.frames import Array, quat_from_attitude_deg, quat_to_mujoco
+from hiltestbed.models import stamp
+
+if TYPE_CHECKING:
+    from hiltestbed.contact.settings import Mechanism
+    from hiltestbed.scenario import Scenario
+
+OVERLAP = 1e-6  # [m] by which geoms may overlap at the start
+LISTED = 6
+
+
+def faults(scenario: Scenario) -> Iterator[str]:
+    """Why the mechanism cannot run: its files, its phases, geoms that overlap where A starts."""
+    mechanism = scenario.mechanism
+    try:
+        sides = sides_of(mechanism)
+        model = _both(mechanism)
+    except InputError as error:
+        yield str(error)
+        return
+    for phase in mechanism.phases():
+        for find in (joints_of, actuators_of):
+            try:
+                find(phase, model)
+            except InputError as error:
+                yield str(error)
+        lost = [pattern for pattern in phase.drop_contacts if not dropped_by(sides, [pattern]).size]
+        if lost:
+            yield f"phase {phase.name!r}: no geom of the active side that touches is called {', '.join(lost)}"
+    if scenario.approach.gap > 0.0 and not mechanism.captured:
+        yield from _overlaps(scenario, sides, model)
+
+
+def _overlaps(scenario: Scenario, sides: Sides, model: mujoco.MjModel) -> Iterator[str]:
+    approach = scenario.approach
+    pose = np.array([*approach.offset, -approach.gap, *quat_from_attitude_deg(approach.attitude_deg)])
+    deep = [(depth, pair) for depth, pair in _penetrations(sides, model, pose) if depth > OVERLAP]
+    if deep:
+        deep.sort(key=lambda item: -item[0])
+        named = "; ".join(f"{pair.active} and {pair.passive} by {1e3 * depth:.3g} mm" for depth, pair in deep[:LISTED])
+        yield f"geoms overlap at the start: {named}; start farther away (approach.gap), or leave the pair out"
+
+
+def _penetrations(sides: Sides, model: mujoco.MjModel, pose: Array) -> Iterator[tuple[float, Pair]]:
+    """How deep each pair is [m] with A at ``pose`` (7,) in P; parts that move stand where the files have them."""
+    data = mujoco.MjData(model)
+    at = int(model.joint("A_joint").qposadr[0])
+    data.qpos[at : at + 3], data.qpos[at + 3 : at + 7] = pose[:3], quat_to_mujoco(pose[3:7])
+    mujoco.mj_kinematics(model, data)
+    count = len(sides.facets)
+    if count:
+        frames = np.zeros((2 + len(sides.frames), 7))
+        frames[0], frames[1, 6] = pose, 1.0
+        for k, (side, name) in enumerate(sides.frames):
+            body = data.body((ACTIVE if side == "A" else PASSIVE) + name)
+            frames[2 + k] = [*body.xpos, *body.xquat[[1, 2, 3, 0]]]
+        depth, rate = np.empty(count), np.empty(count)
+        meet_all(
+            *sides.geometry, np.ones((count, PARAMETERS)), frames, np.zeros((len(frames), 6)), np.empty((9, 7)), depth, rate,
+            np.empty((count, 3)), np.empty((count, 3)), np.empty((count, 3)),
+        )  # fmt: skip
+        yield from zip(map(float, depth), sides.facets, strict=True)
+    for pair in sides.native:
+        ends = [model.geom(prefix + name).id for prefix, name in ((ACTIVE, pair.active), (PASSIVE, pair.passive))]
+        yield -mujoco.mj_geomDistance(model, data, *ends, 0.1, None), pair
+
+
+def _both(mechanism: Mechanism) -> mujoco.MjModel:
+    stamps = tuple(stamp(f) for f in mechanism.files())
+    return _compiled(drawn(mechanism), stamps)
+
+
+@lru_cache(maxsize=16)
+def _compiled(structure, stamps: tuple[tuple[int, ...], ...]) -> mujoco.MjModel:
+    """Both sides alone, the active one on a free body. Raises InputError."""
+    spec = mujoco.MjSpec()
+    add_side(spec, structure.mechanism, PASSIVE, spec.worldbody.add_body(name="P_body"))
+    body = spec.worldbody.add_body(name="A_body", mass=1.0, inertia=[1.0, 1.0, 1.0], explicitinertial=True)
+    body.add_freejoint(name="A_joint")
+    add_side(spec, structure.mechanism, ACTIVE, body)
+    try:
+        return spec.compile()
+    except ValueError as error:
+        raise InputError(f"{', '.join(map(str, mechanism_files(structure)))}: MuJoCo cannot compile both sides: {error}") from error
+
+
+def mechanism_files(structure) -> tuple:
+    """The files of both sides."""
+    return structure.mechanism.files()
+
+
+def remarks(mechanism: Mechanism) -> list[str]:
+    """What to know of a mechanism's contacts: which geoms can meet and how, where the stiffness is not a pair's alone, meshes."""
+    sides = sides_of(mechanism)
+    contacts, out = mechanism.contacts(), []
+    for what, pairs in (("nearest point", sides.facets), ("MuJoCo's own collision", sides.native)):
+        for k, contact in enumerate(contacts):
+            found = [f"{p.active} - {p.passive}" for p in pairs if p.rule == k]
+            if found:
+                shown = ", ".join(found[:LISTED]) + (f" and {len(found) - LISTED} more" if len(found) > LISTED else "")
+                out.append(
+                    f"can meet ({what}; {contact.stiffness:g} N/m, {contact.damping:g} N s/m, friction {contact.friction:g}): {shown}"
+                )
+    shared = [p for p in sides.native if not p.single]
+    if shared:
+        out.append(
+            f"{len(shared)} pairs of flat or convex parts share their stiffness among the points that MuJoCo finds: exact where they all "
+            "go equally deep, up to 8 % stiffer where parts roll on an edge"
+        )
+    out += [f"mesh of the geom {name!r}: {finding.message}" for name, finding in sides.findings]
+    return out

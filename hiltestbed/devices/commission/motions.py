@@ -1,0 +1,113 @@
+"""The known motions of a commissioning: small oscillations away from the contact, and presses against it.
+
+A press begins at rest in the open, goes in, oscillates about its depth and comes out again. On a flat mechanism it is repeated off the
+axis, which turns the force into torques of known sign and size; a captured mechanism is moved in all six axes where it stands.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hiltestbed.contact.truth import axis_truth
+from hiltestbed.devices.motion import blend
+from hiltestbed.frames import Array, pose_step
+from hiltestbed.scenario import Scenario
+
+CLEAR = 0.003  # [m] of the open before a press
+LARGEST = 0.004  # [m] of a press or an oscillation
+WIDEST = math.radians(0.5)  # of an oscillation
+FREE = 0.002  # [m] of the oscillations in the open
+ARM = 0.05  # [m] off the axis
+FREQUENCIES = (1.3, 2.1, 3.4)  # [Hz] of x, y, z in the open
+PRESS_FREQUENCY, PRESS_PERIODS = 3.0, 6
+REST = 0.3  # [s] before each motion, and after a press
+ENTRY = 0.6  # [s] in, and out again
+FREE_TIME = 3.0  # [s]
+
+
+@dataclass(frozen=True)
+class Motion:
+    """A named path that begins and ends at rest at the same pose.
+
+    Attributes:
+        start: (7,) of A in P. offsets: (K, 6) way from it, linear [m] and rotation vector [rad], a row a tick.
+        touches: whether the mechanism is meant to be touched.
+    """
+
+    name: str
+    start: Array
+    offsets: Array
+    touches: bool
+
+    def poses(self) -> Iterator[Array]:
+        """The poses (7,) to command, one a tick."""
+        for offset in self.offsets:
+            out = np.empty(7)
+            pose_step(self.start, offset, 1.0, out)
+            yield out
+
+    def after_rest(self, ticks: int) -> Motion:
+        """The same after a rest of ``ticks``."""
+        return replace(self, offsets=np.concatenate([np.zeros((ticks, 6)), self.offsets]))
+
+
+def motions(scenario: Scenario, force: float) -> list[Motion]:
+    """The motions for the mechanism of ``scenario``, with presses of about ``force`` [N]."""
+    if scenario.mechanism.captured:
+        return [_shaken(scenario, force).after_rest(round(REST / scenario.tick))]
+    depth = min(force / scenario.mechanism.contact.stiffness, LARGEST)
+    away = -(CLEAR + 2.0 * FREE)
+    found = [Motion("open", _at(0.0, 0.0, away), _oscillations(scenario.tick), touches=False)]
+    arms = [(0.0, 0.0), (ARM, 0.0), (0.0, ARM), (-ARM, -0.8 * ARM)] if scenario.mechanism.flat else [(0.0, 0.0)]
+    for number, (x, y) in enumerate(arms):
+        found.append(Motion(f"press {number}", _at(x, y, -CLEAR), _press(scenario.tick, depth), touches=True))
+    return [motion.after_rest(round(REST / scenario.tick)) for motion in found]
+
+
+def _at(x: float, y: float, z: float) -> Array:
+    return np.array([x, y, z, 0.0, 0.0, 0.0, 1.0])
+
+
+def _window(x: Array) -> Array:
+    """Rises to 1 over the first fifth and falls over the last, smoothly."""
+    return np.array([blend(min(1.0, 5.0 * v)) * blend(min(1.0, 5.0 * (1.0 - v))) for v in x])
+
+
+def _oscillations(tick: float) -> Array:
+    t = tick * np.arange(1, round(FREE_TIME / tick) + 1)
+    out = np.zeros((len(t), 6))
+    for axis, frequency in enumerate(FREQUENCIES):
+        out[:, axis] = FREE * _window(t / FREE_TIME) * np.sin(2.0 * np.pi * frequency * t)
+    return out
+
+
+def _press(tick: float, depth: float) -> Array:
+    """In to two thirds of ``depth``, oscillating by a third of it, and out."""
+    inward = np.array([blend(min(1.0, k * tick / ENTRY)) for k in range(1, round(ENTRY / tick) + 1)])
+    duration = PRESS_PERIODS / PRESS_FREQUENCY
+    t = tick * np.arange(1, round(duration / tick) + 1)
+    deep = CLEAR + 2.0 * depth / 3.0
+    swing = depth / 3.0 * _window(t / duration) * np.sin(2.0 * np.pi * PRESS_FREQUENCY * t)
+    z = np.concatenate([deep * inward, deep + swing, deep * inward[::-1], np.zeros(round(REST / tick))])
+    out = np.zeros((len(z), 6))
+    out[:, 2] = z
+    return out
+
+
+def _shaken(scenario: Scenario, force: float) -> Motion:
+    """One axis after the other, each by what makes ``force`` or the torque that goes with it."""
+    tick, truth = scenario.tick, axis_truth(scenario)
+    duration = PRESS_PERIODS / PRESS_FREQUENCY
+    t = tick * np.arange(1, round(duration / tick) + 1)
+    wave = _window(t / duration) * np.sin(2.0 * np.pi * PRESS_FREQUENCY * t)
+    out = np.zeros((6 * len(t), 6))
+    for axis in range(6):
+        known = truth[axis]
+        stiffness = known[0] if known is not None else scenario.mechanism.contact.stiffness
+        size = min(force / stiffness, LARGEST) if axis < 3 else min(ARM * force / stiffness, WIDEST)
+        out[axis * len(t) : (axis + 1) * len(t), axis] = size * wave
+    return Motion("shaken", _at(0.0, 0.0, 0.0), out, touches=True)

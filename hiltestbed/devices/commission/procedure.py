@@ -1,0 +1,141 @@
+"""The sequence of a commissioning: watch, tare, move in the open, press, fit.
+
+Nothing moves unless it is armed; every command passes the same guard as in a run. Where anything goes wrong the platform is held, retracted
+or stopped as the scenario says, and nothing is written.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from hiltestbed.devices.commission.expected import Expected
+from hiltestbed.devices.commission.motions import Motion, motions
+from hiltestbed.devices.commission.platform import Path, PlatformFit, fit_platform
+from hiltestbed.devices.commission.sensor import SensorFit, Shown, fit_sensor
+from hiltestbed.devices.interface import DeviceError
+from hiltestbed.devices.motion import travel
+from hiltestbed.devices.mounting import Mounting
+from hiltestbed.devices.rehearsal import rehearse
+from hiltestbed.devices.session import Observed, Options, Row, Session
+from hiltestbed.errors import InputError
+from hiltestbed.frames import Array, attitude_deg_from_quat
+from hiltestbed.scenario import Scenario, resolved, scenario_from
+
+FORCE = 100.0  # [N] of a press
+Progress = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Commissioned:
+    """What was measured.
+
+    Attributes:
+        believed: the scenario as it was given, with what no simulation could have known: mounting and noise of the sensor.
+        nominal: with all that was measured. paths: the motions as they went, by name.
+    """
+
+    believed: Scenario
+    nominal: Scenario
+    observed: Observed
+    sensor: SensorFit
+    platform: PlatformFit
+    paths: dict[str, Path]
+    starts: dict[str, Array]
+
+
+def commission(scenario: Scenario, options: Options, force: float = FORCE, progress: Progress = lambda step: None) -> Commissioned:
+    """Measure the devices of ``scenario`` with presses of about ``force`` [N].
+
+    Raises:
+        InputError: it is not armed, or the force is past the scenario's limit. DeviceError: something has stopped it.
+    """
+    limit = scenario.safety.force
+    if not options.armed:
+        raise InputError("commission moves the platform; read docs/safety.md, then give --arm")
+    if limit is not None and force > 0.8 * limit:
+        raise InputError(f"force: is too large (got {force:g} N); allowed is 0.8 of safety.force, {0.8 * limit:g} N")
+    progress("rehearsal")
+    rehearse(scenario)
+    session = Session(scenario, options)
+    planned = motions(scenario, force)
+    rows: dict[str, list[Row]] = {motion.name: [] for motion in planned}
+    with session.connected():
+        observed = session.observe()
+        session.guarded(lambda: _play(session, planned, rows, progress))
+    if session.rig.stop is not None:
+        raise DeviceError(f"stopped: {session.rig.stop}; nothing was written")
+    progress("fits")
+    return _fitted(scenario, planned, rows, observed)
+
+
+def _play(session: Session, planned: Sequence[Motion], rows: dict[str, list[Row]], progress: Progress) -> None:
+    tick, settings = session.rig.tick, session.scenario.devices.platform
+    speed, rate = settings.travel_speed, math.radians(settings.travel_rate_deg)
+    home = session.rig.last.copy()
+    for motion in planned:
+        progress(motion.name)
+        if not session.follow(travel(session.rig.last.copy(), motion.start, tick, speed, rate)):
+            return
+        if not session.follow(motion.poses(), rows=rows[motion.name]):
+            return
+    session.follow(travel(session.rig.last.copy(), home, tick, speed, rate))
+
+
+def _fitted(scenario: Scenario, planned: Sequence[Motion], rows: dict[str, list[Row]], observed: Observed) -> Commissioned:
+    touched, noise = [], observed.shown_noise
+    for motion in planned:
+        poses = np.array([row.pose for row in rows[motion.name]])
+        if motion.touches:
+            shown = np.array([row.shown for row in rows[motion.name]]) - observed.shown
+            touched.append(Shown(Expected(scenario, poses), shown))
+    sensor = fit_sensor(touched, np.array(scenario.devices.sensor.position), noise)
+    believed = _mounted(scenario, sensor, noise)
+    mounting = Mounting(believed.devices)
+    paths = {motion.name: _path(rows[motion.name], mounting, observed.shown, motion.touches) for motion in planned}
+    platform = fit_platform(list(paths.values()), scenario.tick)
+    starts = {motion.name: motion.start for motion in planned}
+    return Commissioned(believed, _nominal(believed, sensor, platform), observed, sensor, platform, paths, starts)
+
+
+def _path(rows: list[Row], mounting: Mounting, tare: Array, touches: bool) -> Path:
+    wrench = np.zeros((len(rows), 6))
+    for k, row in enumerate(rows):
+        mounting.wrench_in_P(row.shown - tare, wrench[k])
+    return Path(np.array([row.command for row in rows]), np.array([row.pose for row in rows]), wrench, touches)
+
+
+def _mounted(scenario: Scenario, sensor: SensorFit, noise: Array) -> Scenario:
+    data = resolved(scenario)
+    data["devices"]["sensor"] |= {"attitude_deg": attitude_deg_from_quat(sensor.attitude).tolist(), "sign": sensor.sign}
+    data["sensor"] |= {"noise": float(np.max(noise[:3])), "torque_noise": float(np.max(noise[3:]))}
+    return scenario_from(data)
+
+
+def _nominal(believed: Scenario, sensor: SensorFit, platform: PlatformFit) -> Scenario:
+    data = resolved(believed)
+    lowpass = believed.sensor.lowpass
+    data["sensor"]["delay"] = max(sensor.delay - (1.0 / (2.0 * math.pi * lowpass) if lowpass else 0.0), 0.0)
+    data["effects"] = [e for e in data["effects"] if e["kind"].partition(".")[0] not in ("sensor", "platform")] + effects_of(
+        sensor, platform
+    )
+    return scenario_from(data)
+
+
+def effects_of(sensor: SensorFit, platform: PlatformFit) -> list[dict[str, Any]]:
+    """Gains, crosstalk, delay and scale as effects, where they differ from none by more than their intervals."""
+    gains = {n.axis: n.value for n in sensor.numbers if n.source == n.axis}
+    found: list[dict[str, Any]] = [{"kind": "sensor.gain", "axis": axis, "factor": value} for axis, value in gains.items()]
+    for n in sensor.numbers:  # after the gains: what leaks is what the source shows
+        if n.source != n.axis:
+            found.append({"kind": "sensor.crosstalk", "source": n.source, "axis": n.axis, "ratio": n.value / gains.get(n.source, 1.0)})
+    if platform.delay > max(1e-4, 2.0 * platform.delay_ci95):
+        found.append({"kind": "platform.delay", "delay": platform.delay})
+    for axis, value, ci95 in zip("xyz", platform.scale or (), platform.scale_ci95 or (), strict=False):
+        if abs(value - 1.0) > max(2e-3, 2.0 * ci95):
+            found.append({"kind": "platform.scale", "axis": axis, "factor": value})
+    return found

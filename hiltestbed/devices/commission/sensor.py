@@ -1,0 +1,242 @@
+"""What the sensor makes of the wrench: sign, attitude, delay, and the gains and the crosstalk that it takes to explain the readings.
+
+The wrench that the mechanism exerts is known from where the platform was; the reading is that wrench late, mixed, turned into the sensor's
+frame. Sign and attitude come from the best rotation between the two (G. Wahba, SIAM Review 7, 1965; solved by F. L. Markley's singular
+values, J. Astronautical Sciences 36, 1988), all numbers together from least squares. Gains and crosstalk are taken in one after the other,
+each time the one that explains most, as long as it explains a good part of what is left: 36 numbers at once would take up every error.
+
+A press cannot tell a wrong gain from a wrong stiffness: the stiffness that the scenario gives its mechanism is the reference. Where the
+mechanism pushes in one direction only, other things look alike as well: what would explain as much is named beside what was taken.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from hiltestbed.devices.commission.expected import Expected
+from hiltestbed.frames import Array, rotation_matrix
+from hiltestbed.signals import AXES
+
+ROWS = 6000  # of all motions together, that a fit is made on
+WORTH = 0.2  # part of the remaining square that one more number has to explain
+SIGNIFICANT = 4.0  # standard deviations by which it has to differ from none
+LEAST = 5e-4  # of a gain or a crosstalk
+MOST = 8  # of them
+TIE = 0.9  # part of the best one's gain from which on another explains as much
+LONGEST = 0.05  # [s]
+FLOOR = 1e-5  # of the largest reading: what is taken for noise where there is none
+
+Element = tuple[int, int]  # source and axis of a number
+
+
+@dataclass(frozen=True)
+class Shown:
+    """A motion: what was expected, and what the sensor showed (N, 6), in its own frame and less its tare."""
+
+    expected: Expected
+    reading: Array
+
+
+@dataclass(frozen=True)
+class Number:
+    """A gain (``source`` = ``axis``) or a crosstalk: estimate, and half the width of its 95 % interval.
+
+    Attributes:
+        or_else: (source, axis) of others that would have explained as much: the motions do not tell them apart.
+    """
+
+    source: str
+    axis: str
+    value: float
+    ci95: float
+    or_else: tuple[tuple[str, str], ...] = ()
+
+
+@dataclass(frozen=True)
+class SensorFit:
+    """Estimates with the half width of their 95 % interval.
+
+    Attributes:
+        sign: of the wrench. attitude: quaternion (4,) of the sensor's frame in P. numbers: gains and crosstalk, in P.
+        residual, reading: (6,) rms that is left, and of the reading itself, in the sensor's frame.
+    """
+
+    sign: int
+    attitude: Array
+    attitude_ci95_deg: list[float]
+    delay: float
+    delay_ci95: float
+    numbers: tuple[Number, ...]
+    residual: list[float]
+    reading: list[float]
+
+
+def fit_sensor(motions: Sequence[Shown], position: Array, noise: Array) -> SensorFit:
+    """The sensor that explains all ``motions``.
+
+    Args:
+        position: (3,) of the sensor's origin in P, as believed. noise: (6,) standard deviation of its channels.
+    """
+    data = _Data(motions, position, noise)
+    sign, rotation, delay = data.first_guess()
+    chosen: list[Element] = []
+    others: list[list[Element]] = []
+    best = data.fit(sign, rotation, delay, chosen, None)
+    while len(chosen) < MOST:
+        candidate, *rivals = data.most_telling(sign, best, chosen)
+        trial = data.fit(sign, best.rotation, best.delay, [*chosen, candidate], best)
+        if trial.square > (1.0 - WORTH) * best.square or not trial.holds():
+            break
+        best = trial
+        chosen.append(candidate)
+        others.append(rivals)
+    spread = best.spread()
+    numbers = tuple(
+        Number(AXES[i], AXES[j], float(v) + (i == j), float(s), tuple((AXES[a], AXES[b]) for a, b in rivals))
+        for (i, j), v, s, rivals in zip(chosen, best.p[4:], spread[4:], others, strict=True)
+    )
+    return SensorFit(
+        sign=sign,
+        attitude=_quaternion(best.rotation),
+        attitude_ci95_deg=np.degrees(spread[:3]).tolist(),
+        delay=best.delay,
+        delay_ci95=float(spread[3] * 1e-3),
+        numbers=numbers,
+        residual=data.rms(best).tolist(),
+        reading=np.sqrt(np.mean(data.reading**2, axis=0)).tolist(),
+    )
+
+
+@dataclass
+class _Fit:
+    """p: (4 + numbers,) rotation vector past ``before``, delay [ms], numbers. rotation: matrix of S in P."""
+
+    p: Array
+    rotation: Array
+    delay: float
+    square: float
+    jacobian: Array
+
+    def spread(self) -> Array:
+        """(4 + numbers,) half widths of the 95 % intervals."""
+        rows, columns = self.jacobian.shape
+        return 1.96 * np.sqrt(np.diag(np.linalg.pinv(self.jacobian.T @ self.jacobian)) * self.square / max(rows - columns, 1))
+
+    def holds(self) -> bool:
+        """Whether the number that came in last is one."""
+        return abs(self.p[-1]) > max(LEAST, SIGNIFICANT / 1.96 * self.spread()[-1])
+
+
+class _Data:
+    def __init__(self, motions: Sequence[Shown], position: Array, noise: Array) -> None:
+        total = sum(len(m.reading) for m in motions)
+        every = max(total // ROWS, 1)
+        self._parts = [(m.expected, np.arange(every, len(m.reading), every).astype(float), m.reading) for m in motions]
+        self._position = position
+        self.reading = np.concatenate([_centred(reading[ticks.astype(int)]) for _, ticks, reading in self._parts])
+        rms = np.sqrt(np.mean(self.reading**2, axis=0))
+        floor = FLOOR * np.repeat([rms[:3].max(), rms[3:].max()], 3)
+        self._weight = 1.0 / np.maximum(np.maximum(noise, floor), 1e-12)
+
+    def first_guess(self) -> tuple[int, Array, float]:
+        """Sign, rotation matrix of S in P and delay [s] with which the readings fit best, without gains."""
+        found = []
+        for delay in np.arange(0.0, LONGEST, 0.001):
+            felt = self._at_sensor(self._wrench(delay))
+            square = self.reading * self._weight
+            for sign in (1, -1):
+                rotation = _wahba(felt, sign * self.reading, self._weight)
+                turned = sign * np.concatenate([felt[:, :3] @ rotation, felt[:, 3:] @ rotation], axis=1) * self._weight
+                found.append((float(np.sum((square - turned) ** 2)), sign, rotation, float(delay)))
+        return min(found, key=lambda item: item[0])[1:]
+
+    def fit(self, sign: int, rotation: Array, delay: float, chosen: Sequence[Element], before: _Fit | None) -> _Fit:
+        """Least squares over rotation, delay and the ``chosen`` numbers, from a fit with one number less."""
+
+        def residuals(p: Array) -> Array:
+            shown = self._shown(rotation @ _turn(p[:3]), 1e-3 * p[3], _calibration(chosen, p[4:]))
+            return ((self.reading - sign * shown) * self._weight).ravel()
+
+        start = np.zeros(4 + len(chosen))
+        start[3] = 1e3 * delay
+        if before is not None:
+            start[4 : 4 + len(before.p) - 4] = before.p[4:]
+        fit = least_squares(residuals, start, method="lm")
+        return _Fit(fit.x, rotation @ _turn(fit.x[:3]), float(1e-3 * fit.x[3]), float(2.0 * fit.cost), fit.jac)
+
+    def most_telling(self, sign: int, fit: _Fit, chosen: Sequence[Element]) -> list[Element]:
+        """The number that would take most of the square away, to first order and beside those that ``fit`` has; then its equals.
+
+        Where several would do as well, what leaks from a force goes before what leaks from a torque: a turn and a leak of the force look
+        like another turn and a leak of the torque, where the force has one direction only.
+        """
+        calibration = _calibration(chosen, fit.p[4:])
+        left = ((self.reading - sign * self._shown(fit.rotation, fit.delay, calibration)) * self._weight).ravel()
+        basis, _ = np.linalg.qr(fit.jacobian)
+        gains = {}
+        for candidate in ((i, j) for i in range(6) for j in range(6)):
+            if candidate in chosen:
+                continue
+            column = (sign * self._shown(fit.rotation, fit.delay, _calibration([candidate], [1.0]) - np.eye(6)) * self._weight).ravel()
+            own = column - basis @ (basis.T @ column)
+            square = float(own @ own)
+            gains[candidate] = float(own @ left) ** 2 / square if square > 1e-9 * float(column @ column) else 0.0
+        most = max(gains.values())
+        equal = [c for c in gains if gains[c] >= TIE * most]
+        return sorted(equal, key=lambda c: (c[0] != c[1], c[0] > 2, c[1] > 2, -gains[c]))
+
+    def rms(self, fit: _Fit) -> Array:
+        """(6,) rms that is left of each channel."""
+        rows, columns = len(self.reading), len(fit.p)
+        return np.sqrt(fit.square / (6.0 * rows - columns)) / self._weight
+
+    def _wrench(self, delay: float) -> Array:
+        return np.concatenate([_centred(expected.at(ticks, delay)) for expected, ticks, _ in self._parts])
+
+    def _at_sensor(self, wrench: Array) -> Array:
+        """The wrench in P's axes, at the sensor's origin."""
+        return np.concatenate([wrench[:, :3], wrench[:, 3:] - np.cross(self._position, wrench[:, :3])], axis=1)
+
+    def _shown(self, rotation: Array, delay: float, calibration: Array) -> Array:
+        felt = self._at_sensor(self._wrench(delay) @ calibration.T)
+        return np.concatenate([felt[:, :3] @ rotation, felt[:, 3:] @ rotation], axis=1)
+
+
+def _calibration(chosen: Sequence[Element], values: Sequence[float] | Array) -> Array:
+    """(6, 6) what the transducer makes of the wrench with ``values`` for the ``chosen`` (source, axis)."""
+    out = np.eye(6)
+    for (i, j), value in zip(chosen, values, strict=True):
+        out[j, i] += value
+    return out
+
+
+def _centred(values: Array) -> Array:
+    return values - values.mean(axis=0)
+
+
+def _wahba(felt: Array, reading: Array, weight: Array) -> Array:
+    """The rotation matrix R of S in P with reading = R^T felt, for forces and torques alike."""
+    profile = np.zeros((3, 3))
+    for part in (slice(0, 3), slice(3, 6)):
+        scale = float(weight[part].max())
+        profile += scale**2 * felt[:, part].T @ reading[:, part]
+    u, _, vt = np.linalg.svd(profile)
+    return u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
+
+
+def _turn(vector: Array) -> Array:
+    """Rotation matrix of a rotation vector (3,)."""
+    angle = float(np.linalg.norm(vector))
+    half = 0.5 * vector if angle < 1e-12 else vector / angle * np.sin(0.5 * angle)
+    return rotation_matrix(np.array([*half, np.cos(0.5 * angle)]))
+
+
+def _quaternion(rotation: Array) -> Array:
+    """Quaternion (4,) of a rotation matrix."""
+    from scipy.spatial.transform import Rotation
+
+    return Rotation.from_matrix(rotation).as_quat()

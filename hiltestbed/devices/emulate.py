@@ -1,0 +1,158 @@
+"""The physical side of a scenario behind the protocols of real devices, in real time.
+
+A cycle: what the controller has sent since the last one is where the platform is to be now; the rig moves there, and pose and wrench are
+published. A command that has not come in time counts as missed, and the platform keeps the last one. The rig stands still until the first
+command.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from hiltestbed.devices.clock import CycleClock
+from hiltestbed.devices.interface import PlatformServer, SensorServer
+from hiltestbed.devices.mounting import Mounting
+from hiltestbed.devices.physical import SimulatedRig
+from hiltestbed.devices.realtime import prepared
+from hiltestbed.devices.table import find, platform_server, sensor_server
+from hiltestbed.devices.watch import said
+from hiltestbed.errors import Fault, InputError
+from hiltestbed.scenario import Scenario
+
+WARM_UP = 32  # ticks of a rig that nobody sees: they compile what is not compiled yet
+RATE_ERROR = 1e-6
+
+
+@dataclass
+class Emulated:
+    """What came of an emulation: cycles, those without a command in time, why it ended, and the events of both connections."""
+
+    cycles: int
+    missed: int
+    skipped: int
+    ended: str
+    sensor: dict[str, int]
+    platform: dict[str, int]
+
+    def record(self) -> dict[str, Any]:
+        """As plain data."""
+        return vars(self)
+
+
+class Emulator:
+    """Both devices of a scenario; a context manager that opens and closes them."""
+
+    def __init__(self, scenario: Scenario, sensor_url: str, platform_url: str) -> None:
+        """Raises InputError where a URL is wrong or its rate is not the scenario's."""
+        self.scenario = scenario
+        self.sensor: SensorServer = sensor_server(with_rate(sensor_url, scenario, "--sensor"), "--sensor")
+        self.platform: PlatformServer = platform_server(with_rate(platform_url, scenario, "--platform"), "--platform")
+        self.mounting = Mounting(scenario.devices)
+        warm = SimulatedRig(scenario)
+        for _ in range(WARM_UP):
+            warm.step(warm.pose.copy())
+        self.rig = SimulatedRig(scenario)
+        self.cycles = self.missed = self._silent = 0
+        self._wrench, self._pose, self._goal = np.zeros(6), np.zeros(7), self.rig.pose.copy()
+        self._opened = ExitStack()
+
+    def __enter__(self) -> Emulator:
+        with ExitStack() as stack:
+            stack.enter_context(self.sensor)
+            stack.enter_context(self.platform)
+            self._opened = stack.pop_all()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._opened.close()
+
+    def cycle(self) -> None:
+        """Take in the commands, move the rig on by a tick and publish where it is and what it feels."""
+        if self.cycles > 0:
+            self.sensor.poll()
+            new = self.platform.poll()
+            if self.platform.commanded:
+                self._silent += 1
+                if new:  # the silence after the last command is the end of the run, not a miss
+                    self.missed += self._silent - 1
+                    self._silent = 0
+                if self.platform.stopped is None:
+                    self.mounting.pose_in_P(self.platform.command, self._goal)
+            self.rig.step(self._goal)
+        self.publish()
+        self.cycles += 1
+
+    def publish(self) -> None:
+        """Publish what the rig shows now."""
+        self.mounting.wrench_shown(self.rig.wrench, self._wrench)
+        self.mounting.command_of(self.rig.pose, self._pose)
+        now = self.cycles * self.rig.period
+        self.sensor.publish(self._wrench, now)
+        self.platform.publish(self._pose, now)
+
+    def result(self, ended: str, skipped: int = 0) -> Emulated:
+        """What has come of it so far."""
+        return Emulated(self.cycles, self.missed, skipped, ended, said(self.sensor), said(self.platform))
+
+
+def emulate(
+    scenario: Scenario,
+    sensor_url: str,
+    platform_url: str,
+    seconds: float | None = None,
+    cpu: int | None = None,
+    ready: Callable[[], None] | None = None,
+) -> Emulated:
+    """Play the devices for ``seconds``, or until the controller stops the platform, or until Ctrl-C.
+
+    Args:
+        ready: called when both devices are there.
+
+    Raises:
+        InputError: a URL is wrong. HiltestbedError: the rig diverged.
+    """
+    emulator = Emulator(scenario, sensor_url, platform_url)
+    clock = CycleClock(scenario.rate, 1)
+    ended = "the time was up"
+    with prepared(cpu), emulator:
+        if ready is not None:
+            ready()
+        until = None if seconds is None else time.monotonic() + seconds
+        clock.start()
+        try:
+            while until is None or time.monotonic() < until:
+                clock.wait()
+                emulator.cycle()
+        except KeyboardInterrupt:
+            ended = "interrupted"
+    if emulator.platform.stopped is not None:
+        ended = f"{ended}; the platform had stopped: {emulator.platform.stopped}"
+    return emulator.result(ended, clock.skipped)
+
+
+def with_rate(url: str, scenario: Scenario, place: str) -> str:
+    """``url`` with the scenario's rate, where its protocol has that option and it is not given.
+
+    Raises:
+        InputError: another rate is given, or the protocol's period is another.
+    """
+    options = find(url, place).settings.model_fields
+    settings = find(url, place).settings
+    if "rate" in options and "rate=" not in url:
+        return f"{url}{'&' if '?' in url else '?'}rate={scenario.rate:g}"
+    if "period_ms" in options:
+        from hiltestbed.devices.url import parse
+
+        period = 1e-3 * parse(url, settings, place).period_ms  # type: ignore[attr-defined]
+        if abs(period * scenario.rate - 1.0) > RATE_ERROR:
+            message = (
+                f"is {1e3 * period:g} ms, the scenario's tick {1e3 * scenario.tick:g} ms; set rate to {1.0 / period:g} (--set rate=...)"
+            )
+            raise InputError(Fault(f"{place} {url}", None, None, "period_ms", message))
+    return url

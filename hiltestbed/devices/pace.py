@@ -1,0 +1,109 @@
+"""What a tick of the loop waits for: the record of the device that sets the clock, or the loop's own clock.
+
+A tick belongs to a record by the device's own number of it, not by the time of its arrival. A record that is lost or late costs the loop
+its tick, not its time base: half a period after it was due the tick begins without it, and where several records have come at once the
+loop catches up.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from typing import Protocol
+
+from hiltestbed.devices.clock import CycleClock
+from hiltestbed.devices.interface import Clock, DeviceError, PlatformClient, SensorClient
+
+SLACK = 0.5  # periods after which a record that has not come is a miss
+RATE_ERROR = 0.02  # of the device's rate against the scenario's
+
+
+class Pace(Protocol):
+    """Waits for the ticks of a loop.
+
+    Attributes:
+        source: what sets the clock, for the record of a run.
+    """
+
+    source: str
+
+    def start(self) -> None:
+        """The next tick is the first."""
+        ...
+
+    def wait(self) -> int:
+        """Wait for the next tick; the number of ticks that have begun since the last call, at least 1."""
+        ...
+
+
+class DevicePace:
+    """Ticks begin with the records of ``link``, every ``records`` of them."""
+
+    def __init__(self, link: SensorClient | PlatformClient, tick: float, records: int) -> None:
+        self.source = link.where
+        self._link, self._tick = link, tick
+        self._numbers = records * link.step
+        self._first = self._count = 0
+        self._due = 0.0
+
+    def start(self) -> None:
+        self._first, self._count = self._link.sample.sequence, 0
+        self._due = time.monotonic()
+
+    def wait(self) -> int:
+        self._count += 1
+        deadline = self._due + (1.0 + SLACK) * self._tick
+        while self._link.wait(max(deadline - time.monotonic(), 0.0)):
+            index = (self._link.sample.sequence - self._first) // self._numbers
+            if index >= self._count:
+                ticks, self._count = index - self._count + 1, index
+                self._due = time.monotonic()
+                return ticks
+        self._due += self._tick
+        return 1
+
+
+class AtOnce:
+    """Ticks that follow each other without a wait."""
+
+    source = "none"
+
+    def start(self) -> None:
+        """Nothing to start."""
+
+    def wait(self) -> int:
+        return 1
+
+
+class HostPace:
+    """Ticks of the loop's own clock."""
+
+    source = "the loop's own clock"
+
+    def __init__(self, tick: float) -> None:
+        self._clock = CycleClock(1.0 / tick, 1)
+
+    def start(self) -> None:
+        self._clock.start()
+
+    def wait(self) -> int:
+        return 1 + self._clock.wait()
+
+
+def pace_of(sensor: SensorClient, platform: PlatformClient, tick: float) -> Pace:
+    """The platform sets the clock if its protocol does; else a sensor that streams; else the loop.
+
+    Raises:
+        DeviceError: the device that sets the clock has a rate that the loop's does not divide.
+    """
+    for link, sets in ((platform, platform.clock is Clock.DEVICE), (sensor, math.isfinite(sensor.period))):
+        if not sets:
+            continue
+        records = max(round(tick / link.period), 1)
+        if abs(records * link.period / tick - 1.0) > RATE_ERROR:
+            raise DeviceError(
+                f"{link.where}: sets the clock at {1.0 / link.period:g} Hz, of which the scenario's rate of {1.0 / tick:g} Hz is no whole "
+                f"part; set rate to {1.0 / link.period:g} or a whole part of it"
+            )
+        return DevicePace(link, tick, records)
+    return HostPace(tick)

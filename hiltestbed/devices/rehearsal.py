@@ -1,0 +1,62 @@
+"""A short run against devices that are none, before real ones are opened: what is not compiled yet is compiled then."""
+
+from __future__ import annotations
+
+import time
+
+from hiltestbed.devices.interface import PlatformClient, SensorClient
+from hiltestbed.devices.section import Devices, MotionLimits
+from hiltestbed.devices.session import Options, Session
+from hiltestbed.frames import Array
+from hiltestbed.scenario import Scenario
+
+TICKS = 64
+_UNWATCHED = Devices(limits=MotionLimits(**dict.fromkeys(MotionLimits.model_fields)), watchdog=None)
+
+
+class _PushedSensor(SensorClient):
+    """Forces of some newtons."""
+
+    def open(self) -> None:
+        pass
+
+    def close(self) -> None:
+        pass
+
+    def poll(self) -> bool:
+        self.reading.sequence += 1
+        self.reading.wrench[:] = 10.0 * (self.reading.sequence % 3 - 1)
+        self.reading.arrival = time.monotonic_ns()
+        return True
+
+
+class _Follower(PlatformClient):
+    """It is where it was told to be."""
+
+    def open(self) -> None:
+        pass
+
+    def close(self) -> None:
+        pass
+
+    def poll(self) -> bool:
+        self.state.sequence += 1
+        self.state.arrival = time.monotonic_ns()
+        return True
+
+    def command(self, pose: Array) -> None:
+        self._check(pose)
+        self.state.pose[:] = pose
+
+    def hold(self) -> None:
+        pass
+
+
+def rehearse(scenario: Scenario) -> None:
+    """Make a run of :data:`TICKS` ticks with all that belongs to it."""
+    short = scenario.model_copy(update={"duration": TICKS / scenario.rate, "devices": _UNWATCHED})
+    session = Session(short, Options("", "", armed=True, connect=lambda *_: (_PushedSensor("rehearsal"), _Follower("rehearsal"))))
+    session.devices.sensor.poll()
+    session.devices.platform.poll()
+    session.observe()
+    session.run()

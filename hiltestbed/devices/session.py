@@ -1,0 +1,284 @@
+"""One run of the loop against two devices: connect, tare, wait, travel to the start, run, stop; a run like any other comes of it.
+
+Nothing moves before it is armed. Whatever happens from then on ends in a run with its reason, and the platform held, retracted or stopped
+as the scenario says. The trace is kept in memory that is there before the first cycle, and written after the last.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from hiltestbed.devices.emulate import with_rate
+from hiltestbed.devices.interface import PlatformClient, SensorClient
+from hiltestbed.devices.motion import run_down, run_up, travel
+from hiltestbed.devices.pace import Pace, pace_of
+from hiltestbed.devices.realtime import Granted, prepared
+from hiltestbed.devices.side import Connected, DeviceRig, side_of
+from hiltestbed.devices.table import platform_client, sensor_client
+from hiltestbed.devices.watch import said
+from hiltestbed.devices.watchdog import Watchdog
+from hiltestbed.errors import HiltestbedError
+from hiltestbed.frames import Array
+from hiltestbed.loop import Loop
+from hiltestbed.numerical_model.bodies import approach_state
+from hiltestbed.scenario import Scenario
+from hiltestbed.signals import CYCLE, Trace
+from hiltestbed.simulation import Run, collected, concluded, reference_scenario, simulate
+
+OBSERVED = 1.0  # [s] for which devices are watched before the start, at least
+READY = 20.0  # [s] to wait for the watchdog's process
+
+MakePace = Callable[[SensorClient, PlatformClient, float], Pace]
+
+
+@dataclass
+class Options:
+    """How a run against devices is made.
+
+    Attributes:
+        sensor, platform: URLs. armed: whether anything may move. cpu: processor to run on.
+        pace: makes what a tick waits for, of sensor, platform and tick; for tests without a clock.
+    """
+
+    sensor: str
+    platform: str
+    armed: bool = False
+    cpu: int | None = None
+    pace: MakePace = pace_of
+    connect: Callable[[Scenario, Options], tuple[SensorClient, PlatformClient]] = field(default=lambda *a: clients(*a))
+
+
+def clients(scenario: Scenario, options: Options) -> tuple[SensorClient, PlatformClient]:
+    """The loop's sides of both devices, not yet open. Raises InputError."""
+    sensor = sensor_client(with_rate(options.sensor, scenario, "--sensor"))
+    return sensor, platform_client(with_rate(options.platform, scenario, "--platform"))
+
+
+@dataclass
+class Observed:
+    """What the devices show while nothing moves: reading and pose in P, spread of the reading, rate, and the events so far.
+
+    Attributes:
+        shown, shown_noise: (6,) mean and spread of the reading in the sensor's own frame.
+    """
+
+    pose: Array
+    wrench: Array
+    noise: Array
+    shown: Array
+    shown_noise: Array
+    rate: float
+    counts: dict[str, dict[str, int]]
+
+
+@dataclass
+class Row:
+    """A tick of a known motion: pose (7,) commanded for its end, pose (7,) of A in P reached, wrench (6,) as the sensor shows it."""
+
+    command: Array
+    pose: Array
+    shown: Array
+
+
+class Session:
+    """One run against two devices: everything is made before they are opened, since some want their answer from then on."""
+
+    def __init__(self, scenario: Scenario, options: Options) -> None:
+        self.scenario, self.options, self.armed = scenario, options, options.armed
+        self.devices = Connected(*options.connect(scenario, options))
+        self.rig = DeviceRig(scenario, self.devices, scenario.ticks + 1)
+        self.loop = Loop([scenario], side=side_of(self.rig))
+        self.trace = Trace(scenario.ticks, 1, scenario.rate, self.rig.units)
+        self.granted = Granted()
+        self.wall = 0.0
+        state = approach_state(scenario)
+        self._pose, self._twist = state[:7], state[7:]
+        self._zero = np.zeros((1, 6))
+        self._to_send = np.zeros((1, 7))
+
+    @contextmanager
+    def connected(self) -> Iterator[None]:
+        """Both devices open, in a process that is prepared for them."""
+        devices, watchdog = self.devices, self.scenario.devices.watchdog
+        with ExitStack() as stack:
+            self.granted = stack.enter_context(prepared(self.options.cpu))
+            stack.enter_context(devices.sensor)
+            stack.enter_context(devices.platform)
+            devices.pace = self.options.pace(devices.sensor, devices.platform, self.scenario.tick)
+            if self.armed and watchdog is not None:
+                devices.watchdog = Watchdog(
+                    with_rate(self.options.platform, self.scenario, "--platform"), devices.platform, watchdog.timeout, watchdog.action,
+                    wait=False,
+                )  # fmt: skip
+                stack.callback(devices.watchdog.close)
+            yield
+
+    def observe(self) -> Observed:
+        """Watch the devices while the platform is held, tare the sensor, and wait for the watchdog's process."""
+        rig, tare = self.rig, self.scenario.devices.sensor.tare
+        ticks = round(max(OBSERVED if not self.armed else 0.0, tare) * self.scenario.rate)
+        readings, shown = np.zeros((2, max(ticks, 2), 6))
+        rig.watch()
+        began = time.monotonic()
+        for k in range(len(readings)):
+            self._hold()
+            readings[k], shown[k] = rig.wrench_sub[0, 0], self.devices.sensor.reading.wrench
+        rate = len(readings) / max(time.monotonic() - began, 1e-9)
+        wrench = readings.mean(axis=0)
+        if tare > 0.0:
+            rig.tare[:] = wrench
+        until = time.monotonic() + READY
+        watchdog = self.devices.watchdog
+        while watchdog is not None and not watchdog.ready and time.monotonic() < until and rig.stop is None:
+            self._hold()
+        if watchdog is not None and not watchdog.ready and rig.stop is None:
+            rig.stop = f"the watchdog did not start within {READY:g} s"
+        spread = readings.std(axis=0)
+        return Observed(rig.pose_act[0].copy(), wrench, spread, shown.mean(axis=0), shown.std(axis=0), rate, self._counts())
+
+    def run(self) -> None:
+        """Arm, travel, run, stop."""
+        self.guarded(self._run)
+        if self.loop.k == 0 and self.rig.stop is not None:
+            self.loop.trouble[0] = (0, "stopped", f"before the start: {self.rig.stop}")
+
+    def guarded(self, work: Callable[[], None]) -> None:
+        """Arm, do ``work``, and bring the platform to rest whatever comes of it; what has gone wrong stands in ``rig.stop``."""
+        rig = self.rig
+        try:
+            rig.arm()
+            work()
+        except KeyboardInterrupt:
+            rig.stop = "interrupted"
+        except (HiltestbedError, OSError) as error:  # a device that refuses is a reason to stop, not to lose the run
+            rig.stop = str(error)
+        finally:
+            reason = rig.stop
+            self._end()
+            rig.stop = reason
+            if reason is not None and not self.loop.trouble:
+                self.loop.trouble[0] = (self.loop.k, "stopped", reason)
+
+    def _run(self) -> None:
+        if not self._approach():
+            return
+        self.rig.tick_zero()
+        began = time.perf_counter()
+        try:
+            while self.loop.k < self.scenario.ticks and self.loop.alive[0]:
+                self.loop.step(self.trace)
+        finally:
+            self.wall = time.perf_counter() - began
+
+    def _approach(self) -> bool:
+        """To where the run-up begins, and up to the approach velocity; False where something has stopped it."""
+        tick, settings = self.rig.tick, self.scenario.devices.platform
+        rest = next(run_up(self._pose, self._twist, tick, settings.run_up))
+        way = travel(self.rig.last.copy(), rest, tick, settings.travel_speed, np.radians(settings.travel_rate_deg))
+        return self.follow(way) and self.follow(run_up(self._pose, self._twist, tick, settings.run_up))
+
+    def _end(self) -> None:
+        """Bring the platform to rest: smoothly after a run that is complete, as the scenario says after one that is not."""
+        rig, platform = self.rig, self.devices.platform
+        try:
+            if rig.stop is None and not self.loop.trouble:
+                down = run_down(rig.last.copy(), self._leaving(), rig.tick, self.scenario.devices.platform.run_up)
+                if self.follow(down):
+                    self._hold()
+                else:
+                    platform.hold()
+            else:
+                self._stop()
+        except (HiltestbedError, OSError, KeyboardInterrupt):
+            pass  # what can be told has been told; the device's own limits and the watchdog are left
+        finally:
+            if self.devices.watchdog is not None:
+                self.devices.watchdog.disarm()
+
+    def _leaving(self) -> Array:
+        """The twist (6,) with which the platform is to come to rest: none where no run has moved it."""
+        return self.loop.drive.twist[0].copy() if self.loop.k > 0 else np.zeros(6)
+
+    def _stop(self) -> None:
+        settings, rig, platform = self.scenario.devices.on_stop, self.rig, self.devices.platform
+        if settings.kind == "stop":
+            platform.stop()
+            return
+        platform.hold()
+        if settings.kind == "retract":
+            goal = rig.last.copy()
+            goal[2] -= settings.distance
+            rig.stop = None
+            rig.guard.start(rig.last)
+            self.follow(travel(rig.last.copy(), goal, rig.tick, settings.speed, np.radians(5.0)), tolerant=True)
+        rig.armed = False
+        for _ in range(2):
+            self._hold()
+
+    def follow(self, poses: Iterable[Array], tolerant: bool = False, rows: list[Row] | None = None) -> bool:
+        """Command ``poses`` (7,), one a tick; False where something has stopped it.
+
+        Args:
+            tolerant: only the guard stops it: for a way out after a stop.
+            rows: takes what was read at each tick and commanded from it.
+        """
+        rig = self.rig
+        for pose in poses:
+            self._to_send[0] = pose
+            if tolerant:
+                rig.stop = None
+            if rows is not None:
+                rows.append(Row(pose, rig.pose_act[0].copy(), self.devices.sensor.reading.wrench.copy()))
+            rig.begin(self._to_send, self._zero, self._zero)
+            if rig.stop is not None:
+                return False
+            rig.finish()
+        return rig.stop is None
+
+    def _hold(self) -> None:
+        armed, self.rig.armed = self.rig.armed, False
+        self.rig.begin(self._to_send, self._zero, self._zero)
+        self.rig.finish()
+        self.rig.armed = armed
+
+    def _counts(self) -> dict[str, dict[str, int]]:
+        return {"sensor": said(self.devices.sensor), "platform": said(self.devices.platform)}
+
+    def result(self, observed: Observed) -> Run:
+        """What has come of it, with its reference."""
+        loop, rig = self.loop, self.rig
+        rows = self.trace
+        rows.length[:] = min(loop.k, self.scenario.ticks)
+        for i, (k, *_) in loop.trouble.items():
+            rows.length[i] = min(k + 1, self.scenario.ticks) if loop.k > 0 else 0
+        rows.data["wrench_true"][:] = np.nan  # no device shows it
+        rows.data[CYCLE.name] = rig.log.rows[: self.scenario.ticks, None, :]
+        reference = simulate([reference_scenario(self.scenario)], until_parted=True).figures[0].cor
+        run = concluded(collected(loop, rows, self.wall, {}), reference, 0)
+        run.summary["energy_generated"] += rig.late_work
+        run.summary["live"] = self._report(observed, int(rows.length[0]))
+        return run
+
+    def _report(self, observed: Observed, rows: int) -> dict[str, Any]:
+        late = np.abs(self.rig.log.rows[1:rows, 0] - self.rig.tick) if rows > 1 else np.zeros(1)
+        busy = self.rig.log.rows[:rows, 1] if rows else np.zeros(1)
+        return {
+            "sensor": self.devices.sensor.where,
+            "platform": self.devices.platform.where,
+            "clock": self.devices.pace.source,
+            "cycles": rows,
+            "missed": int(self.rig.missed),
+            "jitter": {"median": float(np.median(late)), "p99": float(np.percentile(late, 99)), "worst": float(late.max())},
+            "busy": {"median": float(np.median(busy)), "p99": float(np.percentile(busy, 99)), "worst": float(busy.max())},
+            "tare": [float(v) for v in self.rig.tare],
+            "noise": [float(v) for v in observed.noise],
+            "events": self._counts(),
+            "granted": self.granted.granted,
+            "refused": self.granted.refused,
+        }

@@ -1,0 +1,280 @@
+"""The physical side made of real devices: what the loop sees in the place of the simulated rig and its sensor.
+
+A tick, at t_k: the wrench and the pose at t_k have arrived; ``begin`` sends the pose for t_(k+1), ``finish`` waits for the records of
+t_(k+1). What is sent has passed the guard, and once anything has gone wrong nothing but the stop behaviour is sent. Nothing is commanded
+before :meth:`DeviceRig.arm`: until then the platform is told to hold.
+
+The switches of a latch come over none of the protocols: capture is read from the force, which no contact alone can make pull.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from hiltestbed.devices.guard import Guard
+from hiltestbed.devices.interface import PlatformClient, SensorClient
+from hiltestbed.devices.mounting import Mounting
+from hiltestbed.devices.pace import AtOnce, Pace
+from hiltestbed.devices.watch import CommunicationWatch
+from hiltestbed.devices.watchdog import Watchdog
+from hiltestbed.errors import InputError
+from hiltestbed.frames import Array, twist_between
+from hiltestbed.loop import MakeSide, Side
+from hiltestbed.monitoring import ProcessMonitor
+from hiltestbed.scenario import Scenario
+
+GATE_SIGMA = 5.0  # a force beyond this many standard deviations of its noise is a contact
+LEAST_FORCE = 0.5  # [N] below it a force is none, where the scenario has no noise
+NANOSECOND = 1e-9
+
+
+@dataclass
+class Connected:
+    """Two devices, what a tick waits for once they are open, and the process that watches over the loop."""
+
+    sensor: SensorClient
+    platform: PlatformClient
+    pace: Pace = field(default_factory=AtOnce)
+    watchdog: Watchdog | None = None
+
+
+class CycleLog:
+    """Times of the cycles, in arrays that are made before the first.
+
+    Attributes:
+        rows: ``(capacity, 4)``, one a tick, as in :data:`hiltestbed.signals.CYCLE`. began: start of the last cycle [ns].
+    """
+
+    def __init__(self, capacity: int) -> None:
+        self.rows = np.zeros((capacity, 4))
+        self.k = 0
+        self.began = time.monotonic_ns()
+
+    def begin(self, ticks: int, age: float) -> None:
+        """A cycle that has waited for ``ticks`` ticks, with a reading of ``age`` [s], begins now."""
+        now = time.monotonic_ns()
+        self.k += 1
+        if self.k < len(self.rows):
+            row = self.rows[self.k]
+            row[0], row[1], row[2], row[3] = (now - self.began) * NANOSECOND, 0.0, age, ticks - 1
+        self.began = now
+
+    def sent(self) -> None:
+        """The command has been sent."""
+        if self.k < len(self.rows):
+            self.rows[self.k, 1] = (time.monotonic_ns() - self.began) * NANOSECOND
+
+
+class DeviceSensor:
+    """The reading as it arrives, in P, less the tare: what the scenario's chain describes happens in the device."""
+
+    def __init__(self) -> None:
+        self.reading = np.zeros((1, 6))
+
+    def read(self, k: int, wrench_sub: Array) -> Array:
+        self.reading[:] = wrench_sub[:, -1]
+        return self.reading
+
+    def feel(self, k: int, wrench: Array) -> None:
+        """Nothing: the device has felt it."""
+
+
+class DeviceRig:
+    """Platform and sensor, as :class:`hiltestbed.platform.plant.Plant` shows them to the loop; one run.
+
+    Attributes:
+        units: of the platform's joints, of which the devices show none. physical: the bodies do not move by themselves.
+        stop: why the run has to stop; None while all is well. tare: (6,) taken off the sensor's wrench in P.
+        last: (7,) the pose of A in P that was sent last.
+        late_work: [J] by which the work of the force is more when each reading is paired with the motion that it came from, by the
+            scenario's sensor.delay, than with that of the tick at which it was read.
+        missed: ticks that began without the record of the device that sets the clock, or too late for an answer.
+    """
+
+    units: tuple[str, ...] = ()
+    physical = False
+
+    def __init__(self, scenario: Scenario, connected: Connected, ticks: int) -> None:
+        if scenario.rig.platform.physical:
+            kind = scenario.rig.platform.kind
+            raise InputError(f"rig.platform: the bodies of {kind!r} move by themselves; devices are for platforms that are commanded")
+        tick = scenario.tick
+        self.scenario, self.connected, self.tick = scenario, connected, tick
+        self.mounting = Mounting(scenario.devices)
+        self.guard = Guard(scenario.devices.limits, tick)
+        communication = scenario.devices.communication
+        self._watches = (
+            CommunicationWatch(connected.sensor, communication, "sensor"),
+            CommunicationWatch(connected.platform, communication, "platform"),
+        )
+        self._seen = [-1, -1]
+        self.log = CycleLog(ticks)
+        self.monitor = ProcessMonitor([scenario])
+        self.stop: str | None = None
+        self.armed = False
+        self.missed = 0
+        self.tare, self.last = np.zeros(6), np.zeros(7)
+        self._command, self._raw, self._before = np.zeros(7), np.zeros(6), np.zeros(7)
+        self._slope, self._slope_before = np.zeros(6), np.zeros(6)
+        late = scenario.sensor.delay / tick
+        self._late, self._part = int(late), late % 1.0
+        self._slopes = np.zeros((self._late + 2, 6))  # of the last ticks: what the force that is read now met
+        self._taken = 0
+        self.late_work = 0.0
+        self._held_rate = scenario.rig.platform.tracking == "ideal"
+        self._threshold = max(GATE_SIGMA * scenario.sensor.noise, LEAST_FORCE)
+        limit = scenario.safety
+        self._limits = [math.inf if v is None else v for v in (limit.force, limit.torque, limit.tracking_error)]
+        self._behind = 0
+        self.phases = None  # of capture: the real mechanism's own
+        self.pose_act, self.twist_act = np.zeros((1, 7)), np.zeros((1, 6))
+        self.pose_act[:, 6] = 1.0
+        self.wrench_sub = np.zeros((1, 1, 6))
+        self.contact, self.captured, self.diverged = (np.zeros(1, dtype=bool) for _ in range(3))
+        self.slider_cmd, self.slider_act = np.zeros((1, 0)), np.zeros((1, 0))
+        self.upper_cmd, self.upper_act = np.full((1, 3), np.nan), np.full((1, 3), np.nan)
+
+    def divergence(self, i: int) -> str:
+        return "the rig is real"
+
+    def payload_left(self, i: int) -> None:
+        return None
+
+    def reset(self, pose: Array, twist: Array) -> None:
+        """Nothing: the platform has been brought to its start."""
+
+    def watch(self) -> None:
+        """Take the records in from now on: all that has happened so far is past."""
+        self.connected.pace.start()
+        self._seen[:] = [-1, -1]
+        for watch in self._watches:
+            watch.start()
+        self._take_in()
+        self._before[:] = self.last[:] = self.pose_act[0]
+
+    def arm(self) -> None:
+        """From now on the platform is commanded."""
+        self.last[:] = self.pose_act[0]
+        self.guard.start(self.last)
+        self.armed = True
+
+    def tick_zero(self) -> None:
+        """The tick that is to come is the first of the run."""
+        self.log.k, self.log.rows[:] = 0, 0.0
+        self.missed, self.late_work = 0, 0.0
+
+    def begin(self, pose_cmd: Array, twist_cmd: Array, accel_cmd: Array) -> None:
+        """Send the pose ``(1, 7)`` for the end of the tick; the platform makes its own velocity of it."""
+        platform = self.connected.platform
+        if self._behind == 0:
+            if self.armed and self.stop is None:
+                self.stop = self.guard.refusal(pose_cmd[0])
+                if self.stop is None:
+                    self.last[:] = pose_cmd[0]
+                    self.mounting.command_of(pose_cmd[0], self._command)
+            if self.armed and self.stop is None:
+                platform.command(self._command)
+            else:
+                platform.hold()
+            if self.armed and self.connected.watchdog is not None:
+                self.connected.watchdog.beat()
+        elif self.armed and self.stop is None:  # its record has been overtaken: the next one is answered
+            self.guard.refusal(pose_cmd[0])
+            self.last[:] = pose_cmd[0]
+        self.log.sent()
+
+    def finish(self) -> None:
+        """Wait for the records of the next tick."""
+        if self._behind > 0:
+            self._behind -= 1
+            self.log.begin(2, self.connected.sensor.sample.age())
+            self.missed += 1
+            return
+        ticks = self.connected.pace.wait()
+        self._behind = ticks - 1
+        new = self._take_in()
+        self.log.begin(1 + (not new), self.connected.sensor.sample.age())
+        self.missed += not new
+
+    def _take_in(self) -> bool:
+        """Take in what has come, and judge it; whether the device that sets the clock had a new record."""
+        sensor, platform = self.connected.sensor, self.connected.platform
+        sensor.poll()
+        platform.poll()
+        fresh = True
+        for i, link in enumerate((sensor, platform)):
+            new = link.sample.sequence != self._seen[i]
+            self._seen[i] = link.sample.sequence
+            stop = self._watches[i].check(new)
+            if stop is not None and self.stop is None:
+                self.stop = stop.reason
+            fresh = fresh and new
+        self.mounting.wrench_in_P(sensor.reading.wrench, self._raw)
+        self.wrench_sub[0, 0] = self._raw - self.tare
+        self._before[:] = self.pose_act[0]
+        self.mounting.pose_in_P(platform.state.pose, self.pose_act[0])
+        self._slope_before[:] = self._slope
+        twist_between(self._before, self.pose_act[0], self.tick, self._slope)
+        self._pair()
+        self.twist_act[0] = self._slope if self._held_rate else 1.5 * self._slope - 0.5 * self._slope_before
+        self.contact[0] = math.sqrt(float(self.wrench_sub[0, 0, :3] @ self.wrench_sub[0, 0, :3])) > self._threshold
+        self.monitor.update(self.wrench_sub[:, 0], self.pose_act, self.twist_act)
+        self.captured[0] = not math.isnan(self.monitor.capture[0])
+        if self.stop is None:
+            self.stop = self._overload()
+        return fresh
+
+    def _pair(self) -> None:
+        length = len(self._slopes)
+        self._slopes[self._taken % length] = self._slope
+        newer, older = ((self._taken - self._late - i) % length for i in range(2))
+        work = self._slopes[newer] * (1.0 - self._part) + self._slopes[older] * self._part - self._slope
+        self.late_work += self.tick * float(self.wrench_sub[0, 0] @ work)
+        self._taken += 1
+
+    def _overload(self) -> str | None:
+        wrench, tracking = self.wrench_sub[0, 0], math.dist(self.last[:3], self.pose_act[0, :3])
+        force, torque = math.sqrt(float(wrench[:3] @ wrench[:3])), math.sqrt(float(wrench[3:] @ wrench[3:]))
+        if not force <= self._limits[0]:
+            return f"the sensor carries {force:.4g} N; safety.force is {self._limits[0]:g} N"
+        if not torque <= self._limits[1]:
+            return f"the sensor carries {torque:.4g} N m; safety.torque is {self._limits[1]:g} N m"
+        if self.armed and tracking > self._limits[2]:
+            return f"the platform is {tracking:.4g} m from where it was commanded; safety.tracking_error is {self._limits[2]:g} m"
+        watchdog = self.connected.watchdog
+        if self.armed and watchdog is not None and watchdog.tripped:
+            return f"the watchdog has acted: the loop was silent for more than {watchdog.timeout:g} s"
+        return None
+
+
+class DeviceWatch:
+    """What stops a run against devices: what the rig has seen, and the energy that it has created."""
+
+    def __init__(self, scenario: Scenario, rig: DeviceRig) -> None:
+        self._rig = rig
+        self._limit = math.inf if scenario.safety.energy is None else scenario.safety.energy
+
+    def passed(self, plant: DeviceRig, pose_before: Array, energy: Array) -> bool:
+        created = float(energy[0]) + plant.late_work
+        if plant.stop is None and created > self._limit:
+            plant.stop = f"the rig has created {created:.4g} J; safety.energy is {self._limit:g} J"
+        return plant.stop is not None
+
+    def reason(self, i: int) -> str | None:
+        return self._rig.stop
+
+
+def side_of(rig: DeviceRig) -> MakeSide:
+    """What makes the physical side of a loop out of ``rig``, for one run."""
+
+    def made(scenarios: Sequence[Scenario], nthread: int) -> Side:
+        if len(scenarios) != 1:
+            raise InputError(f"devices play one run at a time (got {len(scenarios)}); give them one scenario")
+        return DeviceSensor(), rig, DeviceWatch(scenarios[0], rig)
+
+    return made

@@ -1,0 +1,44 @@
+"""Whether a facility can play a scenario: its rates, its start, what is mounted on it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+from hiltestbed.errors import InputError
+from hiltestbed.validation import Problem
+
+if TYPE_CHECKING:
+    from hiltestbed.scenario import Scenario
+
+PLATFORM = ("rig", "platform")
+
+
+def facility_problems(scenario: Scenario) -> Iterator[Problem]:
+    """What a scenario asks of its facility that it cannot give."""
+    from hiltestbed.contact.sides import sides_of
+    from hiltestbed.numerical_model.bodies import approach_state
+    from hiltestbed.platform.facilities.hall import facility_of
+
+    try:
+        facility = facility_of(scenario)
+    except InputError as error:
+        place = (*PLATFORM, "model") if "model" in type(scenario.rig.platform).model_fields else PLATFORM
+        yield place, str(error)
+        return
+    for path, message in facility.problems(scenario.rate):
+        yield (*PLATFORM, *path), message
+    if facility.moves_passive and scenario.mechanism.mount is not None:
+        yield (
+            ("mechanism", "mount"),
+            f"does not go together with a passive side that moves (got a mount on platform kind {scenario.rig.platform.kind!r}, whose "
+            "sensor could not tell the mount's load from the mechanism's weight); allowed is null",
+        )
+    if facility.moves_passive and sides_of(scenario.mechanism).moving:
+        yield (
+            ("mechanism", "kind"),
+            f"has parts that move (got {scenario.mechanism.kind!r} on platform kind {scenario.rig.platform.kind!r}, whose passive side "
+            "moves: the load of its sensor must be rigid); allowed is a mechanism of rigid parts",
+        )
+    for complaint in facility.complaints(approach_state(scenario)[:7]):
+        yield ("approach",), f"starts where the platform cannot be ({complaint}); allowed is a start within its workspace"

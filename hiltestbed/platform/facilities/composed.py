@@ -1,0 +1,125 @@
+"""A facility with both sides of a docking mechanism on it, as a MuJoCo model."""
+
+from __future__ import annotations
+
+import copy
+
+import mujoco
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from hiltestbed.contact.composition import ACTIVE, PASSIVE, Structure, add_active, add_contact, add_passive
+from hiltestbed.frames import Array, cross, rotate_back
+from hiltestbed.platform.facilities.bodies import PhysicalFacility
+from hiltestbed.platform.facilities.facility import CARRIER, MOUNT, NOMINAL, TOOL_HOME, Facility, stiffen
+from hiltestbed.platform.prs3.payload import load_of
+
+TOOL = ACTIVE + "A"  # the site that follows the command
+FLANGE = "active_flange"
+# What the compensation of a moving sensor's load is told: (a - g) and the rotation of P, in P.
+LOAD_SENSORS = (
+    ("load_acceleration", mujoco.mjtSensor.mjSENS_ACCELEROMETER),
+    ("load_rate", mujoco.mjtSensor.mjSENS_GYRO),
+    ("load_turning", mujoco.mjtSensor.mjSENS_FRAMEANGACC),
+)
+
+
+def facility_spec(facility: Facility, structure: Structure, timestep: float) -> mujoco.MjSpec:
+    """The facility with both sides on it, loops as stiff as can be; the sensor's load is measured where the passive side moves."""
+    spec = facility.spec()
+    spec.modelname = f"{facility.kind}-{structure.mechanism.kind}"
+    option = spec.option
+    option.timestep, option.cone = timestep, mujoco.mjtCone.mjCONE_ELLIPTIC
+    option.integrator = mujoco.mjtIntegrator.mjINT_EULER
+    option.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND | mujoco.mjtDisableBit.mjDSBL_AUTORESET
+    stiffen(spec, timestep)
+    site = spec.site(MOUNT)
+    flange = site.parent.add_body(name=FLANGE, pos=site.pos, quat=site.quat)
+    add_active(spec, structure, flange, np.zeros(3), TOOL_HOME[:3])
+    spec.delete(spec.site(NOMINAL))  # the passive side brings it, at the same place
+    add_passive(spec, structure, spec.body(CARRIER))
+    if isinstance(facility, PhysicalFacility):
+        for prefix in (ACTIVE, PASSIVE):
+            facility.lighten(spec, prefix)
+    if facility.moves_passive:
+        for name, kind in LOAD_SENSORS:
+            spec.add_sensor(name=name, type=kind, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=NOMINAL)
+    add_contact(spec, structure)
+    return spec
+
+
+def facility_model(facility: Facility, structure: Structure, timestep: float) -> mujoco.MjModel:
+    """The composed facility as it is stepped: nothing that is only drawn."""
+    spec = facility_spec(facility, structure, timestep)
+    spec.compiler.discardvisual = True
+    return spec.compile()
+
+
+def rest_reading(model: mujoco.MjModel, home: Array, columns: slice, body: int, balance: Array, centre: Array) -> Array:
+    """``(6,)`` what the sensor reads at ``home`` (nq,), the sides apart; a compliant mount's load hangs on ``balance`` (6,) at W's origin.
+
+    body, centre: what the balance acts on, and its centre of mass (3,) in W.
+    """
+    apart = copy.copy(model)
+    apart.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
+    data = mujoco.MjData(apart)
+    data.qpos[:] = home
+    data.xfrc_applied[body, :3] = balance[:3]
+    data.xfrc_applied[body, 3:] = balance[3:] - np.cross(centre, balance[:3])
+    mujoco.mj_forward(apart, data)
+    return np.array(data.sensordata[columns])
+
+
+class CarriedLoad:
+    """What a sensor that moves with the passive side carries besides the contact: weight and inertia of a rigid load.
+
+    Taken out by what an accelerometer and gyroscopes beside it say, with the load's mass m, centre r and inertia I known:
+
+        f = m (a - g + alpha x r + omega x (omega x r)),   t = I alpha + omega x I omega + r x f
+    """
+
+    def __init__(self, model: mujoco.MjModel, home: Array) -> None:
+        """``home`` (nq,): there P stands upright at W's origin."""
+        data = mujoco.MjData(model)
+        data.qpos[:] = home
+        mujoco.mj_forward(model, data)
+        carrier = model.body(CARRIER).id
+        bodies = [b for b in range(model.nbody) if _under(model, b, carrier) and model.body_mass[b] > 0.0]
+        origin = np.array(data.site(NOMINAL).xpos)
+        self.load = load_of(model, data, bodies, origin) if bodies else np.zeros(13)
+        self._columns = np.array([int(model.sensor(name).adr[0]) for name, _ in LOAD_SENSORS])
+        self._force = int(model.sensor("force").adr[0])
+
+    def read(self, sensordata: Array, attitude: Array, runs: NDArray[np.intp], wrench_sub: Array, sub: int) -> None:
+        """``wrench_sub[runs, sub]`` from ``sensordata`` (n, .) with P's ``attitude`` (n, 7 of its pose) in W."""
+        _read_carried(sensordata, self._force, self._columns, attitude, self.load, runs, wrench_sub, sub)
+
+
+def _under(model: mujoco.MjModel, body: int, top: int) -> bool:
+    while body > 0:
+        if body == top:
+            return True
+        body = int(model.body_parentid[body])
+    return False
+
+
+@njit(cache=True)
+def _read_carried(data, force, columns, place, load, runs, wrench_sub, sub):
+    alpha, ring, v, f = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    for i in runs:
+        rotate_back(place[i, 3:7], data[i, columns[2] : columns[2] + 3], alpha)  # MuJoCo gives it in W
+        w, r = data[i, columns[1] : columns[1] + 3], load[1:4]
+        cross(w, r, v)
+        cross(w, v, ring)
+        cross(alpha, r, v)
+        for j in range(3):
+            f[j] = load[0] * (data[i, columns[0] + j] + v[j] + ring[j])
+        for j in range(3):
+            v[j] = load[4 + 3 * j] * w[0] + load[5 + 3 * j] * w[1] + load[6 + 3 * j] * w[2]
+        cross(w, v, ring)
+        cross(r, f, v)
+        for j in range(3):
+            turn = load[4 + 3 * j] * alpha[0] + load[5 + 3 * j] * alpha[1] + load[6 + 3 * j] * alpha[2]
+            wrench_sub[i, sub, j] = f[j] - data[i, force + j]
+            wrench_sub[i, sub, 3 + j] = turn + ring[j] + v[j] - data[i, force + 3 + j]

@@ -1,0 +1,54 @@
+"""A facility as it is drawn: its model with all that shows, and its joints at given relative poses."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hiltestbed.contact.composition import drawn
+from hiltestbed.frames import Array
+from hiltestbed.platform.facilities.bodies import PhysicalFacility
+from hiltestbed.platform.facilities.composed import TOOL, facility_model, facility_spec
+from hiltestbed.platform.facilities.drives import UPRIGHT
+from hiltestbed.platform.facilities.hall import facility_of
+
+if TYPE_CHECKING:
+    from hiltestbed.scenario import Scenario
+
+STEP = 1e-3  # [s] nothing is stepped
+
+
+class DrawnFacility:
+    """A facility with its mechanism, at poses that it reached."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        structure = drawn(scenario.mechanism)
+        self._facility = facility = facility_of(scenario)
+        self.model = facility_spec(facility, structure, STEP).compile()
+        stepped = facility_model(facility, structure, STEP)
+        self._bodies = facility.kinematics(stepped, TOOL) if isinstance(facility, PhysicalFacility) else None
+        if self._bodies is None:
+            settings = [scenario.rig.platform]
+            self._drives = facility.drives(stepped, settings, scenario.tick, scenario.substeps, np.zeros(1, dtype=bool), TOOL)
+
+        self._last: tuple[Array, tuple[Array, Array]] | None = None
+
+    def joints(self, pose: Array) -> tuple[Array, Array]:
+        """Joint positions ``(frames, nq)`` and poses ``(frames, 7)`` of P in W, at the poses ``(frames, 7)`` of A in P.
+
+        Where the bodies move by themselves P is drawn at home: a record holds their relative pose alone.
+        """
+        if self._last is not None and np.array_equal(self._last[0], pose):
+            return self._last[1]
+        qpos, place = np.tile(self.model.qpos0, (len(pose), 1)), np.tile(UPRIGHT, (len(pose), 1))
+        for f in range(len(pose)):
+            if self._bodies is not None:
+                qpos[f], _ = self._bodies.nearest(np.array([pose[f], UPRIGHT]))
+                continue
+            self._drives.follow(pose[f : f + 1], np.zeros((1, 6)))
+            qpos[f] = self._drives.solution[0]
+            if self._drives.poses.shape[1] > 1:
+                place[f] = self._drives.poses[0, 1]
+        self._last = (pose.copy(), (qpos, place))
+        return qpos, place

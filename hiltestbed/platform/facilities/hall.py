@@ -1,0 +1,27 @@
+"""The facility of a scenario, with what stands in it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from hiltestbed.numerical_model.bodies import inertia_matrix, port_pose
+from hiltestbed.platform.facilities.facility import Facility
+
+if TYPE_CHECKING:
+    from hiltestbed.scenario import Scenario
+    from hiltestbed.scenario.spacecraft import Body
+
+
+def facility_of(scenario: Scenario) -> Facility:
+    """The facility that a scenario names; where bodies move by themselves, its spacecraft stand in it. Raises InputError."""
+    facility = scenario.rig.platform.facility()
+    if facility.physical:
+        from hiltestbed.platform.facilities.bodies import Article, PhysicalFacility
+
+        assert isinstance(facility, PhysicalFacility)
+
+        def article(body: Body) -> Article:
+            return Article(body.mass, inertia_matrix(body.inertia), port_pose(body))
+
+        facility.stand(article(scenario.spacecraft.chaser), article(scenario.spacecraft.target))
+    return facility

@@ -1,0 +1,158 @@
+"""A facility as the plant steps it: its composed model, and drives or bodies behind the calls that the plant makes of any rig."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+from mujoco.batch import Batch
+from numpy.typing import NDArray
+
+from hiltestbed.contact.composition import Structure
+from hiltestbed.frames import Array
+from hiltestbed.platform.facilities.bodies import PhysicalFacility
+from hiltestbed.platform.facilities.composed import TOOL, CarriedLoad, facility_model, rest_reading
+from hiltestbed.platform.facilities.hall import facility_of
+from hiltestbed.platform.facilities.limits import Watch
+
+if TYPE_CHECKING:
+    from hiltestbed.contact.contacts import Contacts
+    from hiltestbed.scenario import Scenario
+
+
+class Mover(Protocol):
+    """What :class:`Drives` and :class:`Bodies` have in common."""
+
+    pose: Array
+    twist: Array
+    place_A: Array
+    motion_A: Array
+    place_P: Array
+    motion_P: Array
+    kinematics: Any
+
+    def settle(self, pose: Array, twist: Array, qpos: Array, qvel: Array) -> None: ...
+    def observe(self, qpos: Array, qvel: Array, limit: float, diverged: NDArray[np.bool_]) -> bool: ...
+
+
+class FacilityRig:
+    """The rigs of `n` runs on one facility.
+
+    Attributes:
+        model: as it is stepped. keeps_history: whether the sensor's readings within a tick stand in MuJoCo's history.
+        moves_passive: see :class:`Facility`. load: what the sensor carries where its passive side moves. target: (n, J) what the driven
+        joints were to be at t_k, from home. units: (J,) of them. watch: over their limits.
+    """
+
+    keeps_history = False
+
+    def __init__(self, scenarios: Sequence[Scenario], structure: Structure, dt: float) -> None:
+        self.facility = facility_of(scenarios[0])
+        self.model = facility_model(self.facility, structure, dt)
+        self.moves_passive = self.facility.moves_passive
+        self.units = tuple(axis.unit for axis in self.facility.axes)
+        self.target = np.zeros((len(scenarios), len(self.units)))
+        self.watch: Watch | None = None
+        self.load: CarriedLoad | None = None
+
+    def start(self, batch: Batch, scenarios: Sequence[Scenario], dt: float) -> FacilityRig:
+        """Bind drives, or bodies, to the batch of the model."""
+        facility, first = self.facility, scenarios[0]
+        settings = [s.rig.platform for s in scenarios]
+        self.batch = batch
+        self._applied, self._drives = batch.bind("qfrc_applied"), None
+        self.mover: Mover
+        if isinstance(facility, PhysicalFacility):
+            self.mover = self._bodies = facility.bodies(self.model, settings, dt, TOOL)
+        else:
+            feed = np.array([s.compensation.motion.feeds for s in scenarios])
+            self.mover = self._drives = facility.drives(self.model, settings, first.tick, first.substeps, feed, TOOL)
+            self.target = self._drives.reference
+            watched = [[s.safety.stroke, s.safety.speed, s.safety.acceleration, True, True] for s in scenarios]
+            self.watch = Watch(
+                facility.axes,
+                self._drives.kinematics.joints_home,
+                len(scenarios),
+                first.tick,
+                np.array(watched, dtype=object) != None,  # noqa: E711
+            )
+            self._forces = batch.bind("qfrc_actuator")
+        if self.moves_passive:
+            self.load = CarriedLoad(self.model, self.mover.kinematics.home)
+        return self
+
+    def tare(self, contacts: Contacts, reading: Array, columns: slice) -> Array:
+        """``(n, 6)`` the sensor's reading at rest; where it moves, its load is taken out of every reading instead."""
+        if self.moves_passive:
+            return np.zeros_like(reading)
+        mount = contacts.mount
+        return np.array(
+            [
+                rest_reading(self.model, self.mover.kinematics.home, columns, mount.body, balance, centre)
+                for balance, centre in zip(mount.balance, mount.centre, strict=True)
+            ]
+        )
+
+    def settle(self, pose: Array, twist: Array, qpos: Array, qvel: Array) -> None:
+        """Put joints and drives into the uniform motion through ``pose`` (n, 7) with ``twist`` (n, 6)."""
+        qpos[:] = self.mover.kinematics.home
+        self.mover.settle(pose, twist, qpos, qvel)
+
+    def aim(self, pose_cmd: Array, twist_cmd: Array, accel_cmd: Array) -> None:
+        """Plan one tick, at whose end ``pose_cmd`` (n, 7) is to be reached; bodies are not told anything."""
+        if self._drives is not None:
+            self._drives.aim(pose_cmd, twist_cmd, accel_cmd)
+
+    def push(self, sub: int, qpos: Array, qvel: Array, ctrl: Array) -> None:
+        """The inputs for step ``sub`` of the tick."""
+        if self._drives is not None:
+            self._drives.push(sub, qpos, qvel, ctrl)
+        else:
+            self._bodies.push(qpos, qvel, self._applied)
+
+    def arrive(self) -> None:
+        """The tick is over."""
+        if self._drives is not None:
+            self._drives.arrive()
+
+    def observe(
+        self, qpos: Array, qvel: Array, limit: float, pose: Array, twist: Array, joints: Array, diverged: NDArray[np.bool_]
+    ) -> bool:
+        """Read relative pose and twist, and the driven joints; True where a run has just left ``limit``, which ``diverged`` names."""
+        lost = self.mover.observe(qpos, qvel, limit, diverged)
+        pose[:], twist[:] = self.mover.pose, self.mover.twist
+        if self._drives is not None:
+            joints[:] = self._drives.joints
+        return lost
+
+    def passed(self) -> bool:
+        """Whether a run has passed a limit of its joints at this tick."""
+        if self.watch is None or self._drives is None:
+            return False
+        d = self._drives
+        return self.watch.passed(d.joints, d.joint_rates, self._forces[:, d.kinematics.v], d.missed)
+
+
+class FacilityFollower:
+    """The joints of `n` runs on a facility that follows exactly.
+
+    Attributes:
+        units: (J,) of the driven joints. qpos: (n, nq) all joints of the model.
+    """
+
+    def __init__(self, scenarios: Sequence[Scenario], structure: Structure, dt: float) -> None:
+        first, self.facility = scenarios[0], facility_of(scenarios[0])
+        self.model = facility_model(self.facility, structure, dt)
+        self.units = tuple(axis.unit for axis in self.facility.axes)
+        settings = [s.rig.platform for s in scenarios]
+        self._drives = self.facility.drives(self.model, settings, first.tick, first.substeps, np.zeros(len(scenarios), dtype=bool), TOOL)
+
+    @property
+    def qpos(self) -> Array:
+        return self._drives.solution
+
+    def follow(self, pose: Array, twist: Array, joints: Array) -> None:
+        """Write the driven ``joints`` (n, J), from home, at the poses (n, 7) of A in P with the twists (n, 6)."""
+        self._drives.follow(pose, twist)
+        joints[:] = self._drives.joints

@@ -1,0 +1,31 @@
+"""What stands in the loop for compensation and numerical model where the bodies themselves move: nothing is commanded."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hiltestbed.compensation.measurement import Measurement
+from hiltestbed.frames import Array
+from hiltestbed.numerical_model.bodies import approach_state
+
+if TYPE_CHECKING:
+    from hiltestbed.platform.plant import Plant
+    from hiltestbed.scenario import Scenario
+
+
+class FreeMotion:
+    """The motion of `n` pairs of bodies: the commanded pose of a row is the one that is there, the wrench used is the physical one."""
+
+    def __init__(self, scenarios: Sequence[Scenario], plant: Plant) -> None:
+        start = np.array([approach_state(s) for s in scenarios])
+        self.pose: Array = start[:, :7].copy()
+        self.twist: Array = start[:, 7:].copy()
+        self.wrench: Array = np.zeros((len(scenarios), 6))
+        self._plant = plant
+
+    def advance(self, measurement: Measurement) -> None:
+        """Take over what the bodies do at t_k."""
+        self.pose[:], self.twist[:], self.wrench[:] = self._plant.pose_act, self._plant.twist_act, self._plant.wrench_sub[:, -1]

@@ -1,0 +1,65 @@
+"""The 3-3 PSS platform as the plant steps it: its model in the frame, and its servo."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from mujoco.batch import Batch
+
+from hiltestbed.contact.composition import Structure
+from hiltestbed.frames import Array
+from hiltestbed.platform import model
+from hiltestbed.platform.pss33.kinematics import Platform, inverse
+from hiltestbed.platform.pss33.servo import Servo
+
+if TYPE_CHECKING:
+    from hiltestbed.contact.contacts import Contacts
+    from hiltestbed.scenario import Scenario
+
+UNITS = ("m",) * 6
+
+
+class Pss33Rig(Servo):
+    """The rigs of `n` runs; see :class:`hiltestbed.platform.facilities.rig.FacilityRig` for what the plant asks of it."""
+
+    keeps_history, moves_passive = True, False
+    load = watch = None
+    units = UNITS
+
+    def __init__(self, scenarios: Sequence[Scenario], structure: Structure, dt: float) -> None:
+        self.model = model.rig_model(structure, dt, kept=scenarios[0].substeps)
+        feed = np.array([s.compensation.motion.feeds for s in scenarios])
+        first = scenarios[0]
+        super().__init__(self.model, [s.rig.platform for s in scenarios], first.tick, first.substeps, feed)
+
+    def start(self, batch: Batch, scenarios: Sequence[Scenario], dt: float) -> Pss33Rig:
+        """Bind the servo to the batch of the model."""
+        self.batch = batch
+        self.add_friction(scenarios, batch.bind("qfrc_applied"))
+        return self
+
+    def tare(self, contacts: Contacts, reading: Array, columns: slice) -> Array:
+        """``(n, 6)`` the reading of the sensor at rest, the active side a metre away."""
+        self.batch.bind("qpos")[:, self.model.joint("platform").qposadr[0] + 2] -= 1.0
+        contacts.balance()
+        self.batch.forward()
+        return reading.copy()
+
+    def passed(self) -> bool:
+        """The limits of this platform are keys of the scenario's safety section."""
+        return False
+
+
+class Pss33Follower:
+    """The sliders of rigs that follow exactly."""
+
+    units = UNITS
+
+    def __init__(self) -> None:
+        self._limbs = Platform.load().limbs
+
+    def follow(self, pose: Array, twist: Array, joints: Array) -> None:
+        """Write the sliders ``joints`` (n, 6) at the poses (n, 7) of A in W."""
+        inverse(self._limbs, pose, joints)

@@ -1,0 +1,121 @@
+"""Settings of the 3-3 PSS platform: six sliders on guides, a link to each."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Iterator, Sequence
+from typing import TYPE_CHECKING, ClassVar, Literal
+
+from pydantic import Field, model_validator
+
+from hiltestbed.platform.kinds import Platform
+from hiltestbed.plugins import register
+from hiltestbed.validation import NotNegative, Positive, Problem, Strictly, refuse
+
+if TYPE_CHECKING:
+    from hiltestbed.contact.composition import Structure
+    from hiltestbed.platform.facilities.facility import Facility
+    from hiltestbed.platform.pss33.rig import Pss33Follower, Pss33Rig
+    from hiltestbed.scenario import Scenario
+
+
+class Actuator(Strictly):
+    """The drive of each slider of the platform, and the friction that each of its motors works against.
+
+    The numbers are those of a preloaded screw with its guide: 0.5 % of the 40 kN that a drive gives, break-away 1.5 times that, the
+    Stribeck speed of oiled steel, and a viscous part that equals the sliding one at 0.5 m/s.
+    """
+
+    kind: Literal["ideal", "single", "dual"] = Field(
+        default="ideal",
+        description="Motors of a drive. ideal: without friction; single: one; dual: two summed by a differential screw, kept turning",
+    )
+    coulomb: NotNegative = Field(default=200.0, description="Sliding friction of a motor [N]")
+    stiction: NotNegative = Field(default=300.0, description="Break-away friction of a motor [N], at least coulomb")
+    stribeck_speed: Positive = Field(
+        default=0.005, description="Speed at which the excess of the break-away friction has fallen to 1/e [m/s]"
+    )
+    viscous: NotNegative = Field(default=400.0, description="Viscous friction of a motor [N s/m]")
+    bias_speed: Positive = Field(
+        default=0.3, description="Speed at which both motors of a dual drive turn at rest, in terms of the slider [m/s]"
+    )
+
+    @model_validator(mode="after")
+    def _breaks_away(self) -> Actuator:
+        if self.stiction < self.coulomb:
+            refuse([(("stiction",), f"is less than coulomb (got {self.stiction:g} N); allowed is {self.coulomb:g} N and more")])
+        return self
+
+
+class Limits(Strictly):
+    """What a drive of the platform can do; measurements of the workspace end at these, runs at those of the section ``safety``."""
+
+    stroke: Positive = Field(default=0.72, description="Largest travel of a slider from home [m]; that of the guides in models/pss33")
+    speed: Positive = Field(default=2.0, description="Highest speed of a slider [m/s]; a screw of 40 mm lead at 3000 rpm")
+    acceleration: Positive = Field(default=20.0, description="Highest acceleration of a slider [m/s^2]; 40 kN on 2 t")
+    force: Positive = Field(default=4.0e4, description="Largest force of a drive [N]; static load, docking load and 1 m/s^2, four times")
+
+
+class Workspace(Strictly):
+    """How far from home a start may be; home is at the nominal first touch."""
+
+    translation: Positive = Field(default=0.25, description="Reach from home along each axis [m]")
+    rotation_deg: Positive = Field(default=10.0, description="Reach from home about each axis [deg]")
+
+
+@register
+class Pss33(Platform):
+    """Platform of the 3-3 PSS kind: six sliders, each with a link to the platform; drives under computed torque."""
+
+    states_limits: ClassVar[bool] = False
+    carries_upper: ClassVar[bool] = True
+    distorts: ClassVar[str] = (
+        "Computed torque with feed-forward takes the drives' lag out of free motion; in contact the position loops yield like springs, so "
+        "that A stands short of its command by force over stiffness. What is left is the delay of the force sensor, which a lead of "
+        "the force removes, as at Shanghai Jiao Tong University."
+    )
+
+    kind: Literal["pss33"] = Field(default="pss33", description="Motion platform. pss33: 3-3 PSS, six sliders")
+    tracking: Literal["servo", "ideal"] = Field(
+        default="servo",
+        description="How it follows. servo: its dynamics under its drives; ideal: the pose reaches the command exactly, one tick later",
+    )
+    bandwidth: Positive = Field(
+        default=40.0,
+        description="Bandwidth of the drives' position loop [Hz]; the default is a quarter of the first mode of a large rig's limbs",
+    )
+    damping_ratio: Positive = Field(default=1.0, description="Damping ratio of the drives' position loop [-]")
+    encoder_resolution: NotNegative = Field(
+        default=0.0, description="Resolution of a slider's encoder [m]; 0: as fine as can be; linear scales have 1e-8 to 1e-6"
+    )
+    limits: Limits = Field(default=Limits(), description="What a drive can do")
+    workspace: Workspace = Field(default=Workspace(), description="How far from home a start may be")
+    actuator: Actuator = Field(default=Actuator(), description="Motors and friction of the drives; with tracking servo alone")
+
+    def facility(self) -> Facility:
+        from hiltestbed.platform.pss33.facility import Pss33Facility
+
+        return Pss33Facility(self)
+
+    def driven(self, scenarios: Sequence[Scenario], structure: Structure, dt: float) -> Pss33Rig:
+        from hiltestbed.platform.pss33.rig import Pss33Rig
+
+        return Pss33Rig(scenarios, structure, dt)
+
+    def follower(self, scenarios: Sequence[Scenario], structure: Structure, dt: float) -> Pss33Follower:
+        from hiltestbed.platform.pss33.rig import Pss33Follower
+
+        return Pss33Follower()
+
+    def drawn(self, scenario: Scenario) -> None:
+        return None
+
+    def alike(self, scenario: Scenario) -> Hashable:
+        return self.kind
+
+    def problems(self, scenario: Scenario) -> Iterator[Problem]:
+        from hiltestbed.platform.pss33.checks import start_problems
+
+        return start_problems(scenario)
+
+    def nearest_bandwidth(self, scenario: Scenario) -> float:
+        return self.bandwidth

@@ -1,0 +1,76 @@
+"""The force law of one contact, row by row, against closed forms."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hiltestbed.contact.law import STATES, contact_force
+from hiltestbed.contact.parameters import PARAMETERS, ContactParameters
+from hiltestbed.effects import EFFECTS
+from hiltestbed.frames import Array
+
+
+def law(effects: dict[str, dict[str, Any]], x: Array, v: Array, k: float = 1e5, c: float = 0.0, held: bool = False) -> Array:
+    """(N,) forces at penetrations x [m] and rates v [m/s], 0.1 ms apart."""
+    row = (
+        ContactParameters(k, c, captured=float(held)).with_effects([EFFECTS[kind].hypothesis({}, **p) for kind, p in effects.items()]).row()
+    )
+    assert row.shape == (PARAMETERS,)
+    state = np.zeros(STATES)
+    return np.array([contact_force(a, b, 1e-4, row, state, held) for a, b in zip(x, v, strict=True)])
+
+
+def friction(force: float, stiffness: float) -> dict[str, dict[str, Any]]:
+    return {"contact.dry_friction": {"force": force, "stiffness": stiffness}}
+
+
+def test_springs_in_series() -> None:
+    x = np.linspace(0, 2e-3, 20)
+    np.testing.assert_allclose(law({"frame.compliance": {"stiffness": 4e5}}, x, np.zeros(20)), 1e5 * 4e5 / 5e5 * x, rtol=1e-9)
+
+
+def test_a_maxwell_branch_relaxes_with_its_time_constant() -> None:
+    t = np.arange(1, 4001) * 1e-4
+    ramp = np.minimum(t, 0.1) * 0.01
+    rate = np.where(t <= 0.1, 0.01, 0.0)
+    got = law({"contact.relaxation": {"stiffness": 5e4, "time_constant": 0.05}}, ramp, rate) - 1e5 * ramp
+    peak = 5e4 * 0.01 * 0.05 * (1 - math.exp(-0.1 / 0.05))
+    assert got[999] == pytest.approx(peak, rel=1e-9)
+    assert got[-1] == pytest.approx(peak * math.exp(-0.3 / 0.05), rel=1e-9)
+
+
+def test_friction_that_gives_before_it_slips_turns_round_in_twice_its_stretch() -> None:
+    """Up to 10 mm, back to 4 mm: the spring of 1e6 N/m holds 500 N after 0.5 mm, and -500 N 1 mm after the turn."""
+    x = np.concatenate([np.linspace(0, 10e-3, 1001)[1:], np.linspace(10e-3, 4e-3, 601)[1:]])
+    got = law(friction(500.0, 1e6), x, np.full(1600, 0.1), k=0.0, held=True)
+    expected = np.where(np.arange(1600) < 1000, np.minimum(1e6 * x, 500.0), np.maximum(500.0 - 1e6 * (10e-3 - x), -500.0))
+    np.testing.assert_allclose(got, expected, atol=1e-6)
+
+
+def test_play_before_a_slider_travels_with_it() -> None:
+    """2 mm of play: after the turn at 10 mm the force falls to nothing in 0.5 mm, stays there for 2 mm, and grows the other way."""
+    x = np.concatenate([np.linspace(0, 10e-3, 1001)[1:], np.linspace(10e-3, 4e-3, 601)[1:]])
+    got = law(friction(500.0, 1e6) | {"contact.backlash": {"width": 2e-3}}, x, np.full(1600, 0.1), k=0.0, held=True)
+    back = 10e-3 - x[1000:]
+    expected = np.where(back < 2.5e-3, np.maximum(500.0 - 1e6 * back, 0.0), np.maximum(-1e6 * (back - 2.5e-3), -500.0))
+    np.testing.assert_allclose(got[1000:], expected, atol=1e-6)
+    assert np.all(got[:90] == 0.0)
+    assert got[999] == pytest.approx(500.0)
+
+
+def test_a_slow_push_on_a_frame_with_a_mode_meets_its_static_stiffness() -> None:
+    t = np.arange(1, 20001) * 1e-4
+    mode = {"frequency": 20.0, "damping_ratio": 0.3, "mass": 40.0}
+    force = law({"frame.mode": mode}, 1e-3 * np.minimum(t, 1.0), np.where(t <= 1.0, 1e-3, 0.0))
+    frame = 40.0 * (2 * math.pi * 20.0) ** 2
+    assert force[-1] == pytest.approx(1e-3 * 1e5 * frame / (1e5 + frame), rel=1e-4)
+
+
+def test_adhesion_pulls_and_a_bumper_does_not() -> None:
+    x, v = np.full(3, 1e-5), np.full(3, -0.05)
+    assert np.all(law({}, x, v, c=400.0) == 0.0)
+    np.testing.assert_allclose(law({"contact.adhesion": {"force": 8.0}}, x, v, c=400.0), -8.0)

@@ -1,0 +1,162 @@
+"""A mechanism that nobody shipped: built here from boxes, a cylinder, a ball and a mesh, with a plunger on a spring."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hiltestbed.errors import InputError
+from hiltestbed.platform.plant import Plant
+from hiltestbed.scenario import Scenario, load_scenario, scenario_sha256
+from hiltestbed.simulation import simulate
+
+ACTIVE = """<mujoco><worldbody>
+  <geom type="cylinder" size="0.10 0.05" pos="0 0 0.05" contype="0" conaffinity="0"/>
+  <geom name="bar" type="box" size="0.16 0.02 0.02" pos="0 0 0.14" contype="1" conaffinity="1"/>
+  <body name="plunger" pos="0 0 0.30" gravcomp="1">
+    <inertial pos="0 0 0" mass="2" diaginertia="0.01 0.01 0.01"/>
+    <joint name="stroke" type="slide" axis="0 0 1" range="-0.1 0.05" limited="true" stiffness="{spring}" damping="400"/>
+    <geom name="ball" type="sphere" size="0.03" contype="1" conaffinity="1"/>
+    <site name="nose" pos="0 0 0"/>
+  </body>
+  <site name="A" pos="0 0 0.33"/>
+</worldbody></mujoco>"""
+PASSIVE = """<mujoco><asset><mesh name="dish" file="dish.obj"/></asset><worldbody>
+  <geom name="dish" type="mesh" mesh="dish" contype="1" conaffinity="1"/>
+  <geom name="stop_0" type="box" size="0.02 0.02 0.02" pos="0.15 0 -0.10" contype="1" conaffinity="1"/>
+  <geom name="stop_1" type="box" size="0.02 0.02 0.02" pos="-0.15 0 -0.10" contype="1" conaffinity="1"/>
+  <site name="P"/><site name="seat" pos="0 0 -0.03"/>
+</worldbody></mujoco>"""
+K = 5.0e4
+
+
+def pyramid() -> str:
+    """A four-sided funnel that opens downwards, 45 deg, concave: four walls with an outside 20 mm behind, its apex at the origin."""
+    s, t = 0.2, 0.02
+    inner = [(0, 0, 0), (s, s, -s), (-s, s, -s), (-s, -s, -s), (s, -s, -s)]
+    outer = [(x, y, z + t) for x, y, z in inner]
+    faces = []
+    for k in range(4):
+        a, b = 1 + k, 1 + (k + 1) % 4
+        faces += [(0, b, a), (5, 5 + a, 5 + b), (a, b, 5 + b), (a, 5 + b, 5 + a)]
+    lines = [f"v {x} {y} {z}" for x, y, z in inner + outer] + [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in faces]
+    return "\n".join(lines) + "\n"
+
+
+SCENARIO = """name: mine
+duration: 3.0
+rate: 1000
+spacecraft:
+  chaser: {mass: 300.0, inertia: [60, 60, 60], port: {position: [0, 0, 0.8]}}
+  target: {mass: 900.0, inertia: [300, 300, 300], port: {position: [0, 0, -0.8]}}
+approach: {gap: 0.06, velocity: [0, 0, 0.08], offset: [0.03, 0.01]}
+rig: {platform: {tracking: ideal}}
+compensation: {force: {kind: none}}
+mechanism:
+  kind: mjcf
+  active: parts/active.xml
+  passive: parts/passive.xml
+  pairs:
+    - {active: ball, passive: dish, stiffness: 5.0e4, damping: 200.0, friction: 0.05}
+    - {active: bar, passive: stop_*, stiffness: 1.0e5, damping: 400.0}
+  capture:
+    - name: soft
+      when: {pairs: [[nose, seat]], within: 0.02, speed: 0.2}
+      close: {kind: connect, active: nose, passive: seat, stiffness: 5.0e4, damping: 800.0}
+      drop_contacts: [ball]
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    (tmp_path / "parts").mkdir()
+    (tmp_path / "parts" / "active.xml").write_text(ACTIVE.format(spring=2000))
+    (tmp_path / "parts" / "passive.xml").write_text(PASSIVE)
+    (tmp_path / "parts" / "dish.obj").write_text(pyramid())
+    (tmp_path / "mine.yaml").write_text(SCENARIO)
+    return tmp_path
+
+
+def mine(folder: Path, **more: object) -> Scenario:
+    return load_scenario(folder / "mine.yaml", set=more)
+
+
+def test_it_docks(folder: Path) -> None:
+    run = simulate([mine(folder)], trace=True)
+    assert not run.trouble
+    assert run.outcomes[0]["outcome"] == "captured"
+    assert run.outcomes[0]["phases"][0]["at"] < 2.5
+    wrench = run.trace.run(0)["wrench_true"]
+    assert np.abs(wrench[:, 2]).max() > 20.0
+
+
+def test_a_ball_on_a_wall_of_the_mesh_is_pressed_along_its_normal(folder: Path) -> None:
+    """45 deg: at a lateral place of 60 mm the force is k x along the wall's normal. The plunger stands still at the first instant."""
+    plant = Plant([mine(folder, **{"mechanism.pairs.0.friction": 0.0, "mechanism.pairs.0.damping": 0.0})])
+    depth, r = 1e-3, 0.03
+    wall = np.array([1.0, 0.0, 1.0]) / np.sqrt(2.0)  # from the ball into the wall
+    centre = np.array([0.06, 0.0, -0.06]) - (r - depth) * wall
+    pose = np.array([[*centre[:2], centre[2] + r, 0.0, 0.0, 0.0, 1.0]])
+    plant.reset(pose, np.zeros((1, 6)))
+    np.testing.assert_allclose(plant.wrench_sub[0, -1, :3], K * depth * wall, atol=1e-3 * K * depth)
+
+
+def test_two_boxes_share_no_stiffness_with_the_number_of_their_points(folder: Path) -> None:
+    """The bar on both stops, four points each: 2 x 1e5 N/m, as asked for."""
+    plant = Plant([mine(folder, **{"mechanism.pairs.1.damping": 0.0})])
+    pose = np.array([[0.0, 0.0, 0.33 - 0.16 - 0.12 + 5e-4, 0.0, 0.0, 0.0, 1.0]])
+    plant.reset(pose, np.zeros((1, 6)))
+    bars = plant.contacts().met[0, 1:, 11]
+    assert bars.sum() == pytest.approx(2.0 * 1e5 * 5e-4, rel=1e-3)
+
+
+def test_another_file_is_another_scenario(folder: Path, tmp_path: Path) -> None:
+    first = scenario_sha256(mine(folder))
+    (folder / "parts" / "active.xml").write_text(ACTIVE.format(spring=4000))
+    assert scenario_sha256(mine(folder)) != first
+
+
+def refused(folder: Path, side: str, text: str) -> str:
+    (folder / "parts" / f"{side}.xml").write_text(text)
+    with pytest.raises(InputError) as error:
+        mine(folder)
+    return str(error.value)
+
+
+def test_bad_files_are_refused(folder: Path) -> None:
+    active = ACTIVE.format(spring=2000)
+    assert "has no site 'A'" in refused(folder, "active", active.replace('name="A"', 'name="B"'))
+    assert "plunger" in refused(
+        folder,
+        "active",
+        active.replace('<inertial pos="0 0 0" mass="2" diaginertia="0.01 0.01 0.01"/>', "").replace(
+            'type="sphere"', 'type="sphere" mass="0"'
+        ),
+    )
+    assert "no geom is called 'ball'" in refused(folder, "active", active.replace('"ball"', '"bulb"'))
+    assert "MJCF" in refused(folder, "active", "<mujoco><body>")
+    (folder / "parts" / "active.xml").write_text(active)
+    with pytest.raises(InputError, match="overlap at the start"):
+        mine(folder, **{"approach.gap": 0.001, "approach.offset": [0.08, 0.0]})
+    with pytest.raises(InputError, match="no such file"):
+        mine(folder, **{"mechanism.active": "parts/nowhere.xml"})
+    (folder / "parts" / "active.xml").write_text(active)
+    turned = "\n".join(line if line[0] == "v" else "f {0} {2} {1}".format(*line.split()[1:]) for line in pyramid().strip().splitlines())
+    (folder / "parts" / "dish.obj").write_text(turned + "\n")
+    with pytest.raises(InputError, match="point inwards"):
+        mine(folder)
+
+
+def test_its_folder_replays(folder: Path, tmp_path: Path) -> None:
+    from hiltestbed import run
+    from hiltestbed.recording import write_run
+
+    write_run(run(mine(folder, duration=0.2)), tmp_path / "run")
+    for file in (folder / "parts").iterdir():
+        file.unlink()
+    again = load_scenario(tmp_path / "run" / "scenario.yaml")
+    assert scenario_sha256(again) == json.loads((tmp_path / "run" / "summary.json").read_text())["scenario_sha256"]
+    simulate([again])

@@ -1,0 +1,134 @@
+"""A run against an emulated rig in one process, tick by tick: what the wire carries is real, the clock is not.
+
+The wait for a tick moves the emulated devices on by one cycle and then takes in what they have sent; nothing depends on how long it takes.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Collection, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from hiltestbed.devices.emulate import Emulator
+from hiltestbed.devices.interface import PlatformClient, SensorClient
+from hiltestbed.devices.pace import DevicePace, Pace
+from hiltestbed.devices.session import Observed, Options, Session, clients
+from hiltestbed.scenario import Scenario, load_scenario
+from hiltestbed.simulation import Run
+from tests.devices.running import free_ports, going, until
+
+SCENARIOS = Path(__file__).parents[2] / "scenarios"
+PATIENT = {"devices.watchdog": None, "devices.communication.stale": 1000.0, "devices.platform.run_up": 0.2}
+RATES = {"rsi": 250.0, "udp": 1000.0, "shm": 1000.0}
+
+
+def scenario_of(name: str, platform: str, **changes: Any) -> Scenario:
+    """A shipped scenario at the rate of ``platform``, without noise, that does not mind how slow the machine is."""
+    rate = RATES[platform]
+    still = {"rate": rate, "physics_rate": 4000.0, "sensor.noise": 0.0, "sensor.torque_noise": 0.0}
+    return load_scenario(SCENARIOS / f"{name}.yaml", still | PATIENT | {key.replace("__", "."): value for key, value in changes.items()})
+
+
+Disturbance = Callable[[int, Emulator, Session], Collection[str]]
+
+
+@dataclass
+class Urls:
+    """Of the loop's and of the devices' side."""
+
+    sensor: str
+    platform: str
+    emulated_sensor: str
+    emulated_platform: str
+
+
+def urls_of(platform: str) -> Urls:
+    """RDT and ``platform`` on free ports."""
+    a, b, c = free_ports(3)
+    sensor = f"rdt://127.0.0.1:{a}?counts_per_force=1e6&counts_per_torque=1e6"
+    if platform == "rsi":
+        return Urls(sensor, f"rsi://127.0.0.1:{b}?connect=10", f"rdt://127.0.0.1:{a}", f"rsi://127.0.0.1:{b}?late_limit=1000000")
+    return Urls(sensor, f"udp://127.0.0.1:{b}?listen={c}&connect=10", f"rdt://127.0.0.1:{a}", f"udp://127.0.0.1:{b}?peer={c}")
+
+
+@dataclass
+class Outcome:
+    """What came of a run in lockstep: the run, the emulated devices as they were left, and the session."""
+
+    run: Run
+    emulator: Emulator
+    session: Session
+
+
+def played(
+    scenario: Scenario,
+    platform: str,
+    disturb: Disturbance | None = None,
+    emulated: Scenario | None = None,
+    armed: bool = True,
+) -> Outcome:
+    """Run ``scenario`` against the emulated rig of ``emulated``, the same where it is not given.
+
+    Args:
+        disturb: called before each cycle of the devices once the run is armed, with its number; the devices whose record of this cycle
+            does not arrive in it.
+    """
+    begun, cycle = False, 0
+
+    def before(emulator: Emulator) -> Collection[str]:
+        nonlocal begun, cycle
+        begun = begun or session.rig.armed
+        cycle += begun
+        return disturb(cycle - 1, emulator, session) if begun and disturb is not None else ()
+
+    with against(emulated or scenario, platform, before, armed) as (options, emulator):
+        session = Session(scenario, options)
+        with session.connected():
+            observed: Observed = session.observe()
+            if armed:
+                session.run()
+    return Outcome(session.result(observed), emulator, session)
+
+
+@contextmanager
+def against(
+    emulated: Scenario, platform: str, before: Callable[[Emulator], Collection[str]] = lambda emulator: (), armed: bool = True
+) -> Iterator[tuple[Options, Emulator]]:
+    """Options for a session against the emulated rig of ``emulated``, which moves when the session waits for it.
+
+    Args:
+        before: called before each cycle of the devices; the devices whose record of this cycle does not arrive in it.
+    """
+    urls = urls_of(platform)
+    emulator = Emulator(emulated, urls.emulated_sensor, urls.emulated_platform)
+    stepped = False
+
+    def pace(sensor: SensorClient, moved: PlatformClient, tick: float) -> Pace:
+        nonlocal stepped
+        stepped = True
+        time.sleep(0.02)  # until a cycle that has begun is over
+        while sensor.poll() or moved.poll():
+            pass
+
+        def wait(timeout: float) -> bool:
+            seen = sensor.sample.sequence
+            lost = before(emulator)
+            emulator.cycle()
+            if "sensor" not in lost:
+                until(lambda: sensor.sample.sequence != seen or sensor.poll())
+            if "platform" not in lost:
+                until(moved.poll)
+            return "platform" not in lost
+
+        moved.wait = wait  # type: ignore[method-assign]
+        return DevicePace(moved, tick, 1)
+
+    def step() -> None:
+        if not stepped:
+            emulator.cycle()
+
+    with emulator, going(step, 0.002):
+        yield Options(urls.sensor, urls.platform, armed=armed, pace=pace, connect=clients), emulator

@@ -1,0 +1,121 @@
+"""`live` against `emulate` is `run`: the loop over the wire makes the run that the simulation makes."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hiltestbed.recording import read_run, write_run
+from hiltestbed.signals import CYCLE
+from hiltestbed.simulation import run
+from tests.devices.lockstep import SCENARIOS, played, scenario_of, urls_of
+
+SLOW = pytest.mark.skipif("HILTESTBED_SLOW" not in os.environ, reason="depends on the wall clock; set HILTESTBED_SLOW")
+
+
+@pytest.mark.parametrize("platform", ["rsi", "udp"])
+def test_a_bounce_over_the_wire_is_the_bounce_of_the_simulation(platform: str) -> None:
+    """With a force that is 5 ms late and nothing done about it, which is what makes e sensitive: ln(e/e_run) far below 0.01.
+
+    What the wire rounds is 1e-9 m (RSI) and 1e-6 N (RDT); the servo makes up to 1e-3 N of the rounded command.
+    """
+    scenario = scenario_of("03-bumper-delay-uncompensated", platform, duration=0.8)
+    alone, live = run(scenario), played(scenario, platform).run
+    assert live.summary["status"] == "completed"
+    assert live.summary["live"]["missed"] == 0
+    assert alone.summary["cor"] > 1.0
+    assert abs(math.log(live.summary["cor"] / alone.summary["cor"])) < 1e-4
+    assert live.trace is not None
+    assert alone.trace is not None
+    np.testing.assert_allclose(live.trace["pose_cmd"], alone.trace["pose_cmd"], atol=1e-7)
+    np.testing.assert_allclose(live.trace["wrench_meas"], alone.trace["wrench_meas"], atol=1e-2)
+    assert live.summary["energy_generated"] == pytest.approx(alone.summary["energy_generated"], rel=0.02)
+
+
+@pytest.mark.parametrize("platform", ["rsi", "udp"])
+def test_a_docking_over_the_wire_is_the_docking_of_the_simulation(platform: str) -> None:
+    """Six axes, friction, a lateral offset. e is read off a body that turns: when it is read, makes half a per cent."""
+    scenario = scenario_of("11-rim-bounce", platform, duration=1.6)
+    alone, live = run(scenario), played(scenario, platform).run
+    assert live.summary["status"] == "completed"
+    assert live.trace is not None
+    assert alone.trace is not None
+    np.testing.assert_allclose(live.trace["pose_cmd"], alone.trace["pose_cmd"], atol=2e-6)
+    assert live.summary["outcome"] == alone.summary["outcome"]
+    assert abs(math.log(live.summary["cor"] / alone.summary["cor"])) < 0.01
+
+
+def test_a_delay_that_nobody_told_the_loop_shows_as_it_does_in_the_simulation() -> None:
+    """The rig's delay is in the rig: `run` with the same delay, and the compensation that believes in none, is the measure."""
+    believed = scenario_of("03-bumper-delay-uncompensated", "udp", duration=0.8, sensor__delay=0.0)
+    hidden = scenario_of("03-bumper-delay-uncompensated", "udp", duration=0.8, sensor__delay=0.0043)
+    alone, live = run(hidden), played(believed, "udp", emulated=hidden).run
+    assert abs(math.log(live.summary["cor"] / alone.summary["cor"])) < 0.01
+
+
+def test_mounted_elsewhere_it_is_the_same_run() -> None:
+    """Sensor turned and upside down, platform on a base and with a tool of its own: the loop's side undoes what the devices' side does."""
+    mounted = {
+        "devices.sensor.position": [0.1, -0.05, 0.3],
+        "devices.sensor.attitude_deg": [20.0, -35.0, 110.0],
+        "devices.sensor.sign": -1,
+        "devices.platform.base": {"position": [1.2, 0.4, -0.8], "attitude_deg": [0.0, 90.0, 30.0]},
+        "devices.platform.tool": {"position": [0.0, 0.02, 0.15], "attitude_deg": [5.0, 0.0, 45.0]},
+    }
+    straight = scenario_of("02-bumper", "rsi", duration=0.8)
+    turned = scenario_of("02-bumper", "rsi", duration=0.8, **{key.replace(".", "__"): value for key, value in mounted.items()})
+    one, other = played(straight, "rsi").run, played(turned, "rsi").run
+    assert one.trace is not None
+    assert other.trace is not None
+    assert other.summary["cor"] == pytest.approx(one.summary["cor"], rel=1e-4)
+    np.testing.assert_allclose(other.trace["pose_act"], one.trace["pose_act"], atol=1e-7)
+
+
+def test_nothing_moves_before_it_is_armed() -> None:
+    scenario = scenario_of("02-bumper", "udp", duration=0.3)
+    outcome = played(scenario, "udp", armed=False)
+    start = outcome.emulator.rig.pose
+    np.testing.assert_allclose(start[:3], [0.0, 0.0, -scenario.approach.gap], atol=1e-6)
+    np.testing.assert_allclose(outcome.emulator.platform.command, start, atol=1e-6)
+
+
+def test_the_run_folder_is_one_like_any_other(tmp_path: Path) -> None:
+    live = played(scenario_of("02-bumper", "udp", duration=0.5), "udp").run
+    write_run(live, tmp_path / "run")
+    assert (tmp_path / "run" / "recording.rrd").stat().st_size > 10_000
+    again = read_run(tmp_path / "run")
+    assert again.trace is not None
+    cycles = again.trace[CYCLE.name]
+    assert cycles.shape == (500, 4)
+    assert np.all(cycles[1:, :2] > 0.0)
+    assert again.summary["live"]["events"]["platform"]["lost"] == 0
+    assert np.isnan(again.trace["wrench_true"]).all()
+
+
+@SLOW
+@pytest.mark.parametrize("platform", ["rsi", "udp"])
+def test_two_processes_in_real_time(platform: str, tmp_path: Path) -> None:
+    """By the commands themselves; misses are counted, and e is that of the simulation where few have been missed."""
+    urls, name = urls_of(platform), str(SCENARIOS / "reference-bumper.yaml")
+    sets = ["--set", f"rate={250 if platform == 'rsi' else 1000}", "--set", "physics_rate=4000"]
+    program = [sys.executable, "-m", "hiltestbed.cli"]
+    emulated = ["emulate", name, *sets, "--sensor", urls.emulated_sensor, "--platform", urls.emulated_platform, "--for", "25", "--json"]
+    with subprocess.Popen([*program, *emulated], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as device:
+        assert device.stderr is not None
+        device.stderr.readline()
+        options = ["--sensor", urls.sensor, "--platform", urls.platform, "--arm", "--out", str(tmp_path / "run"), "--for", "1.5", "--json"]
+        done = subprocess.run([*program, "live", name, *sets, *options], capture_output=True, text=True, check=False, timeout=60)
+        device.terminate()
+        told = json.loads(device.communicate()[0])
+    assert done.returncode == 0, done.stderr
+    summary = json.loads(done.stdout)
+    expected = run(read_run(tmp_path / "run").scenario).summary["cor"]
+    assert told["missed"] <= 0.02 * told["cycles"]
+    assert abs(math.log(summary["cor"] / expected)) < 0.01

@@ -1,0 +1,240 @@
+"""Faults on the wire while the loop runs: it stops in their cycle, the platform is held or backs out, and a whole run comes of it."""
+
+from __future__ import annotations
+
+import random
+import socket
+from collections.abc import Callable, Collection
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hiltestbed.devices.emulate import Emulator
+from hiltestbed.devices.interface import Link
+from hiltestbed.devices.rdt import RECORD, RdtServer
+from hiltestbed.devices.rsi_controller import RsiServer
+from hiltestbed.devices.session import Session
+from hiltestbed.devices.udp_device import UdpPlatformServer
+from hiltestbed.devices.watch import CommunicationLimits
+from hiltestbed.recording import read_run, write_run
+from hiltestbed.scenario import Scenario
+from tests.devices.lockstep import played, scenario_of
+
+STRICT = CommunicationLimits(misses_in_a_row=0, misses_in_window=0, disturbances_in_window=0, stale=1000.0)
+SATURATED = 0x80020000  # a status word of RDT
+
+
+def _strict(platform: str, **changes: object) -> Scenario:
+    scenario = scenario_of("02-bumper", platform, duration=0.5, **changes)
+    return scenario.model_copy(update={"devices": scenario.devices.model_copy(update={"communication": STRICT})})
+
+
+def _sends(link: Link, change: Callable[[bytes], list[bytes]]) -> None:
+    """Have ``change`` done to every datagram that an emulated device sends in the coming cycle."""
+    if isinstance(link, UdpPlatformServer):
+        owner, name = link._receiver, "socket"
+    else:
+        assert isinstance(link, RdtServer | RsiServer)
+        owner, name = link, "_socket"
+    real = getattr(owner, name)
+
+    class Once:
+        def sendto(self, data: bytes, towards: tuple[str, int]) -> int:
+            setattr(owner, name, real)
+            for new in change(bytes(data)):
+                real.sendto(new, towards)
+            return len(data)
+
+        def __getattr__(self, attribute: str) -> object:
+            return getattr(real, attribute)
+
+    setattr(owner, name, Once())
+
+
+class Fault:
+    """Something that happens to one device in cycle ``at``."""
+
+    def __init__(self, kind: str, who: str, at: int) -> None:
+        self.kind, self.who, self.at = kind, who, at
+        self._kept: list[bytes] = []
+
+    def __call__(self, cycle: int, emulator: Emulator, session: Session) -> Collection[str]:
+        link = getattr(emulator, self.who)
+        if self.kind == "gone":
+            return self._gone(link) if cycle >= self.at else ()
+        if cycle == self.at:
+            if self.kind == "lost":
+                _sends(link, lambda data: [])
+            elif self.kind in ("late", "reordered"):
+                _sends(link, lambda data: self._kept.append(data) or [])
+            elif self.kind == "truncated":
+                _sends(link, lambda data: [data[:-5]])
+            elif self.kind == "repeated":
+                _sends(link, lambda data: [data, data])
+                return ()
+            elif self.kind == "status":
+                _sends(link, lambda data: [data[:8] + SATURATED.to_bytes(4, "big") + data[12:]])
+            return (self.who,)
+        if cycle == self.at + 1 and self._kept:
+            old = self._kept[0]
+            _sends(link, lambda data: [old, data] if self.kind == "late" else [data, old])
+        return ()
+
+    def _gone(self, link: Link) -> Collection[str]:
+        link.close()
+        return (self.who,)
+
+
+CASES = [(kind, who) for kind in ("lost", "late", "reordered", "truncated", "repeated", "gone") for who in ("sensor", "platform")]
+TRAVEL, TOUCHED = 15, 700  # cycles after arming at 1 kHz: on the way to the start, and in contact
+
+
+@pytest.mark.parametrize("at", [TRAVEL, TOUCHED])
+@pytest.mark.parametrize(("kind", "who"), [*CASES, ("status", "sensor")])
+def test_a_fault_stops_the_run_in_its_cycle(kind: str, who: str, at: int, tmp_path: Path) -> None:
+    """Where nothing is allowed. A record that comes twice is seen with the next one at the latest; all others in their own cycle."""
+    sent: list[int] = []
+
+    def watched(cycle: int, emulator: Emulator, session: Session) -> Collection[str]:
+        if not session.rig.stop:
+            sent.append(cycle)
+        return fault(cycle, emulator, session)
+
+    fault = Fault(kind, who, at)
+    outcome = played(_strict("udp"), "udp", watched)
+    summary = outcome.run.summary
+    assert summary["status"] == "stopped"
+    assert f"{who} " in summary["stop_reason"]
+    assert at <= sent[-1] <= at + (kind == "repeated")
+    assert ("before the start" in summary["stop_reason"]) is (at == TRAVEL)
+    if (kind, who) != ("gone", "platform"):
+        np.testing.assert_allclose(outcome.emulator.platform.command, outcome.session.rig.last, atol=1e-12)  # held
+    if at == TOUCHED:
+        assert summary["peak_force"] > 10.0
+    write_run(outcome.run, tmp_path / "run", rerun=False)
+    assert read_run(tmp_path / "run").summary["stop_reason"] == summary["stop_reason"]
+
+
+@pytest.mark.parametrize("kind", ["lost", "late", "truncated", "gone"])
+def test_a_robot_that_fails_stops_the_run_in_its_cycle(kind: str) -> None:
+    outcome = played(_strict("rsi"), "rsi", Fault(kind, "platform", 80))
+    assert outcome.run.summary["status"] == "stopped"
+    assert "platform rsi://" in outcome.run.summary["stop_reason"]
+    assert outcome.run.trace is not None
+    assert len(outcome.run.trace.t) < 80
+
+
+def test_two_in_a_hundred_lost_within_the_limits_are_counted_and_change_e_by_little() -> None:
+    """The loop goes on without the record: the force is held for a tick, and time does not stand still."""
+    scenario = scenario_of("02-bumper", "udp", duration=0.8)
+    lenient = STRICT.model_copy(update={"misses_in_a_row": 5, "misses_in_window": 1000, "disturbances_in_window": 1000})
+    scenario = scenario.model_copy(update={"devices": scenario.devices.model_copy(update={"communication": lenient})})
+    bad = set(np.flatnonzero(np.random.default_rng(4).random(2000) < 0.02).tolist())
+
+    def lose(cycle: int, emulator: Emulator, session: Session) -> Collection[str]:
+        return Fault("lost", "sensor", cycle)(cycle, emulator, session) if cycle in bad else ()
+
+    whole, holed = played(scenario, "udp").run, played(scenario, "udp", lose).run
+    assert holed.summary["status"] == "completed"
+    assert holed.summary["live"]["missed"] >= 10
+    assert holed.summary["live"]["events"]["sensor"]["lost"] >= 10
+    assert holed.summary["cor"] == pytest.approx(whole.summary["cor"], rel=0.02)
+
+
+def test_a_lost_record_of_the_clock_costs_its_tick_and_not_the_time_base() -> None:
+    """The platform's record is lost five times: the loop still makes as many ticks as the devices, and ends where it would have."""
+    scenario = scenario_of("01-free-flight", "udp", duration=0.4)
+    lenient = STRICT.model_copy(update={"misses_in_a_row": 5, "misses_in_window": 1000})
+    scenario = scenario.model_copy(update={"devices": scenario.devices.model_copy(update={"communication": lenient})})
+
+    def lose(cycle: int, emulator: Emulator, session: Session) -> Collection[str]:
+        return Fault("lost", "platform", cycle)(cycle, emulator, session) if cycle % 100 == 50 else ()
+
+    outcome = played(scenario, "udp", lose)
+    assert outcome.run.summary["status"] == "completed"
+    assert outcome.run.trace is not None
+    np.testing.assert_allclose(outcome.run.trace["pose_act"], outcome.run.trace["pose_cmd"], atol=2e-3)
+
+
+def test_the_platform_backs_out_where_it_is_told_to() -> None:
+    """With the sensor gone, in contact: 20 mm along -z of P from where it was held, no matter that the sensor stays silent."""
+    scenario = _strict("udp", devices__on_stop__kind="retract")
+    outcome = played(scenario, "udp", Fault("gone", "sensor", TOUCHED))
+    assert outcome.run.trace is not None
+    held = outcome.run.trace["pose_cmd"][-1, 2]
+    assert outcome.emulator.platform.command[2] == pytest.approx(held - 0.02, abs=2e-4)
+
+
+LIMITS = {
+    "safety.force": (20.0, "the sensor carries"),
+    "devices.limits.position": (0.009, "A is commanded"),
+    "devices.limits.speed": (0.02, "A is commanded to move at"),
+    "devices.limits.acceleration": (0.05, "A is commanded to accelerate at"),
+    "safety.energy": (1e-6, "the rig has created"),
+    "safety.tracking_error": (1e-6, "the platform is"),
+}
+
+
+@pytest.mark.parametrize("key", LIMITS)
+def test_a_limit_stops_the_run_before_anything_beyond_it_is_sent(key: str) -> None:
+    limit, text = LIMITS[key]
+    name = "03-bumper-delay-uncompensated"
+    scenario = scenario_of(name, "udp", duration=0.8, **{key.replace(".", "__"): limit})
+    outcome = played(scenario, "udp")
+    reason = outcome.run.summary["stop_reason"]
+    assert outcome.run.summary["status"] == "stopped"
+    assert text in reason
+    assert key in reason
+    if key == "devices.limits.position":  # it stands beyond the limit: nothing at all is sent
+        assert outcome.emulator.rig.pose[2] == pytest.approx(-scenario.approach.gap, abs=1e-6)
+    else:
+        np.testing.assert_allclose(outcome.emulator.platform.command, outcome.session.rig.last, atol=1e-12)
+
+
+def _rubbish(random_: random.Random, template: bytes) -> bytes:
+    """Random bytes, or a good datagram that was cut, lengthened or has had its length kept and its sense lost."""
+    kind = random_.randrange(4)
+    if kind == 0:
+        return random_.randbytes(random_.randrange(1, 400))
+    if kind == 1:
+        return template[: random_.randrange(len(template))]
+    if kind == 2:
+        return template + random_.randbytes(random_.randrange(1, 50))
+    return random_.randbytes(len(template) + 1)
+
+
+@pytest.mark.parametrize("platform", ["rsi", "udp"])
+def test_a_thousand_malformed_datagrams_change_nothing(platform: str) -> None:
+    """From a stranger and from the devices' own ports: the trace is the same to the last bit."""
+    scenario = scenario_of("02-bumper", platform, duration=0.5)
+    lenient = STRICT.model_copy(update={"disturbances_in_window": 1_000_000})
+    scenario = scenario.model_copy(update={"devices": scenario.devices.model_copy(update={"communication": lenient})})
+    chance, stranger, count = random.Random(12), socket.socket(socket.AF_INET, socket.SOCK_DGRAM), 0
+    record, telegram = bytes(RECORD.size), b'<Rob Type="KUKA"><RIst X="1" Y="0" Z="0" A="0" B="0" C="0"/><IPOC>7</IPOC></Rob>'
+
+    def pelt(cycle: int, emulator: Emulator, session: Session) -> Collection[str]:
+        nonlocal count
+        sensor, moved = emulator.sensor, emulator.platform
+        assert isinstance(sensor, RdtServer)
+        assert sensor._socket is not None
+        assert sensor._client is not None
+        own = moved._receiver.socket if isinstance(moved, UdpPlatformServer) else getattr(moved, "_socket")  # noqa: B009
+        towards = moved._peer if isinstance(moved, UdpPlatformServer) else getattr(moved, "_towards")  # noqa: B009
+        for _ in range(2):
+            sensor._socket.sendto(_rubbish(chance, record), sensor._client)
+            own.sendto(_rubbish(chance, telegram), towards)
+            stranger.sendto(_rubbish(chance, telegram), towards)
+            stranger.sendto(_rubbish(chance, record), sensor._client)
+            count += 4
+        return ()
+
+    quiet, noisy = played(scenario, platform).run, played(scenario, platform, pelt).run
+    stranger.close()
+    assert count >= 1000
+    assert noisy.summary["status"] == "completed"
+    assert quiet.trace is not None
+    assert noisy.trace is not None
+    assert noisy.summary["live"]["events"]["sensor"]["malformed"] > 100
+    for name in ("pose_cmd", "pose_act", "wrench_meas", "wrench_comp"):
+        np.testing.assert_array_equal(noisy.trace[name], quiet.trace[name])

@@ -1,0 +1,199 @@
+"""The worked plugins under examples/plugins: found by --plugin and by an entry point, run, in the benchmark, and named by a diagnosis."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import hiltestbed
+from hiltestbed import plugins
+from hiltestbed.bench.own_sets import OwnSet, record_set
+from hiltestbed.compensation.settings import FORCE_METHODS
+from hiltestbed.contact.parameters import ContactParameters
+from hiltestbed.contact.settings import MECHANISMS
+from hiltestbed.effects import EFFECTS
+from hiltestbed.errors import InputError
+from hiltestbed.scenario import scenario_from
+
+EXAMPLES = Path(__file__).parents[2] / "examples" / "plugins"
+IDEAL = {"rig.platform.tracking": "ideal"}
+
+
+@pytest.fixture(autouse=True)
+def _only_here(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """What a test loads is taken out of the tables again: other tests walk the vocabulary that is shipped."""
+    monkeypatch.delenv(plugins.ENVIRONMENT, raising=False)
+    before = [(registry, dict(registry)) for registry in plugins._REGISTRIES]
+    loaded = dict(plugins._LOADED)
+    yield
+    for registry, classes in before:
+        registry._found = classes
+    plugins._LOADED.clear()
+    plugins._LOADED.update(loaded)
+    monkeypatch.delenv(plugins.ENVIRONMENT, raising=False)
+    for refresh in plugins._DEPENDENTS:
+        refresh()
+
+
+def command(*arguments: str, cwd: Path | None = None, env: dict[str, str] | None = None) -> subprocess.CompletedProcess[str]:
+    """The command line in a process of its own, as a user runs it."""
+    return subprocess.run([sys.executable, "-m", "hiltestbed.cli", *arguments], capture_output=True, text=True, cwd=cwd, env=env)
+
+
+def shipped(name: str, **changes: Any) -> hiltestbed.Scenario:
+    return hiltestbed.load_scenario(hiltestbed.shipped("scenarios") / f"{name}.yaml", changes)
+
+
+def test_an_effect_acts_as_its_equation_says() -> None:
+    plugins.load([str(EXAMPLES / "worn_pad.py")])
+    p = ContactParameters(1e5, 200.0)
+    EFFECTS["contact.worn_pad"](wear=0.25).apply(p)  # type: ignore[call-arg]
+    assert (p.stiffness, p.damping) == (0.75e5, 400.0)
+    worn = shipped("02-bumper", effects=[{"kind": "contact.worn_pad", "wear": 0.25}])
+    k, c = worn.mechanism.contact.stiffness, worn.mechanism.contact.damping
+    other = shipped("02-bumper", **{"mechanism.contact.stiffness": 0.75 * k, "mechanism.contact.damping": 2.0 * c})
+    assert hiltestbed.run(worn).summary["cor"] == hiltestbed.run(other).summary["cor"]
+
+
+def test_a_diagnosis_names_an_effect_of_the_users(tmp_path: Path) -> None:
+    """One number moves stiffness and damping together: the worn pad explains with one what two built-in effects need two for."""
+    plugins.load([str(EXAMPLES / "worn_pad.py")])
+    data = record_set(OwnSet("04-bumper-delay-compensated", ({"kind": "contact.worn_pad", "wear": 0.2},)), tmp_path)
+    found = hiltestbed.diagnose(data)
+    assert found.finding.verdict == "named"
+    (cause,) = found.finding.causes
+    assert cause.effect == "contact.worn_pad"
+    assert cause.parameters["wear"].estimate == pytest.approx(0.2, abs=0.01)
+
+
+def test_a_compensation_takes_the_delay_out(tmp_path: Path) -> None:
+    """Extrapolated to second order, |ln(e/e_ref)| falls from (pi/2) w tau = 0.124 to a few per cent of it."""
+    done = command(
+        "run", "03-bumper-delay-uncompensated", "--json", "--no-rerun", "--out", str(tmp_path / "r"),
+        "--plugin", str(EXAMPLES / "slope_lead.py"), "--set", "compensation.force={kind: slope_lead}",
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    summary = json.loads(done.stdout)
+    assert abs(summary["cor_log_error"]) < 0.01
+    assert {"source": "compensation.slope_lead"}.items() <= summary["delay_ledger"][1].items()
+    assert list(summary["plugins"].values()) != [""]
+
+
+def test_the_benchmark_takes_a_compensation_of_the_users() -> None:
+    from hiltestbed.bench.contacts import bounce, grid
+    from hiltestbed.bench.contenders import CONTENDERS, contenders
+    from hiltestbed.bench.cor import measure, reference_scenario
+
+    plugins.load([str(EXAMPLES / "slope_lead.py")])
+    mine = [c for c in contenders() if c not in CONTENDERS]
+    assert [c.name for c in mine] == ["slope_lead"]
+    contacts = grid((2.0,), (0.005,), damping_ratios=(0.05,))
+    reference = bounce([reference_scenario(c.scenario({"kind": "none"})) for c in contacts])
+    (record,) = measure(mine[0], contacts, reference)
+    assert record["stable"]
+
+
+def test_one_batch_and_many_give_the_same_bytes() -> None:
+    plugins.load([str(EXAMPLES / "slope_lead.py")])
+    scenarios = [
+        shipped("02-bumper", **{"sensor.delay": d, "compensation.force": {"kind": "slope_lead", "ticks": n}})
+        for d, n in ((0.002, 3), (0.005, 6))
+    ]
+    together = hiltestbed.run_batch(scenarios, trace=True)
+    for scenario, run in zip(scenarios, together, strict=True):
+        np.testing.assert_array_equal(hiltestbed.run(scenario).trace["pose_act"], run.trace["pose_act"])  # type: ignore[index]
+
+
+def test_a_mechanism_touches_with_all_of_its_pads() -> None:
+    """Three springs side by side: head-on it is a bumper of three times the stiffness and damping of a pad."""
+    plugins.load([str(EXAMPLES / "three_pads.py")])
+    bumper = shipped("02-bumper")
+    contact = bumper.mechanism.contact
+    pad = {"stiffness": contact.stiffness / 3.0, "damping": contact.damping / 3.0}
+    pads = hiltestbed.run(shipped("02-bumper", mechanism={"kind": "three_pads", "contact": pad}))
+    plain = hiltestbed.run(bumper)
+    assert pads.summary["cor"] == pytest.approx(plain.summary["cor"], rel=1e-4)
+    assert pads.summary["peak_force"] == pytest.approx(plain.summary["peak_force"], rel=1e-4)
+    tilted = hiltestbed.run(
+        shipped("02-bumper", mechanism={"kind": "three_pads", "contact": pad}, **{"approach.attitude_deg": [1.0, 0, 0]})
+    )
+    assert np.abs(tilted.trace["wrench_true.tx"]).max() > 1.0  # one pad is met first, off the axis
+
+
+def test_a_platform_follows_as_late_as_it_says(tmp_path: Path) -> None:
+    """A gantry under position control without feed-forward of the acceleration lags; the delay ledger predicts what that does to e."""
+    plugins.load([str(EXAMPLES / "gantry.py")])
+    summary = hiltestbed.run(shipped("02-bumper", **{"rig.platform": {"kind": "gantry"}, "rate": 2000, "physics_rate": 4000})).summary
+    assert summary["cor_log_error"] == pytest.approx(summary["cor_log_error_predicted"], abs=0.01)
+    assert next(e["delay"] for e in summary["delay_ledger"] if e["source"] == "platform.servo") > 0.0
+
+
+def test_a_campaign_runs_them_in_worker_processes(tmp_path: Path) -> None:
+    (tmp_path / "c.yaml").write_text(
+        "scenario: s.yaml\ndesign: {kind: grid}\n"
+        "vary: {compensation.force: {values: [{kind: none}, {kind: slope_lead}]}, sensor.delay: {values: [0.002, 0.004]}}\n"
+    )
+    (tmp_path / "s.yaml").write_text((hiltestbed.shipped("scenarios") / "02-bumper.yaml").read_text())
+    done = command("sweep", "c.yaml", "--workers", "2", "--chunk", "1", "--json", "--plugin", str(EXAMPLES / "slope_lead.py"), cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["counts"] == {"completed": 4}
+
+
+def test_an_installed_package_needs_no_option(tmp_path: Path) -> None:
+    """The entry-point group does what --plugin does."""
+    import os
+
+    about = tmp_path / "my_rig-1.0.dist-info"
+    about.mkdir()
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: my-rig\nVersion: 1.0\n")
+    (about / "entry_points.txt").write_text(f"[{plugins.GROUP}]\nmine = my_worn_pad\n")
+    (tmp_path / "my_worn_pad.py").write_text((EXAMPLES / "worn_pad.py").read_text())
+    env = os.environ | {"PYTHONPATH": os.pathsep.join([str(tmp_path), str(Path(hiltestbed.__file__).parents[1])])}
+    done = command("schema", env=env)
+    assert done.returncode == 0, done.stderr
+    assert '"contact.worn_pad"' in done.stdout
+    assert '"contact.worn_pad"' not in command("schema").stdout
+
+
+BASE = "from hiltestbed.effects import Effect, quantity\nfrom hiltestbed.plugins import register\nfrom typing import Literal\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (BASE + "@register\nclass Half(Effect):\n    '''Half.'''\n    kind: Literal['x.half'] = 'x.half'\n", "lacks link"),
+        (BASE + "@register\nclass Nameless(Effect):\n    '''No kind.'''\n", "lacks `kind`"),
+        (BASE + "@register\nclass Stranger:\n    kind = 'x'\n", "derives from nothing"),
+        ("def broken(:\n", "SyntaxError"),
+        ("import a_package_that_is_not_there\n", "a_package_that_is_not_there"),
+        ("1 / 0\n", "ZeroDivisionError"),
+        ((EXAMPLES / "worn_pad.py").read_text().replace("contact.worn_pad", "contact.stiffness"), "exists already"),
+    ],
+)
+def test_a_bad_plugin_is_bad_input(text: str, words: str, tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text(text)
+    done = command("check", "02-bumper", "--plugin", str(tmp_path / "mine.py"))
+    assert done.returncode == 2
+    assert words in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize("name", ["no_such_module", "no/such/file.py"])
+def test_an_unknown_plugin_is_bad_input(name: str) -> None:
+    done = command("run", "02-bumper", f"--plugin={name}")
+    assert done.returncode == 2
+    assert name.rpartition("/")[2] in done.stderr
+
+
+def test_a_scenario_that_needs_a_plugin_says_what_is_there() -> None:
+    with pytest.raises(InputError, match="unknown kind"):
+        scenario_from(shipped("02-bumper").model_dump(mode="json") | {"effects": [{"kind": "contact.worn_pad", "wear": 0.1}]})
+    assert "slope_lead" not in FORCE_METHODS
+    assert "three_pads" not in MECHANISMS
