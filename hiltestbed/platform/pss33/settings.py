@@ -124,3 +124,10 @@ class Pss33(Platform):
 
     def nearest_bandwidth(self, scenario: Scenario) -> float:
         return self.bandwidth if self.tracking != "response" else super().nearest_bandwidth(scenario)
+
+
+def pss33_of(scenario: Scenario) -> Pss33:
+    """The settings of a scenario's platform, which is this one."""
+    platform = scenario.rig.platform
+    assert isinstance(platform, Pss33)
+    return platform
