@@ -81,7 +81,9 @@ class Contacts:
             self._engagement.reset()
 
     def balance(self) -> None:
-        """Hold the weight of what is on the mount, wherever the sides are."""
+        """Hold the weight of what is on the mount, wherever the sides are, with nothing latched; undone by :meth:`reset`."""
+        if self._engagement is not None:
+            self._engagement.latches.open(captured=False)
         load_body(1.0, self.mount.balance, self.mount.body, self.mount.centre, self._applied)
 
     def meet(self, pose: Array, twist: Array, place: Array | None = None, motion: Array | None = None) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ from hiltestbed.contact.sides import sides_of
 from hiltestbed.effects import Effect
 from hiltestbed.frames import Array, pose_step
 from hiltestbed.log import log_parameters
+from hiltestbed.platform.plant import alike
 from hiltestbed.replay import Felt, creep_of, replay_wrench
 from hiltestbed.replay.wrench import Lane
 from hiltestbed.scenario import Scenario, load_scenario
@@ -72,10 +73,19 @@ class Recorded:
 
 def record(scenarios: Sequence[Scenario]) -> Recorded:
     """Run the loop; every run has to come to its end."""
-    batch = simulate(scenarios, trace=True)
-    assert not batch.trouble, batch.trouble
-    assert batch.trace is not None
-    return Recorded(list(scenarios), {name: np.ascontiguousarray(np.swapaxes(a, 0, 1)) for name, a in batch.trace.data.items()})
+    data: dict[str, list[Array]] = {}
+    groups: dict[Hashable, list[int]] = {}
+    for i, s in enumerate(scenarios):
+        groups.setdefault(alike(s), []).append(i)
+    for numbers in groups.values():
+        batch = simulate([scenarios[i] for i in numbers], trace=True)
+        assert not batch.trouble, batch.trouble
+        assert batch.trace is not None
+        for name, array in batch.trace.data.items():
+            rows = data.setdefault(name, [np.empty(0)] * len(scenarios))
+            for k, i in enumerate(numbers):
+                rows[i] = array[:, k]
+    return Recorded(list(scenarios), {name: np.stack(rows) for name, rows in data.items()})
 
 
 def felt(recorded: Recorded) -> Felt:

@@ -13,11 +13,10 @@ from hiltestbed.scenario import Scenario
 from tests.effects.examples import example
 from tests.replay.recorded import RIGS, Recorded, felt, lane, readings, record, scenario
 
-ROUND_OFF = 1e-13  # of the peak: some hundred operations a row at 1e-16
-SOFT = 3e-5  # of the peak, a bumper under the servo: MuJoCo's own soft contact has an impedance of 1e-4 in place of 0
+SOLVED = 5e-6  # of the peak, where A is put in place: the loop's force is what MuJoCo's solver ends at, welds and mounts to a millionth
+STEP = 5e-5  # of the peak, where a converter may round the other way for that
+SOFT = 1e-3  # of the peak, under the servo: MuJoCo's own soft contact has an impedance of 1e-4 in place of 0, for friction as well
 UNSEEN = 1e-3  # of the peak, on a mount under the servo: it is integrated within the tick, where the path is not on record
-REMEMBERED = 1e-5  # of the peak
-MEMORY = ("contact.relaxation", "contact.dry_friction", "frame.mode")
 CONTACT = [kind for kind, cls in EFFECTS.items() if cls.link == "contact"]
 SENSOR = [kind for kind, cls in EFFECTS.items() if cls.link in ("sensor", "log") and kind != "sensor.jitter"]  # which is drawn at random
 
@@ -43,14 +42,13 @@ def possible(rig: str, kinds: list[str], tracking: str = "ideal") -> list[Scenar
 @pytest.mark.parametrize("rig", RIGS)
 def test_under_ideal_tracking_the_readings_are_those_of_the_loop(rig: str) -> None:
     recorded = record([scenario(rig)])
-    assert errors(recorded, readings(recorded))[0] < ROUND_OFF
+    assert errors(recorded, readings(recorded))[0] < SOLVED
 
 
 @pytest.mark.parametrize("rig", RIGS)
 def test_under_a_servo_they_are_too_where_the_twist_is_on_record(rig: str) -> None:
     recorded = record([scenario(rig, "servo")])
-    allowed = SOFT if rig == "bumper" else UNSEEN if "mount" in rig else ROUND_OFF
-    assert errors(recorded, readings(recorded))[0] < allowed
+    assert errors(recorded, readings(recorded))[0] < (UNSEEN if "mount" in rig else SOFT)
 
 
 def test_without_the_twist_a_servo_is_half_a_tick_off() -> None:
@@ -61,13 +59,13 @@ def test_without_the_twist_a_servo_is_half_a_tick_off() -> None:
         shared.poses, shared.before, shared.tick, shared.geometry, shared.captured, shared.latch, shared.mount, shared.substeps
     )
     error = errors(recorded, replay_wrench(blind, [lane(recorded.scenarios[0], 0)], grid=recorded.scenarios[0].substeps))[0]
-    assert ROUND_OFF < error < 0.02
+    assert SOFT < error < 0.02
 
 
 @pytest.mark.parametrize("rig", RIGS)
 def test_every_effect_of_the_contact_acts_in_the_replay_as_in_the_loop(rig: str) -> None:
     recorded = record(possible(rig, CONTACT))
-    assert errors(recorded, readings(recorded)).max() < ROUND_OFF
+    assert errors(recorded, readings(recorded)).max() < SOLVED
     nominal = replay_wrench(felt(recorded), [lane(s, i, []) for i, s in enumerate(recorded.scenarios)], recorded.scenarios[0].substeps)
     shown = errors(recorded, nominal) > 1e-3
     assert shown.sum() >= len(shown) - 4, "an example that does not show proves nothing"
@@ -75,17 +73,15 @@ def test_every_effect_of_the_contact_acts_in_the_replay_as_in_the_loop(rig: str)
 
 @pytest.mark.parametrize("rig", ["bumper with friction", "probe and cone with latch"])
 def test_every_effect_of_the_contact_acts_under_a_servo_too(rig: str) -> None:
-    """A law with a memory depends on the path within the tick, a parabola through what is on record."""
     scenarios = possible(rig, CONTACT, "servo")
     recorded = record(scenarios)
-    allowed = [REMEMBERED if s.effects[0].kind in MEMORY else ROUND_OFF for s in scenarios]
-    assert (errors(recorded, readings(recorded)) < allowed).all()
+    assert errors(recorded, readings(recorded)).max() < SOFT
 
 
 @pytest.mark.parametrize("rig", ["bumper with friction", "probe and cone with latch", "latched on a mount"])
 def test_every_effect_of_the_sensor_and_of_the_record_acts_in_the_replay_as_in_the_loop(rig: str) -> None:
     recorded = record(possible(rig, SENSOR))
-    assert errors(recorded, readings(recorded)).max() < ROUND_OFF
+    assert errors(recorded, readings(recorded)).max() < STEP
     nominal = replay_wrench(felt(recorded), [lane(s, i, []) for i, s in enumerate(recorded.scenarios)], recorded.scenarios[0].substeps)
     assert (errors(recorded, nominal) > 1e-3).all()
 
@@ -93,7 +89,7 @@ def test_every_effect_of_the_sensor_and_of_the_record_acts_in_the_replay_as_in_t
 def test_effects_add_up_in_their_order() -> None:
     several = [example(k) for k in ("sensor.gain", "contact.stiffness", "sensor.delay", "contact.preload", "sensor.lag", "sensor.bias")]
     recorded = record([scenario("bumper with friction", changes={"effects": several})])
-    assert errors(recorded, readings(recorded))[0] < ROUND_OFF
+    assert errors(recorded, readings(recorded))[0] < SOLVED
 
 
 def test_many_hypotheses_at_once_are_each_what_it_is_alone() -> None:
@@ -111,7 +107,7 @@ def test_many_hypotheses_at_once_are_each_what_it_is_alone() -> None:
 def test_a_latch_closes_in_the_replay_when_it_does_in_the_loop() -> None:
     """Here 6 mm before the touch, at a speed that the latch allows: from then on the probe is held."""
     recorded = record([scenario("probe and cone with latch")])
-    assert errors(recorded, readings(recorded))[0] < ROUND_OFF
+    assert errors(recorded, readings(recorded))[0] < SOLVED
     pulled = recorded["wrench_meas"][0, :, 2].min()
     assert pulled < -30.0
     open_still = scenario("probe and cone")
