@@ -1,8 +1,17 @@
-"""Whether the inner loops are compiled already: numba keeps them on disk, and the first run after an install makes them."""
+"""What the machine brings: its cores, and whether the inner loops are compiled already.
+
+Numba keeps compiled loops on disk; the first run after an install makes them.
+"""
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
+
+
+def cores() -> int:
+    """Processor cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def cache_folder() -> Path:
