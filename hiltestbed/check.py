@@ -59,13 +59,15 @@ def _look_at(path: str | Path, data: bool) -> Findings:
 
 def _scenario(source: Source, data: bool) -> Findings:
     from hiltestbed.budget import run_budget
+    from hiltestbed.contact.findings import remarks
     from hiltestbed.scenario import scenario_from
     from hiltestbed.sense import warnings
 
     scenario = scenario_from(source)
     if not data:
         return Findings("scenario", ())
-    return _within(Findings("scenario", (), _said(warnings(scenario)), run_budget([scenario])), source)
+    said = (*_said(warnings(scenario)), *remarks(scenario.mechanism))
+    return _within(Findings("scenario", (), said, run_budget([scenario])), source)
 
 
 def _campaign(source: Source, data: bool) -> Findings:

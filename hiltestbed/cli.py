@@ -263,6 +263,8 @@ BENCHES = {  # name to the module whose function of that name measures
     "diagnosis": "hiltestbed.bench.diagnosis",
     "facilities": "hiltestbed.bench.facilities",
     "identification": "hiltestbed.bench.identification",
+    "realtime": "hiltestbed.bench.realtime",
+    "robustness": "hiltestbed.bench.robustness.run",
     "throughput": "hiltestbed.bench.throughput",
 }
 
