@@ -6,6 +6,7 @@ standard output, progress and messages to standard error. A command imports what
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import sys
@@ -439,6 +440,9 @@ def _fail(error: BaseException, text: str, status: int) -> int:
 
 def main() -> None:
     """Entry point: runs a command and turns what goes wrong into a message and an exit status."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # a terminal without UTF-8 gets a mark in place of what it cannot show
+            stream.reconfigure(errors="replace")
     try:
         status = _run()
         sys.stdout.flush()

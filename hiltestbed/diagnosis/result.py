@@ -202,6 +202,7 @@ class Finding:
         left: what the best extension leaves, in a sentence (verdict `unknown`): link, phase and shape.
         not_judged: link to why it could not be judged.
         partial: the effects of the vocabulary that come nearest where none leaves noise; partial_gain: theirs on left-out runs.
+        assumed: what was assumed of the noise, in sentences.
     """
 
     verdict: str
@@ -216,6 +217,7 @@ class Finding:
     not_judged: Mapping[str, str] = field(default_factory=dict)
     partial: tuple[Cause, ...] = ()
     partial_gain: Heldout | None = None
+    assumed: tuple[str, ...] = ()
 
     @property
     def extends(self) -> bool:
