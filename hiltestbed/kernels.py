@@ -18,7 +18,7 @@ def cache_folder() -> Path:
     """Where numba keeps the compiled kernel of the figures, which every run needs."""
     from hiltestbed.metrics import _update
 
-    return Path(_update.stats.cache_path)
+    return Path(_update.stats.cache_path or "")
 
 
 def compiled() -> bool:
