@@ -35,12 +35,6 @@ def test_the_page_warns_and_advises(late: hiltestbed.Run, tmp_path: Path) -> Non
     assert "http" not in page
     verdict = "The loop in this contact is unstable"
     for words in ("faster than the approach", "Is the loop passive?", verdict, "What to do next", "compensation.force="):
-        "faster than the approach",
-        "Is the loop passive?",
-        "The loop in this contact is unstable",
-        "What to do next",
-        "compensation.force=",
-    ):
         assert words in page
     assert page.count("data:image/png") == 2
     assert json.loads((tmp_path / "r" / "summary.json").read_text())["cor"] == late.summary["cor"]
