@@ -326,6 +326,7 @@ def sweep(
     from hiltestbed.campaign.sweep import default_folder
     from hiltestbed.campaign.sweep import sweep as run_sweep
     from hiltestbed.gallery import campaign_names, find_scenario, refuse_unknown
+    from hiltestbed.kernels import cores
     from hiltestbed.progress import case_bar
 
     if workers is not None and scheduler is not None:
@@ -333,7 +334,7 @@ def sweep(
     refuse_unknown(campaign, campaign_names())
     spec = load_campaign(find_scenario(campaign), overrides(sets))
     folder = out if out is not None else default_folder(spec)
-    workers = workers if workers is not None else len(os.sched_getaffinity(0))
+    workers = workers if workers is not None else cores()
     from hiltestbed.budget import campaign_budget, refuse_beyond
 
     budget = campaign_budget(spec, max(workers, 1), max(chunk, 1))

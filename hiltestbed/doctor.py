@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
 
+from hiltestbed.kernels import cores
+
 EXTRAS = {  # optional package to what it is for and the extra that brings it
     "h5py": ("HDF5 data", "hdf5"),
     "asammdf": ("MDF4 data", "mdf"),
@@ -36,7 +38,7 @@ def examine() -> list[Finding]:
     found = [Finding("python", sys.version.split()[0], sys.version_info >= (3, 11))]
     found += [_package(name) for name in ("hiltestbed", *NEEDED)]
     found += [_extra(name, *about) for name, about in EXTRAS.items()]
-    found.append(Finding("cores", str(len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()), True))
+    found.append(Finding("cores", str(cores()), True))
     found += [_cache(), _viewer(), _plugins()]
     return found
 

@@ -87,8 +87,8 @@ def _sync(file: Path) -> None:
         os.fsync(handle.fileno())
 
 
-def write_run(run: Run, path: str | Path, *, rerun: bool = True) -> Path:
-    """Write the run folder and return its path; ``rerun=False`` leaves recording.rrd out.
+def write_run(run: Run, path: str | Path, *, rerun: bool = True, report: bool = True) -> Path:
+    """Write the run folder and return its path; ``rerun=False`` leaves recording.rrd out, ``report=False`` report.html.
 
     Raises:
         InputError: the folder cannot be written, or holds something else.
@@ -103,9 +103,10 @@ def write_run(run: Run, path: str | Path, *, rerun: bool = True) -> Path:
                 from hiltestbed.viewer import write_recording
 
                 write_recording(folder / RECORDING, run)
-        from hiltestbed.run_report import REPORT, write_run_report
+        if report:
+            from hiltestbed.run_report import REPORT, write_run_report
 
-        write_run_report(run, folder / REPORT)
+            write_run_report(run, folder / REPORT)
         if run.failure is not None:
             np.savez(folder / FAILURE, **flatten(run.failure))  # type: ignore[arg-type]
     return path

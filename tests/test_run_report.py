@@ -33,7 +33,8 @@ def test_the_page_warns_and_advises(late: hiltestbed.Run, tmp_path: Path) -> Non
     hiltestbed.write_run(late, tmp_path / "r", rerun=False)
     page = (tmp_path / "r" / "report.html").read_text()
     assert "http" not in page
-    for words in ("faster than the approach", "Is the loop passive?", "less than that delay", "What to do next", "compensation.force="):
+    verdict = "The loop in this contact is unstable"
+    for words in ("faster than the approach", "Is the loop passive?", verdict, "What to do next", "compensation.force="):
         assert words in page
     assert page.count("data:image/png") == 2
     assert json.loads((tmp_path / "r" / "summary.json").read_text())["cor"] == late.summary["cor"]

@@ -6,7 +6,6 @@ tilt and spin, on a mount, latched; then each effect ever smaller, until it is m
 
 from __future__ import annotations
 
-import os
 import tempfile
 import time
 from collections import Counter
@@ -21,6 +20,7 @@ import numpy as np
 from hiltestbed.bench.diagnosis_report import diagnosis_report
 from hiltestbed.bench.result import BenchResult
 from hiltestbed.effects.table import EFFECTS
+from hiltestbed.kernels import cores
 
 SEED = 400_000
 FULL = {"single": 82, "pair": 40, "healthy": 120, "foreign": 40}
@@ -76,7 +76,7 @@ def diagnosis(quick: bool = False, progress: Callable[[int, int], None] | None =
     """The benchmark; `quick` draws a handful of sets and leaves out the smallest sizes."""
     todo = [*tasks(QUICK if quick else FULL, not quick), *docking_tasks(DOCKING_QUICK if quick else DOCKING_FULL)]
     records: list[dict[str, Any]] = [{}] * len(todo)
-    with ProcessPoolExecutor(max(1, len(os.sched_getaffinity(0)))) as pool:
+    with ProcessPoolExecutor(cores()) as pool:
         waiting = {pool.submit(one_set, task): i for i, task in enumerate(todo)}
         for done, future in enumerate(as_completed(waiting), 1):
             records[waiting[future]] = future.result()

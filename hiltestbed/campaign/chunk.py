@@ -96,7 +96,7 @@ def _kept_files(case: int, run: Any, recording: bool) -> dict[str, bytes]:
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch) / "run"
         if recording:
-            write_run(run, folder)
+            write_run(run, folder, report=False)
         else:
             folder.mkdir()
             write_trace(run.trace, folder / TRACE)

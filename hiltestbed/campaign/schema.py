@@ -115,7 +115,8 @@ class Campaign(Strictly):
     vary: Annotated[dict[str, Variation], Field(min_length=1)] = Field(description="dotted scenario key to how it varies")
     design: Annotated[Grid | Sobol | Random, Field(discriminator="kind")] = Field(description="How the cases are laid out")
     keep: Literal["summary", "trace", "all"] = Field(
-        default="summary", description="of each case: its row; its trace too; its whole run folder"
+        default="summary",
+        description="What is kept of each case. summary: its row; trace: its trace, too; all: its run folder, without report.html",
     )
 
     criterion: Literal["cor", "cor_log_error", "energy_generated", "peak_force", "contact_duration", "tracking_error"] | None = Field(
