@@ -11,8 +11,12 @@ The closed loop is ``hiltestbed/loop.py``: read that first. From Python as from 
 
 from __future__ import annotations
 
+import os
 from importlib import import_module
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from hiltestbed.kernel_cache import settle
 
 if TYPE_CHECKING:
     from hiltestbed.campaign.schema import load_campaign
@@ -30,6 +34,8 @@ if TYPE_CHECKING:
     from hiltestbed.simulation import run, run_batch
 
     __version__: str
+
+settle(Path(__file__).parent, os.environ)  # before any kernel is loaded
 
 __all__ = [
     "Comparison",

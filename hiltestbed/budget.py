@@ -39,6 +39,7 @@ BEGIN = 3.0  # [s] to start, with warm kernels
 ROW = 700.0  # [byte] a row of trace.parquet and recording.rrd on disk, both together
 DIAGNOSED = 6e-3  # [s] a row of a dataset: 6 runs of 900 rows take 10 to 60 s
 FIT = 3.0e4  # [byte] a row of a dataset while links are replayed for many hypotheses
+FILTER_MEMORY = 10.0  # time constants of the sensor's low-pass that the identification remembers
 VARIABLES = {"memory": "HILTESTBED_MEMORY_LIMIT", "disk": "HILTESTBED_DISK_LIMIT", "time": "HILTESTBED_TIME_LIMIT"}
 
 
@@ -144,7 +145,9 @@ def delay_line(scenario: Scenario) -> float:
     delays += [8.0 * e.sigma for e in scenario.effects if e.kind == "sensor.jitter"]  # type: ignore[attr-defined]
     late = sum(getattr(effect, "ticks", 0) for effect in scenario.effects)
     longest = float(sum(delays))
-    return longest * (scenario.physics_rate * 48.0 + scenario.rate * 8.0 * 80.0) + late * 13 * 8.0
+    lowpass = scenario.sensor.lowpass
+    remembered = 0.0 if lowpass is None else FILTER_MEMORY / (2.0 * math.pi * lowpass) * scenario.rate * 24 * 8.0
+    return remembered + longest * (scenario.physics_rate * 48.0 + scenario.rate * 8.0 * 80.0) + late * 13 * 8.0
 
 
 def campaign_budget(campaign: LoadedCampaign, workers: int = 1, chunk: int = 64) -> Budget:

@@ -11,6 +11,7 @@ from typing import Any
 from hiltestbed import plugins
 from hiltestbed.budget import refuse_beyond, run_budget
 from hiltestbed.contact.truth import axis_truth, normal_truth
+from hiltestbed.errors import HiltestbedError
 from hiltestbed.identification.least_squares import RecursiveLeastSquares
 from hiltestbed.ledger import delay_ledger, predicted_log_error
 from hiltestbed.log import stamp_late
@@ -87,7 +88,13 @@ def simulate(
     start = 0.0
     while loop.k < ticks and loop.alive.any():
         snapshots.keep()
-        loop.step(rows)
+        try:
+            loop.step(rows)
+        except ZeroDivisionError:  # numbers so far from any rig that they have no ratio
+            if len(scenarios) > 1:
+                raise HiltestbedError("a run of the batch divided by zero; each alone says which") from None
+            loop.trouble[0] = (max(loop.k - 1, 0), "diverged", "a quantity reached zero or overflowed where it divides")
+            loop.alive[:] = False
         if loop.trouble:
             snapshots.failures()
         if loop.k == 1:  # the first tick may have compiled the blocks: it is not timed

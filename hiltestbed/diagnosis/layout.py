@@ -26,6 +26,7 @@ from hiltestbed.diagnosis.yielding import Deflection, deflection
 from hiltestbed.effects.search import Scales
 from hiltestbed.frames import Array
 from hiltestbed.measured import MeasuredDataset, MeasuredRun
+from hiltestbed.measured.momentum import centred
 from hiltestbed.measured.noise import white_noise
 from hiltestbed.replay.compensation import needs
 from hiltestbed.signals import GROUPS
@@ -97,8 +98,8 @@ def _lacking(runs: Sequence[MeasuredRun]) -> dict[str, str]:
             out["compensation"] = f"needs {' and '.join(groups)} in every run for compensation.force {kinds}"
     if not _all(runs, "wrench_comp", "pose_cmd"):
         out["dynamics"] = "needs wrench_comp and pose_cmd in every run"
-    elif any(name in r.record.absent for r in runs for name in GROUPS["wrench_comp"].columns):
-        out["dynamics"] = "needs all axes of wrench_comp: each of them moves all of pose_cmd"
+    elif any(name in r.record.absent and not centred(r.scenario) for r in runs for name in GROUPS["wrench_comp"].columns):
+        out["dynamics"] = "needs all axes of wrench_comp: off the axis of insertion each of them moves all of pose_cmd"
     elif all(r.record.unknown("wrench_comp")[-1] and r.record.unknown("wrench_comp").mean() > MOSTLY for r in runs):
         out["dynamics"] = "needs wrench_comp without gaps: what a missing sample did to the motion stays in it"
     if not _all(runs, "wrench_meas"):

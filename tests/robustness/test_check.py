@@ -5,11 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from hiltestbed.shipped import shipped
 
 from hiltestbed.budget import run_budget
 from hiltestbed.check import look_at
 from hiltestbed.errors import InputError
+from hiltestbed.gallery import shipped
 from hiltestbed.scenario import Scenario, load_scenario
 from hiltestbed.sense import warnings
 from hiltestbed.simulation import run

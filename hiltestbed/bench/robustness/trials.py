@@ -33,7 +33,7 @@ def _schema(kind: str) -> dict[str, Any]:
 
 def _shipped(rng: Generator) -> dict[str, Any]:
     """The data of a scenario that is shipped."""
-    from hiltestbed.shipped import shipped
+    from hiltestbed.gallery import shipped
     from hiltestbed.yaml_source import read_source
 
     files = sorted(shipped("scenarios").glob("*.yaml"))
@@ -100,7 +100,7 @@ def _stretch(node: Any, rng: Generator) -> None:
 def text(rng: Generator, folder: Path) -> str:
     """The bytes of a scenario file, some of them others."""
     from hiltestbed.check import check_file
-    from hiltestbed.shipped import shipped
+    from hiltestbed.gallery import shipped
 
     files = sorted(shipped("scenarios").glob("*.yaml"))
     path = folder / "text.yaml"
