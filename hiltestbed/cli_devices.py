@@ -53,7 +53,7 @@ def add(app: typer.Typer, scenario_of: ScenarioOf) -> None:
         folder = out if out is not None else free_folder(Path("runs") / safe_name(f"{spec.name}-live"))
         refuse_foreign(folder)
         _end_like_ctrl_c()
-        result = run_live(spec, Options(sensor, platform, armed=arm, cpu=cpu))
+        result = run_live(spec, Options(sensor, platform, armed=arm, cpu=cpu, say=_say))
         if isinstance(result, Observed):
             _print_observed(result, spec, as_json)
             return
@@ -111,7 +111,7 @@ def add(app: typer.Typer, scenario_of: ScenarioOf) -> None:
         refuse_foreign(folder, RESULT)
         _end_like_ctrl_c()
         with step_line(spec.name) as progress:
-            result = run_commission(spec, Options(sensor, platform, armed=arm, cpu=cpu), force, progress)
+            result = run_commission(spec, Options(sensor, platform, armed=arm, cpu=cpu, say=_say), force, progress)
         write_commission(result, folder)
         found = figures(result)
         if as_json:
@@ -153,6 +153,10 @@ def _print_commission(found: dict[str, Any], folder: Path) -> None:
     gives = ", ".join(f"{1e9 * value:.3g}" for value in platform["compliance"])
     print(f"platform: delay {1e3 * platform['delay']:.3f} ms, scale {scale}, compliance {gives} nm/N")
     print(f"{folder}: nominal.yaml, believed.yaml, dataset.yaml; next: hiltestbed diagnose {folder / 'dataset.yaml'}")
+
+
+def _say(step: str) -> None:
+    print(step, file=sys.stderr, flush=True)
 
 
 def _end_like_ctrl_c() -> None:

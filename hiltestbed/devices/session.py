@@ -43,6 +43,7 @@ class Options:
 
     Attributes:
         sensor, platform: URLs. armed: whether anything may move. cpu: processor to run on.
+        say: is told when the platform is about to move.
         pace: makes what a tick waits for, of sensor, platform and tick; for tests without a clock.
     """
 
@@ -51,6 +52,7 @@ class Options:
     armed: bool = False
     cpu: int | None = None
     pace: MakePace = pace_of
+    say: Callable[[str], None] = lambda step: None
     connect: Callable[[Scenario, Options], tuple[SensorClient, PlatformClient]] = field(default=lambda *a: clients(*a))
 
 
@@ -153,6 +155,7 @@ class Session:
         """Arm, do ``work``, and bring the platform to rest whatever comes of it; what has gone wrong stands in ``rig.stop``."""
         rig = self.rig
         try:
+            self.options.say("armed: the platform moves from now on")
             rig.arm()
             work()
         except KeyboardInterrupt:
