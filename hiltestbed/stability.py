@@ -252,7 +252,7 @@ def _measure(scenario: Scenario) -> RigResponse:
     size = np.minimum(SWING, PULL / w**2)
     period = round(PERIOD / tick)
 
-    def wave(t: Array, order: int) -> Array:
+    def wave(t: NDArray[Any], order: int) -> Array:
         """The sum of sines, or its first or second derivative."""
         return (size * w**order * np.sin(w * t[:, None] + phase + 0.5 * math.pi * order)).sum(axis=1)
 

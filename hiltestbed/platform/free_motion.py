@@ -12,14 +12,14 @@ from hiltestbed.frames import Array
 from hiltestbed.numerical_model.bodies import approach_state
 
 if TYPE_CHECKING:
-    from hiltestbed.platform.plant import Plant
+    from hiltestbed.loop import RigSide
     from hiltestbed.scenario import Scenario
 
 
 class FreeMotion:
     """The motion of `n` pairs of bodies: the commanded pose of a row is the one that is there, the wrench used is the physical one."""
 
-    def __init__(self, scenarios: Sequence[Scenario], plant: Plant) -> None:
+    def __init__(self, scenarios: Sequence[Scenario], plant: RigSide) -> None:
         start = np.array([approach_state(s) for s in scenarios])
         self.pose: Array = start[:, :7].copy()
         self.twist: Array = start[:, 7:].copy()

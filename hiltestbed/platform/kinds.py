@@ -34,6 +34,9 @@ class Platform(Strictly):
     carries_upper: ClassVar[bool] = False  # an upper platform may carry the passive side
 
     kind: str
+    if TYPE_CHECKING:  # a field of every kind, with choices of its own
+        tracking: Any
+        response: Any
 
     @property
     def prescribed(self) -> bool:

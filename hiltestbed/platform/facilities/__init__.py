@@ -52,7 +52,7 @@ Any kind may be followed by a response alone, without mass: :class:`response.Res
 from __future__ import annotations
 
 from importlib import import_module
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from hiltestbed.platform.facilities.settings import FacilitySettings, ResponseSettings
 
@@ -70,7 +70,7 @@ KINDS = {
 }
 
 
-def build_facility(settings: FacilitySettings) -> Facility:
+def build_facility(settings: Any) -> Facility:
     """The facility that the settings describe. Raises InputError for a model of the user's own that does not do."""
     module, name = KINDS[settings.kind]
     return getattr(import_module(f"{__name__}.{module}"), name)(settings)

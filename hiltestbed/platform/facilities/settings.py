@@ -152,7 +152,7 @@ class Driven(Platform):
     )
 
     def facility(self) -> Facility:
-        return _built(self, self.stamp())
+        return _built(self, self.stamp())  # type: ignore[arg-type]  # frozen, thus hashable
 
     def stamp(self) -> Hashable:
         """What of a model may change while its settings stay: nothing of a shipped one."""

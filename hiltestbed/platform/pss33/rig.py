@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from mujoco.batch import Batch
@@ -27,6 +27,7 @@ class Pss33Rig(Servo):
 
     keeps_history, moves_passive = True, False
     load = watch = None
+    mover: Any = None
     units = UNITS
 
     def __init__(self, scenarios: Sequence[Scenario], structure: Structure, dt: float) -> None:
