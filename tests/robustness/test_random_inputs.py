@@ -115,3 +115,12 @@ def test_a_filter_that_remembers_years_is_refused() -> None:
     scenario = load_scenario(shipped("scenarios") / "02-bumper.yaml", set={"sensor.lowpass": 1e-7, "duration": 0.05})
     with pytest.raises(InputError, match="of memory"):
         run(scenario)
+
+
+@pytest.mark.parametrize("key", ["scenario", "file"])
+def test_a_name_that_no_file_system_takes_is_no_file(tmp_path: Path, key: str) -> None:
+    names = {"scenario": "s.yaml", "file": "run.csv"} | {key: "a" * 300}
+    (tmp_path / "s.yaml").write_text((shipped("scenarios") / "02-bumper.yaml").read_text())
+    (tmp_path / "d.yaml").write_text(f"scenario: {names['scenario']}\nruns: [{{file: {names['file']}}}]\n")
+    _, faults = check_file(tmp_path / "d.yaml")
+    assert any("names no file" in str(fault) for fault in faults)
