@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 app = typer.Typer(
     help="A hardware-in-the-loop contact simulator for spacecraft docking, in software.",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
 )
 
@@ -35,6 +34,14 @@ Sets = Annotated[
     list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Override a key: approach.velocity.2=0.05 (repeatable).")
 ]
 Json = Annotated[bool, typer.Option("--json", help="One JSON object on standard output, and nothing else there.")]
+
+
+def _complete(incomplete: str) -> list[str]:
+    """Shipped scenarios and campaigns, and files, that begin like that: for a shell."""
+    from hiltestbed.gallery import campaign_names, scenario_names
+
+    files = [str(path) for path in Path().glob("*.yaml")]
+    return [name for name in (*files, *scenario_names(), *campaign_names()) if name.startswith(incomplete)]
 
 
 def _version(wanted: bool) -> None:
@@ -65,7 +72,9 @@ def _root(
 
 @app.command()
 def run(
-    scenario: Annotated[Path, typer.Argument(metavar="SCENARIO", help="Scenario file, or the name of a shipped one.")],
+    scenario: Annotated[
+        Path, typer.Argument(metavar="SCENARIO", help="Scenario file, or the name of a shipped one.", autocompletion=_complete)
+    ],
     out: Out = None,
     sets: Sets = None,
     no_rerun: Annotated[bool, typer.Option("--no-rerun", help="Leave recording.rrd out.")] = False,
@@ -191,7 +200,10 @@ def compare(
     out: Annotated[Path | None, typer.Option("--out", metavar="FILE", help="Write the comparison as an HTML page, too.")] = None,
     as_json: Json = False,
 ) -> None:
-    """Put runs side by side: what differs in their scenarios, and what that did to the figures."""
+    """Put runs side by side: what differs in their scenarios, and what that did to the figures.
+
+    hiltestbed compare runs/late runs/right --out both.html
+    """
     from hiltestbed.comparison import compare as side_by_side
     from hiltestbed.comparison import write_comparison
 
@@ -266,7 +278,10 @@ def bench(
     minutes: Annotated[float | None, typer.Option("--for", metavar="MINUTES", min=0.01, help="robustness: how long to go on.")] = None,
     as_json: Json = False,
 ) -> None:
-    """Run a benchmark and write its bench.json and report.html."""
+    """Run a benchmark and write its bench.json and report.html.
+
+    hiltestbed bench cor --quick --plugin my_method.py
+    """
     from importlib import import_module
 
     if name not in BENCHES:
@@ -301,7 +316,12 @@ def sweep(
     chunk: Annotated[int, typer.Option("--chunk", metavar="N", help="Cases in lockstep, and on disk, at a time.")] = 64,
     as_json: Json = False,
 ) -> None:
-    """Run a campaign; run again with the same --out, it goes on where it stopped."""
+    """Run a campaign; run again with the same --out, it goes on where it stopped.
+
+    hiltestbed sweep delay-stiffness --out results/map
+
+    hiltestbed sweep mine.yaml --set design.cases=256 --workers 4
+    """
     from hiltestbed.campaign.schema import load_campaign
     from hiltestbed.campaign.sweep import default_folder
     from hiltestbed.campaign.sweep import sweep as run_sweep
@@ -337,7 +357,10 @@ def diagnose(
     out: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Folder to write; left out: runs/diagnosis-NAME.")] = None,
     as_json: Json = False,
 ) -> None:
-    """Measured data against the simulation: what departs, why, and what is gained."""
+    """Measured data against the simulation: what departs, why, and what is gained.
+
+    hiltestbed check dataset.yaml && hiltestbed diagnose dataset.yaml --out results/mine
+    """
     from hiltestbed.diagnosis.diagnose import diagnose as run_diagnosis
     from hiltestbed.diagnosis.report.folder import DIAGNOSIS
     from hiltestbed.progress import step_line

@@ -70,4 +70,4 @@ def shade_contacts(axes: Axes, t: np.ndarray, contact: np.ndarray) -> None:
     """Shade the times ``t`` ``(rows,)`` [s] in which ``contact`` ``(rows,)`` holds."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], contact, [False]]).astype(np.int8)))
     for start, end in zip(edges[::2], edges[1::2], strict=True):
-        axes.axvspan(t[start], t[min(end, len(t) - 1)], color="#e9edf1", zorder=0)
+        axes.axvspan(float(t[start]), float(t[min(end, len(t) - 1)]), color="#e9edf1", zorder=0)

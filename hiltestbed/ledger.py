@@ -33,6 +33,8 @@ def delay_ledger(scenario: Scenario, figures: ContactFigures) -> list[Delay]:
     if scenario.rig.platform.physical:  # no loop: the bodies themselves move
         return [Delay("total", 0.0, 0.0)]
     delays = [*_sensor(scenario, w), *_compensation(scenario), ("coupling", 0.0), *_effects(scenario, w, "dynamics")]
+    if scenario.numerical_model.ticks_late:
+        delays.append((f"numerical_model.{scenario.numerical_model.kind}", scenario.numerical_model.ticks_late * scenario.tick))
     if scenario.rig.platform.tracking == "servo":
         delays.append(("platform.servo", figures.tracking_delay or 0.0))
     elif by_link(scenario.effects, "platform"):

@@ -22,7 +22,6 @@ from hiltestbed.contact.phases import Phases
 from hiltestbed.frames import Array
 from hiltestbed.identification.settings import IDENTIFIERS
 from hiltestbed.metrics import Tally
-from hiltestbed.numerical_model.model import NumericalModel
 from hiltestbed.outcome import Outcomes
 from hiltestbed.platform.free_motion import FreeMotion
 from hiltestbed.platform.plant import Plant
@@ -105,7 +104,7 @@ class Loop:
             if self.plant.phases is not None:
                 self.identification.source.steps = self.plant.phases.begun
         self.dead_zone = InputDeadZone(scenarios)
-        self.model = NumericalModel(scenarios)
+        self.model = scenarios[0].numerical_model.start(scenarios)
         self.drive: Drive = FreeMotion(scenarios, self.plant) if self.plant.physical else make_drive(scenarios, self.model)
         self.motion = MotionCommand(scenarios)
         self.tally = Tally(scenarios)

@@ -83,9 +83,14 @@ def _margin(scenario: Scenario, summary: dict[str, Any]) -> str:
         verdict = "made no energy worth mentioning" if abs(share) <= NEUTRAL else "made energy" if share > 0.0 else "took energy away"
         words.append(f"The rig {verdict}: {100.0 * share:+.2f} % of the energy of the approach.")
     total = summary["delay_ledger"][-1]["delay"] if summary["delay_ledger"] else 0.0
-    contact = scenario.mechanism.contact
+    contact, stability = scenario.mechanism.contact, summary.get("stability")
     words.append(f"The delays that are left add up to {1e3 * total:+.3f} ms, worth a damping of {-contact.stiffness * total:+.4g} N s/m.")
-    if contact.damping > 0.0:
+    if stability:
+        without = stability.get("uncompensated") or {}
+        words.append(f"The loop in this contact is {stability['verdict']}.")
+        if without.get("verdict") and without["verdict"] != stability["verdict"]:
+            words.append(f"Without the compensation it would be {without['verdict']}.")
+    elif contact.damping > 0.0:
         bears = contact.damping / contact.stiffness
         words.append(
             f"The damping of the surfaces, {contact.damping:.4g} N s/m, makes up for a delay of c/k = {1e3 * bears:.3g} ms: "

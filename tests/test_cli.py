@@ -301,3 +301,15 @@ def test_doctor_finds_what_is_needed(folder: Path, call) -> None:
     assert (status, told["healthy"]) == (0, True)
     assert {"mujoco", "cores", "compiled kernels", "plugins"} <= {finding["what"] for finding in told["findings"]}
     assert "mujoco" in call("doctor")[1]
+
+
+def test_a_shell_completes_shipped_names_and_files(folder: Path) -> None:
+    assert cli._complete("02") == ["02-bumper"]
+    assert cli._complete("s.") == ["s.yaml"]
+    assert "delay-stiffness" in cli._complete("d")
+
+
+def test_a_run_that_gains_energy_is_warned_of_and_one_that_does_not_is_not(folder: Path, call) -> None:
+    assert "faster than the approach" in call("run", "s.yaml", "--no-rerun", "--out", "late", "--set", "sensor.delay=0.01",
+        "--set", "compensation.force={kind: none}")[1]  # fmt: skip
+    assert "warning" not in call("run", "s.yaml", "--no-rerun", "--out", "right")[1]

@@ -25,6 +25,7 @@ def late() -> hiltestbed.Run:
 
 def test_the_energy_of_the_page_is_that_of_the_loop(late: hiltestbed.Run) -> None:
     """The sum over the trace against the one that the loop keeps tick by tick."""
+    assert late.trace is not None
     assert energy_generated(late.trace, late.scenario)[-1] == pytest.approx(late.summary["energy_generated"], rel=1e-9)
 
 

@@ -52,6 +52,7 @@ def find(findings: Findings, progress: Progress | None = None) -> Finding:
         not_judged={LINK_NAMES[name]: why for name, why in verdict.not_judged.items()},
         partial=tuple(cause_of(findings, c) for c in nearest),
         partial_gain=gain_of(findings, nearest),
+        assumed=findings.layout.force.words(),
     )
 
 

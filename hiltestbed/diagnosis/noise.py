@@ -28,6 +28,7 @@ SMOOTH = 9  # rows of the running mean of a reading in contact
 CLIPPED = 4.0  # robust standard deviations at which a sample counts for its correlation with others
 FAR_TAIL = 4.0  # robust standard deviations, beyond which 6e-5 of normal samples lie
 THIRD = 20.0  # variance of third differences of white noise
+NEIGHBOURS = 2.31  # squares of third differences that count as one: 1 + 2 (15^2 + 6^2 + 1)/20^2
 
 
 @dataclass(frozen=True)
@@ -211,7 +212,7 @@ def _share(runs: Sequence[MeasuredRun], columns: Sequence[int], scale: Array) ->
         y_used = np.minimum(y, 9.0 * expected)
         found, _ = nnls(basis / expected[:, None], y_used / expected)
     expected = np.maximum(basis @ found, 0.1)
-    information = (basis / expected[:, None]).T @ (basis / expected[:, None]) / 2.0  # of squares of normal samples: variance 2
+    information = (basis / expected[:, None]).T @ (basis / expected[:, None]) / (2.0 * NEIGHBOURS)  # variance of a square: 2
     error = math.sqrt(float(np.linalg.pinv(information)[1, 1]))
     grown = found[1] * float(np.percentile(basis[:, 1], 95.0))
     return math.sqrt(found[1]) if found[1] > SIGNIFICANT * error and grown > SHARE_SHOWS * max(found[0], 0.1) else 0.0

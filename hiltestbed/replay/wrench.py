@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from hiltestbed.contact.geometry import VALUES, Geometry, arm, meet
+from hiltestbed.contact.geometry import PASSIVE, ROW, SURFACE_FRAME, VALUES, Geometry, arm, meet
 from hiltestbed.contact.latch import closes
 from hiltestbed.contact.law import STATES
 from hiltestbed.contact.mount import mount_place
@@ -211,7 +211,8 @@ def _contact(
     lean = abs(last_row[TILT_X]) + abs(last_row[TILT_Y])
     reach, longest = max(0.0, -last_row[OFFSET] if count == 0 else -p[0, OFFSET]), arm(values, count)
     remembers = last_row[BRANCH_STIFFNESS] > 0.0 or last_row[DRAG] > 0.0 or last_row[MODE] > 0.0 or latch[1] < 1.5
-    plain = lean == 0.0 and not mounted and last_row[LEVER] == lever and reach <= NEAR
+    moved = last_row[LEVER] - lever
+    plain = lean == 0.0 and not mounted and reach <= NEAR and (moved == 0.0 or _on_passive(index, count))
     sharp = not mounted and last_row[MODE] == 0.0
     for c in range(count):
         sharp &= p[c, BLUNT] == 1.0
@@ -245,9 +246,11 @@ def _contact(
             passed = parts[s]
             if parts[s] == 1.0 and plain and not latched:
                 frames[0], motions[0] = poses[k], ends[k]
+                point[:], slip[:] = points[r, k], slips[r, k]
+                if moved != 0.0:
+                    _move_lever(moved, depths[r, k], normals[r, k], ends[k], point, slip)
                 surface_wrench(
-                    index, dt, least_creep, p, frames, state, depths[r, k], rates[r, k], points[r, k], normals[r, k], slips[r, k], work[7],
-                    sub[k, s],
+                    index, dt, least_creep, p, frames, state, depths[r, k], rates[r, k], point, normals[r, k], slip, work[7], sub[k, s]
                 )  # fmt: skip
                 wrench[:] = sub[k, s]
                 continue
@@ -273,6 +276,28 @@ def _contact(
                 sub[k, s] = wrench
         if not latched and latch[1] < 1.5:
             latched = _caught(frames, motions, latch, last_row, wrench, hold, local_pose, local_twist, work)
+
+
+@njit(cache=True)
+def _on_passive(index, count):
+    """Whether all surfaces stand still in the passive frame."""
+    for c in range(count):
+        if index[c * ROW + SURFACE_FRAME] != PASSIVE:
+            return False
+    return True
+
+
+@njit(cache=True)
+def _move_lever(moved, depth, normal, twist, point, slip):
+    """Where forces act when the lever is ``moved``: along the normal by that part of the overlap, where A slips at another speed."""
+    for c in range(depth.shape[0]):
+        x, y, z = moved * depth[c] * normal[c, 0], moved * depth[c] * normal[c, 1], moved * depth[c] * normal[c, 2]
+        point[c, 0] += x
+        point[c, 1] += y
+        point[c, 2] += z
+        slip[c, 0] += twist[4] * z - twist[5] * y
+        slip[c, 1] += twist[5] * x - twist[3] * z
+        slip[c, 2] += twist[3] * y - twist[4] * x
 
 
 @njit(cache=True)

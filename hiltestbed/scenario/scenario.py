@@ -20,6 +20,7 @@ from hiltestbed.devices.section import Devices
 from hiltestbed.effects.table import AnyEffect
 from hiltestbed.gallery import find_scenario
 from hiltestbed.identification.settings import IDENTIFIERS, AnyIdentifier
+from hiltestbed.numerical_model.settings import MODELS, AnyModel
 from hiltestbed.platform.settings import Rig
 from hiltestbed.scenario.checks import problems
 from hiltestbed.scenario.safety import Safety
@@ -44,6 +45,10 @@ class Scenario(Strictly):
         description="Rate of the steps of the physics [Hz], a whole multiple of rate; left out: twice rate",
     )
     spacecraft: Spacecraft = Field(description="Both vehicles as the numerical model has them")
+    numerical_model: AnyModel = Field(
+        default_factory=lambda: MODELS["free_flyers"](kind="free_flyers"),
+        description="What moves both vehicles under the compensated wrench",
+    )
     approach: Approach = Field(description="Where the active port starts and how it moves, relative to the passive one")
     mechanism: AnyMechanism = Field(description="The docking mechanism: which surfaces meet, and how stiff they are")
     rig: Rig = Field(default=Rig(), description="The motion platform, and what carries the passive side")

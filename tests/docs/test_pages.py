@@ -21,7 +21,7 @@ from hiltestbed.signals import GROUPS
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 BLOCK = re.compile(r"(?P<skip><!-- not run: [^>]*-->\n)?```(?P<language>python|console)\n(?P<text>.*?)```", re.DOTALL)
-PAGES = sorted(p for p in DOCS.rglob("*.md") if any(not b["skip"] for b in BLOCK.finditer(p.read_text())))
+PAGES = sorted(p for p in (*DOCS.rglob("*.md"), ROOT / "README.md") if any(not b["skip"] for b in BLOCK.finditer(p.read_text())))
 OPEN = ("view",)  # commands that need a display
 
 
@@ -40,7 +40,7 @@ def pages(reference: ModuleType) -> dict[str, str]:
     return reference.pages()
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda p: str(p.relative_to(DOCS)))
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: str(p.relative_to(ROOT)))
 def test_the_blocks_of_a_page_run_one_after_the_other(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """In one folder and one namespace, as a reader would type them."""
     pytest.importorskip("pandas")
@@ -79,7 +79,7 @@ def described(schema: dict) -> Iterator[tuple[str, str]]:
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_key_is_in_the_reference_with_its_meaning(kind: str, pages: dict[str, str]) -> None:
     page = pages[f"reference/{kind}.md"] + pages["reference/effects.md"]
-    for key, meaning in described(json_schema(kind)):
+    for key, meaning in described(json_schema(kind)):  # type: ignore[arg-type]
         assert f"`{key}`" in page or key == "kind"
         assert meaning, f"{kind}: {key} has no description"
 

@@ -124,6 +124,7 @@ def test_a_mechanism_touches_with_all_of_its_pads() -> None:
     tilted = hiltestbed.run(
         shipped("02-bumper", mechanism={"kind": "three_pads", "contact": pad}, **{"approach.attitude_deg": [1.0, 0, 0]})
     )
+    assert tilted.trace is not None
     assert np.abs(tilted.trace["wrench_true.tx"]).max() > 1.0  # one pad is met first, off the axis
 
 

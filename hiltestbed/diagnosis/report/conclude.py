@@ -15,6 +15,7 @@ def conclude(dataset: MeasuredDataset, finding: Finding, seconds: float | None =
     causes = finding.causes if finding.extends else ()
     played = play(dataset, causes)
     notes = (*(f"{link} was not judged: {why}" for link, why in finding.not_judged.items()), *(str(remark) for remark in dataset.remarks))
+    notes = (*finding.assumed, *notes)
     either = mass_of_either_body(finding, dataset)
     notes = (*notes, either) if either else notes
     refused = [f"run {p.run}: the nominal simulation could not be run" for p in played if p.nominal is None]

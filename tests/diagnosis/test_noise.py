@@ -1,0 +1,94 @@
+"""Noise of the force from free flight: what is there is found with its size, and what is not there is not."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from hiltestbed.diagnosis.noise import ForceNoise, force_noise, softened
+from hiltestbed.frames import Array
+from hiltestbed.measured import MeasuredRun
+
+ROWS, TOUCH, END, RUNS = 600, 300, 500, 6
+SIGMA = np.array([0.2, 0.2, 0.3, 0.02, 0.02, 0.01])  # [N, N m]
+
+
+def run(noise: Array) -> MeasuredRun:
+    """Free flight, half a sine of 150 N along z, free flight."""
+    t = np.arange(ROWS)
+    force = np.where((t > TOUCH) & (t < END), 150.0 * np.sin(np.pi * (t - TOUCH) / (END - TOUCH)), 0.0)
+    reading = noise + force[:, None] * np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+    record: Any = SimpleNamespace(data={"wrench_meas": reading}, ticks=ROWS, has=lambda name: True)
+    survey: Any = SimpleNamespace(contacts=[SimpleNamespace(start=TOUCH, end=END)])
+    return MeasuredRun(record, None, survey)  # type: ignore[arg-type]
+
+
+def white(seed: int) -> list[Array]:
+    rng = np.random.default_rng(seed)
+    return [SIGMA * rng.standard_normal((ROWS, 6)) for _ in range(RUNS)]
+
+
+def found(noise: list[Array]) -> ForceNoise:
+    return force_noise([run(n) for n in noise])
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_white_noise_needs_no_words(seed: int) -> None:
+    assert found(white(seed)).words() == ()
+    assert not found(white(seed)).level.any()
+
+
+@pytest.mark.parametrize("correlation", [0.1, 0.6])
+def test_colour_is_that_of_a_first_order_process(correlation: float) -> None:
+    """Its spectral density at low frequency is (1 + r)/(1 - r) times that of white noise of the same variance."""
+    coloured = [lfilter([np.sqrt(1 - correlation**2)], [1, -correlation], n, axis=0) for n in white(1)]
+    noise = found(coloured)
+    assert noise.colour == pytest.approx(np.sqrt((1 + correlation) / (1 - correlation)), rel=0.12)
+    np.testing.assert_allclose(noise.level, SIGMA, rtol=0.1)
+
+
+def test_a_hum_a_drift_and_a_bias_that_all_runs_share_are_no_noise() -> None:
+    t = np.arange(ROWS)[:, None] * 1e-3
+    shared = 2.0 * np.sin(2 * np.pi * 61.0 * t + 0.4) + 3.0 * t + 0.5
+    assert found([n + shared * SIGMA for n in white(2)]).words() == ()
+
+
+def test_an_offset_of_each_run_is_taken_out_but_for_what_they_share() -> None:
+    rng = np.random.default_rng(3)
+    apart = rng.standard_normal((RUNS, 6)) * SIGMA
+    noise = found([n + 2.0 * SIGMA + o for n, o in zip(white(3), apart, strict=True)])
+    np.testing.assert_allclose(np.array(noise.offset), apart - apart.mean(axis=0), atol=4 * 2 * SIGMA.max() / np.sqrt(TOUCH))
+
+
+def test_a_share_of_the_reading_is_found_with_its_size_and_a_delay_that_varies_is_none() -> None:
+    rng, share = np.random.default_rng(4), 0.01
+    t = np.arange(ROWS)
+    inside = (t > TOUCH) & (t < END)
+    force = np.where(inside, 150.0 * np.sin(np.pi * (t - TOUCH) / (END - TOUCH)), 0.0)
+    rate = np.where(inside, 150.0 * np.pi / (END - TOUCH) * np.cos(np.pi * (t - TOUCH) / (END - TOUCH)), 0.0)
+    along = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+    assert found([n + (share * force * rng.standard_normal(ROWS))[:, None] * along for n in white(4)]).share == pytest.approx(
+        share, rel=0.15
+    )
+    assert found([n + (0.7 * rate * rng.standard_normal(ROWS))[:, None] * along for n in white(5)]).share < 0.1 * share
+
+
+def test_outliers_count_by_their_logarithm_and_the_level_allows_for_them() -> None:
+    rng = np.random.default_rng(6)
+    spiked = [n + SIGMA * 20.0 * (rng.random((ROWS, 6)) < 0.005) for n in white(6)]
+    noise = found(spiked)
+    assert noise.heavy
+    free = np.concatenate([s[: TOUCH - 10] for s in spiked]) / noise.level
+    assert np.mean(softened(free, True) ** 2) == pytest.approx(1.0, rel=0.05)
+    z = np.linspace(-2.0, 2.0, 9)
+    assert np.array_equal(softened(z, False), z)
+    assert softened(np.array([50.0]), True)[0] ** 2 < 60.0
+    assert np.all(np.diff(softened(np.linspace(-50, 50, 101), True)) > 0.0)  # a descent from afar still feels its way
+
+
+def test_too_short_a_flight_tells_nothing() -> None:
+    assert force_noise([run(n) for n in white(7)[:0]]).words() == ()
