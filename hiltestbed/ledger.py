@@ -37,6 +37,8 @@ def delay_ledger(scenario: Scenario, figures: ContactFigures) -> list[Delay]:
         delays.append((f"numerical_model.{scenario.numerical_model.kind}", scenario.numerical_model.ticks_late * scenario.tick))
     if scenario.rig.platform.tracking == "servo":
         delays.append(("platform.servo", figures.tracking_delay or 0.0))
+    elif scenario.rig.platform.tracking == "response":
+        delays.append(("platform.response", figures.tracking_delay or 0.0))
     elif by_link(scenario.effects, "platform"):
         delays.append(("platform.effects", figures.tracking_delay or 0.0))
     if compensation.force.corrects_platform or compensation.motion.corrects_force:

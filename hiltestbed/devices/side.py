@@ -126,7 +126,7 @@ class DeviceRig:
         self._slopes = np.zeros((self._late + 2, 6))  # of the last ticks: what the force that is read now met
         self._taken = 0
         self.late_work = 0.0
-        self._held_rate = scenario.rig.platform.tracking == "ideal"
+        self._held_rate = scenario.rig.platform.prescribed
         self._threshold = max(GATE_SIGMA * scenario.sensor.noise, LEAST_FORCE)
         limit = scenario.safety
         self._limits = [math.inf if v is None else v for v in (limit.force, limit.torque, limit.tracking_error)]

@@ -68,7 +68,7 @@ class ContactSamples:
         highpass = np.array([math.inf if s.sensor.time_constant is None or not aligned else s.sensor.time_constant for s in scenarios])
         self._smooth = np.array([1.0 if T == 0.0 else 1.0 - math.exp(-h / T) for T in lowpass])
         self._leak = np.exp(-h / highpass)
-        self._held_rate = first.rig.platform.tracking == "ideal"
+        self._held_rate = first.rig.platform.prescribed
         self._estimate = estimate
         spent = FILTER_MEMORY * lowpass
         if lead:  # what is led to t_k has touched from t_k on; that it still does is known a delay later

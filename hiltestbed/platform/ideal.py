@@ -19,6 +19,7 @@ from hiltestbed.contact.composition import Structure
 from hiltestbed.contact.contacts import Contacts
 from hiltestbed.frames import Array, pose_step, rotate_back, twist_between
 from hiltestbed.platform import model
+from hiltestbed.platform.facilities.response import ResponsePath
 from hiltestbed.platform.response import PlatformResponse
 from hiltestbed.sensor.readout import read_wrench
 
@@ -86,6 +87,11 @@ class IdealTracking:
             self.batch, scenarios, structure, first.tick / first.substeps, least_creep=0.0, placed=True, force=force
         )  # fmt: skip
         self.path = PlatformResponse(scenarios)
+        answers = first.rig.platform.tracking == "response"
+        settings = [s.rig.platform.response for s in scenarios] if answers else []
+        self.response = ResponsePath(settings, first.tick, first.substeps) if answers else None
+        self._bent = self.path.active or answers  # positions within a tick are those of _along
+        self._along = self.path.path if self.path.active else np.zeros((n, first.substeps, 3))
         self._ticks = np.zeros(1, dtype=np.int64)
         self.follower = first.rig.platform.follower(scenarios, structure, first.tick / first.substeps)
         bind = self.batch.bind
@@ -113,7 +119,9 @@ class IdealTracking:
         self.pose_act[:], self.twist_act[:] = pose, twist
         _back(self.pose_act, self.twist_act, self.tick, self._before)
         self.contacts.reset()
-        self.path.path[:, :] = self.pose_act[:, None, :3]
+        self._along[:, :] = self.pose_act[:, None, :3]
+        if self.response is not None:
+            self.response.begin(pose, twist)
         self.wrench_sub[:] = 0.0
         self._place(self.substeps)
         self.batch.forward()
@@ -128,8 +136,13 @@ class IdealTracking:
         """Move over the tick."""
         self._before[:] = self.pose_act
         self.pose_act[:] = self._goal
+        if self.response is not None:
+            track = self.response.advance(self._goal)
+            self.pose_act[:] = track[:, -1]
+            if not self.path.active:
+                self._along[:] = track[:, :, :3]
         if self.path.active:
-            self.path.advance(int(self._ticks[0]), self._goal)
+            self.path.advance(int(self._ticks[0]), self.pose_act)
             self.pose_act[:, :3] = self.path.path[:, -1]
         self._ticks[0] += 1
         _slope(self._before, self.pose_act, self.tick, self.twist_act)
@@ -173,7 +186,7 @@ class IdealTracking:
         """Put A where it is at the sub-instant ``s`` of m, and the wrench of that state on the passive side."""
         m = self.substeps
         _between(
-            self._before, self.pose_act, self.twist_act, self.tick * s / m, s == m, self.path.active, self.path.path[:, s - 1],
+            self._before, self.pose_act, self.twist_act, self.tick * s / m, s == m, self._bent, self._along[:, s - 1],
             self._between, self._qpos, self._qvel, self._joint,
         )  # fmt: skip
         if self.contacts.stage != NONE:

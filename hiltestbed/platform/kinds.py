@@ -35,6 +35,11 @@ class Platform(Strictly):
 
     kind: str
 
+    @property
+    def prescribed(self) -> bool:
+        """Whether the pose is put where it is to be, without mass, and its rate held over a tick; else drives or bodies are simulated."""
+        return getattr(self, "tracking", "free") in ("ideal", "response")
+
     @placeholder
     def facility(self) -> Facility:
         """Model, kinematics, drives and limits. Raises InputError for a model of the user's own that does not do."""
@@ -83,6 +88,10 @@ class Platform(Strictly):
 
     def nearest_bandwidth(self, scenario: Scenario) -> float:
         """Bandwidth [Hz] of the second order that is nearest to the way the platform follows, along the insertion."""
+        given = getattr(self, "response", None)
+        if given is not None and getattr(self, "tracking", "free") == "response":
+            band = given.bandwidth
+            return band if isinstance(band, float) else band[2]
         return self.facility().response(scenario.rate, scenario.compensation.motion.feeds).bandwidth[2]
 
 

@@ -87,7 +87,7 @@ class Plant:
             made_of = replace(made_of, constant=True, latched=False, touches=False)
         lower: IdealTracking | ServoTracking
         self.physical = scenarios[0].rig.platform.physical
-        if scenarios[0].rig.platform.tracking == "ideal":
+        if scenarios[0].rig.platform.prescribed:
             lower = IdealTracking(scenarios, nthread, made_of, force)
         else:
             lower = ServoTracking(scenarios, nthread, made_of, None if self.physical else late, force)

@@ -104,7 +104,7 @@ def measure_rig(scenario: Scenario, progress: Progress | None = None) -> RigFigu
         )
     about: dict[str, Any] = {"rate": scenario.rate, "substeps": scenario.substeps, "mechanism": scenario.mechanism}
     feed = bool(scenario.compensation.motion.feeds)
-    f = np.geomspace(SLOWEST, min(FASTEST, 0.05 * scenario.rate), POINTS)
+    f = np.geomspace(SLOWEST, min(FASTEST, 0.05 * scenario.rate), POINTS).tolist()
     found: list[Any] = []
     work = (
         lambda: workspace(facility),
@@ -118,7 +118,7 @@ def measure_rig(scenario: Scenario, progress: Progress | None = None) -> RigFigu
         found.append(measure())
     if progress:
         progress(len(work), len(work))
-    return RigFigures(scenario, found[0], found[1], found[2], f[::2], found[3])
+    return RigFigures(scenario, found[0], found[1], found[2], np.array(f[::2]), found[3])
 
 
 def write_rig(figures: RigFigures, path: str | Path) -> Path:

@@ -50,12 +50,12 @@ def follows_exactly(scenario: Scenario) -> bool:
 
 def moves_linearly(scenario: Scenario) -> bool:
     """Whether A moves uniformly within a tick relative to P, so that the rate of the contact at t_k is the slope of the tick that ends."""
-    return scenario.rig.platform.tracking == "ideal" and scenario.rig.upper.kind == "fixed"
+    return scenario.rig.platform.prescribed and scenario.rig.upper.kind == "fixed"
 
 
 def creep_of(scenario: Scenario) -> float:
     """[m/s per N] by which friction is viscous at least in the rig of a scenario, see :class:`hiltestbed.contact.contacts.Contacts`."""
-    return 0.0 if scenario.rig.platform.tracking == "ideal" else least_creep(1.0 / scenario.physics_rate)
+    return 0.0 if scenario.rig.platform.prescribed else least_creep(1.0 / scenario.physics_rate)
 
 
 def replay_rig(scenario: Scenario, command: Array, rates: Array | None, wrench: Array, reading: Array) -> Array | None:

@@ -126,7 +126,8 @@ def test_the_mesh_of_the_cone_is_the_surface_of_its_drawing() -> None:
     """Balls anywhere within 50 mm of the surface, inside and outside: penetration to 10 nm, normal to 1e-6."""
     plant, rng, free = Plant([rig()]), np.random.default_rng(3), np.empty(3)
     for _ in range(200):
-        start = pose(*rng.uniform(-0.2, 0.2, 2), rng.uniform(-0.15, 0.05))
+        x, y = rng.uniform(-0.2, 0.2, 2)
+        start = pose(x, y, rng.uniform(-0.15, 0.05))
         plant.reset(start, np.zeros((1, 6)))
         met = plant.contacts().met[0, BALLS]
         distance = cone_distance(start[0, :3] - [0.0, 0.0, BALL], free)

@@ -89,6 +89,7 @@ def test_it_docks(folder: Path) -> None:
     assert not run.trouble
     assert run.outcomes[0]["outcome"] == "captured"
     assert run.outcomes[0]["phases"][0]["at"] < 2.5
+    assert run.trace is not None
     wrench = run.trace.run(0)["wrench_true"]
     assert np.abs(wrench[:, 2]).max() > 20.0
 

@@ -179,3 +179,18 @@ def test_a_fault_in_a_rig_of_the_users_own_is_named(gantry, tmp_path) -> None:
     assert found["verdict"] in ("named", "ambiguous")  # four short bounces do not tell it from all that resembles it
     assert found["causes"][0]["effect"] == "contact.stiffness"
     assert found["causes"][0]["parameters"]["factor"]["estimate"] == pytest.approx(1.15, abs=0.01)
+
+
+@pytest.mark.parametrize("kind", ["pss33", "stewart"])
+def test_a_response_in_place_of_drives_is_the_second_order_with_its_delay(kind) -> None:
+    """A property of the platform: the same bounce as the two effects that make a perfect platform lag and come late."""
+    keys = {"rate": 2000.0, "physics_rate": 4000.0, "mechanism.contact.stiffness": 1e4, "duration": 2.0, "rig.platform.kind": kind}
+    answer = {"bandwidth": 10.0, "damping_ratio": 0.7, "delay": 0.006}
+    own = load_scenario(SCENARIOS / "02-bumper.yaml", set=keys | {"rig.platform.tracking": "response", "rig.platform.response": answer})
+    effects = [{"kind": "platform.delay", "delay": 0.006}, {"kind": "platform.lag", "bandwidth": 10.0}]
+    other = load_scenario(SCENARIOS / "02-bumper.yaml", set=keys | {"effects": effects})
+    first, second = run(own).summary, run(other).summary
+    assert first["cor"] == pytest.approx(second["cor"], rel=1e-9)
+    assert first["stability"]["net_damping"] == pytest.approx(second["stability"]["net_damping"], rel=1e-6)
+    assert first["delay_ledger"][-2]["source"] == "platform.response"
+    assert first["delay_ledger"][-2]["delay"] == pytest.approx(0.006 + 1.4 / (2.0 * math.pi * 10.0), rel=0.02)

@@ -58,7 +58,7 @@ def test_without_the_twist_a_servo_is_half_a_tick_off() -> None:
     recorded = record([scenario("probe and cone", "servo")])
     shared = felt(recorded)
     blind = type(shared)(
-        shared.poses, shared.before, shared.tick, shared.surfaces, shared.captured, shared.latch, shared.mount, shared.substeps
+        shared.poses, shared.before, shared.tick, shared.geometry, shared.captured, shared.latch, shared.mount, shared.substeps
     )
     error = errors(recorded, replay_wrench(blind, [lane(recorded.scenarios[0], 0)], grid=recorded.scenarios[0].substeps))[0]
     assert ROUND_OFF < error < 0.02

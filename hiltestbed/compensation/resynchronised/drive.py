@@ -108,7 +108,7 @@ class ResynchronisedDrive:
         self._setup = _setup(scenarios, h)
         self._fixed = int(scenarios[0].mechanism.flat)
         self._captured = None if self._fixed else CapturedContact(scenarios)  # a bumper has no latches
-        self._ideal = int(scenarios[0].rig.platform.tracking == "ideal")
+        self._ideal = int(scenarios[0].rig.platform.prescribed)
         self._substeps = float(scenarios[0].substeps)
         self._bodies = Bodies(model.port, model.mass, model.inertia, np.linalg.inv(model.inertia).astype(np.float64))
         self.state = _state(scenarios, model, int(self._setup.late.max()))
@@ -148,7 +148,7 @@ def _setup(scenarios: Sequence[Scenario], h: float) -> Setup:
         blend=np.array([min(1.0 / f.blending, SYNC_LIMIT / h) for f in force]),
         estimate=np.array([int(f.delay == "estimate") for f in force]),
     )
-    ideal = scenarios[0].rig.platform.tracking == "ideal"
+    ideal = scenarios[0].rig.platform.prescribed
     for i, s in enumerate(scenarios):
         set_delay(i, s.sensor.delay, h, ideal, float(s.substeps), setup)
     return setup

@@ -129,12 +129,26 @@ class ElectricDrive(Strictly):
     acceleration: Positive = Field(default=15.0, description="Highest acceleration of a leg [m/s^2]")
 
 
+class ResponseSettings(Strictly):
+    """A response of each axis in place of simulated drives."""
+
+    order: Literal[2, 3] = Field(default=2, description="Order of each axis [-]")
+    bandwidth: Positive | SixPositive = Field(default=20.0, description="Natural frequency [Hz] of all axes or x, y, z, rx, ry, rz")
+    damping_ratio: Positive | SixPositive = Field(default=0.7, description="Damping ratio [-] of all axes or of each")
+    gain: Positive | SixPositive = Field(default=60.0, description="Gain of order 3 [1/s] of all axes or of each")
+    delay: NotNegative = Field(default=0.0, description="Pure delay [s], any length")
+
+
 class Driven(Platform):
     """A platform of this package that is told where to go."""
 
-    tracking: Literal["servo", "ideal"] = Field(
+    tracking: Literal["servo", "response", "ideal"] = Field(
         default="servo",
-        description="How it follows. servo: its dynamics under its drives; ideal: the pose reaches the command exactly, one tick later",
+        description="How it follows. servo: its dynamics under its drives; response: a second or third order with a delay in their place; "
+        "ideal: the pose reaches the command exactly, one tick later",
+    )
+    response: ResponseSettings = Field(
+        default=ResponseSettings(), description="What it answers to its command; with tracking response alone"
     )
 
     def facility(self) -> Facility:
@@ -330,16 +344,6 @@ class SuspensionSettings(Physical):
     tension_bandwidth: Positive = Field(default=5.0, description="Bandwidth of the tension servo [Hz]; first order; an estimate")
     tension_error: float = Field(default=0.001, description="Error of the tension, as a part of the weight [-]; the load cell's class")
     gimbal_offset: float = Field(default=0.001, description="Height of the gimbal above the centre of mass [m]; balanced to 1 mm")
-
-
-class ResponseSettings(Strictly):
-    """A response in place of a simulated drive; `tracking: response`."""
-
-    order: Literal[2, 3] = Field(default=2, description="Order of each axis [-]")
-    bandwidth: Positive | SixPositive = Field(default=20.0, description="Natural frequency [Hz] of all axes or x, y, z, rx, ry, rz")
-    damping_ratio: Positive | SixPositive = Field(default=0.7, description="Damping ratio [-] of all axes or of each")
-    gain: Positive | SixPositive = Field(default=60.0, description="Gain of order 3 [1/s] of all axes or of each")
-    delay: NotNegative = Field(default=0.0, description="Pure delay [s], any length")
 
 
 FacilitySettings = Annotated[

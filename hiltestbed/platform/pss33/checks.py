@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
-from hiltestbed.platform.pss33.settings import Pss33
+from hiltestbed.platform.pss33.settings import pss33_of
 from hiltestbed.validation import Problem
 
 if TYPE_CHECKING:
@@ -16,9 +16,8 @@ UPPER_SPEED = 0.3  # [m/s] up to which the upper platform is clamped before the 
 
 def _workspace(scenario: Scenario) -> tuple[float, float]:
     """Reach from home along [m] and about [deg] each axis."""
-    platform = scenario.rig.platform
-    assert isinstance(platform, Pss33)
-    return platform.workspace.translation, platform.workspace.rotation_deg
+    workspace = pss33_of(scenario).workspace
+    return workspace.translation, workspace.rotation_deg
 
 
 def start_problems(scenario: Scenario) -> Iterator[Problem]:

@@ -22,7 +22,14 @@ class SliderDrives(Drives):
     """Drives of the six sliders: the servo of the plant, about A."""
 
     def __init__(
-        self, model: mujoco.MjModel, kinematics: Kinematics, settings: Sequence[Pss33], tick: float, substeps: int, feed: Array, tool: str
+        self,
+        model: mujoco.MjModel,
+        kinematics: Kinematics,
+        settings: Sequence[Pss33],
+        tick: float,
+        substeps: int,
+        feed: NDArray[np.bool_],
+        tool: str,
     ) -> None:
         n = len(settings)
         super().__init__(model, kinematics, tick, substeps, [1] * n, [0] * n, feed)

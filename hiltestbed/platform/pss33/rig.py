@@ -13,6 +13,7 @@ from hiltestbed.frames import Array
 from hiltestbed.platform import model
 from hiltestbed.platform.pss33.kinematics import Platform, inverse
 from hiltestbed.platform.pss33.servo import Servo
+from hiltestbed.platform.pss33.settings import pss33_of
 
 if TYPE_CHECKING:
     from hiltestbed.contact.contacts import Contacts
@@ -32,7 +33,7 @@ class Pss33Rig(Servo):
         self.model = model.rig_model(structure, dt, kept=scenarios[0].substeps)
         feed = np.array([s.compensation.motion.feeds for s in scenarios])
         first = scenarios[0]
-        super().__init__(self.model, [s.rig.platform for s in scenarios], first.tick, first.substeps, feed)
+        super().__init__(self.model, [pss33_of(s) for s in scenarios], first.tick, first.substeps, feed)
 
     def start(self, batch: Batch, scenarios: Sequence[Scenario], dt: float) -> Pss33Rig:
         """Bind the servo to the batch of the model."""

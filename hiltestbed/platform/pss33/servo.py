@@ -19,11 +19,13 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from hiltestbed.frames import Array, rotate, rotate_back
 from hiltestbed.platform.friction import DriveFriction
 from hiltestbed.platform.pss33.dynamics import drive_forces, invert, load_constants
 from hiltestbed.platform.pss33.kinematics import Platform, jacobian, joints
+from hiltestbed.platform.pss33.settings import pss33_of
 
 if TYPE_CHECKING:
     from hiltestbed.platform.pss33.settings import Pss33
@@ -161,7 +163,7 @@ class Servo:
     """
 
     def __init__(
-        self, model: mujoco.MjModel, platforms: Sequence[Pss33], tick: float, substeps: int, feed: Array, tool: str = "active_A"
+        self, model: mujoco.MjModel, platforms: Sequence[Pss33], tick: float, substeps: int, feed: NDArray[np.bool_], tool: str = "active_A"
     ) -> None:
         """``tool``: the site that follows the command."""
         n = len(platforms)
@@ -183,7 +185,7 @@ class Servo:
 
     def add_friction(self, scenarios: Sequence[Scenario], applied: Array) -> None:
         """Let the scenarios' actuators rub: into the generalised forces ``applied`` (n, nv), where one has friction at all."""
-        friction = DriveFriction([s.rig.platform.actuator for s in scenarios], self._adr[1], self._least, self._step)
+        friction = DriveFriction([pss33_of(s).actuator for s in scenarios], self._adr[1], self._least, self._step)
         if friction.acts:
             self._friction, self._applied = friction, applied
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
+from hiltestbed.platform.facilities.settings import ResponseSettings
 from hiltestbed.platform.kinds import Platform
 from hiltestbed.plugins import register
 from hiltestbed.validation import NotNegative, Positive, Problem, Strictly, refuse
@@ -75,9 +76,13 @@ class Pss33(Platform):
     )
 
     kind: Literal["pss33"] = Field(default="pss33", description="Motion platform. pss33: 3-3 PSS, six sliders")
-    tracking: Literal["servo", "ideal"] = Field(
+    tracking: Literal["servo", "response", "ideal"] = Field(
         default="servo",
-        description="How it follows. servo: its dynamics under its drives; ideal: the pose reaches the command exactly, one tick later",
+        description="How it follows. servo: its dynamics under its drives; response: a second or third order with a delay in their place; "
+        "ideal: the pose reaches the command exactly, one tick later",
+    )
+    response: ResponseSettings = Field(
+        default=ResponseSettings(), description="What it answers to its command; with tracking response alone"
     )
     bandwidth: Positive = Field(
         default=40.0,
@@ -118,4 +123,11 @@ class Pss33(Platform):
         return start_problems(scenario)
 
     def nearest_bandwidth(self, scenario: Scenario) -> float:
-        return self.bandwidth
+        return self.bandwidth if self.tracking != "response" else super().nearest_bandwidth(scenario)
+
+
+def pss33_of(scenario: Scenario) -> Pss33:
+    """The settings of a scenario's platform, which is this one."""
+    platform = scenario.rig.platform
+    assert isinstance(platform, Pss33)
+    return platform
