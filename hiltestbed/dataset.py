@@ -17,7 +17,7 @@ from pydantic import Field
 from hiltestbed.errors import Fault, InputError
 from hiltestbed.scenario import Scenario, scenario_from
 from hiltestbed.validation import Strictly, nearest, validate
-from hiltestbed.yaml_source import KeyPath, Source, read_source, referenced_source
+from hiltestbed.yaml_source import KeyPath, Source, is_file, read_source, referenced_source
 
 Check = Literal["unit", "sign", "axes", "start", "attitude", "lever", "copy", "constant", "shift"]
 
@@ -103,7 +103,7 @@ def _data_file(run: MeasuredRun, source: Source) -> Path:
 def _missing_files(spec: Dataset, source: Source) -> Iterator[Fault]:
     for index, run in enumerate(spec.runs):
         where = _data_file(run, source)
-        if not where.is_file():
+        if not is_file(where):
             yield source.fault(("runs", index, "file"), f"names no file (got {run.file!r}); looked for {where}")
 
 

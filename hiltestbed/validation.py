@@ -6,6 +6,7 @@ import copy
 import difflib
 import types
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
 
@@ -14,7 +15,7 @@ from pydantic_core import ErrorDetails, PydanticCustomError
 
 from hiltestbed.errors import Fault, InputError
 from hiltestbed.plugins import OneOf
-from hiltestbed.yaml_source import KeyPath, Source, describe
+from hiltestbed.yaml_source import KeyPath, Source, describe, is_file
 
 Model = TypeVar("Model", bound=BaseModel)
 Problem = tuple[KeyPath, str]
@@ -34,8 +35,10 @@ Vector3 = Annotated[tuple[float, ...], Strict(False), Field(min_length=3, max_le
 
 def _found(name: str, info: ValidationInfo) -> str:
     """An existing file, as an absolute path; a relative one starts from the folder of the file that names it."""
-    path = ((info.context or {}).get("folder", Path()) / name).resolve()
-    if not path.is_file():
+    path = (info.context or {}).get("folder", Path()) / name
+    with suppress(OSError, ValueError):  # a name that no file system takes
+        path = path.resolve()
+    if not is_file(path):
         raise PydanticCustomError("no_file", "no such file (got {name}, looked for {path})", {"name": repr(name), "path": str(path)})
     return str(path)
 

@@ -143,9 +143,17 @@ def read_source(path: str | Path) -> Source:
 def referenced_source(source: Source, key: str = "scenario") -> Source:
     """The file that a file names under `key`, looked for from the folder of the file that names it. Raises InputError."""
     target = source.folder / str(source.data[key])
-    if not target.is_file():
+    if not is_file(target):
         raise InputError(source.fault((key,), f"names no file (got {describe(source.data[key])}); looked for {target}"))
     return read_source(target)
+
+
+def is_file(path: Path) -> bool:
+    """Whether a file is there; False for a name that no file system takes."""
+    try:
+        return path.is_file()
+    except (OSError, ValueError):
+        return False
 
 
 def _read_text(path: Path) -> str:

@@ -93,7 +93,7 @@ class _Parts:
     @classmethod
     def of(cls, t: Array, response: Array, wrench: Array, motion: Array, tick: float) -> _Parts:
         doubled = _without_line(t, _twice(t, wrench, tick))
-        along = [np.outer(response[:, i], doubled[j]) for i in range(3) for j in range(3)]
+        along = [response[:, i, None] * doubled[j] for i in range(3) for j in range(3)]
         driven = np.stack([*along, response[:, 3:] @ doubled[3:]])
         flat = driven.reshape(10, -1)
         return cls(driven, motion, flat @ flat.T, flat @ motion.reshape(-1), float(np.sum(motion**2)))

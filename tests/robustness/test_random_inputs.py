@@ -30,7 +30,9 @@ from hiltestbed.simulation import run
 from hiltestbed.validation import validate
 from hiltestbed.yaml_source import Source
 
-QUICK = settings(max_examples=40, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
+QUICK = settings(
+    max_examples=40, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow, HealthCheck.filter_too_much]
+)
 NAMES = st.sampled_from(["vary", "scenario", "design", "values", "kind", "x"])
 ANYTHING = st.recursive(
     st.none() | st.booleans() | st.floats() | st.text(max_size=8),
@@ -115,3 +117,12 @@ def test_a_filter_that_remembers_years_is_refused() -> None:
     scenario = load_scenario(shipped("scenarios") / "02-bumper.yaml", set={"sensor.lowpass": 1e-7, "duration": 0.05})
     with pytest.raises(InputError, match="of memory"):
         run(scenario)
+
+
+@pytest.mark.parametrize("key", ["scenario", "file"])
+def test_a_name_that_no_file_system_takes_is_no_file(tmp_path: Path, key: str) -> None:
+    names = {"scenario": "s.yaml", "file": "run.csv"} | {key: "a" * 300}
+    (tmp_path / "s.yaml").write_text((shipped("scenarios") / "02-bumper.yaml").read_text())
+    (tmp_path / "d.yaml").write_text(f"scenario: {names['scenario']}\nruns: [{{file: {names['file']}}}]\n")
+    _, faults = check_file(tmp_path / "d.yaml")
+    assert any("names no file" in str(fault) for fault in faults)

@@ -18,8 +18,8 @@ from hiltestbed.report import Report
 
 QUICK, LONG = 0.5, 15.0  # [min] where nothing is asked for
 BATCH = 40  # trials a process, of those that take long
-HANGS = 60.0  # [s] without an answer, from which a trial hangs
-BEGIN = 180.0  # [s] until the first answer: kernels may have to be compiled
+HANGS = 240.0  # [s] without an answer, from which a trial hangs: kernels may have to be compiled for it
+BEGIN = 600.0  # [s] until the first answer
 CONTAINED = {"file"}  # kinds whose crash ends a process of its own when it is done in earnest
 SHOWN = 50  # faults that are listed
 Progress = Callable[[int, int], None]

@@ -56,7 +56,8 @@ def _tdms(path: Path, table: Table) -> None:
 
     properties = {"wf_increment": 1e-3, "wf_start_offset": 0.0, "wf_samples": len(table["t"])}
     with nptdms.TdmsWriter(path) as writer:
-        writer.write_segment([nptdms.ChannelObject(*n.split("."), values, properties) for n, values in table.items() if n != "t"])
+        parts = [(*name.rpartition(".")[::2], values) for name, values in table.items() if name != "t"]
+        writer.write_segment([nptdms.ChannelObject(group, name, values, properties) for group, name, values in parts])
 
 
 def _mcap(path: Path, table: Table) -> None:
