@@ -209,6 +209,8 @@ def bench(
     name: Annotated[str, typer.Argument(metavar="|".join(BENCHES), help="Which benchmark.")],
     out: Out = None,
     quick: Annotated[bool, typer.Option("--quick", help="A smaller grid.")] = False,
+    noise: Annotated[bool, typer.Option("--noise", help="diagnosis: healthy rigs under every kind of noise alone.")] = False,
+    docking: Annotated[bool, typer.Option("--docking", help="diagnosis: the docking sets alone.")] = False,
     as_json: Json = False,
 ) -> None:
     """Run a benchmark and write its bench.json and report.html."""
@@ -216,6 +218,9 @@ def bench(
 
     if name not in BENCHES:
         raise InputError(f"bench: unknown benchmark (got {name!r}); allowed: {', '.join(BENCHES)}")
+    chosen = {option: True for option, given in (("noise", noise), ("docking", docking)) if given}
+    if chosen and name != "diagnosis":
+        raise InputError(f"bench {name}: --{next(iter(chosen))} is an option of bench diagnosis alone; leave it out")
     from hiltestbed.bench.result import BENCH, write_bench
     from hiltestbed.progress import count_bar
     from hiltestbed.recording import refuse_foreign
@@ -223,7 +228,7 @@ def bench(
     folder = out if out is not None else free_folder(Path("runs") / f"bench-{name}")
     refuse_foreign(folder, BENCH)
     with count_bar(f"bench {name}") as progress:
-        result = getattr(import_module(BENCHES[name]), name)(quick=quick, progress=progress)
+        result = getattr(import_module(BENCHES[name]), name)(quick=quick, progress=progress, **chosen)
     write_bench(result, folder)
     if as_json:
         print(json.dumps({"name": name, "folder": str(folder), "summary": result.summary}, allow_nan=False))
