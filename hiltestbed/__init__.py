@@ -11,8 +11,12 @@ The closed loop is ``hiltestbed/loop.py``: read that first. From Python as from 
 
 from __future__ import annotations
 
+import os
 from importlib import import_module
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from hiltestbed.kernel_cache import settle
 
 if TYPE_CHECKING:
     from hiltestbed.campaign.schema import load_campaign
@@ -22,6 +26,7 @@ if TYPE_CHECKING:
     from hiltestbed.diagnosis.diagnose import diagnose
     from hiltestbed.failure import replay_failure
     from hiltestbed.gallery import shipped
+    from hiltestbed.plugins import load_plugins
     from hiltestbed.recording import read_run, write_run
     from hiltestbed.result import Run
     from hiltestbed.scenario import Scenario, dump_scenario, load_scenario
@@ -29,6 +34,8 @@ if TYPE_CHECKING:
     from hiltestbed.simulation import run, run_batch
 
     __version__: str
+
+settle(Path(__file__).parent, os.environ)  # before any kernel is loaded
 
 __all__ = [
     "Comparison",
@@ -42,6 +49,7 @@ __all__ = [
     "dump_scenario",
     "load_campaign",
     "load_dataset",
+    "load_plugins",
     "load_scenario",
     "read_run",
     "read_sweep",
@@ -64,6 +72,7 @@ _HOME = {
     "dump_scenario": "scenario",
     "load_campaign": "campaign.schema",
     "load_dataset": "dataset",
+    "load_plugins": "plugins",
     "load_scenario": "scenario",
     "read_run": "recording",
     "read_sweep": "campaign.sweep",

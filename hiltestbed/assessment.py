@@ -84,6 +84,9 @@ def _warnings(summary: dict[str, Any], passive: bool | None) -> list[str]:
         share = energy_share(summary)
         size = "" if share is None else f", {100.0 * share:.2g} % of the approach energy"
         out.append(f"the rig is active: it made {summary['energy_generated']:.3g} J{size}")
+    stability = summary.get("stability")
+    if stability and stability["stable"] is False:
+        out.append(f"the loop is {stability['verdict']}")
     for axis, values in summary["identification"].items():
         for quantity in ("stiffness", "damping"):
             found, true = values[quantity], values[f"{quantity}_true"]

@@ -1,10 +1,12 @@
-"""Which kind of file a file is, whether it holds, and the JSON Schema of each kind."""
+"""Which kind of file a file is, whether it holds, what it will cost, what of it is odd, and the JSON Schema of each kind."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
+from hiltestbed.budget import Budget
 from hiltestbed.errors import Fault, InputError
 from hiltestbed.yaml_source import Source, read_source
 
@@ -19,31 +21,89 @@ def file_kind(source: Source) -> Kind:
     return "dataset" if "runs" in source.data else "scenario"
 
 
+@dataclass(frozen=True)
+class Findings:
+    """What `hiltestbed check` has to say of a file.
+
+    Attributes:
+        kind: None for what is no YAML file at all. faults: that stop it. remarks: losses and notes on a dataset's files, and numbers of a
+            scenario that are absurd together. budget: what the work will need, None where it cannot be begun.
+    """
+
+    kind: Kind | None
+    faults: tuple[Fault, ...]
+    remarks: tuple[str, ...] = ()
+    budget: Budget | None = None
+
+
 def check_file(path: str | Path) -> tuple[Kind | None, tuple[Fault, ...]]:
-    """The kind of a file and every fault in it; None for what is no YAML file at all."""
+    """The kind of a file and every fault in it; None for what is no YAML file at all. The data of a dataset are not opened."""
+    found = _look_at(path, data=False)
+    return found.kind, found.faults
+
+
+def look_at(path: str | Path) -> Findings:
+    """All that is to be said of a file; the data of a dataset are opened and checked against its scenario."""
+    return _look_at(path, data=True)
+
+
+def _look_at(path: str | Path, data: bool) -> Findings:
     kind: Kind | None = None
     try:
         source = read_source(path)
         kind = file_kind(source)
-        _load(kind, source)
+        return {"scenario": _scenario, "campaign": _campaign, "dataset": _dataset}[kind](source, data)
     except InputError as error:
-        return kind, error.faults
-    return kind, ()
+        return Findings(kind, error.faults or (Fault(str(path), None, None, "", str(error)),))
 
 
-def _load(kind: Kind, source: Source) -> None:
-    if kind == "campaign":
-        from hiltestbed.campaign.schema import campaign_from
+def _scenario(source: Source, data: bool) -> Findings:
+    from hiltestbed.budget import run_budget
+    from hiltestbed.contact.findings import remarks
+    from hiltestbed.scenario import scenario_from
+    from hiltestbed.sense import warnings
 
-        campaign_from(source)
-    elif kind == "dataset":
-        from hiltestbed.dataset import dataset_from
+    scenario = scenario_from(source)
+    if not data:
+        return Findings("scenario", ())
+    said = (*_said(warnings(scenario)), *remarks(scenario.mechanism))
+    return _within(Findings("scenario", (), said, run_budget([scenario])), source)
 
-        dataset_from(source)
-    else:
-        from hiltestbed.scenario import scenario_from
 
-        scenario_from(source)
+def _campaign(source: Source, data: bool) -> Findings:
+    from hiltestbed.budget import campaign_budget
+    from hiltestbed.campaign.schema import campaign_from
+    from hiltestbed.sense import warnings
+
+    campaign = campaign_from(source)
+    if not data:
+        return Findings("campaign", ())
+    return _within(Findings("campaign", (), _said(warnings(campaign.nominal)), campaign_budget(campaign)), source)
+
+
+def _dataset(source: Source, data: bool) -> Findings:
+    from hiltestbed.budget import dataset_budget
+    from hiltestbed.dataset import dataset_from
+
+    loaded = dataset_from(source)
+    if not data:
+        return Findings("dataset", ())
+    from hiltestbed.measured import as_faults, examine
+
+    examined = examine(loaded)
+    faults = tuple(as_faults(examined))
+    remarks = tuple(str(remark) for remark in examined.remarks if remark.severity != "error")
+    return _within(Findings("dataset", faults, remarks, dataset_budget(loaded)), source)
+
+
+def _said(found: tuple[str, ...]) -> tuple[str, ...]:
+    return tuple(f"warning: {text}" for text in found)
+
+
+def _within(found: Findings, source: Source) -> Findings:
+    """The findings with a fault for each limit that the budget goes beyond."""
+    over = () if found.budget is None else tuple(source.fault((), reason) for reason in found.budget.refused())
+    return replace(found, faults=(*found.faults, *over))
 
 
 def json_schema(kind: Kind) -> dict[str, Any]:

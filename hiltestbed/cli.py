@@ -1,4 +1,4 @@
-"""The command line: `hiltestbed run | check | schema | view | compare | bench | sweep | diagnose | new | doctor`.
+"""The command line: `hiltestbed run | check | rig | schema | view | compare | bench | sweep | diagnose | new | doctor`.
 
 Exit status: 0 done; 2 bad input; 3 the simulation diverged or a safety limit stopped it; 1 anything else that failed. Results go to
 standard output, progress and messages to standard error. A command imports what it needs when it runs, so that --help is quick.
@@ -6,6 +6,7 @@ standard output, progress and messages to standard error. A command imports what
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import sys
@@ -16,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hiltestbed import cli_devices, interrupt
-from hiltestbed.errors import HiltestbedError, InputError
+from hiltestbed.errors import HiltestbedError, InputError, printable
 from hiltestbed.folders import free_folder, safe_name
 
 if TYPE_CHECKING:
@@ -25,7 +26,6 @@ if TYPE_CHECKING:
 app = typer.Typer(
     help="A hardware-in-the-loop contact simulator for spacecraft docking, in software.",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
 )
 
@@ -34,6 +34,14 @@ Sets = Annotated[
     list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Override a key: approach.velocity.2=0.05 (repeatable).")
 ]
 Json = Annotated[bool, typer.Option("--json", help="One JSON object on standard output, and nothing else there.")]
+
+
+def _complete(incomplete: str) -> list[str]:
+    """Shipped scenarios and campaigns, and files, that begin like that: for a shell."""
+    from hiltestbed.gallery import campaign_names, scenario_names
+
+    files = [str(path) for path in Path().glob("*.yaml")]
+    return [name for name in (*files, *scenario_names(), *campaign_names()) if name.startswith(incomplete)]
 
 
 def _version(wanted: bool) -> None:
@@ -64,7 +72,9 @@ def _root(
 
 @app.command()
 def run(
-    scenario: Annotated[Path, typer.Argument(metavar="SCENARIO", help="Scenario file, or the name of a shipped one.")],
+    scenario: Annotated[
+        Path, typer.Argument(metavar="SCENARIO", help="Scenario file, or the name of a shipped one.", autocompletion=_complete)
+    ],
     out: Out = None,
     sets: Sets = None,
     no_rerun: Annotated[bool, typer.Option("--no-rerun", help="Leave recording.rrd out.")] = False,
@@ -88,6 +98,13 @@ def run(
     from hiltestbed.simulation import run as simulate
 
     refuse_foreign(folder)
+    from hiltestbed.budget import refuse_beyond, run_budget
+    from hiltestbed.sense import warnings
+
+    refuse_beyond(run_budget([spec]), spec.name, "a shorter duration, a lower rate or shorter delays need less", folder)
+    for warning in warnings(spec):
+        print(printable(f"{spec.name}: warning: {warning}"), file=sys.stderr)
+
     from hiltestbed.kernels import compiled
 
     if not compiled():
@@ -102,7 +119,10 @@ def run(
 
         print_run(result.summary, folder, not no_rerun, time.monotonic() - start)
     if result.summary["status"] != "completed":
-        print(f"{spec.name}: {result.summary['status']}: {result.summary['stop_reason']}; its state lies in {folder}", file=sys.stderr)
+        print(
+            printable(f"{spec.name}: {result.summary['status']}: {result.summary['stop_reason']}; its state lies in {folder}"),
+            file=sys.stderr,
+        )
         raise typer.Exit(3)
 
 
@@ -110,19 +130,60 @@ def run(
 def check(
     files: Annotated[list[Path], typer.Argument(metavar="FILE ...", help="Scenarios, campaigns and datasets.")], as_json: Json = False
 ) -> None:
-    """Validate files: every fault at once, with file, line and column."""
-    from hiltestbed.check import check_file
+    """Validate files: every fault at once, with file, line and column; the data of a dataset are opened and checked, too."""
+    from hiltestbed.check import look_at
     from hiltestbed.gallery import find_scenario
+    from hiltestbed.stability import stability_of_file
 
-    found = [(file, *check_file(find_scenario(file))) for file in files]
+    paths = [find_scenario(file) for file in files]
+    found = [(file, look_at(path)) for file, path in zip(files, paths, strict=True)]
+    stable = [
+        stability_of_file(path) if one.kind == "scenario" and not one.faults else None
+        for path, (_, one) in zip(paths, found, strict=True)
+    ]  # fmt: skip
     if as_json:
-        rows = [{"file": str(file), "kind": kind, "faults": [vars(fault) for fault in faults]} for file, kind, faults in found]
-        print(json.dumps({"valid": not any(faults for _, _, faults in found), "files": rows}))
+        rows = [
+            {
+                "file": str(file), "kind": one.kind, "faults": [vars(fault) for fault in one.faults], "remarks": list(one.remarks),
+                "budget": vars(one.budget) if one.budget else None,
+            } | ({"stability": judged} if judged else {})
+            for (file, one), judged in zip(found, stable, strict=True)
+        ]  # fmt: skip
+        print(json.dumps({"valid": not any(one.faults for _, one in found), "files": rows}))
     else:
-        for file, kind, faults in found:
-            print("\n".join(str(fault) for fault in faults) if faults else f"{file}: {kind}: no faults")
-    if any(faults for _, _, faults in found):
+        for (file, one), judged in zip(found, stable, strict=True):
+            print("\n".join(str(fault) for fault in one.faults) if one.faults else f"{file}: {one.kind}: no faults")
+            print(printable("".join(f"{file}: {remark}\n" for remark in one.remarks)), end="")
+            print(f"{file}: needs {one.budget}\n" if one.budget else "", end="")
+            print(f"{file}: {judged['verdict']}\n" if judged else "", end="")
+    if any(one.faults for _, one in found):
         raise typer.Exit(2)
+
+
+@app.command()
+def rig(
+    scenario: Annotated[Path, typer.Argument(metavar="SCENARIO", help="Scenario file, or the name of a shipped one.")],
+    out: Out = None,
+    sets: Sets = None,
+    as_json: Json = False,
+) -> None:
+    """Measure the rig of a scenario: workspace, bandwidth and delay in six axes, modes, dynamic stiffness; in pictures and a JSON file."""
+    from hiltestbed.platform.rig_report import RIG, measure_rig, write_rig
+    from hiltestbed.progress import count_bar
+    from hiltestbed.recording import refuse_foreign
+
+    spec = _scenario(scenario, sets, None)
+    folder = out if out is not None else free_folder(Path("runs") / f"rig-{safe_name(spec.name)}")
+    refuse_foreign(folder, RIG)
+    with count_bar(f"rig {spec.name}") as progress:
+        figures = measure_rig(spec, progress)
+    write_rig(figures, folder)
+    if as_json:
+        print(json.dumps(figures.to_json() | {"folder": str(folder)}, allow_nan=False))
+    else:
+        from hiltestbed.table import print_lines
+
+        print_lines(f"rig of {spec.name}", figures.lines(), folder)
 
 
 @app.command()
@@ -139,7 +200,10 @@ def compare(
     out: Annotated[Path | None, typer.Option("--out", metavar="FILE", help="Write the comparison as an HTML page, too.")] = None,
     as_json: Json = False,
 ) -> None:
-    """Put runs side by side: what differs in their scenarios, and what that did to the figures."""
+    """Put runs side by side: what differs in their scenarios, and what that did to the figures.
+
+    hiltestbed compare runs/late runs/right --out both.html
+    """
     from hiltestbed.comparison import compare as side_by_side
     from hiltestbed.comparison import write_comparison
 
@@ -198,8 +262,10 @@ def schema(kind: Annotated[str, typer.Argument(metavar="[scenario|campaign|datas
 BENCHES = {  # name to the module whose function of that name measures
     "cor": "hiltestbed.bench.cor",
     "diagnosis": "hiltestbed.bench.diagnosis",
+    "facilities": "hiltestbed.bench.facilities",
     "identification": "hiltestbed.bench.identification",
     "realtime": "hiltestbed.bench.realtime",
+    "robustness": "hiltestbed.bench.robustness.run",
     "throughput": "hiltestbed.bench.throughput",
 }
 
@@ -211,9 +277,13 @@ def bench(
     quick: Annotated[bool, typer.Option("--quick", help="A smaller grid.")] = False,
     noise: Annotated[bool, typer.Option("--noise", help="diagnosis: healthy rigs under every kind of noise alone.")] = False,
     docking: Annotated[bool, typer.Option("--docking", help="diagnosis: the docking sets alone.")] = False,
+    minutes: Annotated[float | None, typer.Option("--for", metavar="MINUTES", min=0.01, help="robustness: how long to go on.")] = None,
     as_json: Json = False,
 ) -> None:
-    """Run a benchmark and write its bench.json and report.html."""
+    """Run a benchmark and write its bench.json and report.html.
+
+    hiltestbed bench cor --quick --plugin my_method.py
+    """
     from importlib import import_module
 
     if name not in BENCHES:
@@ -221,6 +291,8 @@ def bench(
     chosen = {option: True for option, given in (("noise", noise), ("docking", docking)) if given}
     if chosen and name != "diagnosis":
         raise InputError(f"bench {name}: --{next(iter(chosen))} is an option of bench diagnosis alone; leave it out")
+    if minutes is not None and name != "robustness":
+        raise InputError(f"bench {name} --for {minutes:g}: takes as long as it takes; --for is for robustness")
     from hiltestbed.bench.result import BENCH, write_bench
     from hiltestbed.progress import count_bar
     from hiltestbed.recording import refuse_foreign
@@ -228,7 +300,8 @@ def bench(
     folder = out if out is not None else free_folder(Path("runs") / f"bench-{name}")
     refuse_foreign(folder, BENCH)
     with count_bar(f"bench {name}") as progress:
-        result = getattr(import_module(BENCHES[name]), name)(quick=quick, progress=progress, **chosen)
+        more: dict[str, Any] = {} if minutes is None else {"minutes": minutes}
+        result = getattr(import_module(BENCHES[name]), name)(quick=quick, progress=progress, **chosen, **more)
     write_bench(result, folder)
     if as_json:
         print(json.dumps({"name": name, "folder": str(folder), "summary": result.summary}, allow_nan=False))
@@ -248,7 +321,12 @@ def sweep(
     chunk: Annotated[int, typer.Option("--chunk", metavar="N", help="Cases in lockstep, and on disk, at a time.")] = 64,
     as_json: Json = False,
 ) -> None:
-    """Run a campaign; run again with the same --out, it goes on where it stopped."""
+    """Run a campaign; run again with the same --out, it goes on where it stopped.
+
+    hiltestbed sweep delay-stiffness --out results/map
+
+    hiltestbed sweep mine.yaml --set design.cases=256 --workers 4
+    """
     from hiltestbed.campaign.schema import load_campaign
     from hiltestbed.campaign.sweep import default_folder
     from hiltestbed.campaign.sweep import sweep as run_sweep
@@ -261,6 +339,10 @@ def sweep(
     spec = load_campaign(find_scenario(campaign), overrides(sets))
     folder = out if out is not None else default_folder(spec)
     workers = workers if workers is not None else len(os.sched_getaffinity(0))
+    from hiltestbed.budget import campaign_budget, refuse_beyond
+
+    budget = campaign_budget(spec, max(workers, 1), max(chunk, 1))
+    refuse_beyond(budget, str(campaign), "fewer cases, keep: summary, fewer --workers or a smaller --chunk need less", folder)
     try:
         with case_bar() as progress:
             result = run_sweep(spec, folder, workers=workers, scheduler=scheduler, chunk=chunk, progress=progress)
@@ -280,7 +362,10 @@ def diagnose(
     out: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Folder to write; left out: runs/diagnosis-NAME.")] = None,
     as_json: Json = False,
 ) -> None:
-    """Measured data against the simulation: what departs, why, and what is gained."""
+    """Measured data against the simulation: what departs, why, and what is gained.
+
+    hiltestbed check dataset.yaml && hiltestbed diagnose dataset.yaml --out results/mine
+    """
     from hiltestbed.diagnosis.diagnose import diagnose as run_diagnosis
     from hiltestbed.diagnosis.report.folder import DIAGNOSIS
     from hiltestbed.progress import step_line
@@ -289,8 +374,13 @@ def diagnose(
     label = dataset.stem if dataset.stem != "dataset" else dataset.resolve().parent.name
     folder = out if out is not None else free_folder(Path("runs") / f"diagnosis-{safe_name(label)}")
     refuse_foreign(folder, DIAGNOSIS)
+    from hiltestbed.budget import dataset_budget, refuse_beyond
+    from hiltestbed.dataset import load_dataset as load_specification
+
+    loaded = load_specification(dataset)
+    refuse_beyond(dataset_budget(loaded), str(dataset), "fewer or shorter runs need less", folder)
     with step_line(label) as progress:
-        result = run_diagnosis(dataset, progress)
+        result = run_diagnosis(loaded, progress)
         progress("report and recording")
         result.write(folder)
     if as_json:
@@ -348,12 +438,15 @@ def _fail(error: BaseException, text: str, status: int) -> int:
     if "--json" in sys.argv:
         faults = [vars(fault) for fault in error.faults] if isinstance(error, InputError) else []
         print(json.dumps({"status": "error", "exit_status": status, "error": text, "faults": faults}))
-    print(text, file=sys.stderr)
+    print(printable(text), file=sys.stderr)
     return status
 
 
 def main() -> None:
     """Entry point: runs a command and turns what goes wrong into a message and an exit status."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # a terminal without UTF-8 gets a mark in place of what it cannot show
+            stream.reconfigure(errors="replace")
     try:
         status = _run()
         sys.stdout.flush()

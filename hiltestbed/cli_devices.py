@@ -119,6 +119,27 @@ def add(app: typer.Typer, scenario_of: ScenarioOf) -> None:
         else:
             _print_commission(found, folder)
 
+    @app.command()
+    def fmu(
+        scenario: File,
+        out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder to write Rig.fmu into.")] = Path(),
+        name: Annotated[str, typer.Option("--name", metavar="NAME", help="Name of the FMU.")] = "Rig",
+        sets: Sets = None,
+    ) -> None:
+        """Pack the physical side of a scenario (rig, mechanism and force sensor) as an FMU of FMI 3.0 for co-simulation."""
+        import tempfile
+
+        from hiltestbed.devices.fmu import pack
+        from hiltestbed.scenario import dump_scenario
+
+        spec = scenario_of(scenario, sets, None)
+        with tempfile.TemporaryDirectory() as folder:
+            file = Path(folder) / "scenario.yaml"
+            file.write_text(dump_scenario(spec), encoding="utf-8")
+            out.mkdir(parents=True, exist_ok=True)
+            packed = pack("hiltestbed.devices.physical:from_file", file, out, name, spec.description or spec.name)
+        print(f"{packed}: pose_cmd in, pose_act and wrench_meas out; communication step {spec.tick:g} s or a whole multiple")
+
 
 def _print_commission(found: dict[str, Any], folder: Path) -> None:
     sensor, platform = found["sensor"], found["platform"]
@@ -128,8 +149,9 @@ def _print_commission(found: dict[str, Any], folder: Path) -> None:
         what = f"gain {n['axis']}" if n["source"] == n["axis"] else f"crosstalk {n['source']} to {n['axis']}"
         print(f"  {what}: {n['value']:.4f} +- {n['ci95']:.4f}")
     print("  noise: " + ", ".join(f"{axis} {value:.3g}" for axis, value in found["noise"].items()))
-    scale = ", ".join(f"{value:.4f}" for value in platform["scale"])
-    print(f"platform: delay {1e3 * platform['delay']:.3f} ms, scale {scale}, compliance {1e9 * platform['compliance']:.3g} nm/N")
+    scale = ", ".join(f"{value:.4f}" for value in platform["scale"] or ()) or "not measured"
+    gives = ", ".join(f"{1e9 * value:.3g}" for value in platform["compliance"])
+    print(f"platform: delay {1e3 * platform['delay']:.3f} ms, scale {scale}, compliance {gives} nm/N")
     print(f"{folder}: nominal.yaml, believed.yaml, dataset.yaml; next: hiltestbed diagnose {folder / 'dataset.yaml'}")
 
 

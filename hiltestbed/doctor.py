@@ -14,7 +14,6 @@ EXTRAS = {  # optional package to what it is for and the extra that brings it
     "nptdms": ("TDMS data", "tdms"),
     "mcap": ("MCAP data", "mcap"),
     "distributed": ("campaigns on a cluster", "cluster"),
-    "SALib": ("Sobol indices", "sensitivity"),
     "pandas": ("to_pandas()", "pandas"),
     "xarray": ("to_xarray()", "xarray"),
     "fmpy": ("FMUs", "fmi"),

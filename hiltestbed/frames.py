@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
 
+TINY = 1e-300  # a quaternion of overflown numbers may have no length at all
 SMALL_ANGLE = 1e-4  # [rad] below it sin(a)/a is taken from its series, whose next term is a^4/120 < 1e-18
 
 
@@ -86,7 +87,7 @@ def rotation_vector(q, out):
     """``out``: the rotation vector [rad] of ``q``, shorter way round."""
     s = math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2])
     sign = 1.0 if q[3] >= 0.0 else -1.0
-    scale = 2.0 * sign / abs(q[3]) if s < 1e-12 else 2.0 * math.atan2(s, abs(q[3])) / s * sign
+    scale = 2.0 * sign / max(abs(q[3]), s, TINY) if s < 1e-12 else 2.0 * math.atan2(s, abs(q[3])) / s * sign
     out[0] = scale * q[0]
     out[1] = scale * q[1]
     out[2] = scale * q[2]

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hiltestbed.errors import MissingExtra
-from hiltestbed.signals import GROUPS, RunTrace, about_column
+from hiltestbed.signals import RunTrace, about_column
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -25,7 +25,8 @@ def trace_to_pandas(trace: RunTrace) -> Any:
         raise MissingExtra("to_pandas()", "pandas") from None
     columns = trace.columns()
     frame = pd.DataFrame({name: values for name, values in columns.items() if name != "t"}, index=pd.Index(columns["t"], name="t"))
-    frame.attrs = {"index": about_column("t"), "columns": {name: about_column(name) for name in frame.columns}}
+    about = trace.about()
+    frame.attrs = {"index": about.pop("t"), "columns": about}
     return frame
 
 
@@ -37,19 +38,20 @@ def trace_to_xarray(trace: RunTrace) -> Any:
         raise MissingExtra("to_xarray()", "xarray") from None
     variables: dict[str, Any] = {"contact": ("t", trace.contact, {"units": "1", "long_name": about_column("contact")["meaning"]})}
     coordinates: dict[str, Any] = {"t": ("t", trace.t, {"units": "s", "long_name": about_column("t")["meaning"]})}
-    for name, array in trace.data.items():
-        group = GROUPS[name]
+    for group in trace.groups():
+        name = group.name
         axis = f"{name}_part"
         units = list(dict.fromkeys(group.units))
         about = {"units": units[0] if len(units) == 1 else list(group.units), "frame": group.frame, "long_name": group.meaning}
-        variables[name] = (("t", axis), array, about)
+        variables[name] = (("t", axis), trace[name], about)
         coordinates[axis] = (axis, list(group.parts), {"units": list(group.units)})
     return xr.Dataset(variables, coordinates)
 
 
 def plot_trace(trace: RunTrace, names: Sequence[str], axes: Axes | None) -> Axes:
     """Columns or groups over time in one set of axes, contacts shaded."""
-    columns = [column for name in names for column in (GROUPS[name].columns if name in trace.data else (name,))]
+    groups = {group.name: group for group in trace.groups()}
+    columns = [column for name in names for column in (groups[name].columns if name in groups else (name,))]
     values = [trace[column] for column in columns]  # an unknown column is refused before anything is drawn
     if axes is None:
         import matplotlib.pyplot as plt
@@ -58,7 +60,7 @@ def plot_trace(trace: RunTrace, names: Sequence[str], axes: Axes | None) -> Axes
     shade_contacts(axes, trace.t, trace.contact)
     for i, (column, value) in enumerate(zip(columns, values, strict=True)):
         axes.plot(trace.t, value, label=column, color=PALETTE[i % len(PALETTE)], linewidth=1.4)
-    units = list(dict.fromkeys(about_column(column)["unit"] for column in columns))
+    units = list(dict.fromkeys(trace.about()[column]["unit"] for column in columns))
     axes.set(xlabel="time [s]", ylabel=f"[{', '.join(units)}]")
     axes.legend(loc="best", fontsize=8)
     return axes
@@ -68,4 +70,4 @@ def shade_contacts(axes: Axes, t: np.ndarray, contact: np.ndarray) -> None:
     """Shade the times ``t`` ``(rows,)`` [s] in which ``contact`` ``(rows,)`` holds."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], contact, [False]]).astype(np.int8)))
     for start, end in zip(edges[::2], edges[1::2], strict=True):
-        axes.axvspan(t[start], t[min(end, len(t) - 1)], color="#e9edf1", zorder=0)
+        axes.axvspan(float(t[start]), float(t[min(end, len(t) - 1)]), color="#e9edf1", zorder=0)

@@ -33,6 +33,8 @@ def delay_ledger(scenario: Scenario, figures: ContactFigures) -> list[Delay]:
     if scenario.rig.platform.physical:  # no loop: the bodies themselves move
         return [Delay("total", 0.0, 0.0)]
     delays = [*_sensor(scenario, w), *_compensation(scenario), ("coupling", 0.0), *_effects(scenario, w, "dynamics")]
+    if scenario.numerical_model.ticks_late:
+        delays.append((f"numerical_model.{scenario.numerical_model.kind}", scenario.numerical_model.ticks_late * scenario.tick))
     if scenario.rig.platform.tracking == "servo":
         delays.append(("platform.servo", figures.tracking_delay or 0.0))
     elif by_link(scenario.effects, "platform"):
@@ -42,6 +44,13 @@ def delay_ledger(scenario: Scenario, figures: ContactFigures) -> list[Delay]:
     delays.append(("total", sum(delay for _, delay in delays)))
     k = scenario.mechanism.contact.stiffness
     return [Delay(source, delay, 0.0 - k * delay) for source, delay in delays]
+
+
+def force_path_delay(scenario: Scenario, compensated: bool) -> float:
+    """How late [s] the force is that drives the numerical model: sensor and effects, less what the compensation takes out."""
+    w = contact_frequency(scenario)
+    parts = [*_sensor(scenario, w), *_effects(scenario, w, "dynamics"), *(_compensation(scenario) if compensated else ())]
+    return sum(delay for _, delay in parts)
 
 
 def _sensor(scenario: Scenario, w: float) -> Iterator[tuple[str, float]]:

@@ -22,7 +22,6 @@ from hiltestbed.contact.phases import Phases
 from hiltestbed.frames import Array
 from hiltestbed.identification.settings import IDENTIFIERS
 from hiltestbed.metrics import Tally
-from hiltestbed.numerical_model.model import NumericalModel
 from hiltestbed.outcome import Outcomes
 from hiltestbed.platform.free_motion import FreeMotion
 from hiltestbed.platform.plant import Plant
@@ -48,6 +47,8 @@ class RigSide(Protocol):
     upper_act: Array
     diverged: NDArray[np.bool_]
     phases: Phases | None
+    units: tuple[str, ...]
+    physical: bool
 
     def divergence(self, i: int) -> str: ...
     def payload_left(self, i: int) -> dict[str, float] | None: ...
@@ -100,8 +101,10 @@ class Loop:
         self.identification = IDENTIFIERS[scenarios[0].identification.kind].start(scenarios)
         if self.identification:
             self.identification.source.captured = self.plant.captured
+            if self.plant.phases is not None:
+                self.identification.source.steps = self.plant.phases.begun
         self.dead_zone = InputDeadZone(scenarios)
-        self.model = NumericalModel(scenarios)
+        self.model = scenarios[0].numerical_model.start(scenarios)
         self.drive: Drive = FreeMotion(scenarios, self.plant) if self.plant.physical else make_drive(scenarios, self.model)
         self.motion = MotionCommand(scenarios)
         self.tally = Tally(scenarios)

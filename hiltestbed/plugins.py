@@ -154,6 +154,9 @@ def load(modules: Sequence[str] = ()) -> None:
         os.environ[ENVIRONMENT] = os.pathsep.join([*filter(None, os.environ.get(ENVIRONMENT, "").split(os.pathsep)), name])
 
 
+load_plugins = load  # its name beside the others of the package
+
+
 def _absolute(name: str) -> str:
     """A .py file by its whole path, so that it is found from any folder and loaded once."""
     return str(Path(name).resolve()) if name.endswith(".py") else name

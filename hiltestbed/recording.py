@@ -1,4 +1,4 @@
-"""The run folder: scenario.yaml, summary.json, trace.parquet, recording.rrd. A folder that exists is complete."""
+"""The run folder: scenario.yaml, summary.json, trace.parquet, report.html, recording.rrd. A folder that exists is complete."""
 
 from __future__ import annotations
 
@@ -103,6 +103,9 @@ def write_run(run: Run, path: str | Path, *, rerun: bool = True) -> Path:
                 from hiltestbed.viewer import write_recording
 
                 write_recording(folder / RECORDING, run)
+        from hiltestbed.run_report import REPORT, write_run_report
+
+        write_run_report(run, folder / REPORT)
         if run.failure is not None:
             np.savez(folder / FAILURE, **flatten(run.failure))  # type: ignore[arg-type]
     return path

@@ -19,15 +19,18 @@ _PAGE = Environment(autoescape=True).from_string("""<!doctype html>
 <title>{{ title }}</title>
 <style>
 :root { color-scheme: light; --ink: #1b2530; --soft: #5b6b7a; --line: #d9e0e6; --accent: #0b6e99; --paper: #ffffff; --shade: #f4f7f9 }
-body { font: 15px/1.55 system-ui, sans-serif; color: var(--ink); background: var(--paper); max-width: 62rem; margin: 2rem auto;
-  padding: 0 1rem }
+body { font: 15px/1.55 system-ui, sans-serif; color: var(--ink); background: var(--paper); max-width: 72rem; margin: 2rem auto;
+  padding: 0 1rem; overflow-wrap: anywhere }
 h1 { font-size: 1.7rem; margin-bottom: .2rem } h2 { margin-top: 2.2rem; border-bottom: 1px solid var(--line); padding-bottom: .2rem }
 p.lead { font-size: 1.15rem; border-left: 4px solid var(--accent); padding: .3rem .9rem; background: var(--shade) }
 table { border-collapse: collapse; margin: 1rem 0; font-variant-numeric: tabular-nums } th, td { padding: .25rem .7rem; text-align: right }
 th { background: var(--shade); border-bottom: 2px solid var(--line) } td { border-bottom: 1px solid var(--line) }
 th:first-child, td:first-child { text-align: left } figure { margin: 1.2rem 0 } figure img { max-width: 100% }
-figcaption, .soft { color: var(--soft); font-size: .92rem } pre { background: var(--shade); padding: .6rem .9rem; overflow-x: auto }
-.scroll { overflow-x: auto }
+figcaption, .soft { color: var(--soft); font-size: .92rem } pre { background: var(--shade); padding: .6rem .9rem; white-space: pre-wrap }
+.scroll { overflow-x: auto } th { overflow-wrap: normal; vertical-align: bottom } td { overflow-wrap: break-word; max-width: 22rem }
+p.warning { border-left: 4px solid #d55e00; padding: .3rem .9rem; background: #fdf3ec }
+@media (max-width: 40rem) { body { font-size: 14px; margin: .5rem auto } h1 { font-size: 1.35rem }
+  th, td { padding: .2rem .35rem; font-size: 12px } }
 </style></head><body><h1>{{ title }}</h1>{% for part in parts %}{{ part }}{% endfor %}</body></html>
 """)
 
@@ -48,6 +51,14 @@ class Report:
 
     def text(self, text: str) -> None:
         self._parts.append(Markup("<p>{}</p>").format(text))
+
+    def warning(self, text: str) -> None:
+        """What must not be overlooked."""
+        self._parts.append(Markup('<p class="warning"><b>Warning:</b> {}</p>').format(text))
+
+    def items(self, texts: Sequence[str]) -> None:
+        """A list."""
+        self._parts.append(Markup("<ul>{}</ul>").format(Markup("").join(Markup("<li>{}</li>").format(text) for text in texts)))
 
     def code(self, text: str) -> None:
         self._parts.append(Markup("<pre>{}</pre>").format(text))

@@ -120,7 +120,7 @@ class RunTrace(dict[str, Array]):
         """``joints``: units of the platform's driven joints."""
         self.t, self.data, self.contact, self.joints = t, data, contact, joints
         super().__init__(t=t)
-        for group in self._groups():
+        for group in self.groups():
             self |= {column: data[group.name][:, j] for j, column in enumerate(group.columns)}
         self["contact"] = contact
 
@@ -142,10 +142,11 @@ class RunTrace(dict[str, Array]):
     def _repr_html_(self) -> str:
         from hiltestbed.notebook import html_table
 
-        rows = [(g.name, ", ".join(g.parts), ", ".join(dict.fromkeys(g.units)), g.frame, g.meaning) for g in self._groups()]
+        rows = [(g.name, ", ".join(g.parts), ", ".join(dict.fromkeys(g.units)), g.frame, g.meaning) for g in self.groups()]
         return html_table(f"Trace of {len(self.t)} rows", ("group", "parts", "unit", "frame", "meaning"), rows)
 
-    def _groups(self) -> list[Group]:
+    def groups(self) -> list[Group]:
+        """The groups that it has, with the columns of its platform."""
         return [group for group in groups(self.joints).values() if group.name in self.data]
 
     def columns(self) -> dict[str, Array]:

@@ -5,11 +5,14 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from hiltestbed import plugins
-from hiltestbed.contact.truth import axis_truth
+from hiltestbed.budget import refuse_beyond, run_budget
+from hiltestbed.contact.truth import axis_truth, normal_truth
+from hiltestbed.errors import HiltestbedError
+from hiltestbed.identification.least_squares import RecursiveLeastSquares
 from hiltestbed.ledger import delay_ledger, predicted_log_error
 from hiltestbed.log import stamp_late
 from hiltestbed.loop import Loop
@@ -17,8 +20,10 @@ from hiltestbed.metrics import ContactFigures
 from hiltestbed.numerical_model.bodies import effective_mass
 from hiltestbed.result import Run
 from hiltestbed.scenario import Scenario, scenario_from, scenario_sha256
+from hiltestbed.sense import warnings
 from hiltestbed.signals import AXES, Trace
 from hiltestbed.snapshot import Snapshot, Snapshots
+from hiltestbed.stability import stability
 from hiltestbed.versions import versions
 
 Progress = Callable[[int, int], None]
@@ -43,8 +48,10 @@ class Batch:
 
 
 def run(scenario: Scenario, progress: Progress | None = None, nthread: int = 1) -> Run:
-    """Run one scenario, with its trace and its reference."""
-    return run_batch([scenario], trace=True, progress=progress, nthread=nthread)[0]
+    """Run one scenario, with its trace, its reference, and whether its loop is stable in a contact."""
+    done = run_batch([scenario], trace=True, progress=progress, nthread=nthread)[0]
+    done.summary["stability"] = stability(scenario)
+    return done
 
 
 def run_batch(
@@ -73,13 +80,21 @@ def simulate(
 ) -> Batch:
     """Drive the loop to its end; ``until_parted`` ends it when every run's rebound speed is known."""
     ticks = max(s.ticks for s in scenarios)
+    budget = run_budget(scenarios, rows=trace is True)
+    refuse_beyond(replace(budget, time=0.0, disk=0.0), scenarios[0].name, "a shorter duration, a lower rate or shorter delays need less")
     loop = Loop(scenarios, nthread)
     rows = trace(loop) if callable(trace) else Trace(ticks, len(scenarios), scenarios[0].rate, loop.plant.units) if trace else None
     snapshots = Snapshots(loop)
     start = 0.0
     while loop.k < ticks and loop.alive.any():
         snapshots.keep()
-        loop.step(rows)
+        try:
+            loop.step(rows)
+        except ZeroDivisionError:  # numbers so far from any rig that they have no ratio
+            if len(scenarios) > 1:
+                raise HiltestbedError("a run of the batch divided by zero; each alone says which") from None
+            loop.trouble[0] = (max(loop.k - 1, 0), "diverged", "a quantity reached zero or overflowed where it divides")
+            loop.alive[:] = False
         if loop.trouble:
             snapshots.failures()
         if loop.k == 1:  # the first tick may have compiled the blocks: it is not timed
@@ -111,7 +126,7 @@ def collected(loop: Loop, rows: Any, wall: float, failures: dict[int, Snapshot])
         figures=[loop.tally.figures(i) for i in range(len(scenarios))],
         trouble=loop.trouble,
         identification=[_identified(loop, i) for i in range(len(scenarios))],
-        outcomes=[loop.outcomes.summary(i) | _capture(loop, i) for i in range(len(scenarios))],
+        outcomes=[loop.outcomes.summary(i) | _capture(loop, i) | _along_normal(loop, i) for i in range(len(scenarios))],
         payload=[loop.plant.payload_left(i) for i in range(len(scenarios))],
         ticks=loop.k,
         wall=wall,
@@ -138,7 +153,7 @@ def reference_scenario(scenario: Scenario) -> Scenario:
 
 def _identified(loop: Loop, i: int) -> dict[str, Any]:
     """Per axis: stiffness and damping identified, None where the axis gave no estimate, and the truth where there is one."""
-    truth = axis_truth(loop.scenarios[i])
+    truth = axis_truth(loop.scenarios[i], bool(loop.plant.captured[i]))
     estimate = loop.identification
     out = {}
     for j, axis in enumerate(AXES):
@@ -151,6 +166,17 @@ def _identified(loop: Loop, i: int) -> dict[str, Any]:
             "samples": int(estimate.samples[i, j]) if estimate else 0,
         }
     return out
+
+
+def _along_normal(loop: Loop, i: int) -> dict[str, Any]:
+    """What was identified along the normal of the contact, of a mechanism whose surfaces are not one plane, before it is latched."""
+    estimate, mechanism = loop.identification, loop.scenarios[i].mechanism
+    if not isinstance(estimate, RecursiveLeastSquares) or mechanism.flat or mechanism.captured:
+        return {}
+    k, c, k_sd, c_sd, samples = (_number(v) for v in estimate.along_normal[i])
+    truth = normal_truth(loop.scenarios[i]) or (None, None)
+    found = {"stiffness": k, "damping": c, "stiffness_sd": k_sd, "damping_sd": c_sd, "samples": int(samples or 0)}
+    return {"identification_normal": found | {"stiffness_true": truth[0], "damping_true": truth[1]}}
 
 
 def _capture(loop: Loop, i: int) -> dict[str, Any]:
@@ -202,6 +228,7 @@ def concluded(batch: Batch, cor_reference: float | None, i: int) -> Run:
         "tracking_compliance": figures.tracking_compliance,
         "payload_left": batch.payload[i],
         **batch.outcomes[i],
+        "warnings": list(warnings(scenario)),
         "delay_ledger": [vars(entry) for entry in ledger],
         "identification": batch.identification[i],
         "timing": {

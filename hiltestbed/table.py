@@ -13,6 +13,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from hiltestbed.assessment import assess
+from hiltestbed.errors import printable
 
 if TYPE_CHECKING:
     from hiltestbed.doctor import Finding
@@ -114,6 +115,10 @@ def _figures(summary: dict[str, Any], elapsed: float | None) -> Table:
     if log_error is not None:
         table.add_row("  ln of the ratio", f"{log_error:+.4f}", _error_note(summary))
     table.add_row("energy made by the rig", _number(summary["energy_generated"], 4, "J"), assess(summary).energy)
+    stability = summary.get("stability")
+    if stability:
+        judged = {True: "stable", False: "unstable", None: "not judged"}[stability["stable"]]
+        table.add_row("the loop in contact", judged, stability["verdict"].removeprefix(f"{judged}: ").removeprefix(f"{judged} "))
     table.add_row("peak force", _number(summary["peak_force"], 4, "N"), "")
     table.add_row(
         "contact time", _number(summary["contact_duration"], 4, "s"), "" if summary["contact_duration"] else "the ports did not touch"
@@ -169,7 +174,9 @@ def _identified(axes: dict[str, dict[str, Any]]) -> Table:
 
 
 def _table(title: str, header: bool = True) -> Table:
-    return Table(title=escape(title), title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, show_header=header, pad_edge=False)
+    return Table(
+        title=escape(printable(title)), title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, show_header=header, pad_edge=False
+    )
 
 
 def _against(value: float | None, true: float | None) -> tuple[str, str, str]:

@@ -190,16 +190,6 @@ def description_of(model: type[BaseModel], data: Any, path: KeyPath) -> str:
     return (field.description or "") if field is not None else ""
 
 
-def unit_of(model: Any, key: str) -> str:
-    """The unit of a dotted key, as the description of its field has it in brackets, or nothing."""
-    description = ""
-    for part in key.split("."):
-        found = _pick(model, {})
-        if found is not None and part in found.model_fields:
-            model, description = _annotation(found, part), found.model_fields[part].description or ""
-    return description.partition("[")[2].partition("]")[0]
-
-
 def _annotation(model: type[BaseModel], key: str) -> Any:
     """The annotation of a field with what stands beside it; None where there is no such field."""
     field = model.model_fields.get(key)

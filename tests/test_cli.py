@@ -179,8 +179,13 @@ def test_a_folder_that_cannot_be_written_is_said(folder: Path, call) -> None:
 
 def test_check_knows_the_kind_of_a_file_by_its_keys(folder: Path, call) -> None:
     status, out, _ = call("check", "s.yaml", "c.yaml", "d.yaml")
-    assert status == 0
-    assert out.splitlines() == ["s.yaml: scenario: no faults", "c.yaml: campaign: no faults", "d.yaml: dataset: no faults"]
+    lines = out.splitlines()
+    assert status == 2  # the data of the dataset are opened, and hold one row
+    assert lines[0] == "s.yaml: scenario: no faults"
+    assert lines[2].startswith("s.yaml: stable: net damping")
+    assert lines[3] == "c.yaml: campaign: no faults"
+    assert all(" of memory, " in lines[k] for k in (1, 4))
+    assert "run.csv" in lines[5]
 
 
 def test_check_follows_a_campaign_and_a_dataset_into_their_scenario(folder: Path, call) -> None:
@@ -296,3 +301,15 @@ def test_doctor_finds_what_is_needed(folder: Path, call) -> None:
     assert (status, told["healthy"]) == (0, True)
     assert {"mujoco", "cores", "compiled kernels", "plugins"} <= {finding["what"] for finding in told["findings"]}
     assert "mujoco" in call("doctor")[1]
+
+
+def test_a_shell_completes_shipped_names_and_files(folder: Path) -> None:
+    assert cli._complete("02") == ["02-bumper"]
+    assert cli._complete("s.") == ["s.yaml"]
+    assert "delay-stiffness" in cli._complete("d")
+
+
+def test_a_run_that_gains_energy_is_warned_of_and_one_that_does_not_is_not(folder: Path, call) -> None:
+    assert "faster than the approach" in call("run", "s.yaml", "--no-rerun", "--out", "late", "--set", "sensor.delay=0.01",
+        "--set", "compensation.force={kind: none}")[1]  # fmt: skip
+    assert "warning" not in call("run", "s.yaml", "--no-rerun", "--out", "right")[1]

@@ -31,8 +31,13 @@ def right() -> hiltestbed.Run:
     return hiltestbed.run(hiltestbed.load_scenario(hiltestbed.shipped("scenarios") / "04-bumper-delay-compensated.yaml", OVERRIDES))
 
 
+def trace_of(run: hiltestbed.Run) -> hiltestbed.RunTrace:
+    assert run.trace is not None
+    return run.trace
+
+
 def test_reprs_are_a_line(late: hiltestbed.Run) -> None:
-    for thing in (late, late.trace, hiltestbed.compare([late, late])):
+    for thing in (late, trace_of(late), hiltestbed.compare([late, late])):
         assert len(repr(thing)) < 300
         assert "\n" not in repr(thing)
         html = thing._repr_html_()
@@ -42,8 +47,7 @@ def test_reprs_are_a_line(late: hiltestbed.Run) -> None:
 
 
 def test_columns_by_name(late: hiltestbed.Run) -> None:
-    trace = late.trace
-    assert trace is not None
+    trace = trace_of(late)
     for group in GROUPS.values():
         assert trace[group.name].shape == (len(trace["t"]), len(group.parts))
         for j, column in enumerate(group.columns):
@@ -62,7 +66,7 @@ def test_columns_by_name(late: hiltestbed.Run) -> None:
 
 def test_pandas_keeps_columns_and_units(late: hiltestbed.Run) -> None:
     pd = pytest.importorskip("pandas")
-    trace = late.trace
+    trace = trace_of(late)
     assert list(pd.DataFrame(trace).columns) == list(trace)
     frame = late.to_pandas()
     assert frame.index.name == "t"
@@ -77,7 +81,7 @@ def test_xarray_keeps_groups_and_units(late: hiltestbed.Run) -> None:
     assert dataset["stiffness_est"].attrs["units"] == ["N/m"] * 3 + ["N m/rad"] * 3
     assert dataset["slider_act"].attrs["units"] == "m"
     picked = dataset["wrench_true"].sel(wrench_true_part="fz")
-    np.testing.assert_array_equal(picked.values, late.trace["wrench_true.fz"])
+    np.testing.assert_array_equal(picked.values, trace_of(late)["wrench_true.fz"])
 
 
 def test_plot_returns_axes_with_what_was_asked(late: hiltestbed.Run) -> None:
@@ -101,7 +105,7 @@ def test_the_verdict_on_energy_follows_the_number(late: hiltestbed.Run, right: h
     assert wrong.passive is False
     assert "gained" in wrong.energy
     assert any("faster than the approach" in text for text in wrong.warnings)
-    trace = late.trace
+    trace = trace_of(late)
     taken = float(np.trapezoid(trace["wrench_true.fz"], trace["pose_act.pz"])) / late.summary["approach_energy"]
     assert energy_share(late.summary) == pytest.approx(late.summary["cor"] ** 2 - 1.0 + taken, rel=0.01)
     assert abs(energy_share(right.summary) or 0.0) <= NEUTRAL

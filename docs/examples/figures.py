@@ -12,8 +12,8 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import hiltestbed
-from hiltestbed.diagnosis.output.pictures import EXTENDED, MEASURED, NOMINAL, force_against_penetration, heldout_bars
-from hiltestbed.diagnosis.output.result import Diagnosis, Series
+from hiltestbed.diagnosis.report.pictures import EXTENDED, MEASURED, NOMINAL, force_against_penetration, heldout_bars
+from hiltestbed.diagnosis.result import Diagnosis, Series
 from hiltestbed.report import new_figure
 
 HERE = Path(__file__).resolve().parent

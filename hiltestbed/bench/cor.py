@@ -199,12 +199,13 @@ def leaderboard(records: Sequence[dict[str, Any]], costs: dict[tuple[str, str], 
     for name, contact in dict.fromkeys((r["method"], r["contact"]) for r in records):
         mine = [r for r in records if (r["method"], r["contact"]) == (name, contact)]
         exact = [r for r in mine if r["delay_knowledge"] == "exact" and r["tracking"] == "ideal"]
-        row: dict[str, Any] = {"method": name, "contact": contact, "largest_log_error": _largest(exact)}
-        for limit in (0.26, 0.51, 1.01):
-            row[f"to_w_tau_{limit - 0.01:.2f}"] = _largest([r for r in exact if r["w_tau"] <= limit])
-        row["servo"] = _largest([r for r in mine if r["tracking"] == "servo"])
-        row["delay_off"] = _largest([r for r in mine if r["delay_knowledge"] == "off"])
-        row["delay_jitter"] = _largest([r for r in mine if r["delay_knowledge"] == "jitter"])
+        groups = {"largest_log_error": exact}
+        groups |= {f"to_w_tau_{limit:.2f}": [r for r in exact if r["w_tau"] <= limit + 0.01] for limit in (0.25, 0.5, 1.0)}
+        groups["servo"] = [r for r in mine if r["tracking"] == "servo"]
+        groups["delay_off"] = [r for r in mine if r["delay_knowledge"] == "off"]
+        groups["delay_jitter"] = [r for r in mine if r["delay_knowledge"] == "jitter"]
+        row: dict[str, Any] = {"method": name, "contact": contact, "runs": {key: len(group) for key, group in groups.items()}}
+        row |= {key: _largest(group) for key, group in groups.items()}
         row["energy_created"] = max(r["energy_generated"] / r["energy_of_approach"] for r in exact)
         row["peak_force_error"] = max(abs(r["peak_force_error"]) for r in exact)
         row["stable"] = sum(r["stable"] for r in exact) / len(exact)

@@ -19,7 +19,9 @@ COLUMNS = (
     ("delay_off", "delay off 20 %"),
     ("delay_jitter", "delay jitters"),
 )
-SMALLEST, LARGEST = 1e-4, 1.0  # |ln e/e_ref| at the ends of the colour scale
+SMALLEST, LARGEST = 1e-3, 1.0  # |ln e/e_ref| at the ends of the colour scale
+NOTHING = 5e-4  # what rounds to 0.000 is neither too fast nor too slow
+COLORS = "RdBu_r"
 
 
 def cor_report(records: Sequence[dict[str, Any]], summary: dict[str, Any]) -> Report:
@@ -35,7 +37,10 @@ def cor_report(records: Sequence[dict[str, Any]], summary: dict[str, Any]) -> Re
     report.heading("Over the grid")
     report.figure(_heat_maps(records), "ln(e/e_ref) with ideal tracking and the delay known; the largest over the damping ratios.")
     report.heading("Where the rig becomes active")
-    report.figure(_boundary(summary["boundary"]), "e over frequency and delay at a damping ratio of 0.05; black: e = 1.")
+    report.figure(
+        _boundary(summary["boundary"]),
+        "ln e over delay and the frequency of the contact, of k = mu (2 pi f)^2, at a damping ratio of 0.05; black: e = 1.",
+    )
     report.text(
         "Orange: the delay at which a closed contact becomes unstable, tau = atan(c w_c/k)/w_c with "
         "w_c^2 = (c^2 + sqrt(c^4 + 4 mu^2 k^2))/(2 mu^2); a bounce reaches e = 1 there to first order."
@@ -48,55 +53,76 @@ def _leaderboard(report: Report, board: Sequence[dict[str, Any]]) -> None:
     header = ["method", "contact", *(title for _, title in COLUMNS), "energy / approach", "peak force", "e <= 1", "us a sim-tick"]
     rows = []
     for row in board:
-        cells = [_error(row[key]) for key, _ in COLUMNS]
+        cells = [_error(row, key) for key, _ in COLUMNS]
         rest = [f"{row['energy_created']:+.3f}", f"{100 * row['peak_force_error']:.1f} %", f"{100 * row['stable']:.0f} %"]
         rows.append([row["method"], row["contact"], *cells, *rest, f"{row['cost']:.1f}"])
     report.table(
         header,
         rows,
-        "Largest |ln(e/e_ref)| over the grid. Ideal tracking and the delay known unless the column says otherwise; a dash: not measured, "
-        "or a run without a rebound. Energy that the rig created, largest, over the energy of approach; largest error of the peak force.",
+        "Largest |ln(e/e_ref)| over the grid. Ideal tracking and the delay known unless the column says otherwise; a dash: not measured; "
+        "none: some contact of the grid gave no rebound, the method is unstable there. "
+        "Energy that the rig created, largest, over the energy of approach; largest error of the peak force.",
     )
 
 
-def _error(value: float | None) -> str:
-    return "-" if value is None else f"{value:.4f}"
+def _error(row: dict[str, Any], key: str) -> str:
+    """The largest error; a dash where nothing was measured under the condition, `none` where a run gave no rebound."""
+    value = row[key]
+    return f"{value:.4f}" if value is not None else "none" if row["runs"][key] else "-"
 
 
 def _heat_maps(records: Sequence[dict[str, Any]]):
+    """A map a method, on one colour scale: cells say the number, and stay white where it rounds to nothing."""
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import SymLogNorm
+
     exact = [r for r in records if r["delay_knowledge"] == "exact" and r["tracking"] == "ideal"]
     methods = list(dict.fromkeys((r["method"], r["contact"]) for r in exact))
     frequencies, delays = (sorted({r[key] for r in exact}) for key in ("frequency", "delay"))
     columns = 4
     lines = math.ceil(len(methods) / columns)
-    figure, axes = new_figure(13, 2.6 * lines, nrows=lines, ncols=columns, squeeze=False)
+    figure, axes = new_figure(13, 2.7 * lines, nrows=lines, ncols=columns, squeeze=False)
+    norm = SymLogNorm(SMALLEST, vmin=-LARGEST, vmax=LARGEST, base=10)
     for axis in axes.flat[len(methods) :]:
         axis.axis("off")
     for axis, (name, contact) in zip(axes.flat, methods, strict=False):
-        values = np.full((len(frequencies), len(delays)), np.nan)
-        for r in exact:
-            if (r["method"], r["contact"]) == (name, contact) and r["cor_log_error"] is not None:
-                i, j = frequencies.index(r["frequency"]), delays.index(r["delay"])
-                if not abs(values[i, j]) > abs(r["cor_log_error"]):
-                    values[i, j] = r["cor_log_error"]
-        _heat_map(axis, values, frequencies, delays)
+        mine = [r for r in exact if (r["method"], r["contact"]) == (name, contact)]
+        _heat_map(axis, worst_errors(mine, frequencies, delays), norm, frequencies, delays)
         axis.set_title(f"{name}, {contact}", fontsize=9)
+    bar = figure.colorbar(ScalarMappable(norm, COLORS), ax=axes, extend="both", shrink=0.6, aspect=40)
+    bar.set_label("ln(e/e_ref); red: too fast a rebound, blue: too slow; grey: no rebound", fontsize=8)
     return figure
 
 
-def _heat_map(axis, values: np.ndarray, frequencies: Sequence[float], delays: Sequence[float]) -> None:
-    from matplotlib.colors import SymLogNorm
+def worst_errors(records: Sequence[dict[str, Any]], frequencies: Sequence[float], delays: Sequence[float]) -> np.ndarray:
+    """``(frequencies, delays)`` the error of largest magnitude over the damping ratios; NaN where a contact gave no rebound."""
+    values = np.zeros((len(frequencies), len(delays)))
+    for r in records:
+        i, j = frequencies.index(r["frequency"]), delays.index(r["delay"])
+        if r["cor_log_error"] is None or np.isnan(values[i, j]):
+            values[i, j] = np.nan
+        elif abs(r["cor_log_error"]) > abs(values[i, j]):
+            values[i, j] = r["cor_log_error"]
+    return values
 
-    norm = SymLogNorm(SMALLEST, vmin=-LARGEST, vmax=LARGEST)
-    axis.imshow(values, norm=norm, cmap="RdBu_r", origin="lower", aspect="auto")
+
+def _heat_map(axis, values: np.ndarray, norm: Any, frequencies: Sequence[float], delays: Sequence[float]) -> None:
+    axis.imshow(np.where(np.abs(values) < NOTHING, 0.0, values), norm=norm, cmap=COLORS, origin="lower", aspect="auto")
+    axis.set_facecolor("#c8ced4")
     for (i, j), value in np.ndenumerate(values):
-        text = "-" if np.isnan(value) else f"{value:+.3f}"
         strong = not np.isnan(value) and abs(value) > 0.05
-        axis.text(j, i, text, ha="center", va="center", fontsize=7, color="white" if strong else "black")
+        axis.text(j, i, cell_text(value), ha="center", va="center", fontsize=7, color="white" if strong else "black")
     axis.set_xticks(range(len(delays)), [f"{1e3 * d:g}" for d in delays], fontsize=7)
     axis.set_yticks(range(len(frequencies)), [f"{f:g}" for f in frequencies], fontsize=7)
     axis.set_xlabel("delay [ms]", fontsize=7)
     axis.set_ylabel("frequency [Hz]", fontsize=7)
+
+
+def cell_text(value: float) -> str:
+    """A cell's number with its sign; 0 without one where it rounds to nothing."""
+    if np.isnan(value):
+        return "none"
+    return "0" if abs(value) < NOTHING else f"{value:+.3f}"
 
 
 def _boundary(boundary: dict[str, Any]):
@@ -111,9 +137,13 @@ def _boundary(boundary: dict[str, Any]):
         if (e > 1.0).any() and (e < 1.0).any():
             axis.contour(frequency, delay, e.T, levels=[1.0], colors="black")
         axis.plot(frequency, limit, color="tab:orange", linestyle="--", linewidth=2)
-        axis.set(xscale="log", yscale="log", xlabel="contact frequency [Hz], of k = mu (2 pi f)^2", title=name, ylim=(delay[0], delay[-1]))
+        axis.set(xscale="log", yscale="log", xlabel="contact frequency [Hz]", title=name, ylim=(delay[0], delay[-1]))
+        axis.set_xticks([1, 2, 4, 8], ["1", "2", "4", "8"])
+        axis.set_yticks([1, 2, 5, 10, 20, 30], ["1", "2", "5", "10", "20", "30"])
+        axis.minorticks_off()
+        axis.set(xlim=(frequency[0], frequency[-1]), ylim=(delay[0], delay[-1]))
     axes[0].set_ylabel("delay [ms]")
-    figure.colorbar(mesh, ax=axes, label="ln e")
+    figure.colorbar(mesh, ax=axes, label="ln e", extend="both")
     return figure
 
 

@@ -16,6 +16,7 @@ _FIGURES = (
     "cor_log_error",
     "cor_log_error_predicted",
     "approach_speed",
+    "approach_energy",
     "rebound_speed",
     "energy_generated",
     "peak_force",

@@ -2,54 +2,147 @@
 
 from __future__ import annotations
 
+import textwrap
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from hiltestbed.campaign.boundary import applies, margin
+from hiltestbed.campaign.choices import Choice
 from hiltestbed.campaign.schema import LoadedCampaign, Variation
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array
+from hiltestbed.labelled import PALETTE
 from hiltestbed.report import new_figure
-from hiltestbed.scenario import Scenario, scenario_from
-from hiltestbed.validation import unit_of
+from hiltestbed.scenario import Scenario, resolved, scenario_from
+from hiltestbed.validation import description_of
+from hiltestbed.yaml_source import key_path
 
 HARMLESS = ("approach.gap", "approach.velocity", "sensor.noise", "sensor.torque_noise", "identification", "seed", "duration", "name")
+RIGHT = 0.01  # |ln(e/e_ref)| up to which colours go linearly: 1 % of the rebound speed
 MESH = 24  # points a side at which the boundary is judged
+BANDS = 16  # parts of a key over which a band is drawn
+MARGINAL_CHOICES = 6  # lines that can be told apart in one picture
 
 
 UNITS = {"energy_generated": "J", "peak_force": "N", "contact_duration": "s", "tracking_error": "m"}
 
 
-def heat_map(campaign: LoadedCampaign, keys: tuple[str, str], inputs: tuple[Array, Array], figures: dict[str, Array], name: str):
-    """The mean of figure `name` over two keys, `(n,)` each, with the boundary where it applies: (matplotlib figure, boundary drawn)."""
-    picture, axes = new_figure(8.0, 5.2)
-    (x_edges, x_log), (y_edges, y_log) = (_edges(campaign.spec.vary[key], values) for key, values in zip(keys, inputs, strict=True))
-    mean = _cell_means(inputs, (x_edges, y_edges), figures[name])
-    limit = float(np.quantile(np.abs(mean.compressed()), 0.98)) if mean.count() else 0.0
-    scale = {"vmin": -(limit or 1.0), "vmax": limit or 1.0, "cmap": "RdBu_r"} if name == "cor_log_error" else {"cmap": "viridis"}
-    mesh = axes.pcolormesh(x_edges, y_edges, mean.T, **scale)
-    picture.colorbar(mesh, ax=axes, label=with_unit(name))
-    axes.set(xlabel=with_unit(keys[0]), ylabel=with_unit(keys[1]))
-    axes.set(xscale="log" if x_log else "linear", yscale="log" if y_log else "linear")
-    drawn = _draw_boundary(axes, campaign, keys, (x_edges, y_edges), (x_log, y_log))
-    if drawn:
-        _draw_neutral(axes, (x_edges, y_edges), _cell_means(inputs, (x_edges, y_edges), figures["cor"]))
-        axes.set(xlim=(x_edges[0], x_edges[-1]), ylim=(y_edges[0], y_edges[-1]))
-        axes.legend(loc="upper right", title="the rig gives energy beyond")
-    return picture, drawn
+def heat_maps(
+    campaign: LoadedCampaign,
+    keys: tuple[str, str],
+    inputs: tuple[Array, Array],
+    figures: dict[str, Array],
+    name: str,
+    choices: Sequence[Choice],
+    worst: bool = False,
+):
+    """Figure `name` over two keys, `(n,)` each, a map a choice, on one colour scale: (matplotlib figure, boundary drawn).
+
+    A cell has the mean of its cases, or with ``worst`` the value of largest magnitude. The boundary is drawn where it applies.
+    """
+    columns = 2 if len(choices) == 4 else min(3, len(choices))
+    lines = -(-len(choices) // columns)
+    size = (8.0, 5.2) if len(choices) == 1 else (3.6 * columns + 1.0, 3.1 * lines)
+    picture, axes = new_figure(*size, nrows=lines, ncols=columns, squeeze=False, sharex=True, sharey=True)
+    spans = [_edges(campaign.spec.vary[key], values) for key, values in zip(keys, inputs, strict=True)]
+    (x_edges, x_log), (y_edges, y_log) = spans
+    edges = (x_edges, y_edges)
+    cells = [_cells((inputs[0][c.cases], inputs[1][c.cases]), edges, figures[name][c.cases], worst) for c in choices]
+    filled = np.concatenate([np.abs(cell.compressed()) for cell in cells])
+    limit = (float(np.quantile(filled, 0.98)) if filled.size else 0.0) or 1.0
+    lowest = min((float(cell.min()) for cell in cells if cell.count()), default=0.0)
+    scale: dict[str, Any] = {"vmin": lowest, "vmax": limit, "cmap": "cividis"}
+    if name == "cor_log_error":
+        from matplotlib.colors import SymLogNorm
+
+        limit = max(limit, 2.0 * RIGHT)
+        scale = {"norm": SymLogNorm(RIGHT, vmin=-limit, vmax=limit, base=10), "cmap": "RdBu_r"}
+    boundary = _boundary(campaign, keys, edges, (x_log, y_log))
+    for axis, choice, cell in zip(axes.flat, choices, cells, strict=False):
+        mesh = axis.pcolormesh(x_edges, y_edges, cell.T, **scale)
+        _scale(axis.xaxis, x_log, x_edges)
+        _scale(axis.yaxis, y_log, y_edges)
+        axis.set(xlim=(x_edges[0], x_edges[-1]), ylim=(y_edges[0], y_edges[-1]))
+        axis.set_title(textwrap.fill(choice.label, 34), fontsize=9)
+        if boundary is not None:
+            _draw_boundary(axis, *boundary)
+            _draw_neutral(
+                axis, edges, _cells((inputs[0][choice.cases], inputs[1][choice.cases]), edges, figures["cor"][choice.cases], False)
+            )
+    for axis in list(axes.flat)[len(choices) :]:
+        axis.set_visible(False)
+    for axis in list(axes.flat)[max(0, len(choices) - columns) : len(choices)]:  # those with nothing below them
+        axis.set_xlabel(with_unit(keys[0], campaign))
+        axis.tick_params(labelbottom=True)
+    for axis in axes[:, 0]:
+        axis.set_ylabel(with_unit(keys[1], campaign))
+    if boundary is not None:
+        axes[0, 0].legend(loc="upper right", title="the rig gives energy beyond", fontsize=8)
+    picture.colorbar(mesh, ax=axes, label=with_unit(name), extend="both" if filled.size and filled.max() > limit else "neither")
+    return picture, boundary is not None
 
 
-def with_unit(name: str) -> str:
-    """A figure or a scenario key with its unit in brackets, where it has one."""
-    unit = UNITS.get(name) or unit_of(Scenario, name)
-    return f"{name} [{unit}]" if unit else name
+def marginals(campaign: LoadedCampaign, inputs: dict[str, Array], figure: Array, name: str, choices: Sequence[Choice]):
+    """Median and 5 to 95 % band of a figure ``(n,)`` over each key alone, a line a choice."""
+    columns = min(3, len(inputs))
+    lines = -(-len(inputs) // columns)
+    picture, axes = new_figure(3.6 * columns + 0.6, 2.9 * lines, nrows=lines, ncols=columns, squeeze=False, sharey=True)
+    for axis, (key, values) in zip(axes.flat, inputs.items(), strict=False):
+        edges, log = _edges(campaign.spec.vary[key], values, BANDS)
+        for i, choice in enumerate(choices):
+            good = choice.cases & np.isfinite(figure)
+            cell = np.clip(np.searchsorted(edges, values[good], side="right") - 1, 0, len(edges) - 2)
+            parts = [(k, figure[good][cell == k]) for k in range(len(edges) - 1)]
+            filled = [(float(np.median(values[good][cell == k])), *np.quantile(part, [0.05, 0.5, 0.95])) for k, part in parts if part.size]
+            if filled:
+                at, low, middle, high = np.array(filled).T
+                axis.fill_between(at, low, high, color=PALETTE[i % len(PALETTE)], alpha=0.15, linewidth=0)
+                axis.plot(at, middle, color=PALETTE[i % len(PALETTE)], marker="o", markersize=2.5, label=choice.label)
+        _scale(axis.xaxis, log, edges)
+        axis.set(xlabel=with_unit(key, campaign))
+        axis.axhline(0.0, color="#8894a0", linewidth=0.8) if name == "cor_log_error" else None
+    for axis in list(axes.flat)[len(inputs) :]:
+        axis.set_visible(False)
+    for axis in axes[:, 0]:
+        axis.set_ylabel(with_unit(name))
+    if len(choices) > 1:
+        picture.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=3, fontsize=8)
+    return picture
 
 
-def _cell_means(inputs: tuple[Array, Array], edges: tuple[Array, Array], figure: Array):
-    """Mean of the cases in each cell, masked where there is none."""
+def _scale(axis: Any, log: bool, edges: Array) -> None:
+    """A linear scale with few ticks, or a logarithmic one whose ticks stand closer where less than a decade is shown."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
+
+    if not log:
+        axis.set_major_locator(MaxNLocator(6))
+        return
+    getattr(axis.axes, f"set_{axis.axis_name}scale")("log")
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if edges[-1] > 8.0 * edges[0] else (1.0, 1.5, 2.0, 3.0, 5.0, 7.0)))
+    axis.set_minor_locator(NullLocator())
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}" if 1e-3 <= value < 1e4 else f"{value:.0e}".replace("e+0", "e")))
+
+
+def with_unit(name: str, campaign: LoadedCampaign | None = None) -> str:
+    """A figure, or a scenario key of a campaign, with its unit in brackets, where it has one."""
+    unit = UNITS.get(name, "")
+    if not unit and campaign is not None:
+        unit = description_of(Scenario, resolved(campaign.nominal), key_path(name)).partition("[")[2].partition("]")[0]
+    return f"{name} [{unit}]" if unit and unit != "-" else name
+
+
+def _cells(inputs: tuple[Array, Array], edges: tuple[Array, Array], figure: Array, worst: bool):
+    """Mean of the cases in each cell, or the value of largest magnitude; masked where there is none."""
     good = np.isfinite(figure)
     places = [values[good] for values in inputs]
+    if worst:
+        at = [np.clip(np.searchsorted(e, p, side="right") - 1, 0, len(e) - 2) for e, p in zip(edges, places, strict=True)]
+        cells = np.full((len(edges[0]) - 1, len(edges[1]) - 1), np.nan)
+        order = np.argsort(np.abs(figure[good]), kind="stable")
+        cells[at[0][order], at[1][order]] = figure[good][order]  # of equal places the last stays: the largest
+        return np.ma.masked_invalid(cells)
     counts = np.histogram2d(*places, bins=edges)[0]
     sums = np.histogram2d(*places, bins=edges, weights=figure[good])[0]
     return np.ma.masked_invalid(np.divide(sums, counts, out=np.full_like(sums, np.nan), where=counts > 0))
@@ -59,29 +152,31 @@ def _draw_neutral(axes: Any, edges: tuple[Array, Array], cor: Any) -> None:
     """Where the cases themselves return the speed that they came with."""
     x, y = (np.sqrt(e[1:] * e[:-1]) if e[0] > 0 else 0.5 * (e[1:] + e[:-1]) for e in edges)
     if cor.count() and cor.min() < 1.0 < cor.max() and min(cor.shape) > 2:
-        axes.contour(x, y, cor.T, levels=[1.0], colors="#0a7d32", linestyles=":", linewidths=2.4)
-        axes.plot([], [], color="#0a7d32", linestyle=":", linewidth=2.4, label="e = 1 in the cases")
+        axes.contour(x, y, cor.T, levels=[1.0], colors="black", linestyles=":", linewidths=2.4)
+        axes.plot([], [], color="black", linestyle=":", linewidth=2.4, label="e = 1 in the cases")
 
 
-def _edges(variation: Variation, values: Array) -> tuple[Array, bool]:
-    """Edges of the cells along a key, and whether it goes by ratio."""
+def _edges(variation: Variation, values: Array, most: int = 64) -> tuple[Array, bool]:
+    """Edges of the cells along a key, from its lowest to its highest value, and whether it goes by ratio."""
     levels = np.unique(values)
     log = variation.log_uniform is not None or bool(levels[0] > 0 and levels.size > 2 and np.ptp(np.diff(np.log(levels))) < 1e-6)
-    if levels.size <= 64:
+    if levels.size == 1:
+        return levels[0] + np.array([-0.5, 0.5]) * (abs(levels[0]) or 1.0), False
+    if levels.size <= most:
         places = np.log(levels) if log else levels
         middles = 0.5 * (places[1:] + places[:-1])
-        first, last = (places[0] - 0.5, places[0] + 0.5) if levels.size == 1 else (2 * places[0] - middles[0], 2 * places[-1] - middles[-1])
-        edges = np.concatenate([[first], middles, [last]])
-        return (np.exp(edges) if log else edges), log
-    cells = int(np.clip(np.sqrt(values.size) / 3, 8, 40))
+        inner = np.exp(middles) if log else middles
+        return np.concatenate([levels[:1], inner, levels[-1:]]), log
+    cells = int(np.clip(np.sqrt(values.size) / 3, 8, min(40, most)))
     return (np.geomspace if log else np.linspace)(levels[0], levels[-1] * (1 + 1e-12), cells + 1), log
 
 
-def _draw_boundary(axes: Any, campaign: LoadedCampaign, keys: tuple[str, str], edges: tuple[Array, Array], logs: tuple[bool, bool]) -> bool:
-    """Contours where the closed forms say that the rig starts to give energy, other keys as in the campaign's scenario."""
+def _boundary(campaign: LoadedCampaign, keys: tuple[str, str], edges: tuple[Array, Array], logs: tuple[bool, bool]):
+    """(x, y, margins (2, MESH, MESH)) where the closed forms say that the rig starts to give energy, other keys as in the campaign's
+    scenario; None where they do not apply or no boundary lies within the edges."""
     others = [key for key in campaign.spec.vary if key not in keys]
     if not applies(campaign.nominal) or not all(key.startswith(HARMLESS) for key in others):
-        return False
+        return None
     x, y = ((np.geomspace if log else np.linspace)(e[0], e[-1], MESH) for e, log in zip(edges, logs, strict=True))
     margins = np.full((2, MESH, MESH), np.nan)
     for i, first in enumerate(x):
@@ -91,12 +186,13 @@ def _draw_boundary(axes: Any, campaign: LoadedCampaign, keys: tuple[str, str], e
                 margins[:, j, i] = margin(scenario) if applies(scenario) else np.nan
             except (InputError, ValueError):
                 continue
-    if not (np.nanmin(margins) < 0 < np.nanmax(margins)):
-        return False
+    return (x, y, margins) if np.nanmin(margins) < 0 < np.nanmax(margins) else None
+
+
+def _draw_boundary(axes: Any, x: Array, y: Array, margins: Array) -> None:
     for level, style, label in zip(margins, ("-", "--"), ("contact that stays closed", "one bounce, e = 1"), strict=True):
         axes.contour(x, y, level, levels=[0.0], colors="black", linestyles=style, linewidths=1.6)
         axes.plot([], [], "k" + style, label=label)
-    return True
 
 
 def distributions(figures: dict[str, Array]):

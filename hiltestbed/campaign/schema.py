@@ -15,7 +15,8 @@ from hiltestbed.scenario import Scenario, scenario_from
 from hiltestbed.validation import Problem, Strictly, Vector2, refuse, validate
 from hiltestbed.yaml_source import Source, key_path, read_source, referenced_source
 
-CASE_LIMIT = 10_000_000  # a day on a thousand cores; past it a design is a slip of the pen
+FIGURES = ("cor", "cor_log_error", "energy_generated", "peak_force", "contact_duration", "tracking_error")  # that a report shows
+CASE_LIMIT = 10_000_000  # a day on a thousand cores; more is taken for a typing error
 
 
 class Variation(Strictly):
@@ -84,37 +85,42 @@ def _variation_problems(variation: Variation) -> Iterator[Problem]:
 class Grid(Strictly):
     """Every combination of the values; the last key varies fastest."""
 
-    kind: Literal["grid"] = "grid"
-    seed: Annotated[int, Field(ge=0)] = 0
+    kind: Literal["grid"] = Field(default="grid", description="Design. grid: every combination of the values")
+    seed: Annotated[int, Field(ge=0)] = Field(default=0, description="Seed; a grid has no use for it")
 
 
 class Sobol(Strictly):
     """Scrambled Sobol points: low discrepancy, best with a power of two of cases."""
 
-    kind: Literal["sobol"] = "sobol"
-    cases: Annotated[int, Field(ge=1)]
-    seed: Annotated[int, Field(ge=0)] = 0
+    kind: Literal["sobol"] = Field(default="sobol", description="Design. sobol: scrambled Sobol points")
+    cases: Annotated[int, Field(ge=1)] = Field(description="Number of cases")
+    seed: Annotated[int, Field(ge=0)] = Field(default=0, description="Seed of the points; the same seed, the same points")
 
 
 class Random(Strictly):
     """Independent random points."""
 
-    kind: Literal["random"] = "random"
-    cases: Annotated[int, Field(ge=1)]
-    seed: Annotated[int, Field(ge=0)] = 0
+    kind: Literal["random"] = Field(default="random", description="Design. random: independent random points")
+    cases: Annotated[int, Field(ge=1)] = Field(description="Number of cases")
+    seed: Annotated[int, Field(ge=0)] = Field(default=0, description="Seed of the points; the same seed, the same points")
 
 
 class Campaign(Strictly):
     """Many runs of one scenario, some of its keys varied."""
 
-    name: str = ""
-    description: str = ""
+    name: str = Field(default="", description="Name of the campaign, of which the folder of its results is made; left out: the file's")
+    description: str = Field(default="", description="What the campaign asks, in a sentence or two")
     scenario: Annotated[str, Field(min_length=1)] = Field(description="scenario file, from the campaign's folder")
     set: dict[str, Any] = Field(default={}, description="keys of the scenario that every case has set: dotted key to value")
     vary: Annotated[dict[str, Variation], Field(min_length=1)] = Field(description="dotted scenario key to how it varies")
-    design: Annotated[Grid | Sobol | Random, Field(discriminator="kind")]
+    design: Annotated[Grid | Sobol | Random, Field(discriminator="kind")] = Field(description="How the cases are laid out")
     keep: Literal["summary", "trace", "all"] = Field(
         default="summary", description="of each case: its row; its trace too; its whole run folder"
+    )
+
+    criterion: Literal["cor", "cor_log_error", "energy_generated", "peak_force", "contact_duration", "tracking_error"] | None = Field(
+        default=None,
+        description="figure by which the report ranks choices, the smaller its magnitude the better; null: cor_log_error, or peak_force",
     )
 
     @property

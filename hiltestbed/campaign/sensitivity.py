@@ -1,60 +1,127 @@
-"""Which key moves a figure most: first-order Sobol indices of cases that are there already, whatever design they follow."""
+"""Which key moves a figure: first-order and total Sobol indices of cases that are there already, whatever design they follow.
+
+The figure is expanded in polynomials of the keys (polynomial chaos; B. Sudret, Reliab. Eng. Syst. Saf. 93, 2008): per key a basis that
+is orthonormal over the cases, products of two keys at most, fitted by least squares. The variance splits into the squares of the
+coefficients: those of a key alone make its first-order index, all that contain the key its total one. How far the expansion can be
+trusted is the variance that it explains of cases that are left out, in closed form from the hat matrix.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 
-from hiltestbed.errors import MissingExtra
 from hiltestbed.frames import Array
 
-ENOUGH = 256  # cases below which an index is noise
-MOST = 16384  # cases that are used: more tell nothing new
-RESAMPLES = 100
+ENOUGH = 64  # cases below which an index is noise
+MOST = 4096  # cases that are used: more tell nothing new
+DEGREES = (1, 2, 3, 4, 6, 8)
+CASES_A_TERM = 3  # fewer cases a coefficient than that fit noise
 
 
 @dataclass(frozen=True)
 class Index:
-    """A key's first-order Sobol index: the share of the figure's variance that the key explains alone, and its 95 % half width."""
+    """A key's share of a figure's variance: alone (first order), and with all interactions that it takes part in (total)."""
 
     key: str
     first_order: float
-    half_width: float
+    total: float
 
 
-def first_order_indices(keys: list[str], inputs: Array, figure: Array, seed: int = 0) -> list[Index]:
-    """Indices of every key, strongest first, by RBD-FAST (Tarantola et al. 2006, bias correction of Tissot and Prieur 2012).
+@dataclass(frozen=True)
+class Sensitivity:
+    """Indices of every key, in their order, and the share of the variance of left-out cases that the expansion explains."""
+
+    indices: tuple[Index, ...]
+    explained: float
+
+
+def sensitivity(keys: Sequence[str], inputs: Array, figure: Array, choices: Sequence[bool], seed: int = 0) -> Sensitivity | None:
+    """Sobol indices of a figure; None where there are too few cases, or the figure does not vary.
 
     Args:
-        keys: names of the columns. inputs: `(n, keys)`. figure: `(n,)`; cases whose figure is not finite are left out.
-
-    Raises:
-        MissingExtra: SALib is not installed.
+        keys: names of the columns. inputs: ``(n, keys)``. figure: ``(n,)``; cases whose figure is not finite are left out.
+        choices: of each key, whether its numbers are only names of values.
     """
-    try:
-        from SALib.analyze import rbd_fast
-    except ImportError:
-        raise MissingExtra("a Sobol index", "sensitivity") from None
-    usable = np.flatnonzero(np.isfinite(figure))
-    rng = np.random.default_rng(seed)
-    usable = rng.permutation(usable)[:MOST]  # the order of a grid would leak into equal values
-    if usable.size < ENOUGH or np.ptp(figure[usable]) == 0.0:
+    usable = np.random.default_rng(seed).permutation(np.flatnonzero(np.isfinite(figure)))[:MOST]
+    y = figure[usable]
+    if usable.size < ENOUGH or np.ptp(y) == 0.0:
+        return None
+    y = (y - y.mean()) / y.std()
+    best: Sensitivity | None = None
+    for degree in DEGREES:
+        bases = [_basis(inputs[usable, j], degree, choice) for j, choice in enumerate(choices)]
+        owners, columns = _terms(bases, degree)
+        if len(owners) * CASES_A_TERM > usable.size:
+            break
+        found = _fit(keys, owners, columns, y)
+        if best is not None and found.explained < best.explained:
+            break
+        best = found
+    return best
+
+
+def _basis(values: Array, degree: int, choice: bool) -> list[tuple[int, Array]]:
+    """Functions of one key with mean 0 and variance 1 over the cases, orthogonal to each other: (degree, ``(n,)``)."""
+    levels = np.unique(values)
+    if levels.size < 2:
         return []
-    problem = {"num_vars": len(keys), "names": keys, "bounds": [[float(low), float(high)] for low, high in _limits(inputs[usable])]}
-    found = rbd_fast.analyze(problem, inputs[usable], figure[usable], num_resamples=RESAMPLES, seed=seed)
-    indices = [Index(key, float(s), float(c)) for key, s, c in zip(keys, found["S1"], found["S1_conf"], strict=True)]
-    return sorted(indices, key=lambda index: -index.first_order)
+    if choice:
+        raw = [(values == level).astype(float) for level in levels[1:]]
+        degrees = [1] * len(raw)
+    else:
+        at = 2.0 * np.argsort(np.argsort(values, kind="stable"), kind="stable") / (values.size - 1) - 1.0
+        if levels.size <= 64:  # cases of one value share one place
+            place = np.array([at[values == level].mean() for level in levels])
+            at = place[np.searchsorted(levels, values)]
+        degrees = list(range(1, min(degree, levels.size - 1) + 1))
+        raw = [np.polynomial.legendre.Legendre.basis(d)(at) for d in degrees]
+    q = np.linalg.qr(np.column_stack([np.ones(values.size), *raw]))[0][:, 1:]
+    return [(d, column * np.sqrt(values.size)) for d, column in zip(degrees, q.T, strict=True)]
 
 
-def _limits(inputs: Array) -> Array:
-    return np.stack([inputs.min(axis=0), inputs.max(axis=0)], axis=1)
+def _terms(bases: Sequence[Sequence[tuple[int, Array]]], degree: int) -> tuple[list[tuple[int, ...]], list[Array]]:
+    """Products of one or two keys up to a total degree: the keys of each, and its column ``(n,)``."""
+    owners: list[tuple[int, ...]] = []
+    columns = []
+    for j, basis in enumerate(bases):
+        for _, column in basis:
+            owners.append((j,))
+            columns.append(column)
+    for i, j in combinations(range(len(bases)), 2):
+        for d, first in bases[i]:
+            for e, second in bases[j]:
+                if d + e <= max(2, degree):
+                    owners.append((i, j))
+                    columns.append(first * second)
+    return owners, columns
+
+
+def _fit(keys: Sequence[str], owners: Sequence[tuple[int, ...]], columns: Sequence[Array], y: Array) -> Sensitivity:
+    matrix = np.column_stack([np.ones(y.size), *columns])
+    q = np.linalg.qr(matrix)[0]
+    left = np.clip(1.0 - np.einsum("ij,ij->i", q, q), 1e-9, None)
+    coefficients = np.linalg.lstsq(matrix, y, rcond=1e-10)[0]
+    error = (y - matrix @ coefficients) / left  # of each case when it is left out
+    variance = coefficients[1:] ** 2
+    total = float(variance.sum()) or 1.0
+    alone = [float(sum(v for v, owner in zip(variance, owners, strict=True) if owner == (j,))) / total for j in range(len(keys))]
+    joint = [float(sum(v for v, owner in zip(variance, owners, strict=True) if j in owner)) / total for j in range(len(keys))]
+    indices = tuple(Index(key, a, b) for key, a, b in zip(keys, alone, joint, strict=True))
+    return Sensitivity(indices, max(0.0, 1.0 - float(np.mean(error**2))))
 
 
 def explained_share(values: Array, figure: Array, bins: int = 16) -> float:
-    """Variance of the figure's mean over `bins` equal parts of the cases, sorted by `values`, over its variance: a rough index."""
+    """Variance of the figure's mean over the values of a key (over ``bins`` equal parts where there are more), over its variance."""
     good = np.isfinite(figure)
     if good.sum() < 2 * bins or np.ptp(figure[good]) == 0.0:
         return 0.0
-    parts = np.array_split(figure[good][np.argsort(values[good], kind="stable")], bins)
-    return float(np.var([part.mean() for part in parts]) / np.var(figure[good]))
+    x, y = values[good], figure[good]
+    levels = np.unique(x)
+    parts = [y[x == level] for level in levels] if levels.size <= bins else np.array_split(y[np.argsort(x, kind="stable")], bins)
+    sizes = np.array([part.size for part in parts], dtype=float)
+    means = np.array([part.mean() for part in parts])
+    return float(np.average((means - np.average(means, weights=sizes)) ** 2, weights=sizes) / np.var(y))

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,21 +17,68 @@ from hiltestbed.campaign.designs import case_values
 from hiltestbed.campaign.schema import LoadedCampaign, load_campaign
 from hiltestbed.campaign.store import CASES, Store, read_about, refuse_another
 from hiltestbed.campaign.structure import structural_keys
-from hiltestbed.errors import InputError
+from hiltestbed.errors import InputError, MissingExtra
 from hiltestbed.folders import safe_name
+from hiltestbed.labelled import PALETTE
+from hiltestbed.notebook import html_table
 from hiltestbed.scenario import Scenario, scenario_from
+from hiltestbed.validation import nearest
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 CHUNK = 64
 CHUNK_LIMIT = 1024
 Progress = Callable[[int, int, Mapping[str, int]], None]  # cases done, cases in all, how many ended in which status
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Sweep:
     """A campaign's results: the folder, and what campaign.json says."""
 
     folder: Path
     about: dict[str, Any]
+
+    def __repr__(self) -> str:
+        return f"Sweep({self.about['name']}: {self.about['cases']} cases, {self.about['status']}, in {self.folder})"
+
+    def _repr_html_(self) -> str:
+        rows = [("cases", self.about["cases"]), *self.about.get("counts", {}).items(), ("folder", self.folder)]
+        return html_table(f"{self.about['name']}: {self.about['status']}", (), rows)
+
+    def to_pandas(self) -> Any:
+        """cases.parquet as a pandas DataFrame, a row a case. Raises MissingExtra."""
+        try:
+            import pandas as pd
+        except ImportError:
+            raise MissingExtra("to_pandas()", "pandas") from None
+        return pd.read_parquet(self.folder / CASES)
+
+    def plot(self, x: str, y: str, color: str | None = None, axes: Axes | None = None) -> Axes:
+        """A point a case over two columns of cases.parquet, coloured by a third; returns the Matplotlib axes.
+
+        Raises InputError for a column that is not there.
+        """
+        table = self.cases()
+        for name in filter(None, (x, y, color)):
+            if name not in table.column_names:
+                raise InputError(f"plot: no column {name!r}{nearest(name, table.column_names)}; see cases().column_names")
+        if axes is None:
+            import matplotlib.pyplot as plt
+
+            axes = plt.subplots(layout="constrained")[1]
+        values = None if color is None else table[color].to_pylist()
+        if values is not None and isinstance(values[0], str):
+            for i, value in enumerate(dict.fromkeys(values)):
+                mine = [j for j, other in enumerate(values) if other == value]
+                axes.plot(table[x].take(mine), table[y].take(mine), "o", color=PALETTE[i % len(PALETTE)], markersize=3.5, label=value)
+            axes.legend(fontsize=8)
+        else:
+            drawn = axes.scatter(table[x], table[y], c=values if values is not None else PALETTE[0], s=12, cmap="cividis")
+            if values is not None:
+                axes.figure.colorbar(drawn, ax=axes, label=color)
+        axes.set(xlabel=x, ylabel=y)
+        return axes
 
     def cases(self):
         """cases.parquet as a pyarrow table, one row a case in case order."""

@@ -29,6 +29,7 @@ class ForceMethod(Strictly):
 
     kind: str
     reads: ClassVar[frozenset[Input]] = None  # type: ignore[assignment]
+    adds_force: ClassVar[bool] = False  # a force of its own, beside what it makes of the measured one
     corrects_platform: ClassVar[bool] = False
 
     @classmethod

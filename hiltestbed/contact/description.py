@@ -27,24 +27,28 @@ class _Strict(BaseModel):
 class Touching(_Strict):
     """A class of pairs of geoms that may touch; stiffness and damping are those of a pair, however many points it touches at."""
 
-    active: str = Field(description="geoms of the active side, * for any ending")
-    passive: str = Field(description="geoms of the passive side, * for any ending")
-    stiffness: Positive = Field(description="of a pair [N/m]")
-    damping: NotNegative = Field(0.0, description="of a pair [N s/m]")
-    friction: NotNegative = Field(0.0, description="coefficient [-]")
-    reach: Positive | None = Field(None, description="pairs farther apart than this across the axis, ports aligned, are left out [m]")
+    active: str = Field(description="Geoms of the active side that may touch; * stands for any ending")
+    passive: str = Field(description="Geoms of the passive side that may touch; * stands for any ending")
+    stiffness: Positive = Field(description="Stiffness of a pair of geoms [N/m]")
+    damping: NotNegative = Field(0.0, description="Damping of a pair of geoms [N s/m]")
+    friction: NotNegative = Field(0.0, description="Coulomb coefficient of a pair of geoms [-]")
+    reach: Positive | None = Field(
+        None, description="Distance from which pairs are left out [m]: those farther apart than this across the axis, ports aligned"
+    )
 
 
 class Condition(_Strict):
     """Pairs of sites, active and passive, that are near, aligned and slow at the same time, and joints that stand where they must."""
 
-    pairs: list[tuple[str, str]] = Field(min_length=1, description="sites of the active and of the passive side")
-    within: Positive = Field(description="distance between the sites of a pair [m]")
-    angle_deg: Annotated[float, Field(gt=0.0, le=180.0)] = Field(180.0, description="angle between their z axes [deg]")
-    speed: Positive = Field(description="relative speed of the sites [m/s]")
-    joints: dict[str, tuple[float, float]] = Field(default_factory=dict, description="joints of the active side, from and to [m, rad]")
-    count: Annotated[int, Field(ge=1)] | None = Field(None, description="so many pairs are enough; left out: all [-]")
-    lasting: NotNegative = Field(0.0, description="for so long without a break [s]")
+    pairs: list[tuple[str, str]] = Field(min_length=1, description="Pairs of sites, one of the active and one of the passive side")
+    within: Positive = Field(description="Largest distance between the sites of a pair [m]")
+    angle_deg: Annotated[float, Field(gt=0.0, le=180.0)] = Field(180.0, description="Largest angle between the z axes of the sites [deg]")
+    speed: Positive = Field(description="Highest relative speed of the sites [m/s]")
+    joints: dict[str, tuple[float, float]] = Field(
+        default_factory=dict, description="Joints of the active side that must stand between two values [m, rad]"
+    )
+    count: Annotated[int, Field(ge=1)] | None = Field(None, description="Number of pairs that is enough [-]; left out: all")
+    lasting: NotNegative = Field(0.0, description="Time for which all of it must hold without a break [s]")
 
     @model_validator(mode="after")
     def _enough(self) -> Condition:
@@ -56,13 +60,17 @@ class Condition(_Strict):
 class Closure(_Strict):
     """A latch between two sites: it holds them where they are when it closes, or draws them together."""
 
-    kind: Literal["weld", "connect"] = Field(description="weld: six axes; connect: a ball joint")
-    active: str = Field(description="site of the active side")
-    passive: str = Field(description="site of the passive side")
-    stiffness: Positive = Field(description="against shift [N/m]")
-    damping: NotNegative = Field(description="against shift [N s/m]")
-    hold: Literal["here", "together"] = Field("here", description="here: where the sites are then; together: in one place, one frame")
-    radius: Positive | None = Field(None, description="of the ring of latches: stiffness against turning is stiffness radius^2 [m]")
+    kind: Literal["weld", "connect"] = Field(description="Kind of latch. weld: holds six axes; connect: a ball joint")
+    active: str = Field(description="Site of the active side that is held")
+    passive: str = Field(description="Site of the passive side that holds it")
+    stiffness: Positive = Field(description="Stiffness against shift [N/m]")
+    damping: NotNegative = Field(description="Damping against shift [N s/m]")
+    hold: Literal["here", "together"] = Field(
+        "here", description="Where it holds. here: the sites stay as they are then; together: they are drawn into one place"
+    )
+    radius: Positive | None = Field(
+        None, description="Radius of the ring of latches [m]; the stiffness against turning is stiffness radius^2"
+    )
 
     @model_validator(mode="after")
     def _turning(self) -> Closure:
@@ -76,13 +84,13 @@ class Closure(_Strict):
 class Phase(_Strict):
     """A step of capture: begins when its condition holds and the phase before has begun."""
 
-    name: str
-    when: Condition
-    close: Closure | None = Field(None, description="a latch that closes")
+    name: str = Field(description="Name of the phase")
+    when: Condition = Field(description="Condition that begins the phase")
+    close: Closure | None = Field(None, description="Latch that closes when the phase begins")
     command: dict[str, float] = Field(
-        default_factory=dict, description="what actuators of the active side are told from then on, in their units [-]"
+        default_factory=dict, description="Actuators of the active side to what they are told from then on, in their units"
     )
-    drop_contacts: list[str] = Field(default_factory=list, description="geoms of the active side that touch no more")
+    drop_contacts: list[str] = Field(default_factory=list, description="Geoms of the active side that touch no more")
 
     def sites(self) -> list[tuple[str, str]]:
         """Port of its side (A, P) and name of each site that the phase names."""

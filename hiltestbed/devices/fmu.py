@@ -207,6 +207,12 @@ class CoSimulation:
             raise DeviceError(f"{self.path}: the FMU gave a value that is not finite at t = {self._time:.6f} s")
         return outputs
 
+    def outputs(self) -> Array:
+        """The outputs as they are now. Raises DeviceError."""
+        if self._slave is None:
+            raise DeviceError(f"{self.path}: is not open")
+        return np.array(self._slave.getFloat64(self._outputs))
+
     def close(self) -> None:
         """End it and remove what was unpacked; may be called twice."""
         if self._slave is not None:

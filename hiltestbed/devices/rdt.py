@@ -57,6 +57,11 @@ class RdtSettings(DeviceSettings):
         default=0, ge=0, le=0xFFFFFFFF, description="bits of the status word that are no error, 0x80010000: a threshold"
     )
 
+    @property
+    def device_tells_rate(self) -> bool:
+        """Whether the configuration page is read: its rate stands there."""
+        return self.http is not None or self.counts_per_force is None or self.counts_per_torque is None
+
 
 class RdtClient(SensorClient):
     """A sensor that streams; it sets the clock."""

@@ -26,7 +26,9 @@ class SensorDevice(Strictly):
     attitude_deg: Vector3 = Field(
         default=_NONE, description="Attitude of the sensor's own frame in P [deg]: turns about the fixed x, then y, then z axis"
     )
-    sign: Literal[1, -1] = Field(default=1, description="1: it shows what the active side exerts on the passive one; -1: the reaction")
+    sign: Literal[1, -1] = Field(
+        default=1, description="Sign of the reading. 1: what the active side exerts on the passive one; -1: the reaction"
+    )
     tare: NotNegative = Field(default=0.25, description="Time over which its reading is averaged and taken for zero before the start [s]")
 
 
@@ -56,7 +58,8 @@ class StopBehaviour(Strictly):
     """What the platform is told when a run is stopped."""
 
     kind: Literal["hold", "retract", "stop"] = Field(
-        default="hold", description="hold: the last command stands; retract: back out along -z of P; stop: the device's own stop"
+        default="hold",
+        description="What it does. hold: the last command stands; retract: backs out along -z of P; stop: the device's own stop",
     )
     distance: Positive = Field(default=0.02, description="Distance of the retraction [m]")
     speed: Positive = Field(default=0.05, description="Highest speed of the retraction [m/s]")

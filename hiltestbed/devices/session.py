@@ -20,7 +20,7 @@ from hiltestbed.devices.motion import run_down, run_up, travel
 from hiltestbed.devices.pace import Pace, pace_of
 from hiltestbed.devices.realtime import Granted, prepared
 from hiltestbed.devices.side import Connected, DeviceRig, side_of
-from hiltestbed.devices.table import platform_client, sensor_client
+from hiltestbed.devices.table import platform_client, sensor_client, settings_of
 from hiltestbed.devices.watch import said
 from hiltestbed.devices.watchdog import Watchdog
 from hiltestbed.errors import HiltestbedError
@@ -56,7 +56,8 @@ class Options:
 
 def clients(scenario: Scenario, options: Options) -> tuple[SensorClient, PlatformClient]:
     """The loop's sides of both devices, not yet open. Raises InputError."""
-    sensor = sensor_client(with_rate(options.sensor, scenario, "--sensor"))
+    told = settings_of(options.sensor, "--sensor").device_tells_rate
+    sensor = sensor_client(options.sensor if told else with_rate(options.sensor, scenario, "--sensor"))
     return sensor, platform_client(with_rate(options.platform, scenario, "--platform"))
 
 
@@ -94,7 +95,7 @@ class Session:
         self.devices = Connected(*options.connect(scenario, options))
         self.rig = DeviceRig(scenario, self.devices, scenario.ticks + 1)
         self.loop = Loop([scenario], side=side_of(self.rig))
-        self.trace = Trace(scenario.ticks, 1, scenario.rate)
+        self.trace = Trace(scenario.ticks, 1, scenario.rate, self.rig.units)
         self.granted = Granted()
         self.wall = 0.0
         state = approach_state(scenario)

@@ -88,6 +88,7 @@ class DeviceRig:
     """Platform and sensor, as :class:`hiltestbed.platform.plant.Plant` shows them to the loop; one run.
 
     Attributes:
+        units: of the platform's joints, of which the devices show none. physical: the bodies do not move by themselves.
         stop: why the run has to stop; None while all is well. tare: (6,) taken off the sensor's wrench in P.
         last: (7,) the pose of A in P that was sent last.
         late_work: [J] by which the work of the force is more when each reading is paired with the motion that it came from, by the
@@ -95,7 +96,13 @@ class DeviceRig:
         missed: ticks that began without the record of the device that sets the clock, or too late for an answer.
     """
 
+    units: tuple[str, ...] = ()
+    physical = False
+
     def __init__(self, scenario: Scenario, connected: Connected, ticks: int) -> None:
+        if scenario.rig.platform.physical:
+            kind = scenario.rig.platform.kind
+            raise InputError(f"rig.platform: the bodies of {kind!r} move by themselves; devices are for platforms that are commanded")
         tick = scenario.tick
         self.scenario, self.connected, self.tick = scenario, connected, tick
         self.mounting = Mounting(scenario.devices)
@@ -129,7 +136,7 @@ class DeviceRig:
         self.pose_act[:, 6] = 1.0
         self.wrench_sub = np.zeros((1, 1, 6))
         self.contact, self.captured, self.diverged = (np.zeros(1, dtype=bool) for _ in range(3))
-        self.slider_cmd, self.slider_act = np.full((1, 6), np.nan), np.full((1, 6), np.nan)
+        self.slider_cmd, self.slider_act = np.zeros((1, 0)), np.zeros((1, 0))
         self.upper_cmd, self.upper_act = np.full((1, 3), np.nan), np.full((1, 3), np.nan)
 
     def divergence(self, i: int) -> str:

@@ -30,6 +30,11 @@ class DeviceSettings(Strictly):
     host: str = Field(default=LOOPBACK, description="address of the device, or of this machine where the device opens the connection")
     port: Port = Field(default=0, description="its port")
 
+    @property
+    def device_tells_rate(self) -> bool:
+        """Whether a client asks the device itself for its rate."""
+        return False
+
 
 _FROM_ADDRESS = ("where", "host", "port", "kind")
 

@@ -21,12 +21,12 @@ DISTURBANCES = (Event.MALFORMED, Event.SENDER, Event.REPEATED, Event.REORDERED)
 class CommunicationLimits(Strictly):
     """Allowed numbers of communication events; one more stops the run. 0 allows none."""
 
-    misses_in_a_row: int = Field(default=3, ge=0, description="misses without a new record between them")
-    misses_in_window: int = Field(default=10, ge=0, description="misses in the window")
-    disturbances_in_window: int = Field(default=10, ge=0, description="rejected records in the window")
-    window: int = Field(default=1000, ge=1, le=1_000_000, description="cycles")
-    stale: Positive = Field(default=0.02, description="[s] age of the newest sample")
-    status_in_a_row: int = Field(default=0, ge=0, description="records with an error status without a good one between them")
+    misses_in_a_row: int = Field(default=3, ge=0, description="Allowed misses without a new record between them")
+    misses_in_window: int = Field(default=10, ge=0, description="Allowed misses in the window")
+    disturbances_in_window: int = Field(default=10, ge=0, description="Allowed rejected records in the window")
+    window: int = Field(default=1000, ge=1, le=1_000_000, description="Length of the window [cycles]")
+    stale: Positive = Field(default=0.02, description="Highest age of the newest sample [s]")
+    status_in_a_row: int = Field(default=0, ge=0, description="Allowed records with an error status without a good one between them")
 
 
 @dataclass(frozen=True)

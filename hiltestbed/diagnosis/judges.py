@@ -24,7 +24,9 @@ def of_compensation(link: CompensationLink, noise: Mapping[str, float]) -> Judge
         left = residual.by_run([effects])[0]
         late = any(e.link == "log" for e in effects)
         for c, name in enumerate(residual.link.channels):
-            level = residual.link.runs[residual.runs[0]].sigma[0, c]
+            level = min(float(residual.link.runs[i].sigma[:, c].min()) for i in residual.runs)
+            if not math.isfinite(level):  # an axis that was not measured, or whose input was not
+                continue
             inside = np.concatenate([r[residual.link.runs[i].touching, c] for i, r in zip(residual.runs, left, strict=True)])
             outside = np.concatenate([r[~residual.link.runs[i].touching, c] for i, r in zip(residual.runs, left, strict=True)])
             rms_in, rms_out = (float(np.sqrt(np.mean(x * x))) * level if len(x) else 0.0 for x in (inside, outside))

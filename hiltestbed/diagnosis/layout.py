@@ -26,6 +26,7 @@ from hiltestbed.diagnosis.yielding import Deflection, deflection
 from hiltestbed.effects.search import Scales
 from hiltestbed.frames import Array
 from hiltestbed.measured import MeasuredDataset, MeasuredRun
+from hiltestbed.measured.momentum import centred
 from hiltestbed.measured.noise import white_noise
 from hiltestbed.replay.compensation import needs
 from hiltestbed.signals import GROUPS
@@ -97,10 +98,14 @@ def _lacking(runs: Sequence[MeasuredRun]) -> dict[str, str]:
             out["compensation"] = f"needs {' and '.join(groups)} in every run for compensation.force {kinds}"
     if not _all(runs, "wrench_comp", "pose_cmd"):
         out["dynamics"] = "needs wrench_comp and pose_cmd in every run"
+    elif any(name in r.record.absent and not centred(r.scenario) for r in runs for name in GROUPS["wrench_comp"].columns):
+        out["dynamics"] = "needs all axes of wrench_comp: off the axis of insertion each of them moves all of pose_cmd"
     elif all(r.record.unknown("wrench_comp")[-1] and r.record.unknown("wrench_comp").mean() > MOSTLY for r in runs):
         out["dynamics"] = "needs wrench_comp without gaps: what a missing sample did to the motion stays in it"
     if not _all(runs, "wrench_meas"):
         out["wrench"] = "needs wrench_meas in every run"
+    elif not _all(runs, "wrench_meas.fz"):
+        out["wrench"] = "needs wrench_meas.fz in every run"
     elif not all(r.record.has("pose_act") or r.record.has("pose_cmd") for r in runs):
         out["wrench"] = "needs pose_act or pose_cmd in every run"
     elif not any(r.survey.contacts for r in runs):
@@ -210,6 +215,8 @@ def _computed_run(run: MeasuredRun, values: Array, level: float, rows: int, give
     """given: the group that the values are computed from; memory: [s], see `Record.unknown`."""
     sigma = np.where(np.isfinite(values[:rows]), level, np.inf)
     sigma[run.record.unknown(given, memory)[:rows]] = np.inf
+    if given == "wrench_meas":  # axis by axis: nothing comes of an axis that was not measured
+        sigma[:, [name in run.record.absent for name in GROUPS[given].columns]] = np.inf
     return LinkRun(run.scenario, np.nan_to_num(values[:rows]), sigma, touching(run, rows))
 
 

@@ -227,7 +227,7 @@ class Finding:
         return named and (self.heldout is None or self.heldout.significant)
 
 
-@dataclass
+@dataclass(repr=False)
 class Diagnosis:
     """The result of `diagnose`: what the folder holds, and what its pictures are drawn from.
 
@@ -247,6 +247,21 @@ class Diagnosis:
     played: tuple[Played, ...]
     remarks: tuple[str, ...] = ()
     seconds: float | None = None
+
+    def __repr__(self) -> str:
+        causes = ", ".join(cause.effect for cause in self.causes) or "no cause"
+        return f"Diagnosis({self.name}: {self.verdict}, {causes})"
+
+    def _repr_html_(self) -> str:
+        from hiltestbed.notebook import html_table
+
+        rows = [
+            (cause.effect, name, _told(p), p.unit, f"{cause.probability:.2f}")
+            for cause in self.causes
+            for name, p in cause.parameters.items()
+        ]
+        header = ("cause", "parameter", "estimate and 95 % interval", "unit", "probability")
+        return html_table(f"{self.name}: {self.verdict}", header, rows, self.next_experiment or "")
 
     @property
     def verdict(self) -> str:
@@ -345,3 +360,11 @@ def finite(value: Any) -> Any:
 
 def _plain(value: Any) -> Any:
     return list(value) if isinstance(value, tuple) else value
+
+
+def _told(parameter: Parameter) -> str:
+    """An estimate with its interval, where it is one number."""
+    estimate, interval = parameter.estimate, parameter.ci95
+    if not isinstance(estimate, float) or not interval or isinstance(interval[0], tuple) or isinstance(interval[1], tuple):
+        return str(estimate)
+    return f"{estimate:.4g} ({', '.join('open' if end is None else f'{end:.4g}' for end in interval)})"

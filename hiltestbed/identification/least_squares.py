@@ -20,7 +20,7 @@ from numba import njit
 
 from hiltestbed.compensation.force_methods.phase_lead import PhaseLeadBlock
 from hiltestbed.frames import Array
-from hiltestbed.identification.samples import ContactSamples
+from hiltestbed.identification.samples import NORMAL, ContactSamples
 
 MINIMUM_SAMPLES = 8
 MINIMUM_TRAVEL = 1e-6  # [m, rad] standard deviation of x below which an axis is not excited
@@ -37,38 +37,54 @@ class RecursiveLeastSquares:
         stiffness, damping: ``(n, 6)`` [N/m, N m/rad; N s/m, N m s/rad], NaN before the first estimate.
         stiffness_sd, damping_sd: ``(n, 6)`` their standard deviations, from the residual's variance.
         samples: ``(n, 6)`` contact samples used.
+        along_normal: ``(n, 5)`` the same five along the contact's normal, before it is latched.
     """
 
     def __init__(self, source: ContactSamples, forgetting: Sequence[float], lead: PhaseLeadBlock | None = None) -> None:
-        """``source`` gives the samples; ``forgetting`` factor of each run a tick; with ``lead`` the force passes a phase lead first."""
+        """``source`` gives the samples; ``forgetting``: factor of each run a tick; ``lead``: what the force passes first."""
         n = len(forgetting)
         self.source = source
         self._lead = lead
         self.forgetting = np.array(forgetting)
-        self._sums = np.zeros((n, 6, SUMS))
-        self._yy = np.zeros((n, 6))
-        self.stiffness = np.full((n, 6), np.nan)
-        self.damping = np.full((n, 6), np.nan)
-        self.stiffness_sd = np.full((n, 6), np.nan)
-        self.damping_sd = np.full((n, 6), np.nan)
-        self.samples = np.zeros((n, 6))
+        self._sums = np.zeros((n, 7, SUMS))
+        self._yy = np.zeros((n, 7))
+        self._found = np.full((4, n, 7), np.nan)
+        self._used = np.zeros((n, 7))
+        self.stiffness, self.damping, self.stiffness_sd, self.damping_sd = self._found[:, :, :NORMAL]
+        self.samples = self._used[:, :NORMAL]
+        self._steps = np.zeros(n, dtype=np.int64)
+
+    @property
+    def along_normal(self) -> Array:
+        """``(n, 5)`` stiffness, damping, their standard deviations, and samples along the contact's normal."""
+        return np.column_stack([*self._found[:, :, NORMAL], self._used[:, NORMAL]])
 
     def update(self, wrench: Array, pose: Array, twist: Array) -> None:
         """Take in what was measured at t_k: wrench ``(n, 6)``, pose ``(n, 7)``, twist ``(n, 6)``."""
-        if self._lead:
-            wrench = self._lead.lead_wrench(wrench)
-        self.source.take(wrench, pose, twist)
-        ready, sample = self.source.ready, self.source.sample
-        _accumulate(ready, sample, self.forgetting, self._sums, self._yy, self.samples)
-        _solve(ready, self._sums, self._yy, self.stiffness, self.damping, self.stiffness_sd, self.damping_sd)
+        source = self.source
+        source.take(wrench, pose, twist, self._lead.lead_wrench(wrench) if self._lead else None)
+        _begin_anew(source.steps, self._steps, self._sums, self._yy, self._found, self._used)
+        _accumulate(source.ready, source.ready_normal, source.whole, self.forgetting, self._sums, self._yy, self._used)
+        _solve(source.ready, source.ready_normal, self._sums, self._yy, *self._found)
 
 
 @njit(cache=True)
-def _accumulate(ready, sample, forgetting, sums, yy, samples):
-    for i in range(sample.shape[0]):
-        if not ready[i]:
+def _begin_anew(steps, before, sums, yy, found, used):
+    """Forget the six axes of the runs in which a phase of capture has begun: the mechanism is another one."""
+    for i in range(steps.shape[0]):
+        if steps[i] == before[i]:
             continue
-        for j in range(6):
+        before[i] = steps[i]
+        sums[i, :NORMAL], yy[i, :NORMAL], used[i, :NORMAL] = 0.0, 0.0, 0.0
+        found[:, i, :NORMAL] = np.nan
+
+
+@njit(cache=True)
+def _accumulate(ready, ready_normal, sample, forgetting, sums, yy, samples):
+    for i in range(sample.shape[0]):
+        for j in range(7):
+            if not (ready[i] if j < NORMAL else ready_normal[i]):
+                continue
             x, v, one, y = sample[i, j]
             s = sums[i, j]
             for c in range(SUMS):
@@ -87,11 +103,11 @@ def _accumulate(ready, sample, forgetting, sums, yy, samples):
 
 
 @njit(cache=True)
-def _solve(ready, sums, yy, stiffness, damping, stiffness_sd, damping_sd):
+def _solve(ready, ready_normal, sums, yy, stiffness, damping, stiffness_sd, damping_sd):
     for i in range(sums.shape[0]):
-        if not ready[i]:
-            continue
-        for j in range(6):
+        for j in range(7):
+            if not (ready[i] if j < NORMAL else ready_normal[i]):
+                continue
             n, x, v, y, xx, xv, vv, xy, vy = sums[i, j]
             if n < MINIMUM_SAMPLES:
                 continue

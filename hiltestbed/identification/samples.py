@@ -4,6 +4,10 @@ What is measured at t_k left the contact at t_k - delay, so x and v are taken th
 own filters: nothing is differentiated and no lead is needed. A sample counts when the axial force is above the noise for a while
 before and after it: at touch and at separation the force is clipped, and the filters remember it.
 
+On a plane, and in a mechanism that is latched, the six components of the relative pose are the axes of spring and damper. Anywhere else
+a contact has one axis only, its normal, which moves with the point that touches: penetration, its rate and normal then follow from the
+mechanism's geometry and the pose, and the force is that along the normal, where friction has no part.
+
 A delay that is not known can be estimated from the instant of touch: the pose crosses the nominal touch point at t0, the force rises at
 t0 + delay. That is all that tells it: while the contact lasts, c takes up any error of the delay (``c - k d`` fits as well as ``c``, to
 first order in w d). It needs a touch point that is known to ``v0 d`` (30 um for a millisecond at 0.03 m/s), and a force that rises by
@@ -19,6 +23,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numba import njit
 
+from hiltestbed.contact.geometry import ROW, SIDE
+from hiltestbed.contact.parameters import LEVER, PARAMETERS
+from hiltestbed.contact.sides import sides_of
+from hiltestbed.contact.wrench import meet_all
 from hiltestbed.frames import Array, rotation_vector
 
 if TYPE_CHECKING:
@@ -26,6 +34,7 @@ if TYPE_CHECKING:
 
 GATE_SIGMA = 5.0  # contact is where the force exceeds this many standard deviations of its noise
 GATE_PEAK = 0.02  # and this part of the peak so far
+NORMAL = 6  # column of the contact's normal, after the six axes
 FILTER_MEMORY = 3.0  # time constants of the low-pass that are left out at both ends of a contact: exp(-3) = 5 % is left
 SPARE = 0.03  # [s] that an estimated delay may be longer than the nominal one
 
@@ -36,14 +45,20 @@ class ContactSamples:
     Axes are the components of the relative pose (position of A, rotation vector, both in P) against those of the wrench.
 
     Attributes:
-        ready: ``(n,)`` whether ``sample`` counts.
-        sample: ``(n, 6, 4)`` x, v and 1 as felt, and the force.
+        ready: ``(n,)`` whether ``sample`` counts; ready_normal: ``(n,)`` whether ``whole[:, NORMAL]`` does.
+        sample: ``(n, 6, 4)`` x, v and 1 as felt, and the force. whole: ``(n, 7, 4)`` the same with the contact's normal.
         delay: ``(n,)`` [s] of the force, as known or as estimated.
         captured: ``(n,)`` bool, whether the latches hold, which a rig's switches tell: then every sample counts, pulled or pushed.
+        steps: ``(n,)`` how many phases of capture have begun; the mechanism is another one with each.
     """
 
-    def __init__(self, scenarios: Sequence[Scenario], aligned: bool = True, estimate: bool = False) -> None:
-        """``aligned`` False takes pose and force of the same tick, as if there were neither delay nor filter."""
+    def __init__(self, scenarios: Sequence[Scenario], aligned: bool = True, estimate: bool = False, lead: Sequence[float] = ()) -> None:
+        """Samples of `n` runs.
+
+        Args:
+            aligned: False takes pose and force of the same tick, as if there were neither delay nor filter.
+            lead: of each run, the lag [s] of the phase lead that the force has passed, which :meth:`take` is given beside the reading.
+        """
         n, first = len(scenarios), scenarios[0]
         h = 1.0 / first.rate
         self.tick = h
@@ -55,32 +70,44 @@ class ContactSamples:
         self._leak = np.exp(-h / highpass)
         self._held_rate = first.rig.platform.tracking == "ideal"
         self._estimate = estimate
-        self._margin = 1 + int(math.ceil(FILTER_MEMORY * lowpass.max() / h))
+        spent = FILTER_MEMORY * lowpass
+        if lead:  # what is led to t_k has touched from t_k on; that it still does is known a delay later
+            spent = np.array([s.sensor.delay for s in scenarios]) + FILTER_MEMORY * np.array(lead)
+        self._margin = 1 + np.ceil(spent / h - 1e-9).astype(np.int64)
         self._longest = self.delay.max() + SPARE * estimate
         length = 2 + int(math.ceil(self._longest / h))
-        self._x = np.zeros((n, length, 6))
-        self._v = np.zeros((n, length, 6))
+        self._x = np.zeros((n, length, 7))
+        self._v = np.zeros((n, length, 7))
+        self._normal = np.zeros((n, length, 3))
+        sides = sides_of(first.mechanism)
+        self._known = sides.rigid and len(sides.facets) > 0  # what moves on a side is not seen in the pose
+        self._geometry = sides.geometry
+        self._flat = np.array([s.mechanism.flat or s.mechanism.captured for s in scenarios])
         self._clock = np.zeros(1, dtype=np.int64)  # ticks seen
-        self._filter = np.zeros((n, 6, 3, 2))  # low-passed value; its predecessor's high-passed value
-        self._pending = np.zeros((n, self._margin + 1, 6, 4))
+        self._filter = np.zeros((n, 7, 3, 2))  # low-passed value; its predecessor's high-passed value
+        self._pending = np.zeros((n, int(self._margin.max()) + 1, 7, 4))
         self._gated = np.zeros(n, dtype=np.int64)
         self._peak = np.zeros(n)
         self._held = np.zeros(n, dtype=np.int64)  # ticks since the capture
         self.captured = np.zeros(n, dtype=bool)
         self._onset = np.full((n, 3), np.nan)  # force and speed at the first contact sample, delay as found then
-        self.ready = np.zeros(n, dtype=bool)
-        self.sample = np.zeros((n, 6, 4))
+        self.ready, self.ready_normal = np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)
+        self.whole = np.zeros((n, 7, 4))
+        self.sample = self.whole[:, :NORMAL]
+        self.steps = np.zeros(n, dtype=np.int64)
 
-    def take(self, wrench: Array, pose: Array, twist: Array) -> None:
-        """Take in what was measured at t_k: wrench ``(n, 6)``, pose ``(n, 7)``, twist ``(n, 6)``."""
+    def take(self, wrench: Array, pose: Array, twist: Array, led: Array | None = None) -> None:
+        """Take in what was measured at t_k: wrench ``(n, 6)``, pose ``(n, 7)``, twist ``(n, 6)``; ``led``: the wrench to be explained."""
         k = int(self._clock[0])
         _remember(k, pose, twist, self._x, self._v)
+        if self._known:
+            _meet(k, *self._geometry, pose, twist, self._x, self._v, self._normal)
         _gate(wrench, self.threshold, self.captured, self.delay, self.tick, self._held, self._peak, self._gated)
         if self._estimate:
             _find_delay(k, self.tick, self._longest, wrench, self._x, self._v, self._gated, self.delay, self._onset)
-        late = (self._x, self._v, self.delay, self.tick, self._held_rate, self._gated)
-        _sample(k, wrench, *late, self._smooth, self._leak, self._filter, self._pending)
-        _choose(k, self._margin, self._gated, self._pending, self.ready, self.sample)
+        late = (self._x, self._v, self._normal, self.delay, self.tick, self._held_rate, self._gated)
+        _sample(k, wrench if led is None else led, *late, self._smooth, self._leak, self._filter, self._pending)
+        _choose(k, self._margin, self._gated, self._held, self._flat, self._known, self._pending, self.ready, self.ready_normal, self.whole)
         self._clock[0] = k + 1
 
     def delay_sd(self, stiffness: Array) -> Array:
@@ -111,7 +138,29 @@ def _remember(k, pose, twist, x, v):
 
 
 @njit(cache=True)
-def _sample(k, wrench, x, v, delay, h, held_rate, gated, smooth, leak, memory, pending):
+def _meet(k, index, values, pose, twist, x, v, normal):
+    """Penetration, its rate and normal of the deepest contact at t_k, after the six axes."""
+    slot, length, count = k % x.shape[1], x.shape[1], index[-1]
+    frames, motions, work, p = np.zeros((2, 7)), np.zeros((2, 6)), np.empty((9, 7)), np.ones((count, PARAMETERS))
+    p[:, LEVER] = 0.5
+    frames[1, 6] = 1.0
+    depth, rate = np.empty(count), np.empty(count)
+    point, across, slip = np.zeros((count, 3)), np.zeros((count, 3)), np.zeros((count, 3))
+    for i in range(pose.shape[0]):
+        frames[0], motions[0] = pose[i], twist[i]
+        meet_all(index, values, p, frames, motions, work, depth, rate, point, across, slip)
+        c = int(np.argmax(depth))
+        x[i, slot, NORMAL], v[i, slot, NORMAL] = depth[c], rate[c]
+        side = index[c * ROW + SIDE]
+        for j in range(3):
+            normal[i, slot, j] = side * across[c, j]
+        if k == 0:
+            for s in range(length):
+                x[i, s, NORMAL], v[i, s, NORMAL], normal[i, s] = x[i, slot, NORMAL], v[i, slot, NORMAL], normal[i, slot]
+
+
+@njit(cache=True)
+def _sample(k, wrench, x, v, normal, delay, h, held_rate, gated, smooth, leak, memory, pending):
     """x, v and 1 at t_k - delay while in contact, else 0, through the sensor's filters, beside the force read at t_k."""
     length = x.shape[1]
     slot = k % pending.shape[1]
@@ -121,7 +170,7 @@ def _sample(k, wrench, x, v, delay, h, held_rate, gated, smooth, leak, memory, p
         part = ticks - whole
         late = (k - whole) % length  # the tick that ends at or after t_k - delay
         early = (k - whole - 1) % length
-        for j in range(6):
+        for j in range(7):
             position = (1.0 - part) * x[i, late, j] + part * x[i, early, j]
             rate = v[i, late, j] if held_rate else (1.0 - part) * v[i, late, j] + part * v[i, early, j]
             for c in range(3):
@@ -133,15 +182,21 @@ def _sample(k, wrench, x, v, delay, h, held_rate, gated, smooth, leak, memory, p
                     pending[i, slot, j, c] = memory[i, j, c, 1]
                 else:
                     pending[i, slot, j, c] = memory[i, j, c, 0]
+        pending[i, slot, NORMAL, 3] = 0.0
+        for j in range(6):
             pending[i, slot, j, 3] = wrench[i, j]
+            if j < 3:
+                pending[i, slot, NORMAL, 3] += wrench[i, j] * ((1.0 - part) * normal[i, late, j] + part * normal[i, early, j])
 
 
 @njit(cache=True)
-def _choose(k, margin, gated, pending, ready, sample):
-    """The sample of ``margin`` ticks ago, which counts when the contact has lasted as long before it."""
+def _choose(k, margin, gated, held, flat, known, pending, ready, ready_normal, sample):
+    """The sample of ``margin`` (n,) ticks ago, which counts when the contact has lasted as long before it and since."""
     for i in range(gated.shape[0]):
-        ready[i] = gated[i] >= 2 * margin + 1
-        sample[i] = pending[i, (k - margin) % pending.shape[1]]
+        lasted = gated[i] >= 2 * margin[i] + 1
+        ready[i] = lasted and (flat[i] or held[i] > 0)
+        ready_normal[i] = lasted and known and held[i] == 0
+        sample[i] = pending[i, (k - margin[i]) % pending.shape[1]]
 
 
 @njit(cache=True)

@@ -15,14 +15,15 @@
     dataset.links()                             # the links whose two ends were measured
     dataset.remarks                             # losses and notes, each with run, channel and numbers
 
-Nothing is corrected: a wrong sign or unit is an error that names the line of the channel map to write. :func:`examine` returns the
-errors as remarks instead of raising them. Readers are imported when a file of their format is opened.
+Nothing is corrected: a wrong sign or unit is an error that names the line of the channel map to write, and the key ``accept`` of the
+dataset with which the data are taken as they are. :func:`examine` returns the errors as remarks instead of raising them. Readers are
+imported when a file of their format is opened.
 """
 
-from hiltestbed.measured.load import MeasuredDataset, MeasuredRun, examine, load_dataset
+from hiltestbed.measured.load import MeasuredDataset, MeasuredRun, as_faults, examine, load_dataset
 from hiltestbed.measured.noise import Noise
 from hiltestbed.measured.record import Record
 from hiltestbed.measured.remark import Remark
 from hiltestbed.measured.survey import Contact, Survey
 
-__all__ = ["Contact", "MeasuredDataset", "MeasuredRun", "Noise", "Record", "Remark", "Survey", "examine", "load_dataset"]
+__all__ = ["Contact", "MeasuredDataset", "MeasuredRun", "Noise", "Record", "Remark", "Survey", "as_faults", "examine", "load_dataset"]

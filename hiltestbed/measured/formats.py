@@ -1,12 +1,17 @@
-"""Which reader takes which file, by its suffix; a reader is imported when a file asks for it."""
+"""Which reader takes which file, by its suffix; a reader is imported when a file asks for it, the fragile ones in another process."""
 
 from __future__ import annotations
 
-from collections.abc import Set
+from collections.abc import Callable, Set
 from importlib import import_module
 from pathlib import Path
 
+from hiltestbed.errors import InputError
+from hiltestbed.measured.apart import read_apart
 from hiltestbed.measured.columns import Columns, unreadable
+
+Reader = Callable[[Path, Set[str]], Columns]
+FRAGILE = ("hdf5_file", "matlab_file", "mdf_file", "tdms_file", "mcap_file")  # whose parsers crash, hang or believe any size
 
 READERS = {
     ".csv": "csv_file",
@@ -34,4 +39,13 @@ def read_columns(path: Path, wanted: Set[str]) -> Columns:
         raise unreadable(path, "is not a file", "check the name in the dataset")
     if path.stat().st_size == 0:
         raise unreadable(path, "is empty (0 bytes)", "record the run again or take it out of the dataset")
-    return import_module(f"hiltestbed.measured.{module}").read(path, wanted)
+    if module in FRAGILE:
+        return read_apart(module, path, wanted)
+    return reader(module)(path, wanted)
+
+
+def reader(module: str) -> Reader:
+    """The function ``read(path, wanted)`` of one of READERS. Raises InputError for any other module."""
+    if module not in READERS.values():
+        raise InputError(f"reader {module!r}: is not known; allowed: {', '.join(sorted(set(READERS.values())))}")
+    return import_module(f"hiltestbed.measured.{module}").read

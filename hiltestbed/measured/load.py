@@ -65,9 +65,9 @@ def load_dataset(path: str | Path | LoadedDataset, set: Mapping[str, Any] | None
     quaternion order ...); MissingExtra when a format's reader is not installed.
     """
     dataset = examine(path, set)
-    errors = [remark for remark in dataset.remarks if remark.severity == "error"]
-    if errors:
-        raise InputError([_as_fault(remark, dataset) for remark in errors])
+    faults = as_faults(dataset)
+    if faults:
+        raise InputError(faults)
     return dataset
 
 
@@ -104,6 +104,11 @@ def _nothing(run: int, record: Record | None) -> Remark:
     """The error of a run of which nothing can be said."""
     text = "holds no channel with enough samples" if record is None else f"lasts {record.ticks} ticks; a run needs at least {FEWEST}"
     return Remark("error", run, "", text, "record the run again or take it out of the dataset")
+
+
+def as_faults(dataset: MeasuredDataset) -> list[Fault]:
+    """The errors among the remarks on a dataset, each placed at its file."""
+    return [_as_fault(remark, dataset) for remark in dataset.remarks if remark.severity == "error"]
 
 
 def _as_fault(remark: Remark, dataset: MeasuredDataset) -> Fault:

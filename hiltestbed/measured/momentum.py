@@ -51,14 +51,15 @@ class Momentum:
 def momentum(record: Record, scenario: Scenario, force: str, pose: str) -> Momentum | None:
     """What force and pose say of each other; None where axes or rows are missing or nothing moves."""
     names = [*(f"{pose}.{p}" for p in PLACES), *(f"{force}.{f}" for f in FORCES)]
+    if centred(scenario) and {names[2], names[5]} <= set(record.columns()):
+        names = [name for name in names if name in record.columns()]
     if not set(names) <= set(record.columns()):
         return None
     known = np.all([record.measured(name) for name in names], axis=0)
     rows = np.flatnonzero(known)
     if len(rows) < 50 or not _whole(rows, record, scenario):
         return None
-    place = np.stack([record.column(f"{pose}.{p}")[rows] for p in PLACES])
-    wrench = np.stack([record.column(n) if n in record.columns() else np.zeros(record.ticks) for n in _wrench(force)])[:, rows]
+    place, wrench = (_columns(record, n)[:, rows] for n in ([f"{pose}.{p}" for p in PLACES], _wrench(force)))
     scale = np.abs(place).max() or 1.0
     motion = _without_line(record.t[rows], place)
     noise = np.array([_roughness(p) for p in place])
@@ -145,6 +146,20 @@ def mobility(scenario: Scenario) -> Array:
         at_port = np.hstack([np.eye(3) / body.mass, np.zeros((3, 3))]) - lever @ turn
         total -= to_body.T @ at_port @ np.kron(np.eye(2), to_body)
     return total
+
+
+def centred(scenario: Scenario) -> bool:
+    """Whether nothing but the axis of insertion moves: what was not measured of the others is zero by symmetry."""
+    approach, vehicles = scenario.approach, (scenario.spacecraft.chaser, scenario.spacecraft.target)
+    still = (*approach.offset, *approach.velocity[:2], *approach.attitude_deg, *approach.rate_deg)
+    ports = [v for body in vehicles for v in (*body.port.position[:2], *body.port.attitude_deg)]
+    products = [v for body in vehicles for v in body.inertia[3:]]
+    return not any((*still, *ports, *products))
+
+
+def _columns(record: Record, names: list[str]) -> Array:
+    """``(names, ticks)``, zero where a column was not measured."""
+    return np.stack([record.column(n) if n in record.columns() else np.zeros(record.ticks) for n in names])
 
 
 def _wrench(group: str) -> list[str]:

@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from hiltestbed.frames import Array
 
 if TYPE_CHECKING:
-    from hiltestbed.scenario import Scenario
+    from hiltestbed.platform.pss33.settings import Actuator
 
 PRESLIDING = 5.0e7  # [N/m] 300 N at 6 um: machine-tool drives give 1 to 50 um before they break away
 STEPS = 0.25  # of m/dt^2: the stiffest bristle that a step of the physics can follow
@@ -93,9 +93,8 @@ class DriveFriction:
         bristles: (n, 6, 2) deflection of each drive's bristle [m]; a single drive uses the first.
     """
 
-    def __init__(self, scenarios: Sequence[Scenario], dofs: NDArray[np.intp], moved: float, dt: float) -> None:
+    def __init__(self, actuators: Sequence[Actuator], dofs: NDArray[np.intp], moved: float, dt: float) -> None:
         """``dofs`` (6,) of the sliders, ``moved`` [kg] the least that a drive moves: carriage and armature; ``dt`` [s] a step."""
-        actuators = [s.rig.platform.actuator for s in scenarios]
         self.kinds = np.array([KINDS[a.kind] for a in actuators])
         self.acts = bool(self.kinds.any())
         bristle = min(PRESLIDING, STEPS * moved / (dt * dt))

@@ -72,6 +72,15 @@ class Platform(Strictly):
         """The platform of a run without faults: the same, followed exactly."""
         return self.model_dump(mode="json") | {"tracking": "ideal"}
 
+    def cure(self, lost: float) -> tuple[str, dict[str, Any]]:
+        """What the field does on this kind of rig about its lags: in words, and as a scenario's compensation.
+
+        lost: damping [N s/m] that sensor and platform take out of the contact, for methods that are designed by it.
+        """
+        return "phase lead of the force", {"force": {"kind": "phase_lead"}, "motion": {"kind": "feedforward"}}
+
+    distorts: ClassVar[str] = ""  # what this kind of rig makes of a contact, in two or three sentences
+
     def nearest_bandwidth(self, scenario: Scenario) -> float:
         """Bandwidth [Hz] of the second order that is nearest to the way the platform follows, along the insertion."""
         return self.facility().response(scenario.rate, scenario.compensation.motion.feeds).bandwidth[2]

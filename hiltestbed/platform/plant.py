@@ -59,9 +59,8 @@ class Plant:
         contact: (n,) bool, whether the mechanisms touch. captured: (n,) bool, whether they are latched to each other.
         slider_cmd, slider_act: (n, J) the platform's driven joints [units], 0 at home; none where nothing is driven. upper_cmd,
             upper_act: (n, 3) those of the upper one. units: (J,) "m" or "rad".
-        pose_W: (n, 7) pose of A in W, which is P without an upper platform.
+        phases: of capture, of a mechanism that has them. pose_W: (n, 7) pose of A in W, which is P without an upper platform.
         physical: bodies that move by themselves: commands are not heard, and the pose reached is the one that there is.
-        phases: of capture, of a mechanism that has them.
         diverged: (n,) bool, whether a run has left the finite numbers; it is frozen from then on.
     """
 

@@ -18,7 +18,9 @@ from hiltestbed.compensation.section import Compensation
 from hiltestbed.contact.settings import AnyMechanism
 from hiltestbed.devices.section import Devices
 from hiltestbed.effects.table import AnyEffect
+from hiltestbed.gallery import find_scenario
 from hiltestbed.identification.settings import IDENTIFIERS, AnyIdentifier
+from hiltestbed.numerical_model.settings import MODELS, AnyModel
 from hiltestbed.platform.settings import Rig
 from hiltestbed.scenario.checks import problems
 from hiltestbed.scenario.safety import Safety
@@ -43,6 +45,10 @@ class Scenario(Strictly):
         description="Rate of the steps of the physics [Hz], a whole multiple of rate; left out: twice rate",
     )
     spacecraft: Spacecraft = Field(description="Both vehicles as the numerical model has them")
+    numerical_model: AnyModel = Field(
+        default_factory=lambda: MODELS["free_flyers"](kind="free_flyers"),
+        description="What moves both vehicles under the compensated wrench",
+    )
     approach: Approach = Field(description="Where the active port starts and how it moves, relative to the passive one")
     mechanism: AnyMechanism = Field(description="The docking mechanism: which surfaces meet, and how stiff they are")
     rig: Rig = Field(default=Rig(), description="The motion platform, and what carries the passive side")
@@ -82,13 +88,17 @@ class Scenario(Strictly):
 @plugins.depends
 def _rebuild() -> None:
     """List the classes of a plugin in the schema, too."""
-    for model in (Compensation, Scenario):
+    for model in (Compensation, Rig, Scenario):
         model.model_rebuild(force=True)
 
 
 def load_scenario(path: str | Path, set: Mapping[str, Any] | None = None) -> Scenario:
-    """The scenario in a YAML file, with dotted keys overridden (`{"approach.velocity.2": 0.05}`). Raises InputError."""
-    return scenario_from(read_source(path).with_set(set))
+    """The scenario in a YAML file, or the one shipped under a name, with dotted keys overridden. Raises InputError.
+
+    >>> load_scenario("02-bumper", {"approach.velocity.2": 0.05}).approach.velocity
+    (0.0, 0.0, 0.05)
+    """
+    return scenario_from(read_source(find_scenario(path)).with_set(set))
 
 
 def scenario_from(source: Source | Mapping[str, Any], set: Mapping[str, Any] | None = None) -> Scenario:

@@ -127,10 +127,11 @@ def _contact(facts: Facts) -> rrb.Vertical:
     return rrb.Vertical(
         _plot(facts, "position_mm/z", "Insertion, z [mm]"),
         _plot(facts, "force/z", "Contact force, z [N]"),
+        _plot(facts, "force_error", "Measured less physical force [N]"),
         _phases(facts),
         *between,
         _plot(facts, "energy_generated", "Energy made by the rig [J]"),
-        row_shares=[1.0, 1.25, 0.6, 0.9, 0.9, 0.9],
+        row_shares=[1.0, 1.25, 0.9, 0.6, 0.9, 0.9, 0.9],
         name="Contact",
     )
 

@@ -9,12 +9,10 @@ from collections.abc import Sequence
 
 import numpy as np
 import rerun as rr
-from numba import njit
 
-from hiltestbed.frames import Array, rotation_vectors, twist_between
-from hiltestbed.numerical_model.bodies import approach_state
+from hiltestbed.energy import energy_generated
+from hiltestbed.frames import Array, rotation_vectors
 from hiltestbed.result import Run
-from hiltestbed.scenario import Scenario
 from hiltestbed.signals import AXES, RunTrace
 from hiltestbed.viewer import colors
 
@@ -79,6 +77,8 @@ def _wrenches(plotter: Plotter, trace: RunTrace) -> None:
     for j, axis in enumerate(XYZ):
         plotter.curves(f"force/{axis}", [f"{n} [N]" for n in names], palette, triple[:, j], BROAD)
         plotter.curves(f"torque/{axis}", [f"{n} [N m]" for n in names], palette, triple[:, 3 + j], BROAD)
+    less = trace["wrench_meas"][:, :3] - trace["wrench_true"][:, :3]
+    plotter.curves("force_error", [f"{axis}: measured less physical [N]" for axis in XYZ], colors.SERIES[:3], less)
 
 
 def _estimates(plotter: Plotter, run: Run, trace: RunTrace) -> None:
@@ -105,24 +105,6 @@ def _platform(plotter: Plotter, trace: RunTrace) -> None:
     behind = np.zeros((len(trace.t), 3))  # pose_cmd[k] is to be reached in row k + 1
     behind[1:] = 1e3 * (trace["pose_act"][1:, :3] - trace["pose_cmd"][:-1, :3])
     plotter.curves("platform/tracking_error_mm", [f"{a} [mm]" for a in XYZ], colors.SERIES[:3], behind)
-
-
-def energy_generated(trace: RunTrace, scenario: Scenario) -> Array:
-    """``(ticks,)`` [J] made by the rig so far: the integral of F v_act - F_used v_cmd, as :class:`hiltestbed.metrics.Tally` adds it up."""
-    tick = 1.0 / scenario.rate
-    slope = np.zeros_like(trace["twist_act"])
-    _slopes(trace["pose_act"], tick, slope)
-    force, used, rate = trace["wrench_true"], trace["wrench_comp"], trace["twist_cmd"]
-    before = np.concatenate([approach_state(scenario)[None, 7:], rate[:-1]])
-    taken = np.zeros(len(trace.t))
-    taken[1:] = np.einsum("ij,ij->i", force[1:] + force[:-1], slope[1:])
-    return 0.5 * tick * np.cumsum(taken - np.einsum("ij,ij->i", used, rate + before))
-
-
-@njit(cache=True)
-def _slopes(pose, tick, out):
-    for k in range(1, pose.shape[0]):
-        twist_between(pose[k - 1], pose[k], tick, out[k])
 
 
 def contact_phases(trace: RunTrace, captured_at: float | None = None) -> list[str]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from hiltestbed.assessment import assess
 from hiltestbed.result import Run
 
 
@@ -24,7 +25,15 @@ def figures(run: Run) -> str:
     lines += [f"| {name} | {_number(value, unit)} |" for name, value, unit in rows]
     if summary["status"] != "completed":
         lines += ["", f"**{summary['status']}**: {summary['stop_reason']}"]
-    return "\n".join([*lines, "", *_identified(summary["identification"])])
+    lines += ["", f"Energy: {assess(summary).energy}.", *(f"**Warning:** {warning}." for warning in assess(summary).warnings)]
+    return "\n".join([*lines, "", *_ledger(summary["delay_ledger"]), "", *_identified(summary["identification"])])
+
+
+def _ledger(entries: list[dict[str, Any]]) -> list[str]:
+    if not entries:
+        return []
+    lines = ["| delay from | ms | as damping, N s/m |", "|---|---:|---:|"]
+    return lines + [f"| {e['source']} | {1e3 * e['delay']:+.3f} | {e['equivalent_damping']:+.1f} |" for e in entries]
 
 
 def _identified(identification: dict[str, Any]) -> list[str]:

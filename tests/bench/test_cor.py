@@ -9,7 +9,7 @@ import pytest
 from hiltestbed.bench.contacts import bounce, grid, random_rigs
 from hiltestbed.bench.contenders import CONTENDERS
 from hiltestbed.bench.cor import leaderboard, measure, measure_random, stability_boundary, statistics_of
-from hiltestbed.bench.cor_report import cor_report
+from hiltestbed.bench.cor_report import cell_text, cor_report, worst_errors
 from hiltestbed.campaign.boundary import bounce_delay
 from hiltestbed.simulation import reference_scenario
 
@@ -74,3 +74,18 @@ def test_random_rigs_and_the_page(records: list[dict]) -> None:
     page = cor_report(records, {"leaderboard": board, "random_rigs": found, "boundary": stability_boundary(3)}).html()
     assert "resynchronised" in page
     assert "http" not in page.replace("http://www.w3.org", "")
+
+
+def test_cells_that_round_to_nothing_have_no_sign_and_no_colour() -> None:
+    assert [cell_text(v) for v in (0.0, 4e-4, -4e-4, 0.0012, -0.25, math.nan)] == ["0", "0", "0", "+0.001", "-0.250", "none"]
+
+
+def test_a_map_and_the_board_tell_no_rebound_from_not_measured(records: list[dict]) -> None:
+    """`none` where a contact gave no rebound, a dash where nothing was run, the same word in the map."""
+    one = {"frequency": 2.0, "delay": 0.005, "cor_log_error": -0.3}
+    found = worst_errors([one, one | {"cor_log_error": 0.1}, one | {"delay": 0.02, "cor_log_error": None}], [2.0], [0.005, 0.02])
+    assert found[0, 0] == -0.3
+    assert math.isnan(found[0, 1])
+    lost = [r | {"cor_log_error": None} if r["method"] == "none" else r for r in records]
+    (row,) = [r for r in leaderboard(lost, {(c.name, c.contact): 0.0 for c in CONTENDERS}) if r["method"] == "none"]
+    assert (row["largest_log_error"], row["runs"]["largest_log_error"], row["runs"]["delay_jitter"]) == (None, len(CONTACTS), 0)

@@ -6,7 +6,8 @@ The wait for a tick moves the emulated devices on by one cycle and then takes in
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -75,42 +76,59 @@ def played(
         disturb: called before each cycle of the devices once the run is armed, with its number; the devices whose record of this cycle
             does not arrive in it.
     """
-    urls = urls_of(platform)
-    emulator = Emulator(emulated or scenario, urls.emulated_sensor, urls.emulated_platform)
-    stepped, begun, cycle = False, False, 0
+    begun, cycle = False, 0
 
-    def pace(sensor: SensorClient, platform: PlatformClient, tick: float) -> Pace:
+    def before(emulator: Emulator) -> Collection[str]:
+        nonlocal begun, cycle
+        begun = begun or session.rig.armed
+        cycle += begun
+        return disturb(cycle - 1, emulator, session) if begun and disturb is not None else ()
+
+    with against(emulated or scenario, platform, before, armed) as (options, emulator):
+        session = Session(scenario, options)
+        with session.connected():
+            observed: Observed = session.observe()
+            if armed:
+                session.run()
+    return Outcome(session.result(observed), emulator, session)
+
+
+@contextmanager
+def against(
+    emulated: Scenario, platform: str, before: Callable[[Emulator], Collection[str]] = lambda emulator: (), armed: bool = True
+) -> Iterator[tuple[Options, Emulator]]:
+    """Options for a session against the emulated rig of ``emulated``, which moves when the session waits for it.
+
+    Args:
+        before: called before each cycle of the devices; the devices whose record of this cycle does not arrive in it.
+    """
+    urls = urls_of(platform)
+    emulator = Emulator(emulated, urls.emulated_sensor, urls.emulated_platform)
+    stepped = False
+
+    def pace(sensor: SensorClient, moved: PlatformClient, tick: float) -> Pace:
         nonlocal stepped
         stepped = True
         time.sleep(0.02)  # until a cycle that has begun is over
-        while sensor.poll() or platform.poll():
+        while sensor.poll() or moved.poll():
             pass
-        platform.wait = wait  # type: ignore[method-assign]
-        return DevicePace(platform, tick, 1)
 
-    def wait(timeout: float) -> bool:
-        nonlocal begun, cycle
-        sensor, moved = session.devices.sensor, session.devices.platform
-        before = sensor.sample.sequence
-        lost: Collection[str] = ()
-        begun = begun or session.rig.armed
-        if begun:
-            lost = disturb(cycle, emulator, session) if disturb is not None else ()
-            cycle += 1
-        emulator.cycle()
-        if "sensor" not in lost:
-            until(lambda: sensor.sample.sequence != before or sensor.poll())
-        if "platform" not in lost:
-            until(moved.poll)
-        return "platform" not in lost
+        def wait(timeout: float) -> bool:
+            seen = sensor.sample.sequence
+            lost = before(emulator)
+            emulator.cycle()
+            if "sensor" not in lost:
+                until(lambda: sensor.sample.sequence != seen or sensor.poll())
+            if "platform" not in lost:
+                until(moved.poll)
+            return "platform" not in lost
+
+        moved.wait = wait  # type: ignore[method-assign]
+        return DevicePace(moved, tick, 1)
 
     def step() -> None:
         if not stepped:
             emulator.cycle()
 
-    session = Session(scenario, Options(urls.sensor, urls.platform, armed=armed, pace=pace, connect=clients))
-    with emulator, going(step, 0.002), session.connected():
-        observed: Observed = session.observe()
-        if armed:
-            session.run()
-    return Outcome(session.result(observed), emulator, session)
+    with emulator, going(step, 0.002):
+        yield Options(urls.sensor, urls.platform, armed=armed, pace=pace, connect=clients), emulator

@@ -104,3 +104,116 @@ def test_what_is_wrong_is_said(packed: Path, tmp_path: Path) -> None:
         pack("no.such.module:make", other, tmp_path)
     with pytest.raises(InputError, match=r"name: is no name of an FMU \(got 'my rig'\)"):
         pack("tests.devices.test_fmu:make", other, tmp_path, name="my rig")
+
+
+RIG = Path(__file__).parents[2] / "scenarios" / "02-bumper.yaml"
+SHORT = {"duration": 0.9, "compensation.force.kind": "none", "identification": {"kind": "none"}, "sensor.noise": 0.0}
+
+
+def test_the_rig_of_a_scenario_in_fmpy_bounces_as_the_run_does(tmp_path: Path) -> None:
+    from hiltestbed.numerical_model.model import NumericalModel
+    from hiltestbed.scenario import dump_scenario, load_scenario
+    from hiltestbed.simulation import run
+
+    scenario = load_scenario(RIG, SHORT)
+    file = tmp_path / "scenario.yaml"
+    file.write_text(dump_scenario(scenario), encoding="utf-8")
+    packed = pack("hiltestbed.devices.physical:from_file", file, tmp_path)
+    alone = run(scenario).trace
+    assert alone is not None
+    model, wrench = NumericalModel([scenario]), np.zeros(6)
+    with CoSimulation(packed, COMMAND, WRENCH) as fmu:
+        path = np.empty((scenario.ticks, 7))
+        for k in range(scenario.ticks):
+            model.advance(wrench[None])
+            path[k] = model.pose[0]
+            wrench = fmu.step(model.pose[0], scenario.tick)
+    assert path[-1, 2] < 0.0 < path[:, 2].max()  # in, and out again
+    np.testing.assert_allclose(path, alone["pose_cmd"], atol=1e-6)
+
+
+_MODEL = '''
+from pythonfmu3 import Fmi3Causality, Fmi3Slave, Fmi3StepResult, Fmi3Status, Float64
+
+
+class Vehicles(Fmi3Slave):
+    """Two point masses on a line: semi-implicit, or exact for a force that is held over the step."""
+
+    def __init__(self, **kwargs):
+        super().__init__(**kwargs)
+        self.time, self.force = 0.0, 0.0
+        self.z, self.v = {start}, {speed}
+        self.register_variable(Float64("time", causality=Fmi3Causality.independent, getter=lambda: self.time))
+        for name in ("fx", "fy", "fz", "tx", "ty", "tz"):
+            taken = self.take if name == "fz" else (lambda value: None)
+            shown = (lambda: self.force) if name == "fz" else (lambda: 0.0)
+            self.register_variable(
+                Float64("wrench." + name, causality=Fmi3Causality.input, start=0.0, getter=shown, setter=taken), nested=False
+            )
+        values = dict.fromkeys(["pose.px", "pose.py", "pose.qx", "pose.qy", "pose.qz"], 0.0) | {{"pose.qw": 1.0}}
+        values |= dict.fromkeys(["twist.vx", "twist.vy", "twist.wx", "twist.wy", "twist.wz"], 0.0)
+        for name, value in values.items():
+            self.register_variable(Float64(name, causality=Fmi3Causality.output, getter=lambda value=value: value), nested=False)
+        self.register_variable(Float64("pose.pz", causality=Fmi3Causality.output, getter=lambda: self.z), nested=False)
+        self.register_variable(Float64("twist.vz", causality=Fmi3Causality.output, getter=lambda: self.v), nested=False)
+
+    def take(self, value):
+        self.force = value
+
+    def do_step(self, current_time, step_size):
+        gain = -self.force / {mass} * step_size
+        self.z += (self.v + (1.0 - 0.5 * {half}) * gain) * step_size
+        self.v += gain
+        return Fmi3StepResult(status=Fmi3Status.ok)
+'''
+
+
+def _vehicles(folder: Path, half: int) -> Path:
+    from pythonfmu3.builder import FmuBuilder
+
+    from hiltestbed.numerical_model.bodies import effective_mass
+    from hiltestbed.scenario import load_scenario
+
+    scenario = load_scenario(RIG, SHORT)
+    script = folder / f"vehicles_{half}.py"  # a name of its own: one Python loads them all
+    numbers = {"start": -scenario.approach.gap, "speed": scenario.approach.velocity[2], "mass": effective_mass(scenario), "half": half}
+    script.write_text(_MODEL.format(**numbers), encoding="utf-8")
+    return FmuBuilder.build_FMU(script, folder)
+
+
+def test_a_numerical_model_of_the_users_own_makes_the_same_run(tmp_path: Path) -> None:
+    from hiltestbed.scenario import load_scenario
+    from hiltestbed.simulation import run
+
+    own = {"numerical_model": {"kind": "fmu", "file": str(_vehicles(tmp_path, 0))}}
+    ours, theirs = run(load_scenario(RIG, SHORT)), run(load_scenario(RIG, SHORT | own))
+    assert ours.trace is not None
+    assert theirs.trace is not None
+    np.testing.assert_allclose(theirs.trace["pose_cmd"], ours.trace["pose_cmd"], atol=1e-9)
+    assert theirs.summary["cor"] == pytest.approx(ours.summary["cor"], rel=1e-6)
+    entry = next(e for e in theirs.summary["delay_ledger"] if e["source"] == "numerical_model.fmu")
+    assert entry["delay"] == 0.5 / theirs.scenario.rate
+
+
+def test_the_half_tick_of_a_force_that_is_held_is_what_the_ledger_says(tmp_path: Path) -> None:
+    """A model that is exact within the tick: ln(e/e_semi_implicit) = (pi/2) w h/2."""
+    import math
+
+    from hiltestbed.ledger import contact_frequency
+    from hiltestbed.scenario import load_scenario
+    from hiltestbed.simulation import run
+
+    slower = SHORT | {"rate": 500.0, "physics_rate": 4000.0}
+    exact = {"numerical_model": {"kind": "fmu", "file": str(_vehicles(tmp_path, 1))}}
+    scenario = load_scenario(RIG, slower | exact)
+    change = math.log(run(scenario).summary["cor"] / run(load_scenario(RIG, slower)).summary["cor"])
+    assert change == pytest.approx(0.25 * math.pi * contact_frequency(scenario) * scenario.tick, rel=0.05)
+
+
+def test_an_fmu_that_starts_elsewhere_is_refused(tmp_path: Path) -> None:
+    from hiltestbed.scenario import load_scenario
+    from hiltestbed.simulation import run
+
+    own = {"numerical_model": {"kind": "fmu", "file": str(_vehicles(tmp_path, 0))}, "approach.velocity": [0.0, 0.0, 0.01]}
+    with pytest.raises(InputError, match="starts elsewhere than approach says"):
+        run(load_scenario(RIG, SHORT | own))

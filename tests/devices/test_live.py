@@ -119,3 +119,20 @@ def test_two_processes_in_real_time(platform: str, tmp_path: Path) -> None:
     expected = run(read_run(tmp_path / "run").scenario).summary["cor"]
     assert told["missed"] <= 0.02 * told["cycles"]
     assert abs(math.log(summary["cor"] / expected)) < 0.01
+
+
+def test_a_sensor_that_tells_its_rate_is_asked_for_it() -> None:
+    """A sensor at 4 kHz behind a platform at 1 kHz: its own rate stands on its page, and is not taken for the loop's."""
+    from hiltestbed.devices.rdt import RdtServer
+    from hiltestbed.devices.session import Options, clients
+    from hiltestbed.devices.table import sensor_server
+    from tests.devices.running import going
+
+    server = sensor_server("rdt://127.0.0.1:0?http=0&rate=4000&counts_per_force=1e6&counts_per_torque=1e6")
+    assert isinstance(server, RdtServer)
+    with server:
+        assert server.http is not None
+        url = f"rdt://127.0.0.1:{server.address[1]}?http={server.http.port}"
+        sensor, _ = clients(scenario_of("02-bumper", "udp"), Options(url, "udp://127.0.0.1:5005?listen=5006"))
+        with going(lambda: server.publish(np.zeros(6), 0.0), 0.001), sensor:
+            assert sensor.period == pytest.approx(1.0 / 4000.0)

@@ -118,7 +118,7 @@ HEAD_ON = load_scenario(SCENARIOS / "02-bumper.yaml")
 HELD = load_scenario(SCENARIOS / "13-ring-down.yaml")
 PARAMETERS: dict[str, Callable[[], Any]] = {
     "platform": lambda: PlatformParameters.believed(HEAD_ON),
-    "contact": lambda: ContactParameters.believed(HEAD_ON.mechanism),
+    "contact": lambda: ContactParameters.believed(HEAD_ON.mechanism.contact),
     "sensor": lambda: SensorParameters.believed(HEAD_ON.sensor, HEAD_ON.tick),
     "compensation": InputParameters,
     "dynamics": DynamicsParameters,

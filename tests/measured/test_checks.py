@@ -301,3 +301,15 @@ def test_a_practice_set_with_a_mistake_put_in(tmp_path: Path, change: Callable[[
 def _table(file: Path) -> tuple[list[str], list[pa.ChunkedArray]]:
     table = pq.read_table(file)
     return table.column_names, table.columns
+
+
+def test_the_axis_of_insertion_alone_is_balanced_where_nothing_else_moves(tmp_path: Path) -> None:
+    """fz and pz of a centred approach: the other axes are zero by symmetry, so that pounds are told from newtons; off it they are not."""
+    table = {n: v for n, v in bounce.columns().items() if n == "t" or n.endswith((".pz", ".fz"))}
+    table["wrench_meas.fz"] = table["wrench_meas.fz"] / 4.4482216152605
+    path = bounce.write_dataset(tmp_path, table)
+    assert not [r for r in examine(path).remarks if r.severity == "error"]
+    (tmp_path / "nominal.yaml").write_text(bounce.SCENARIO.replace(f"velocity: [{bounce.SIDE},", "velocity: [0.0,"))
+    (error,) = [r for r in examine(path).remarks if r.severity == "error"]
+    assert (error.channel, error.check) == ("wrench_meas.fz", "unit")
+    assert "lbf" in error.text

@@ -13,9 +13,9 @@ import pyarrow.parquet as pq
 import pytest
 
 from hiltestbed.errors import InputError, MissingExtra
+from hiltestbed.measured import apart, load_dataset
 from hiltestbed.measured import columns as columns_module
-from hiltestbed.measured import load_dataset
-from hiltestbed.measured.formats import read_columns
+from hiltestbed.measured.formats import READERS, read_columns, reader
 
 from . import bounce
 
@@ -147,7 +147,26 @@ def test_a_missing_reader_is_an_install_line(tmp_path: Path, monkeypatch: pytest
     path.write_bytes(b"anything")
     monkeypatch.setitem(sys.modules, module, None)
     with pytest.raises(MissingExtra, match=rf"pip install .hiltestbed\[{extra}\]"):
-        read_columns(path, frozenset({"t"}))
+        reader(READERS[f".{suffix}"])(path, frozenset({"t"}))
+
+
+CRASH = "import os, signal; os.kill(os.getpid(), signal.SIGSEGV)"
+HANG = "import time; time.sleep(60)"
+FILL = "x = bytearray(1 << 44)"
+
+
+@pytest.mark.parametrize(
+    ("what", "said"), [(CRASH, "ends its reader \\(signal 11\\)"), (HANG, "is not read within 3 s"), (FILL, "more memory than")]
+)
+def test_a_reader_that_fails_takes_nothing_with_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, what: str, said: str) -> None:
+    """A parser of foreign formats that crashes, hangs or believes any size, in place of the one that is installed."""
+    (tmp_path / "h5py").mkdir()
+    (tmp_path / "h5py" / "__init__.py").write_text(what)
+    (tmp_path / "run.h5").write_bytes(b"anything")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    monkeypatch.setattr(apart, "TIME_LIMIT", 3.0 if what == HANG else 60.0)
+    with pytest.raises(InputError, match=rf"run\.h5: .*{said}"):
+        read_columns(tmp_path / "run.h5", frozenset({"t"}))
 
 
 def test_unknown_suffix_names_the_known_ones(tmp_path: Path) -> None:

@@ -29,7 +29,7 @@ class Sled:
     """Six masses on drives of one kind, each pushed by its own force."""
 
     def __init__(self, kind: str) -> None:
-        self.friction = DriveFriction([with_actuator(scenario(), kind)], np.arange(6), MASS, DT)
+        self.friction = DriveFriction([with_actuator(scenario(), kind).rig.platform.actuator], np.arange(6), MASS, DT)
         self.x, self.v, self.applied = np.zeros(6), np.zeros((1, 6)), np.zeros((1, 6))
 
     def drag(self, speed: float, steps: int = 4000) -> float:

@@ -159,7 +159,7 @@ def test_what_the_servo_takes_from_a_rebound_is_its_drives_damping() -> None:
         twist[0, 2] += h * accel[0, 2]
         position[0, 2] += h * twist[0, 2]
         plant.advance(position, twist, accel)
-    gains = Servo(plant.model, [s], np.ones(1, dtype=bool))
+    gains = Servo(plant.model, [s.rig.platform], s.tick, s.substeps, np.ones(1, dtype=bool))
     taken = 1e5**2 * float(gains.kv[0]) / (3.0 * float(gains.kp[0]) ** 2)
     expected = -np.pi * taken / (2.0 * np.sqrt(1e5 * mu))
     assert np.log(-twist[0, 2] / 0.03) == pytest.approx(expected, abs=abs(expected) / 3.0)

@@ -124,7 +124,16 @@ def test_a_mechanism_touches_with_all_of_its_pads() -> None:
     tilted = hiltestbed.run(
         shipped("02-bumper", mechanism={"kind": "three_pads", "contact": pad}, **{"approach.attitude_deg": [1.0, 0, 0]})
     )
+    assert tilted.trace is not None
     assert np.abs(tilted.trace["wrench_true.tx"]).max() > 1.0  # one pad is met first, off the axis
+
+
+def test_a_platform_follows_as_late_as_it_says(tmp_path: Path) -> None:
+    """A gantry under position control without feed-forward of the acceleration lags; the delay ledger predicts what that does to e."""
+    plugins.load([str(EXAMPLES / "gantry.py")])
+    summary = hiltestbed.run(shipped("02-bumper", **{"rig.platform": {"kind": "gantry"}, "rate": 2000, "physics_rate": 4000})).summary
+    assert summary["cor_log_error"] == pytest.approx(summary["cor_log_error_predicted"], abs=0.01)
+    assert next(e["delay"] for e in summary["delay_ledger"] if e["source"] == "platform.servo") > 0.0
 
 
 def test_a_campaign_runs_them_in_worker_processes(tmp_path: Path) -> None:

@@ -40,6 +40,7 @@ class CorDesigned(ForceMethod):
     """A virtual damper along the insertion, designed for a desired coefficient of restitution."""
 
     kind: Literal["cor_designed"] = "cor_designed"
+    adds_force: ClassVar[bool] = True
     stiffness: Positive = Field(description="Stiffness of the contact that the damper is designed for [N/m]")
     damping: NotNegative = Field(default=0.0, description="Damping of the contact that the damper is designed for [N s/m]")
     cor: Positive | None = Field(

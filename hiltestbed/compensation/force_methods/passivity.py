@@ -41,6 +41,7 @@ class PassivityControl(ForceMethod):
     """Time-domain passivity control: damping is injected once the contact has given back more energy than it took."""
 
     kind: Literal["passivity_control"] = "passivity_control"
+    adds_force: ClassVar[bool] = True
     reads: ClassVar[frozenset[Input]] = frozenset({"wrench", "model"})
 
     @classmethod
@@ -53,6 +54,7 @@ class NormalisedPassivity(ForceMethod):
     """Normalised passivity control: a damping force in proportion to the normalised power that the delay creates."""
 
     kind: Literal["normalised_passivity"] = "normalised_passivity"
+    adds_force: ClassVar[bool] = True
     gain: NotNegative = Field(default=1.0, description="Gain of the damping force [-]; 1 balances the delay to first order")
     smoothing: Positive = Field(default=0.005, description="Time constant of the low-pass on the power [s]")
     reads: ClassVar[frozenset[Input]] = frozenset({"wrench", "pose", "model"})

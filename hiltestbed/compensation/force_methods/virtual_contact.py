@@ -31,6 +31,7 @@ class VirtualContact(ForceMethod):
     """A virtual spring and damper along the insertion, beside the measured force."""
 
     kind: Literal["virtual_contact"] = "virtual_contact"
+    adds_force: ClassVar[bool] = True
     stiffness: NotNegative = Field(default=0.0, description="Stiffness of the virtual spring [N/m]")
     damping: NotNegative = Field(
         description="Damping of the virtual damper [N s/m]; stiffness times delay of the contact gives back what the delay takes"

@@ -18,6 +18,8 @@ from hiltestbed.yaml_source import dump_yaml
 
 RESULT, NOMINAL, BELIEVED, DATASET = "commission.json", "nominal.yaml", "believed.yaml", "dataset.yaml"
 
+LEAST_COMPLIANCE = 1e-12  # [m/N]
+
 
 def write_commission(result: Commissioned, path: Path) -> Path:
     """Write the folder and return its path. Raises InputError where it cannot be written."""
@@ -70,10 +72,14 @@ def figures(result: Commissioned) -> dict[str, Any]:
             "reading": dict(zip(AXES, sensor.reading, strict=True)),
         },
         "platform": vars(platform),
-        "stiffness": {"contact_as_felt": gain * result.believed.mechanism.contact.stiffness, "rig": _inverse(platform.compliance)},
+        "stiffness": {
+            "contact_as_felt": gain * result.believed.mechanism.contact.stiffness,
+            "rig": [_inverse(value) for value in platform.compliance],
+        },
         "effects": [e.model_dump(mode="json") for e in result.nominal.effects],
     }
 
 
 def _inverse(compliance: float) -> float | None:
-    return 1.0 / compliance if compliance > 0.0 else None
+    """[N/m]; None where the platform does not give that one could see."""
+    return 1.0 / compliance if compliance > LEAST_COMPLIANCE else None

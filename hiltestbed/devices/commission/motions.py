@@ -62,7 +62,7 @@ def motions(scenario: Scenario, force: float) -> list[Motion]:
     depth = min(force / scenario.mechanism.contact.stiffness, LARGEST)
     away = -(CLEAR + 2.0 * FREE)
     found = [Motion("open", _at(0.0, 0.0, away), _oscillations(scenario.tick), touches=False)]
-    arms = [(0.0, 0.0), (ARM, 0.0), (0.0, ARM), (-ARM, -ARM)] if scenario.mechanism.flat else [(0.0, 0.0)]
+    arms = [(0.0, 0.0), (ARM, 0.0), (0.0, ARM), (-ARM, -0.8 * ARM)] if scenario.mechanism.flat else [(0.0, 0.0)]
     for number, (x, y) in enumerate(arms):
         found.append(Motion(f"press {number}", _at(x, y, -CLEAR), _press(scenario.tick, depth), touches=True))
     return [motion.after_rest(round(REST / scenario.tick)) for motion in found]

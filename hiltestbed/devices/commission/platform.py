@@ -1,4 +1,4 @@
-"""What the platform makes of its commands: delay, scale of each axis, and how it gives under load."""
+"""What the platform makes of its commands: delay, scale of each axis, and how far it gives under load."""
 
 from __future__ import annotations
 
@@ -16,11 +16,12 @@ SETTLE = 0.2  # [s] that are left out at the start of a motion
 
 @dataclass(frozen=True)
 class Path:
-    """A motion as it went: command (N, 7), row k for t_(k+1); pose (N, 7) and wrench (N, 6), in P, at t_k."""
+    """A motion as it went: command (N, 7), row k for t_(k+1); pose (N, 7) and wrench (N, 6), in P, at t_k; whether it touched."""
 
     command: Array
     pose: Array
     wrench: Array
+    touches: bool
 
 
 @dataclass(frozen=True)
@@ -28,15 +29,16 @@ class PlatformFit:
     """Estimates with the half width of their 95 % interval.
 
     Attributes:
-        delay: [s]. scale: (3,) reached over commanded. compliance: [m/N] along z, against the command. residual: [m] rms that is left.
+        delay: [s]. compliance: (3,) [m/N] with which each axis gives. scale: (3,) reached over commanded; None where no motion was in the
+            open: there force goes with position, and nothing tells the two apart. residual: [m] rms that is left.
     """
 
     delay: float
     delay_ci95: float
-    scale: list[float]
-    scale_ci95: list[float]
-    compliance: float
-    compliance_ci95: float
+    compliance: list[float]
+    compliance_ci95: list[float]
+    scale: list[float] | None
+    scale_ci95: list[float] | None
     residual: float
 
 
@@ -49,29 +51,29 @@ def fit_platform(paths: Sequence[Path], tick: float) -> PlatformFit:
             first = round(SETTLE / tick)
             k = np.arange(first, len(path.pose), dtype=float)
             told = np.stack([np.interp(k - 1.0 - delay / tick, np.arange(len(path.command)), path.command[:, j]) for j in range(3)], axis=1)
-            out.append((told, path.pose[first:, :3], path.wrench[first:, 2]))
+            out.append((told, path.pose[first:, :3], path.wrench[first:, :3]))
         return out
 
     def residuals(p: Array) -> Array:
-        delay, scale, compliance = p[0] * 1e-3, p[1:4], p[4] * 1e-8
+        scale = p[4:] if len(p) > 4 else np.ones(3)
         rest = []
-        for told, pose, force in parts(delay):
-            error = pose - scale * told
-            error[:, 2] += compliance * force
+        for told, pose, force in parts(p[0] * 1e-3):
+            error = pose - scale * told + 1e-8 * p[1:4] * force
             rest.append((error - error.mean(axis=0)).ravel())
         return np.concatenate(rest) * 1e6
 
-    starts = [np.array([1e3 * delay, 1.0, 1.0, 1.0, 0.0]) for delay in np.arange(0.0, LONGEST, 0.002)]
-    start = min(starts, key=lambda p: _square(residuals(p)))
-    fit = least_squares(residuals, start, x_scale=[1.0, 1e-2, 1e-2, 1e-2, 1.0])
-    spread = 1.96 * np.sqrt(np.diag(np.linalg.pinv(fit.jac.T @ fit.jac)) * 2.0 * fit.cost / max(len(fit.fun) - 5, 1))
+    free = [] if all(path.touches for path in paths) else [1.0, 1.0, 1.0]  # else scale and compliance are one: force goes with position
+    starts = [np.array([1e3 * delay, 0.0, 0.0, 0.0, *free]) for delay in np.arange(0.0, LONGEST, 0.002)]
+    fit = least_squares(residuals, min(starts, key=lambda p: _square(residuals(p))), x_scale=[1.0] * 4 + [1e-2] * len(free))
+    columns = fit.jac.shape[1]
+    spread = 1.96 * np.sqrt(np.diag(np.linalg.pinv(fit.jac.T @ fit.jac)) * 2.0 * fit.cost / max(len(fit.fun) - columns, 1))
     return PlatformFit(
         delay=float(fit.x[0] * 1e-3),
         delay_ci95=float(spread[0] * 1e-3),
-        scale=fit.x[1:4].tolist(),
-        scale_ci95=spread[1:4].tolist(),
-        compliance=float(fit.x[4] * 1e-8),
-        compliance_ci95=float(spread[4] * 1e-8),
+        compliance=(1e-8 * fit.x[1:4]).tolist(),
+        compliance_ci95=(1e-8 * spread[1:4]).tolist(),
+        scale=fit.x[4:].tolist() or None,
+        scale_ci95=spread[4:].tolist() or None,
         residual=float(np.sqrt(np.mean(fit.fun**2)) * 1e-6),
     )
 

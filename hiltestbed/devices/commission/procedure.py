@@ -96,17 +96,17 @@ def _fitted(scenario: Scenario, planned: Sequence[Motion], rows: dict[str, list[
     sensor = fit_sensor(touched, np.array(scenario.devices.sensor.position), noise)
     believed = _mounted(scenario, sensor, noise)
     mounting = Mounting(believed.devices)
-    paths = {name: _path(found, mounting, observed.shown) for name, found in rows.items()}
+    paths = {motion.name: _path(rows[motion.name], mounting, observed.shown, motion.touches) for motion in planned}
     platform = fit_platform(list(paths.values()), scenario.tick)
     starts = {motion.name: motion.start for motion in planned}
     return Commissioned(believed, _nominal(believed, sensor, platform), observed, sensor, platform, paths, starts)
 
 
-def _path(rows: list[Row], mounting: Mounting, tare: Array) -> Path:
+def _path(rows: list[Row], mounting: Mounting, tare: Array, touches: bool) -> Path:
     wrench = np.zeros((len(rows), 6))
     for k, row in enumerate(rows):
         mounting.wrench_in_P(row.shown - tare, wrench[k])
-    return Path(np.array([row.command for row in rows]), np.array([row.pose for row in rows]), wrench)
+    return Path(np.array([row.command for row in rows]), np.array([row.pose for row in rows]), wrench, touches)
 
 
 def _mounted(scenario: Scenario, sensor: SensorFit, noise: Array) -> Scenario:
@@ -135,7 +135,7 @@ def effects_of(sensor: SensorFit, platform: PlatformFit) -> list[dict[str, Any]]
             found.append({"kind": "sensor.crosstalk", "source": n.source, "axis": n.axis, "ratio": n.value / gains.get(n.source, 1.0)})
     if platform.delay > max(1e-4, 2.0 * platform.delay_ci95):
         found.append({"kind": "platform.delay", "delay": platform.delay})
-    for axis, value, ci95 in zip("xyz", platform.scale, platform.scale_ci95, strict=True):
+    for axis, value, ci95 in zip("xyz", platform.scale or (), platform.scale_ci95 or (), strict=False):
         if abs(value - 1.0) > max(2e-3, 2.0 * ci95):
             found.append({"kind": "platform.scale", "axis": axis, "factor": value})
     return found

@@ -5,7 +5,8 @@ frame. Sign and attitude come from the best rotation between the two (G. Wahba, 
 values, J. Astronautical Sciences 36, 1988), all numbers together from least squares. Gains and crosstalk are taken in one after the other,
 each time the one that explains most, as long as it explains a good part of what is left: 36 numbers at once would take up every error.
 
-A press cannot tell a wrong gain from a wrong stiffness: the stiffness that the scenario gives its mechanism is the reference.
+A press cannot tell a wrong gain from a wrong stiffness: the stiffness that the scenario gives its mechanism is the reference. Where the
+mechanism pushes in one direction only, other things look alike as well: what would explain as much is named beside what was taken.
 """
 
 from __future__ import annotations
@@ -17,16 +18,19 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from hiltestbed.devices.commission.expected import Expected
-from hiltestbed.frames import Array, rotation_matrix, rotation_vectors
+from hiltestbed.frames import Array, rotation_matrix
 from hiltestbed.signals import AXES
 
-ROWS = 1200  # of all motions together, that a fit is made on
+ROWS = 6000  # of all motions together, that a fit is made on
 WORTH = 0.2  # part of the remaining square that one more number has to explain
 SIGNIFICANT = 4.0  # standard deviations by which it has to differ from none
 LEAST = 5e-4  # of a gain or a crosstalk
 MOST = 8  # of them
+TIE = 0.9  # part of the best one's gain from which on another explains as much
 LONGEST = 0.05  # [s]
 FLOOR = 1e-5  # of the largest reading: what is taken for noise where there is none
+
+Element = tuple[int, int]  # source and axis of a number
 
 
 @dataclass(frozen=True)
@@ -39,12 +43,17 @@ class Shown:
 
 @dataclass(frozen=True)
 class Number:
-    """A gain (``source`` = ``axis``) or a crosstalk: estimate, and half the width of its 95 % interval."""
+    """A gain (``source`` = ``axis``) or a crosstalk: estimate, and half the width of its 95 % interval.
+
+    Attributes:
+        or_else: (source, axis) of others that would have explained as much: the motions do not tell them apart.
+    """
 
     source: str
     axis: str
     value: float
     ci95: float
+    or_else: tuple[tuple[str, str], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -74,18 +83,21 @@ def fit_sensor(motions: Sequence[Shown], position: Array, noise: Array) -> Senso
     """
     data = _Data(motions, position, noise)
     sign, rotation, delay = data.first_guess()
-    chosen: list[tuple[int, int]] = []
+    chosen: list[Element] = []
+    others: list[list[Element]] = []
     best = data.fit(sign, rotation, delay, chosen, None)
     while len(chosen) < MOST:
-        trials = [(data.fit(sign, best.rotation, best.delay, [*chosen, c], best), c) for c in _candidates() if c not in chosen]
-        trial, candidate = min(trials, key=lambda item: item[0].square)
+        candidate, *rivals = data.most_telling(sign, best, chosen)
+        trial = data.fit(sign, best.rotation, best.delay, [*chosen, candidate], best)
         if trial.square > (1.0 - WORTH) * best.square or not trial.holds():
             break
         best = trial
         chosen.append(candidate)
+        others.append(rivals)
     spread = best.spread()
     numbers = tuple(
-        Number(AXES[i], AXES[j], float(v) + (i == j), float(s)) for (i, j), v, s in zip(chosen, best.p[4:], spread[4:], strict=True)
+        Number(AXES[i], AXES[j], float(v) + (i == j), float(s), tuple((AXES[a], AXES[b]) for a, b in rivals))
+        for (i, j), v, s, rivals in zip(chosen, best.p[4:], spread[4:], others, strict=True)
     )
     return SensorFit(
         sign=sign,
@@ -97,10 +109,6 @@ def fit_sensor(motions: Sequence[Shown], position: Array, noise: Array) -> Senso
         residual=data.rms(best).tolist(),
         reading=np.sqrt(np.mean(data.reading**2, axis=0)).tolist(),
     )
-
-
-def _candidates() -> list[tuple[int, int]]:
-    return [(i, j) for i in range(6) for j in range(6)]
 
 
 @dataclass
@@ -146,14 +154,12 @@ class _Data:
                 found.append((float(np.sum((square - turned) ** 2)), sign, rotation, float(delay)))
         return min(found, key=lambda item: item[0])[1:]
 
-    def fit(self, sign: int, rotation: Array, delay: float, chosen: Sequence[tuple[int, int]], before: _Fit | None) -> _Fit:
+    def fit(self, sign: int, rotation: Array, delay: float, chosen: Sequence[Element], before: _Fit | None) -> _Fit:
         """Least squares over rotation, delay and the ``chosen`` numbers, from a fit with one number less."""
 
         def residuals(p: Array) -> Array:
-            calibration = np.eye(6)
-            for (i, j), value in zip(chosen, p[4:], strict=True):
-                calibration[j, i] += value
-            return ((self.reading - sign * self._shown(rotation @ _turn(p[:3]), 1e-3 * p[3], calibration)) * self._weight).ravel()
+            shown = self._shown(rotation @ _turn(p[:3]), 1e-3 * p[3], _calibration(chosen, p[4:]))
+            return ((self.reading - sign * shown) * self._weight).ravel()
 
         start = np.zeros(4 + len(chosen))
         start[3] = 1e3 * delay
@@ -161,6 +167,27 @@ class _Data:
             start[4 : 4 + len(before.p) - 4] = before.p[4:]
         fit = least_squares(residuals, start, method="lm")
         return _Fit(fit.x, rotation @ _turn(fit.x[:3]), float(1e-3 * fit.x[3]), float(2.0 * fit.cost), fit.jac)
+
+    def most_telling(self, sign: int, fit: _Fit, chosen: Sequence[Element]) -> list[Element]:
+        """The number that would take most of the square away, to first order and beside those that ``fit`` has; then its equals.
+
+        Where several would do as well, what leaks from a force goes before what leaks from a torque: a turn and a leak of the force look
+        like another turn and a leak of the torque, where the force has one direction only.
+        """
+        calibration = _calibration(chosen, fit.p[4:])
+        left = ((self.reading - sign * self._shown(fit.rotation, fit.delay, calibration)) * self._weight).ravel()
+        basis, _ = np.linalg.qr(fit.jacobian)
+        gains = {}
+        for candidate in ((i, j) for i in range(6) for j in range(6)):
+            if candidate in chosen:
+                continue
+            column = (sign * self._shown(fit.rotation, fit.delay, _calibration([candidate], [1.0]) - np.eye(6)) * self._weight).ravel()
+            own = column - basis @ (basis.T @ column)
+            square = float(own @ own)
+            gains[candidate] = float(own @ left) ** 2 / square if square > 1e-9 * float(column @ column) else 0.0
+        most = max(gains.values())
+        equal = [c for c in gains if gains[c] >= TIE * most]
+        return sorted(equal, key=lambda c: (c[0] != c[1], c[0] > 2, c[1] > 2, -gains[c]))
 
     def rms(self, fit: _Fit) -> Array:
         """(6,) rms that is left of each channel."""
@@ -177,6 +204,14 @@ class _Data:
     def _shown(self, rotation: Array, delay: float, calibration: Array) -> Array:
         felt = self._at_sensor(self._wrench(delay) @ calibration.T)
         return np.concatenate([felt[:, :3] @ rotation, felt[:, 3:] @ rotation], axis=1)
+
+
+def _calibration(chosen: Sequence[Element], values: Sequence[float] | Array) -> Array:
+    """(6, 6) what the transducer makes of the wrench with ``values`` for the ``chosen`` (source, axis)."""
+    out = np.eye(6)
+    for (i, j), value in zip(chosen, values, strict=True):
+        out[j, i] += value
+    return out
 
 
 def _centred(values: Array) -> Array:
@@ -205,10 +240,3 @@ def _quaternion(rotation: Array) -> Array:
     from scipy.spatial.transform import Rotation
 
     return Rotation.from_matrix(rotation).as_quat()
-
-
-def turned_by(attitude: Array, other: Array) -> float:
-    """Angle [rad] between two attitudes (4,)."""
-    from scipy.spatial.transform import Rotation
-
-    return float(np.linalg.norm(rotation_vectors((Rotation.from_quat(attitude).inv() * Rotation.from_quat(other)).as_quat())))

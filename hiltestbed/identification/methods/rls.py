@@ -64,4 +64,5 @@ class RlsLead(Identifier):
     def start(cls, scenarios: Sequence[Scenario]) -> RecursiveLeastSquares:
         own = identifier_of(scenarios, cls)
         lead = PhaseLeadBlock(scenarios, [(s.sensor.delay + o.lag, o.lag) for s, o in zip(scenarios, own, strict=True)])
-        return RecursiveLeastSquares(ContactSamples(scenarios, aligned=False), [o.forgetting for o in own], lead)
+        samples = ContactSamples(scenarios, aligned=False, lead=[o.lag for o in own])
+        return RecursiveLeastSquares(samples, [o.forgetting for o in own], lead)

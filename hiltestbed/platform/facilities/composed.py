@@ -17,6 +17,7 @@ from hiltestbed.platform.prs3.payload import load_of
 
 TOOL = ACTIVE + "A"  # the site that follows the command
 FLANGE = "active_flange"
+ROUNDING = 1e-9  # [N], [N m] of a difference of loads of up to 1e4
 # What the compensation of a moving sensor's load is told: (a - g) and the rotation of P, in P.
 LOAD_SENSORS = (
     ("load_acceleration", mujoco.mjtSensor.mjSENS_ACCELEROMETER),
@@ -123,3 +124,6 @@ def _read_carried(data, force, columns, place, load, runs, wrench_sub, sub):
             turn = load[4 + 3 * j] * alpha[0] + load[5 + 3 * j] * alpha[1] + load[6 + 3 * j] * alpha[2]
             wrench_sub[i, sub, j] = f[j] - data[i, force + j]
             wrench_sub[i, sub, 3 + j] = turn + ring[j] + v[j] - data[i, force + 3 + j]
+        for j in range(6):  # what rounding leaves of two equal loads is nothing: whether a force acts at all must be told from zero
+            if abs(wrench_sub[i, sub, j]) < ROUNDING:
+                wrench_sub[i, sub, j] = 0.0

@@ -174,11 +174,20 @@ class Physical(Platform):
 class StewartSettings(Driven):
     """A Stewart platform: six legs under the active side."""
 
+    distorts: ClassVar[str] = (
+        "A hydraulic leg is a third order: its position loop lags by 1/K, and the oil's spring rings under the platform's mass. "
+        "Without feed-forward that lag takes k/K out of the damping; with it, as model-based control at Harbin does, the valves and the "
+        "oil's modes are left. Seals stick at reversal."
+    )
+
     kind: Literal["stewart"]
     drive: Annotated[HydraulicDrive | ElectricDrive, Field(discriminator="kind")] = Field(
         default=HydraulicDrive(), description="Drives of the legs, hydraulic or electric"
     )
     command: CommandPath = Field(default=CommandPath(), description="How commands reach the drives")
+
+    def cure(self, lost: float) -> tuple[str, dict[str, Any]]:
+        return "feed-forward on the rig's model, lead of the force (Harbin)", super().cure(lost)[1]
 
 
 class ArmController(Strictly):
@@ -205,6 +214,12 @@ class ArmController(Strictly):
 class SerialArmSettings(Driven):
     """A six-axis industrial arm of the 200-kg class."""
 
+    distorts: ClassVar[str] = (
+        "The controller takes a command every 4 ms and acts on it whole cycles later: a dead time that no feed-forward reaches, and most "
+        "of what makes an arm active in a stiff contact. Elastic gears ring at 5 to 8 Hz and yield to the force. A soft contact with a "
+        "virtual damper beside it gives the damping back, as at EPOS."
+    )
+
     kind: Literal["serial_arm"]
     controller: ArmController = Field(default=ArmController(), description="Controller and motors of the arm")
     command: CommandPath = Field(
@@ -212,10 +227,19 @@ class SerialArmSettings(Driven):
         description="How commands reach the arm; 250 Hz: the 4 ms of KUKA's RSI, and the rate at EPOS; two cycles held back [recalled]",
     )
 
+    def cure(self, lost: float) -> tuple[str, dict[str, Any]]:
+        force = {"kind": "virtual_contact", "damping": lost}
+        return "hybrid: a virtual damper beside the real contact (EPOS)", {"force": force, "motion": {"kind": "feedforward"}}
+
 
 @register
 class TwoArmsSettings(Driven):
     """Two industrial arms of the 200-kg class, the passive one on a rail."""
+
+    distorts: ClassVar[str] = (
+        "As one arm, and twice: both sides' gears yield, and both controllers' dead time stands in the loop. The passive side moves, so "
+        "that the sensor carries weight and inertia of its mechanism, which are taken out of the reading."
+    )
 
     kind: Literal["two_arms"]
     passive_share: Annotated[float, Field(ge=0, le=1)] = Field(
@@ -226,10 +250,19 @@ class TwoArmsSettings(Driven):
         default=CommandPath(controller_rate=250.0, delay_cycles=2), description="How commands reach both arms; EPOS is commanded at 250 Hz"
     )
 
+    def cure(self, lost: float) -> tuple[str, dict[str, Any]]:
+        force = {"kind": "virtual_contact", "damping": lost}
+        return "hybrid: a virtual damper beside the real contact (EPOS)", {"force": force, "motion": {"kind": "feedforward"}}
+
 
 @register
 class MjcfSettings(Driven):
     """The user's own rig."""
+
+    distorts: ClassVar[str] = (
+        "Whatever the file holds. Plain position servos follow a feed-forward of the velocity and bend under load; coupled axes ring at "
+        "frequencies that no single axis shows."
+    )
 
     kind: Literal["mjcf"]
     model: str = Field(description="MJCF file of the rig, with a site `mount` and position actuators")
@@ -255,6 +288,11 @@ class MjcfSettings(Driven):
 class AirBearingSettings(Physical):
     """Two articles on a flat floor: full physical simulation in the plane."""
 
+    distorts: ClassVar[str] = (
+        "No loop and no delay, but three degrees of freedom of six, a floor that is not level, hoses that pull, and the mass of what "
+        "floats under each article: the reduced mass of the contact is not that in orbit."
+    )
+
     kind: Literal["air_bearing"]
     target: Literal["free", "fixed"] = Field(default="free", description="Whether the target floats, too, or is bolted down")
     float_mass: NotNegative = Field(default=60.0, description="Mass of what carries an article, pads, bottles, frame [kg]; an estimate")
@@ -276,6 +314,11 @@ class AirBearingSettings(Physical):
 @register
 class SuspensionSettings(Physical):
     """Two articles on cables: full physical simulation, weight held by winches."""
+
+    distorts: ClassVar[str] = (
+        "No loop and no delay, but a pendulum: weight pulls back with m g/L for each metre of travel, cables and winches add mass and "
+        "friction, and a gimbal that misses the centre of mass tilts the article. Short contacts are right, long ones are not."
+    )
 
     kind: Literal["suspension"]
     target: Literal["free", "fixed"] = Field(default="free", description="Whether the target hangs, too, or is bolted down")

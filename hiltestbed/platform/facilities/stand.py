@@ -6,16 +6,19 @@ What the closed loop's plant does in a tick, without contact: aim, push and step
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import mujoco
 import numpy as np
 from mujoco.batch import Batch
 from numba import njit
 
-from hiltestbed.frames import Array
+from hiltestbed.contact.composition import drawn
+from hiltestbed.frames import Array, rotate_back
 from hiltestbed.models import load
 from hiltestbed.platform.facilities.facility import MOUNT, Facility, compiled
+
+if TYPE_CHECKING:
+    from hiltestbed.contact.settings import Mechanism
 
 PAYLOAD = "payload_"
 TOOL = PAYLOAD + "A"
@@ -60,23 +63,31 @@ class Stand:
         rate: float = 2000.0,
         substeps: int = 2,
         feed: bool = False,
-        payload: mujoco.MjSpec | None = None,
+        mechanism: Mechanism | None = None,
         threads: int = 0,
     ) -> None:
-        """Args: settings: one a run, the facility's own by default. payload: an active mechanism with site A; the bumper's by default."""
+        """Args: settings: one a run, the facility's own by default. mechanism: both sides of it; left out: the bumper's active one."""
         self.facility, self.tick, self.substeps = facility, 1.0 / rate, substeps
-        spec = facility.spec()
-        spec.attach(load("bumper/active") if payload is None else payload, prefix=PAYLOAD, site=spec.site(MOUNT))
-        self.model = compiled(spec, self.tick / substeps)
+        tool = TOOL
+        if mechanism is None:
+            spec = facility.spec()
+            spec.attach(load("bumper/active"), prefix=PAYLOAD, site=spec.site(MOUNT))
+            self.model = compiled(spec, self.tick / substeps)
+        else:
+            from hiltestbed.platform.facilities.composed import TOOL as A
+            from hiltestbed.platform.facilities.composed import facility_model
+
+            tool, self.model = A, facility_model(facility, drawn(mechanism), self.tick / substeps)
         self.batch = Batch(self.model, n, threads, persistent=True)
-        self.drives = facility.drives(self.model, list(settings or [facility.settings] * n), self.tick, substeps, np.full(n, feed), TOOL)
+        self.drives = facility.drives(self.model, list(settings or [facility.settings] * n), self.tick, substeps, np.full(n, feed), tool)
         bind = self.batch.bind
         self.qpos, self.qvel, self.ctrl = bind("qpos"), bind("qvel"), bind("ctrl")
         self.warmstart = bind("qacc_warmstart")
         self._applied = bind("xfrc_applied").reshape(n, -1, 6)
-        site = self.model.site(TOOL)
+        site = self.model.site(tool)
         self._body = int(site.bodyid[0])
-        self._centre = np.array(self.model.body(self._body).ipos - site.pos)
+        self._centre = np.zeros(3)
+        rotate_back(site.quat[[1, 2, 3, 0]], self.model.body(self._body).ipos - site.pos, self._centre)
         self.wrench = np.zeros((n, 6))
         self.diverged = np.zeros(n, dtype=bool)
         self.pose, self.twist = self.drives.pose, self.drives.twist

@@ -5,19 +5,25 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
+from hiltestbed.platform.pss33.settings import Pss33
 from hiltestbed.validation import Problem
 
 if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario
 
-WORKSPACE_TRANSLATION = 0.25  # [m] the platform's reach from home, any axis; home is at the nominal first touch
-WORKSPACE_ROTATION_DEG = 10.0
 UPPER_SPEED = 0.3  # [m/s] up to which the upper platform is clamped before the touch
 
 
+def _workspace(scenario: Scenario) -> tuple[float, float]:
+    """Reach from home along [m] and about [deg] each axis."""
+    platform = scenario.rig.platform
+    assert isinstance(platform, Pss33)
+    return platform.workspace.translation, platform.workspace.rotation_deg
+
+
 def start_problems(scenario: Scenario) -> Iterator[Problem]:
-    """The platform reaches WORKSPACE_TRANSLATION and WORKSPACE_ROTATION_DEG around the nominal first touch, and no further."""
-    approach, reach, turn = scenario.approach, WORKSPACE_TRANSLATION, WORKSPACE_ROTATION_DEG
+    """The platform reaches as far as its workspace around the nominal first touch, and no further."""
+    approach, (reach, turn) = scenario.approach, _workspace(scenario)
     if scenario.rig.upper.kind == "prs3":
         yield from _nine_axis_problems(scenario)
         return
@@ -38,7 +44,8 @@ def _nine_axis_problems(scenario: Scenario) -> Iterator[Problem]:
     from hiltestbed.platform.prs3.allocation import LONGEST, lower_pose
 
     approach = scenario.approach
-    lowest = -WORKSPACE_TRANSLATION if scenario.mechanism.captured else 0.0
+    reach, widest = _workspace(scenario)
+    lowest = -reach if scenario.mechanism.captured else 0.0
     if not lowest <= approach.gap <= LONGEST:
         yield ("approach", "gap"), f"starts outside the workspace (got {approach.gap:g} m); allowed is {lowest:g} to {LONGEST:g} m"
         return
@@ -51,10 +58,10 @@ def _nine_axis_problems(scenario: Scenario) -> Iterator[Problem]:
     pose = np.array([[*approach.offset, -approach.gap, *quat_from_attitude_deg(approach.attitude_deg)]])
     lower = lower_pose(pose)
     place, turn = np.abs(lower[0, :3]), np.degrees(np.abs(rotation_vectors(lower[:, 3:])[0]))
-    if not (place.max() <= WORKSPACE_TRANSLATION and turn.max() <= WORKSPACE_ROTATION_DEG):
+    if not (place.max() <= reach and turn.max() <= widest):
         where = ", ".join(f"{value:.3g}" for value in lower[0, :3])
         yield (
             ("approach",),
             f"starts outside the workspace (the lower platform would stand at {where} m, turned by up to {turn.max():.3g} deg); allowed "
-            f"are {WORKSPACE_TRANSLATION:g} m and {WORKSPACE_ROTATION_DEG:g} deg on each axis: take a smaller offset or attitude_deg",
+            f"are {reach:g} m and {widest:g} deg on each axis: take a smaller offset or attitude_deg",
         )

@@ -18,15 +18,15 @@ from hiltestbed.frames import Array, rotate, rotate_back
 GRAVITY = 9.81  # [m/s^2], along -z of W
 
 
-def load_constants(m: mujoco.MjModel) -> Array:
+def load_constants(m: mujoco.MjModel, tool: str = "active_A") -> Array:
     """``(16,)``: moved mass [kg], its centre of mass from A in A (3) [m], inertia about it in A (9, row-major) [kg m^2], link mass,
-    carriage mass, armature [kg], of a compiled rig at home."""
+    carriage mass, armature [kg], of a compiled rig at home; A is its site ``tool``."""
     data = mujoco.MjData(m)
     mujoco.mj_forward(m, data)
     platform = m.body("platform").id
     bodies = [b for b in range(m.nbody) if m.body_rootid[b] == platform]
     mass = m.body_mass[bodies].sum()
-    origin = data.site("active_A").xpos
+    origin = data.site(tool).xpos
     com = (m.body_mass[bodies, None] * data.xipos[bodies]).sum(axis=0) / mass
     inertia = np.zeros((3, 3))
     for b in bodies:

@@ -31,7 +31,8 @@ class Pss33Rig(Servo):
     def __init__(self, scenarios: Sequence[Scenario], structure: Structure, dt: float) -> None:
         self.model = model.rig_model(structure, dt, kept=scenarios[0].substeps)
         feed = np.array([s.compensation.motion.feeds for s in scenarios])
-        super().__init__(self.model, scenarios, feed)
+        first = scenarios[0]
+        super().__init__(self.model, [s.rig.platform for s in scenarios], first.tick, first.substeps, feed)
 
     def start(self, batch: Batch, scenarios: Sequence[Scenario], dt: float) -> Pss33Rig:
         """Bind the servo to the batch of the model."""

@@ -26,6 +26,7 @@ from hiltestbed.platform.pss33.dynamics import drive_forces, invert, load_consta
 from hiltestbed.platform.pss33.kinematics import Platform, jacobian, joints
 
 if TYPE_CHECKING:
+    from hiltestbed.platform.pss33.settings import Pss33
     from hiltestbed.scenario import Scenario
 
 # A drive's share of what moves up and down: platform and mechanism 350 kg, three links, carriages and armatures of 97 kg, over 3.
@@ -82,13 +83,14 @@ def _aim(limbs, load, feed, h, pose_cmd, twist_cmd, accel_cmd, target, speed, ve
 
 
 @njit(cache=True)
-def _push(plan, sub, kp, kv, adr, qpos, qvel, force):
-    """``force`` (n, 6) [N] of the drives at the start of substep ``sub``."""
+def _push(plan, sub, kp, kv, step, adr, qpos, qvel, force):
+    """``force`` (n, 6) [N] of the drives at the start of substep ``sub``; ``step`` (n,) [m] of an encoder, 0 for none."""
     for i in range(force.shape[0]):
         for j in range(6):
-            force[i, j] = (
-                plan[i, sub, 2, j] + kp[i] * (plan[i, sub, 0, j] - qpos[i, adr[0, j]]) + kv[i] * (plan[i, sub, 1, j] - qvel[i, adr[1, j]])
-            )
+            s = qpos[i, adr[0, j]]
+            if step[i] > 0.0:
+                s = step[i] * np.rint(s / step[i])
+            force[i, j] = plan[i, sub, 2, j] + kp[i] * (plan[i, sub, 0, j] - s) + kv[i] * (plan[i, sub, 1, j] - qvel[i, adr[1, j]])
 
 
 @njit(cache=True)
@@ -158,14 +160,17 @@ class Servo:
         kp, kv: (n,) gains of a drive [N/m], [N s/m].
     """
 
-    def __init__(self, model: mujoco.MjModel, scenarios: Sequence[Scenario], feed: Array) -> None:
-        n, tick, substeps = len(scenarios), scenarios[0].tick, scenarios[0].substeps
+    def __init__(
+        self, model: mujoco.MjModel, platforms: Sequence[Pss33], tick: float, substeps: int, feed: Array, tool: str = "active_A"
+    ) -> None:
+        """``tool``: the site that follows the command."""
+        n = len(platforms)
         self.platform = Platform.load()
         self.tick, self._feed = tick, feed
-        self._load = load_constants(model)
-        platforms = [s.rig.platform for s in scenarios]
+        self._load = load_constants(model, tool)
         self.kp = np.array([MOVED_PER_DRIVE * (2.0 * math.pi * p.bandwidth) ** 2 for p in platforms])
         self.kv = np.array([2.0 * p.damping_ratio * MOVED_PER_DRIVE * 2.0 * math.pi * p.bandwidth for p in platforms])
+        self._encoder = np.array([p.encoder_resolution for p in platforms])
         sliders = [model.joint(f"slider_{j}") for j in range(6)]
         free = model.joint("platform")
         self._adr = np.array([[s.qposadr[0] for s in sliders], [s.dofadr[0] for s in sliders]])
@@ -178,7 +183,7 @@ class Servo:
 
     def add_friction(self, scenarios: Sequence[Scenario], applied: Array) -> None:
         """Let the scenarios' actuators rub: into the generalised forces ``applied`` (n, nv), where one has friction at all."""
-        friction = DriveFriction(scenarios, self._adr[1], self._least, self._step)
+        friction = DriveFriction([s.rig.platform.actuator for s in scenarios], self._adr[1], self._least, self._step)
         if friction.acts:
             self._friction, self._applied = friction, applied
 
@@ -205,7 +210,7 @@ class Servo:
 
     def push(self, sub: int, qpos: Array, qvel: Array, force: Array) -> None:
         """``force`` (n, 6) [N] of the drives for substep ``sub`` of the tick, from the joints as they stand."""
-        _push(self._plan, sub, self.kp, self.kv, self._adr, qpos, qvel, force)
+        _push(self._plan, sub, self.kp, self.kv, self._encoder, self._adr, qpos, qvel, force)
         if self._friction:
             self._friction.act(qvel, self._applied)
 

@@ -46,12 +46,33 @@ class Actuator(Strictly):
         return self
 
 
+class Limits(Strictly):
+    """What a drive of the platform can do; measurements of the workspace end at these, runs at those of the section ``safety``."""
+
+    stroke: Positive = Field(default=0.72, description="Largest travel of a slider from home [m]; that of the guides in models/pss33")
+    speed: Positive = Field(default=2.0, description="Highest speed of a slider [m/s]; a screw of 40 mm lead at 3000 rpm")
+    acceleration: Positive = Field(default=20.0, description="Highest acceleration of a slider [m/s^2]; 40 kN on 2 t")
+    force: Positive = Field(default=4.0e4, description="Largest force of a drive [N]; static load, docking load and 1 m/s^2, four times")
+
+
+class Workspace(Strictly):
+    """How far from home a start may be; home is at the nominal first touch."""
+
+    translation: Positive = Field(default=0.25, description="Reach from home along each axis [m]")
+    rotation_deg: Positive = Field(default=10.0, description="Reach from home about each axis [deg]")
+
+
 @register
 class Pss33(Platform):
     """Platform of the 3-3 PSS kind: six sliders, each with a link to the platform; drives under computed torque."""
 
     states_limits: ClassVar[bool] = False
     carries_upper: ClassVar[bool] = True
+    distorts: ClassVar[str] = (
+        "Computed torque with feed-forward takes the drives' lag out of free motion; in contact the position loops yield like springs, so "
+        "that A stands short of its command by force over stiffness. What is left is the delay of the force sensor, which a lead of "
+        "the force removes, as at Shanghai Jiao Tong University."
+    )
 
     kind: Literal["pss33"] = Field(default="pss33", description="Motion platform. pss33: 3-3 PSS, six sliders")
     tracking: Literal["servo", "ideal"] = Field(
@@ -63,10 +84,17 @@ class Pss33(Platform):
         description="Bandwidth of the drives' position loop [Hz]; the default is a quarter of the first mode of a large rig's limbs",
     )
     damping_ratio: Positive = Field(default=1.0, description="Damping ratio of the drives' position loop [-]")
+    encoder_resolution: NotNegative = Field(
+        default=0.0, description="Resolution of a slider's encoder [m]; 0: as fine as can be; linear scales have 1e-8 to 1e-6"
+    )
+    limits: Limits = Field(default=Limits(), description="What a drive can do")
+    workspace: Workspace = Field(default=Workspace(), description="How far from home a start may be")
     actuator: Actuator = Field(default=Actuator(), description="Motors and friction of the drives; with tracking servo alone")
 
     def facility(self) -> Facility:
-        raise NotImplementedError
+        from hiltestbed.platform.pss33.facility import Pss33Facility
+
+        return Pss33Facility(self)
 
     def driven(self, scenarios: Sequence[Scenario], structure: Structure, dt: float) -> Pss33Rig:
         from hiltestbed.platform.pss33.rig import Pss33Rig

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,9 @@ from hiltestbed.frames import Array, rotation_vectors
 from hiltestbed.platform.facilities.facility import Facility
 from hiltestbed.platform.facilities.kinematics import LEVER
 from hiltestbed.platform.facilities.stand import Stand
+
+if TYPE_CHECKING:
+    from hiltestbed.contact.settings import Mechanism
 
 AMPLITUDE = 2e-3  # [m]; a rotation has this over LEVER
 PULL = 4.0  # [m/s^2] that a sine may ask for
@@ -73,6 +76,7 @@ def frequency_response(
     substeps: int = 2,
     amplitude: float = AMPLITUDE,
     settings: Any = None,
+    mechanism: Mechanism | None = None,
 ) -> FrequencyResponse:
     """Measure at the frequencies [Hz], about home. Axes that are left out are NaN.
 
@@ -81,7 +85,7 @@ def frequency_response(
     """
     f = np.asarray(frequency, dtype=float)
     count = len(axes) * len(f)
-    stand = Stand(facility, count, feed=feed, rate=rate, substeps=substeps, settings=settings and [settings] * count)
+    stand = Stand(facility, count, feed=feed, rate=rate, substeps=substeps, settings=settings and [settings] * count, mechanism=mechanism)
     if not friction:
         stand.drives.release()
     axis, w = np.repeat(np.asarray(axes), len(f)), 2.0 * math.pi * np.tile(f, len(axes))

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
@@ -16,6 +17,9 @@ from hiltestbed.frames import Array
 from hiltestbed.platform.facilities.facility import Facility
 from hiltestbed.platform.facilities.kinematics import LEVER, direction
 from hiltestbed.platform.facilities.stand import Stand
+
+if TYPE_CHECKING:
+    from hiltestbed.contact.settings import Mechanism
 
 NUDGE = 1e-6  # [m], [rad], and per second of a velocity
 SLOWEST = 0.05  # [Hz]
@@ -39,13 +43,21 @@ class Mode:
     motion: str
 
 
-def modes(facility: Facility, *, highest: float = 200.0, feed: bool = False, rate: float = 2000.0, substeps: int = 2) -> tuple[Mode, ...]:
+def modes(
+    facility: Facility,
+    *,
+    highest: float = 200.0,
+    feed: bool = False,
+    rate: float = 2000.0,
+    substeps: int = 2,
+    mechanism: Mechanism | None = None,
+) -> tuple[Mode, ...]:
     """The modes below ``highest`` [Hz] at home, the slowest first."""
-    probe = Stand(facility, 1, feed=feed, rate=rate, substeps=substeps)
+    probe = Stand(facility, 1, feed=feed, rate=rate, substeps=substeps, mechanism=mechanism)
     allowed = probe.drives.kinematics.allowed(probe.drives.kinematics.home)
     own = probe.drives.feedback().shape[1]
     count = 2 * allowed.shape[1] + own
-    stand = Stand(facility, 2 * count, feed=feed, rate=rate, substeps=substeps)
+    stand = Stand(facility, 2 * count, feed=feed, rate=rate, substeps=substeps, mechanism=mechanism)
     stand.drives.release()
     phi = _map(probe, stand, allowed, count)
     values, vectors = np.linalg.eig(phi)

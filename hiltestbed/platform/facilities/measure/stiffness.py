@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,9 @@ from hiltestbed.frames import Array, rotation_vectors
 from hiltestbed.platform.facilities.facility import Facility
 from hiltestbed.platform.facilities.measure.frequency_response import CYCLES, LEAD_IN, _grown
 from hiltestbed.platform.facilities.stand import Stand
+
+if TYPE_CHECKING:
+    from hiltestbed.contact.settings import Mechanism
 
 FORCE, TORQUE = 200.0, 60.0  # [N], [N m]
 _SIZE = np.array([FORCE] * 3 + [TORQUE] * 3)
@@ -38,12 +42,18 @@ def static_compliance(facility: Facility, *, friction: bool = False, settle: flo
 
 
 def dynamic_stiffness(
-    facility: Facility, frequency: Sequence[float], *, friction: bool = False, rate: float = 2000.0, substeps: int = 2
+    facility: Facility,
+    frequency: Sequence[float],
+    *,
+    friction: bool = False,
+    rate: float = 2000.0,
+    substeps: int = 2,
+    mechanism: Mechanism | None = None,
 ) -> NDArray[np.complex128]:
     """``(6, F)`` complex stiffness of each axis at A, force over displacement, the command held [N/m, N m/rad]."""
     f = np.asarray(frequency, dtype=float)
     n = 6 * len(f)
-    stand = Stand(facility, n, rate=rate, substeps=substeps)
+    stand = Stand(facility, n, rate=rate, substeps=substeps, mechanism=mechanism)
     if not friction:
         stand.drives.release()
     axis, w = np.repeat(np.arange(6), len(f)), 2.0 * math.pi * np.tile(f, 6)

@@ -1,0 +1,37 @@
+"""A platform of the user's own: a gantry of three slides with a wrist of three hinges, described by an MJCF file beside this one.
+
+hiltestbed run 02-bumper --plugin examples/plugins/gantry.py --set 'rig.platform={kind: gantry}'
+hiltestbed rig 02-bumper --plugin examples/plugins/gantry.py --set 'rig.platform={kind: gantry}'
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from pydantic import Field
+
+from hiltestbed.platform.facilities.settings import CommandPath, MjcfSettings
+from hiltestbed.plugins import register
+
+if TYPE_CHECKING:
+    from hiltestbed.platform.facilities.facility import Facility
+
+MODEL = Path(__file__).with_name("gantry") / "gantry.xml"
+
+
+@register
+class Gantry(MjcfSettings):
+    """A gantry of three slides with a wrist of three hinges under position control."""
+
+    kind: Literal["gantry"]
+    model: str = Field(default=str(MODEL), description="MJCF file of the rig, with a site `mount` and position actuators")
+    command: CommandPath = Field(
+        default=CommandPath(controller_rate=1000.0), description="How commands reach the drives: every millisecond"
+    )
+
+    def facility(self) -> Facility:
+        """Model, kinematics, drives and limits, measured on the MJCF model."""
+        from hiltestbed.platform.facilities.mjcf import Mjcf
+
+        return Mjcf(self)

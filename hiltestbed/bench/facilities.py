@@ -1,0 +1,183 @@
+"""The same contacts and the same docking on every facility: uncompensated, with the field's own cure, and with the default.
+
+A bounce of 500 kg on 2000 kg through a sensor that is 2 ms late, against the contact of both free bodies; a probe that slides into its cone
+and is captured. Bodies that move by themselves play both as they are.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from hiltestbed.bench.facilities_report import facilities_report
+from hiltestbed.bench.result import BenchResult
+from hiltestbed.bench.throughput import side_by_side
+from hiltestbed.gallery import shipped
+from hiltestbed.numerical_model.bodies import effective_mass
+from hiltestbed.platform.facilities.hall import facility_of
+from hiltestbed.platform.facilities.measure import workspace
+from hiltestbed.scenario import Scenario, load_scenario
+from hiltestbed.simulation import log_error, reference_scenario, simulate
+from hiltestbed.stability import measured_response, stability
+
+DELAY = 0.002  # [s] of the force sensor
+RATIO = 0.05  # damping ratio of the contacts
+STIFFNESS = (1.0e4, 5.0e4, 1.0e5)  # [N/m]: 0.8, 1.8, 2.5 Hz
+FACILITIES: dict[str, dict[str, Any]] = {  # name to rig.platform
+    "pss33": {"kind": "pss33"},
+    "stewart, hydraulic": {"kind": "stewart", "drive": {"kind": "hydraulic"}},
+    "stewart, electric": {"kind": "stewart", "drive": {"kind": "electric"}},
+    "serial_arm": {"kind": "serial_arm"},
+    "two_arms": {"kind": "two_arms"},
+    "mjcf": {"kind": "mjcf", "model": "xyz_table/xyz_table.xml"},
+    "air_bearing": {"kind": "air_bearing"},
+    "suspension": {"kind": "suspension"},
+}
+NONE = {"force": {"kind": "none"}, "motion": {"kind": "none"}}
+Progress = Callable[[int, int], None]
+
+
+def facilities(quick: bool = False, progress: Progress | None = None) -> BenchResult:
+    """Every facility with every treatment; ``quick``: one contact, no docking."""
+    stiffness = STIFFNESS[1:2] if quick else STIFFNESS
+    records, rigs = [], []
+    for done, (name, platform) in enumerate(FACILITIES.items()):
+        if progress:
+            progress(done, len(FACILITIES))
+        contacts = [bounce(platform, k) for k in stiffness]
+        records += [r | {"facility": name} for r in _bounces(contacts)]
+        if not quick:
+            records += [r | {"facility": name} for r in _dockings(platform)]
+        rigs.append(_rig(name, contacts[0], 2 if quick else 6))
+    if progress:
+        progress(len(FACILITIES), len(FACILITIES))
+    summary = {"rigs": rigs, "worst": _worst(records)}
+    lines = [(f"{w['facility']}, {w['treatment']}", _line(w)) for w in summary["worst"]]
+    return BenchResult("facilities", records, summary, facilities_report(records, summary), lines)
+
+
+def bounce(platform: dict[str, Any], stiffness: float) -> Scenario:
+    """A bumper of a stiffness [N/m] between two free bodies, in reach of every facility."""
+    base = load_scenario(shipped("scenarios") / "18-stewart.yaml")
+    damping = 2.0 * RATIO * math.sqrt(stiffness * effective_mass(base))
+    keys = {"mechanism.contact.stiffness": stiffness, "mechanism.contact.damping": damping}
+    keys |= {"sensor": {"delay": DELAY}, "rig.platform": platform, "approach.gap": 0.005, "duration": 2.0, "identification.kind": "none"}
+    return load_scenario(shipped("scenarios") / "18-stewart.yaml", set=keys)
+
+
+def docking(platform: dict[str, Any]) -> Scenario:
+    """A probe that meets its cone 30 mm off the axis, in a plane that every facility has."""
+    keys = {"rig.platform": platform, "approach.offset": [0.03, 0.0], "approach.attitude_deg": [0.0, 0.0, 0.0], "duration": 4.0}
+    return load_scenario(
+        shipped("scenarios") / "19-serial-arm.yaml", set=keys | {"sensor": {"delay": DELAY}, "identification.kind": "none"}
+    )
+
+
+def treated(scenario: Scenario, compensation: dict[str, Any], identification: str = "none") -> Scenario:
+    """A scenario with another compensation."""
+    from hiltestbed.scenario import resolved, scenario_from
+
+    return scenario_from(resolved(scenario) | {"compensation": compensation, "identification": {"kind": identification}})
+
+
+def treatments(scenario: Scenario) -> dict[str, tuple[dict[str, Any], str]]:
+    """Name to compensation and identification; of bodies that move by themselves the one that there is."""
+    platform = scenario.rig.platform
+    if platform.physical:
+        return {"as it is": (NONE, "none")}
+    judged = stability(treated(scenario, NONE | {"motion": {"kind": "feedforward"}}))
+    lost = scenario.mechanism.contact.damping - judged["net_damping"] if judged else scenario.mechanism.contact.stiffness * DELAY
+    said, cure = platform.cure(max(lost, 0.0))
+    return {"uncompensated": (NONE, "none"), said: (cure, "none"), "default": ({}, "rls")}
+
+
+def _bounces(contacts: list[Scenario]) -> list[dict[str, Any]]:
+    """One batch a treatment."""
+    references = simulate([reference_scenario(s) for s in contacts], until_parted=True).figures
+    out = []
+    given = [treatments(s) for s in contacts]
+    for name in given[0]:
+        runs = [treated(s, *t[name]) for s, t in zip(contacts, given, strict=True)]
+        start = time.perf_counter()
+        batch = simulate(runs, until_parted=True)
+        wall = time.perf_counter() - start
+        for i, (run, figures, reference) in enumerate(zip(runs, batch.figures, references, strict=True)):
+            judged = stability(run)
+            bare = judged and (judged if judged["stable"] is not None else judged["uncompensated"])
+            out.append(
+                {
+                    "case": "bounce", "treatment": name, "stiffness": run.mechanism.contact.stiffness, "cor": figures.cor,
+                    "cor_reference": reference.cor, "cor_log_error": log_error(figures.cor, reference.cor),
+                    "peak_force_error": figures.peak_force / reference.peak_force - 1.0, "energy_generated": figures.energy_generated,
+                    "net_damping": bare["net_damping"] if bare else None, "largest_delay": bare["largest_delay"] if bare else None,
+                    "largest_stiffness": bare["largest_stiffness"] if bare else None, "status": batch.trouble.get(i, (0, "completed"))[1],
+                    "passive": figures.cor is not None and figures.cor <= 1.0, "wall": wall / len(runs),
+                }
+            )  # fmt: skip
+    return out
+
+
+def _dockings(platform: dict[str, Any]) -> list[dict[str, Any]]:
+    """The docking with the default and without any; when the reference is captured."""
+    scenario = docking(platform)
+    reference = simulate([reference_scenario(scenario)]).outcomes[0]
+    out = []
+    for name in (n for n in treatments(scenario) if n in ("uncompensated", "default", "as it is")):
+        compensation, identification = treatments(scenario)[name]
+        batch = simulate([treated(scenario, compensation, identification)])
+        outcome = batch.outcomes[0]
+        out.append(
+            {
+                "case": "docking", "treatment": name, "outcome": outcome["outcome"], "captured_at": outcome["captured_at"],
+                "captured_at_reference": reference["captured_at"], "peak_force": batch.figures[0].peak_force,
+                "energy_generated": batch.figures[0].energy_generated, "status": batch.trouble.get(0, (0, "completed"))[1],
+            }
+        )  # fmt: skip
+    return out
+
+
+def _rig(name: str, scenario: Scenario, stretches: int) -> dict[str, Any]:
+    """What the facility is: reach, response along the insertion, cost of a tick."""
+    platform, facility = scenario.rig.platform, facility_of(scenario)
+    cost = side_by_side(scenario, 16, 1, stretches)
+    out = {
+        "facility": name, "distorts": platform.distorts, "cost": cost["ratio"], "real_time_factor": cost["real_time_factor"],
+        "reach": None, "turn": None, "delay": None, "compliance": None,
+    }  # fmt: skip
+    if platform.physical:
+        return out
+    reach = workspace(facility)
+    response = measured_response(scenario)
+    k = int(np.searchsorted(response.frequency, 2.0))
+    return out | {
+        "reach": min(min(-w.low, w.high) for w in reach[:3]),
+        "turn": math.degrees(min(min(-w.low, w.high) for w in reach[3:])),
+        "delay": float(-np.angle(response.follows[k]) / (2.0 * math.pi * response.frequency[k])),
+        "compliance": float(response.yields[k].real),
+    }
+
+
+def _worst(records: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Of each facility and treatment the largest errors over the contacts."""
+    out: list[dict[str, Any]] = []
+    for facility, treatment in dict.fromkeys((r["facility"], r["treatment"]) for r in records if r["case"] == "bounce"):
+        rows = [r for r in records if (r["facility"], r["treatment"], r["case"]) == (facility, treatment, "bounce")]
+        errors = [abs(r["cor_log_error"]) for r in rows if r["cor_log_error"] is not None]
+        out.append(
+            {
+                "facility": facility, "treatment": treatment, "lost": len(rows) - len(errors), "cor_log_error": max(errors, default=None),
+                "peak_force_error": max(abs(r["peak_force_error"]) for r in rows), "passive": all(r["passive"] for r in rows),
+                "net_damping": min((r["net_damping"] for r in rows if r["net_damping"] is not None), default=None),
+                "largest_delay": min((r["largest_delay"] for r in rows if r["largest_delay"] is not None), default=None),
+            }
+        )  # fmt: skip
+    return out
+
+
+def _line(w: dict[str, Any]) -> str:
+    error = "no rebound" if w["cor_log_error"] is None else f"|ln e/e_ref| <= {w['cor_log_error']:.4f}"
+    return f"{error}, peak force {100.0 * w['peak_force_error']:.1f} % off{'' if w['passive'] else ', active'}"

@@ -1,0 +1,81 @@
+"""Values at random that a JSON Schema allows, extremes more often than people give them; now and then one that it does not."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from numpy.random import Generator
+
+WORDS = ("", "x", "reference", "[/x]", "\x1b[31m", "<script>", "../../up", "a" * 300, "ß→µ", "nan", "${HOME}", "-", "1e5")
+DEEPEST = 8
+WRONG = 0.01  # of the values that are not what the schema asks for
+LARGEST = 1e9
+
+
+def value_of(schema: Mapping[str, Any], rng: Generator, root: Mapping[str, Any] | None = None, depth: int = 0) -> Any:
+    """A value of ``schema``; ``root`` holds the definitions that it refers to."""
+    root = schema if root is None else root
+    if rng.random() < WRONG:
+        return _wrong(rng)
+    if "$ref" in schema:
+        name = schema["$ref"].rpartition("/")[2]
+        return value_of(root.get("$defs", {}).get(name, {}), rng, root, depth + 1)
+    for choice in ("oneOf", "anyOf", "enum"):
+        if choice in schema:
+            picked = schema[choice][int(rng.integers(len(schema[choice])))]
+            return picked if choice == "enum" else value_of(picked, rng, root, depth + 1)
+    if "const" in schema:
+        return schema["const"]
+    kind = schema.get("type")
+    if isinstance(kind, list):
+        kind = kind[int(rng.integers(len(kind)))]
+    if kind == "object":
+        return _mapping(schema, rng, root, depth)
+    if kind == "array":
+        return _list(schema, rng, root, depth)
+    if kind == "number":
+        return number(schema, rng)
+    if kind == "integer":
+        return int(max(min(number(schema, rng), 2.0**62), -(2.0**62)))
+    return {"boolean": bool(rng.random() < 0.5), "null": None}.get(kind or "", WORDS[int(rng.integers(len(WORDS)))])
+
+
+def number(schema: Mapping[str, Any], rng: Generator) -> float:
+    """A number within the limits of ``schema``: an end, next to it, or anything between in the logarithm."""
+    low = schema.get("minimum", schema.get("exclusiveMinimum", -LARGEST))
+    high = schema.get("maximum", schema.get("exclusiveMaximum", LARGEST))
+    if rng.random() < 0.15:
+        return float([low, high, 0.0][int(rng.integers(3))])
+    if low >= 0:
+        least = math.log(max(low, 1e-12))
+        return math.exp(rng.uniform(least, max(math.log(max(high, 1e-12)), least)))
+    return float(rng.uniform(low, high)) if rng.random() < 0.5 else float(rng.standard_normal() * 10.0 ** rng.integers(-6, 3))
+
+
+def _mapping(schema: Mapping[str, Any], rng: Generator, root: Mapping[str, Any], depth: int) -> dict[str, Any]:
+    required = set(schema.get("required", ()))
+    out = {}
+    for name, inner in schema.get("properties", {}).items():
+        if name in required or (depth < DEEPEST and rng.random() < 0.3):
+            out[name] = value_of(inner, rng, root, depth + 1)
+        elif "const" in inner:
+            out[name] = inner["const"]
+    if not schema.get("properties") and isinstance(schema.get("additionalProperties"), dict):
+        for _ in range(int(rng.integers(0, 3))):
+            out[WORDS[int(rng.integers(len(WORDS)))]] = value_of(schema["additionalProperties"], rng, root, depth + 1)
+    return out
+
+
+def _list(schema: Mapping[str, Any], rng: Generator, root: Mapping[str, Any], depth: int) -> list[Any]:
+    if "prefixItems" in schema:
+        return [value_of(inner, rng, root, depth + 1) for inner in schema["prefixItems"]]
+    low = schema.get("minItems", 0)
+    count = int(rng.integers(low, schema.get("maxItems", low + 2) + 1))
+    return [value_of(schema.get("items", {}), rng, root, depth + 1) for _ in range(count)]
+
+
+def _wrong(rng: Generator) -> Any:
+    options = (None, True, -1, 0, 1e308, -1e-308, math.inf, math.nan, "x", [], {}, [[1]], {"kind": "?"}, 10**30, "1e5")
+    return options[int(rng.integers(len(options)))]

@@ -1,0 +1,44 @@
+"""The process that trials run in: `python -m hiltestbed.bench.robustness.worker KIND FIRST COUNT`, a line of JSON before and after each.
+
+Trial N of a kind is the same whenever and wherever it is run: `... KIND N 1` repeats it.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import tempfile
+import time
+import traceback
+from pathlib import Path
+from zlib import crc32
+
+import numpy as np
+
+from hiltestbed.bench.robustness.trials import TRIALS
+
+
+def serve(kind: str, first: int, count: int) -> None:
+    """Run trials and tell how each ended."""
+    with tempfile.TemporaryDirectory(prefix="hiltestbed-") as folder, np.errstate(all="ignore"):
+        for number in range(first, first + count):
+            _tell({"begin": number})
+            start = time.perf_counter()
+            try:
+                ended = TRIALS[kind](np.random.default_rng([crc32(kind.encode()), number]), Path(folder))
+                told = {"ended": ended}
+            except Exception as error:
+                last = traceback.extract_tb(error.__traceback__)
+                ours = next((f for f in reversed(last) if "hiltestbed" in f.filename), last[-1])
+                where = f"{Path(ours.filename).name}:{ours.lineno}"
+                told = {"fault": f"{type(error).__name__} at {where}: {str(error)[:200]}", "place": f"{type(error).__name__} {where}"}
+            _tell(told | {"number": number, "wall": time.perf_counter() - start})
+
+
+def _tell(what: dict) -> None:
+    sys.stdout.write(json.dumps(what) + "\n")
+    sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    serve(sys.argv[1], int(sys.argv[2]), int(sys.argv[3]))

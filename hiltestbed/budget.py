@@ -1,0 +1,187 @@
+"""What a run, a sweep or a diagnosis will cost in memory, time and disk, estimated from its files before anything is allocated.
+
+Estimates are within a factor of two of what was measured on one core; what they are for is to tell a minute from a week, and a
+gigabyte from a petabyte. Beyond a limit the work is refused; a variable of the environment sets the limit:
+
+    HILTESTBED_MEMORY_LIMIT   [GB], left out: MEMORY_PART of the memory that is free
+    HILTESTBED_DISK_LIMIT     [GB], left out: DISK_PART of what is free on the disk
+    HILTESTBED_TIME_LIMIT     [h], left out: WEEK
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import shutil
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from hiltestbed.errors import InputError
+from hiltestbed.signals import GROUPS
+
+if TYPE_CHECKING:
+    from hiltestbed.campaign.schema import LoadedCampaign
+    from hiltestbed.dataset import LoadedDataset
+    from hiltestbed.scenario import Scenario
+
+GB = 1e9
+MEMORY_PART, DISK_PART = 0.8, 0.9
+WEEK = 168.0  # [h]
+COLUMNS = sum(len(group.parts) for group in GROUPS.values()) + 2
+COPIES = 3  # of a trace that are held while it is written
+BASE = 0.35 * GB  # an interpreter with its packages and compiled blocks
+STATES = 4  # copies of the delay lines: the loop's own and those that a failure is replayed from
+TICK, INSTANT = 6e-5, 6e-6  # [s] of one core a tick and an instant of the physics of a single run; of each further run in its batch
+BATCHED = 0.25  # part of that
+BEGIN = 3.0  # [s] to start, with warm kernels
+ROW = 700.0  # [byte] a row of trace.parquet and recording.rrd on disk, both together
+DIAGNOSED = 6e-3  # [s] a row of a dataset: 6 runs of 900 rows take 10 to 60 s
+FIT = 3.0e4  # [byte] a row of a dataset while links are replayed for many hypotheses
+FILTER_MEMORY = 10.0  # time constants of the sensor's low-pass that the identification remembers
+VARIABLES = {"memory": "HILTESTBED_MEMORY_LIMIT", "disk": "HILTESTBED_DISK_LIMIT", "time": "HILTESTBED_TIME_LIMIT"}
+
+
+@dataclass(frozen=True)
+class Budget:
+    """What some work needs. memory, disk: [byte]; time: [s] on one core."""
+
+    memory: float
+    time: float
+    disk: float
+
+    def __str__(self) -> str:
+        return f"about {_bytes(self.memory)} of memory, {_duration(self.time)} on one core, {_bytes(self.disk)} on disk"
+
+    def refused(self, folder: Path = Path()) -> list[str]:
+        """Why the work cannot be begun, a sentence for each limit that it goes beyond."""
+        out = []
+        for name, need, limit, show in (
+            ("memory", self.memory, memory_limit(), _bytes),
+            ("disk", self.disk, disk_limit(folder), _bytes),
+            ("time", self.time, time_limit(), _duration),
+        ):
+            if not need <= limit:
+                unit = "h" if name == "time" else "GB"
+                out.append(f"needs about {show(need)} of {name} (allowed: {show(limit)}); {VARIABLES[name]} [{unit}] sets the limit")
+        return out
+
+
+def refuse_beyond(budget: Budget, what: str, do: str, folder: Path = Path()) -> None:
+    """Raises InputError when ``what`` needs more than is allowed; ``do`` says what needs less."""
+    found = budget.refused(folder)
+    if found:
+        raise InputError(f"{what}: {'; '.join(found)}; {do}")
+
+
+def memory_limit() -> float:
+    """[byte] that may be used."""
+    return _given("memory", GB) or MEMORY_PART * _free_memory()
+
+
+def disk_limit(folder: Path) -> float:
+    """[byte] that may be written below ``folder``."""
+    given = _given("disk", GB)
+    if given:
+        return given
+    there = folder.absolute()
+    while not there.exists() and there != there.parent:
+        there = there.parent
+    try:
+        usage = shutil.disk_usage(there)
+        return DISK_PART * usage.free if usage.total else math.inf  # a file system without blocks says nothing
+    except OSError:
+        return math.inf
+
+
+def time_limit() -> float:
+    """[s] that may be taken."""
+    return _given("time", 3600.0) or WEEK * 3600.0
+
+
+def _given(name: str, unit: float) -> float | None:
+    text = os.environ.get(VARIABLES[name], "")
+    if not text:
+        return None
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not value > 0:
+        raise InputError(f"{VARIABLES[name]}: is no limit (got {text!r}); allowed is a number above 0, or inf")
+    return value * unit
+
+
+def _free_memory() -> float:
+    """[byte] that can be had without swapping; infinite where the system does not say."""
+    found = []
+    try:
+        with open("/proc/meminfo", encoding="ascii") as file:
+            found += [1024.0 * float(line.split()[1]) for line in file if line.startswith("MemAvailable")]
+        with open("/sys/fs/cgroup/memory.max", encoding="ascii") as file:
+            found += [float(text) for text in [file.read().strip()] if text.isdigit()]
+    except (OSError, ValueError):
+        pass
+    return min(found, default=math.inf)
+
+
+def run_budget(scenarios: Sequence[Scenario], rows: bool = True) -> Budget:
+    """Of runs in lockstep; ``rows``: whether their traces are held and written."""
+    ticks, n, first = max(s.ticks for s in scenarios), len(scenarios), scenarios[0]
+    trace = ticks * n * COLUMNS * 8.0
+    lines = sum(delay_line(s) for s in scenarios)
+    core = ticks * (TICK + INSTANT * first.substeps) * (1 + BATCHED * (n - 1)) * (1 + REFERENCE)
+    disk = ticks * n * ROW if rows else 2e3 * n
+    return Budget(BASE + (COPIES * trace if rows else 0.0) + STATES * lines, BEGIN + core, disk)
+
+
+REFERENCE = 0.5  # of the time of a run, that its reference takes
+
+
+def delay_line(scenario: Scenario) -> float:
+    """[byte] that hold what is on its way: the wrench of every instant before it is read, poses and estimates of every tick."""
+    delays = [scenario.sensor.delay] + [getattr(effect, "delay", 0.0) for effect in scenario.effects]
+    delays += [8.0 * e.sigma for e in scenario.effects if e.kind == "sensor.jitter"]  # type: ignore[attr-defined]
+    late = sum(getattr(effect, "ticks", 0) for effect in scenario.effects)
+    longest = float(sum(delays))
+    lowpass = scenario.sensor.lowpass
+    remembered = 0.0 if lowpass is None else FILTER_MEMORY / (2.0 * math.pi * lowpass) * scenario.rate * 24 * 8.0
+    return remembered + longest * (scenario.physics_rate * 48.0 + scenario.rate * 8.0 * 80.0) + late * 13 * 8.0
+
+
+def campaign_budget(campaign: LoadedCampaign, workers: int = 1, chunk: int = 64) -> Budget:
+    """Of a campaign whose cases are like its scenario."""
+    from hiltestbed.scenario import scenario_from
+
+    scenario = scenario_from(campaign.source)
+    cases, keeps = campaign.spec.cases, campaign.spec.keep != "summary"
+    together = min(chunk, cases)
+    one = run_budget([scenario] * together, rows=False)
+    held = min(together * scenario.ticks, 400_000) * COLUMNS * 8.0 * COPIES if keeps else 0.0
+    disk = cases * (scenario.ticks * ROW if keeps else 2e3)
+    return Budget(workers * (one.memory + held), BEGIN + (one.time - BEGIN) * cases / together / workers, disk)
+
+
+def dataset_budget(dataset: LoadedDataset) -> Budget:
+    """Of a diagnosis of runs that last as long as their scenarios."""
+    rows = sum(s.ticks for s in dataset.scenarios)
+    return Budget(BASE + rows * FIT, 10.0 + rows * DIAGNOSED, 2e6 + rows * ROW)
+
+
+def _bytes(size: float) -> str:
+    if math.isinf(size):
+        return "no limit"
+    for unit, factor in (("TB", 1e12), ("GB", 1e9), ("MB", 1e6)):
+        if size >= factor:
+            return f"{size / factor:.3g} {unit}"
+    return f"{size / 1e3:.3g} kB"
+
+
+def _duration(seconds: float) -> str:
+    if math.isinf(seconds):
+        return "no limit"
+    for unit, factor in (("days", 86400.0), ("h", 3600.0), ("min", 60.0)):
+        if seconds >= 2 * factor:
+            return f"{seconds / factor:.3g} {unit}"
+    return f"{seconds:.3g} s"

@@ -1,0 +1,29 @@
+"""The energy that the rig makes, from the trace of a run."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from hiltestbed.frames import Array, twist_between
+from hiltestbed.numerical_model.bodies import approach_state
+from hiltestbed.scenario import Scenario
+from hiltestbed.signals import RunTrace
+
+
+def energy_generated(trace: RunTrace, scenario: Scenario) -> Array:
+    """``(ticks,)`` [J] made by the rig so far: the integral of F v_act - F_used v_cmd, as :class:`hiltestbed.metrics.Tally` adds it up."""
+    tick = 1.0 / scenario.rate
+    slope = np.zeros_like(trace["twist_act"])
+    _slopes(trace["pose_act"], tick, slope)
+    force, used, rate = trace["wrench_true"], trace["wrench_comp"], trace["twist_cmd"]
+    before = np.concatenate([approach_state(scenario)[None, 7:], rate[:-1]])
+    taken = np.zeros(len(trace.t))
+    taken[1:] = np.einsum("ij,ij->i", force[1:] + force[:-1], slope[1:])
+    return 0.5 * tick * np.cumsum(taken - np.einsum("ij,ij->i", used, rate + before))
+
+
+@njit(cache=True)
+def _slopes(pose, tick, out):
+    for k in range(1, pose.shape[0]):
+        twist_between(pose[k - 1], pose[k], tick, out[k])

@@ -1,0 +1,100 @@
+"""Other people's readers in a process of their own: one that crashes, hangs or takes all memory ends there, and the file is refused.
+
+The process is told a path and column names, and answers with arrays in NumPy's own format, which holds no objects and executes nothing.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Set
+from pathlib import Path
+
+import numpy as np
+
+from hiltestbed.errors import Fault, HiltestbedError, InputError, MissingExtra
+from hiltestbed.measured.columns import Columns, unreadable
+
+TIME_LIMIT = 60.0  # [s] for a file, and for each GB of it as much again
+MEMORY = 4 << 30  # [byte] of address space that a reader may take
+COLUMNS = "columns.npz"
+ANSWER = "answer.json"
+
+
+def read_apart(module: str, path: Path, wanted: Set[str]) -> Columns:
+    """What the reader ``module`` finds in a file. Raises InputError when it finds nothing to use, crashes or does not end; MissingExtra."""
+    limit = TIME_LIMIT * (1.0 + path.stat().st_size / 1e9)
+    with tempfile.TemporaryDirectory(prefix="hiltestbed-") as folder:
+        order = json.dumps({"module": module, "path": str(path.absolute()), "wanted": sorted(wanted), "folder": folder, "given": str(path)})
+        try:
+            ended = subprocess.run(
+                [sys.executable, "-m", "hiltestbed.measured.apart"],
+                input=order.encode(), capture_output=True, timeout=limit, env=_environment(),
+            )  # fmt: skip
+        except subprocess.TimeoutExpired:
+            raise unreadable(
+                path, f"is not read within {limit:.0f} s", "it is damaged, or too large: export it again, as Parquet"
+            ) from None
+        answer = Path(folder) / ANSWER
+        if not answer.is_file():
+            how = f"signal {-ended.returncode}" if ended.returncode < 0 else f"exit status {ended.returncode}"
+            raise unreadable(path, f"ends its reader ({how})", "it is damaged: copy or export it again")
+        return _answer(json.loads(answer.read_text(encoding="utf-8")), Path(folder) / COLUMNS)
+
+
+def _environment() -> dict[str, str]:
+    """This environment, with the packages of this process where it finds its own."""
+    here = str(Path(__file__).parents[2])
+    return os.environ | {"PYTHONPATH": os.pathsep.join([here, *filter(None, [os.environ.get("PYTHONPATH")])])}
+
+
+def _answer(told: dict, file: Path) -> Columns:
+    if "faults" in told:
+        raise InputError([Fault(**fault) for fault in told["faults"]])
+    if "error" in told:
+        raise HiltestbedError(told["error"])
+    with np.load(io.BytesIO(file.read_bytes()), allow_pickle=False) as arrays:
+        data = {name: arrays[f"data.{i}"] for i, name in enumerate(told["data"])}
+        clock = {name: arrays[f"clock.{i}"] for i, name in enumerate(told["clock"])}
+    return Columns(tuple(told["names"]), data, clock)
+
+
+def _serve() -> None:
+    """Read what standard input asks for and leave the answer in the folder that it names."""
+    from hiltestbed.measured.formats import reader
+
+    order = json.loads(sys.stdin.buffer.read())
+    folder, given = Path(order["folder"]), order["given"]
+    try:
+        _limit_memory()
+        columns = reader(order["module"])(Path(order["path"]), frozenset(order["wanted"]))
+        told = {"names": list(columns.names), "data": list(columns.data), "clock": list(columns.clock)}
+        arrays = {f"data.{i}": a for i, a in enumerate(columns.data.values())}
+        arrays |= {f"clock.{i}": a for i, a in enumerate(columns.clock.values())}
+        np.savez(folder / COLUMNS, **arrays)  # type: ignore[arg-type]
+    except InputError as error:
+        told = {"faults": [vars(fault) | {"file": given} for fault in error.faults]}
+    except MissingExtra as error:
+        told = {"error": str(error).replace(order["path"], given)}
+    except MemoryError:
+        told = {"faults": [vars(Fault(given, None, None, "", "asks for more memory than there is; it is damaged, or cut it to the run"))]}
+    partial = folder / (ANSWER + ".partial")
+    partial.write_text(json.dumps(told), encoding="utf-8")
+    partial.replace(folder / ANSWER)
+
+
+def _limit_memory() -> None:
+    try:
+        import resource
+    except ImportError:  # no such limit on this system
+        return
+    _, most = resource.getrlimit(resource.RLIMIT_AS)
+    resource.setrlimit(resource.RLIMIT_AS, (MEMORY if most == resource.RLIM_INFINITY else min(MEMORY, most), most))
+
+
+if __name__ == "__main__":
+    _serve()

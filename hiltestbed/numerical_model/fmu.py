@@ -1,0 +1,56 @@
+"""The numerical model as an FMU of the user's: stepped once a tick by FMPy, an instance a run."""
+
+from __future__ import annotations
+
+import weakref
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, cast
+
+import numpy as np
+
+from hiltestbed.devices.fmu import POSE, WRENCH, CoSimulation
+from hiltestbed.errors import InputError
+from hiltestbed.frames import Array, twist_between
+from hiltestbed.numerical_model.model import NumericalModel
+
+if TYPE_CHECKING:
+    from hiltestbed.numerical_model.kinds import Fmu
+    from hiltestbed.scenario import Scenario
+
+TWIST = ("vx", "vy", "vz", "wx", "wy", "wz")
+APART = 1e-6  # [m], [rad] of the FMU's start from that of the approach
+
+
+class FmuModel(NumericalModel):
+    """What :class:`NumericalModel` is to the loop; masses, inertias and ports are those believed, and the motion is the FMU's."""
+
+    def __init__(self, scenarios: Sequence[Scenario]) -> None:
+        """Raises MissingExtra, DeviceError; InputError where the FMU lacks a variable or does not start at ``approach``."""
+        super().__init__(scenarios)
+        inputs = [f"wrench.{name}" for name in WRENCH]
+        outputs = [*(f"pose.{name}" for name in POSE), *(f"twist.{name}" for name in TWIST)]
+        self._parts: list[CoSimulation] = []
+        for scenario in scenarios:
+            part = CoSimulation(Path(cast("Fmu", scenario.numerical_model).file), inputs, outputs)
+            part.open()
+            weakref.finalize(self, part.close)
+            self._parts.append(part)
+        self._refuse_other_start()
+
+    def advance(self, wrench: Array) -> None:
+        for i, part in enumerate(self._parts):
+            values = part.step(wrench[i], self.tick)
+            self.pose[i], self.twist[i] = values[:7], values[7:]
+
+    def _refuse_other_start(self) -> None:
+        apart = np.empty(6)
+        for i, part in enumerate(self._parts):
+            values = part.outputs()
+            twist_between(self.pose[i], values[:7], 1.0, apart)
+            if np.abs(apart).max() > APART or np.abs(values[7:] - self.twist[i]).max() > APART:
+                raise InputError(
+                    f"numerical_model.file: {part.path} starts elsewhere than approach says (pose {values[:7].round(6).tolist()}, twist "
+                    f"{values[7:].round(6).tolist()}; approach: {self.pose[i].round(6).tolist()}, {self.twist[i].round(6).tolist()}); "
+                    "give both the same start"
+                )

@@ -1,0 +1,36 @@
+"""The numerical model's section of a scenario: what moves the two vehicles, one class a kind."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Annotated, ClassVar
+
+from hiltestbed.plugins import OneOf, Registry, placeholder
+from hiltestbed.validation import Strictly
+
+if TYPE_CHECKING:
+    from hiltestbed.numerical_model.model import NumericalModel
+    from hiltestbed.scenario import Scenario
+
+
+class ModelKind(Strictly):
+    """Base of every numerical model's settings. A class needs a docstring and the parts named in :data:`PARTS`.
+
+    Attributes:
+        ticks_late: delay that the coupling to it adds to the loop, in ticks.
+    """
+
+    PARTS: ClassVar[tuple[str, ...]] = ("docstring", "start")
+
+    kind: str
+    ticks_late: ClassVar[float] = 0.0
+
+    @classmethod
+    @placeholder
+    def start(cls, scenarios: Sequence[Scenario]) -> NumericalModel:
+        """The model for ``n`` runs, at the start of the approach. Raises InputError."""
+        raise NotImplementedError
+
+
+MODELS: Registry[ModelKind] = Registry("numerical model", ModelKind, ("hiltestbed.numerical_model.kinds",))
+AnyModel = Annotated[ModelKind, OneOf(MODELS, default="free_flyers")]

@@ -1,0 +1,218 @@
+"""What a rig is, measured and drawn: workspace, bandwidth and delay in six axes, modes, dynamic stiffness."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hiltestbed.errors import InputError
+from hiltestbed.frames import Array
+from hiltestbed.platform.facilities.hall import facility_of
+from hiltestbed.platform.facilities.measure import FrequencyResponse, Mode, Reach, dynamic_stiffness, frequency_response, modes, workspace
+from hiltestbed.recording import whole_folder
+from hiltestbed.report import Report, new_figure
+from hiltestbed.scenario import Scenario, resolved
+from hiltestbed.signals import AXES
+from hiltestbed.versions import versions
+
+RIG, REPORT = "rig.json", "report.html"
+SLOWEST, FASTEST = 1.0, 100.0  # [Hz] of the sines
+POINTS = 10
+UNITS = ("m",) * 3 + ("rad",) * 3
+STEPS = ("workspace", "frequency response", "modes", "dynamic stiffness")
+Progress = Callable[[int, int], None]
+
+
+@dataclass
+class RigFigures:
+    """What was measured of the rig of a scenario; the frequency response with the friction of its drives, the rest without."""
+
+    scenario: Scenario
+    reach: tuple[Reach, ...]
+    response: FrequencyResponse
+    modes: tuple[Mode, ...]
+    frequency: Array
+    stiffness: NDArray[np.complex128]
+
+    def to_json(self) -> dict[str, Any]:
+        """The contents of rig.json."""
+        s, r = self.scenario, self.response
+        gain, phase = r.gain_db(), r.phase_deg()
+        return {
+            "name": s.name,
+            "platform": resolved(s)["rig"]["platform"],
+            "rate": s.rate,
+            "feed_forward": bool(s.compensation.motion.feeds),
+            "versions": versions(),
+            "workspace": [
+                {"axis": w.axis, "low": w.low, "high": w.high, "unit": unit, "stops": list(w.stops)}
+                for w, unit in zip(self.reach, UNITS, strict=True)
+            ],
+            "bandwidth": {a: _finite(r.bandwidth(k)) for k, a in enumerate(AXES)},
+            "delay": {a: r.delay(k) for k, a in enumerate(AXES)},
+            "frequency_response": {
+                "frequency": r.frequency.tolist(),
+                "gain_db": {a: gain[k].tolist() for k, a in enumerate(AXES)},
+                "phase_deg": {a: phase[k].tolist() for k, a in enumerate(AXES)},
+                "cross": {a: r.cross[k].tolist() for k, a in enumerate(AXES)},
+            },
+            "modes": [
+                {"frequency": m.frequency, "damping_ratio": m.damping_ratio, "motion": m.motion, "shape": m.shape.tolist()}
+                for m in self.modes
+            ],
+            "dynamic_stiffness": {
+                "frequency": self.frequency.tolist(),
+                "magnitude": {a: np.abs(self.stiffness[k]).tolist() for k, a in enumerate(AXES)},
+                "phase_deg": {a: np.degrees(np.angle(self.stiffness[k])).tolist() for k, a in enumerate(AXES)},
+            },
+        }
+
+    def lines(self) -> list[tuple[str, str]]:
+        """The figures in a few lines."""
+        r = self.response
+        band = [r.bandwidth(k) for k in range(6)]
+        first = self.modes[0] if self.modes else None
+        return [
+            *((f"reach {w.axis}", f"{_shown(k, w.low):.4g} to {_shown(k, w.high):.4g} {_unit(k)}") for k, w in enumerate(self.reach)),
+            (
+                "bandwidth x, y, z, rx, ry, rz",
+                ", ".join(f"{b:.1f}" if math.isfinite(b) else f"> {r.frequency[-1]:.0f}" for b in band) + " Hz",
+            ),
+            (f"delay along z at {r.frequency[0]:g} Hz", f"{1e3 * r.delay(2):.2f} ms"),
+            ("first mode", f"{first.frequency:.1f} Hz, damping ratio {first.damping_ratio:.2f}, {first.motion}" if first else "none found"),
+            (f"stiffness along z at {self.frequency[0]:g} Hz", f"{abs(self.stiffness[2, 0]):.3g} N/m"),
+        ]
+
+
+def measure_rig(scenario: Scenario, progress: Progress | None = None) -> RigFigures:
+    """Measure the rig of a scenario, with its mechanism on it and its feed-forward.
+
+    Raises:
+        InputError: nothing is driven on it.
+    """
+    facility = facility_of(scenario)
+    if facility.physical:
+        raise InputError(
+            f"rig.platform.kind {facility.kind}: drives nothing, its bodies move by themselves; what is measured is the response of a drive"
+        )
+    about: dict[str, Any] = {"rate": scenario.rate, "substeps": scenario.substeps, "mechanism": scenario.mechanism}
+    feed = bool(scenario.compensation.motion.feeds)
+    f = np.geomspace(SLOWEST, min(FASTEST, 0.05 * scenario.rate), POINTS)
+    found: list[Any] = []
+    work = (
+        lambda: workspace(facility),
+        lambda: frequency_response(facility, f, feed=feed, **about),
+        lambda: modes(facility, feed=feed, **about),
+        lambda: dynamic_stiffness(facility, f[::2], **about),
+    )
+    for done, measure in enumerate(work):
+        if progress:
+            progress(done, len(work))
+        found.append(measure())
+    if progress:
+        progress(len(work), len(work))
+    return RigFigures(scenario, found[0], found[1], found[2], f[::2], found[3])
+
+
+def write_rig(figures: RigFigures, path: str | Path) -> Path:
+    """Write rig.json, report.html and the drawings, and return the folder.
+
+    Raises:
+        InputError: the folder cannot be written, or holds something else.
+    """
+    path = Path(path)
+    with whole_folder(path, mark=RIG) as folder:
+        (folder / RIG).write_text(json.dumps(figures.to_json(), indent=1, allow_nan=False) + "\n", encoding="utf-8")
+        report = Report(f"Rig of {figures.scenario.name}: {figures.scenario.rig.platform.kind}")
+        report.table(["figure", "value"], figures.lines())
+        for name, draw, said in (
+            ("workspace", _workspace, "Reach from home, one axis at a time, until a joint's travel or a singularity ends it."),
+            ("response", _response, "Reached over commanded pose of A, axis by axis; dashed: 3 dB and 90 degrees."),
+            (
+                "stiffness",
+                _stiffness,
+                "Dynamic stiffness at A, the command held; its fall to a mode is where contact and rig exchange energy.",
+            ),
+        ):
+            figure = draw(figures)
+            figure.savefig(folder / f"{name}.png", dpi=110, bbox_inches="tight", metadata={"Software": None})
+            report.figure(figure, said)
+        report.heading("Modes")
+        rows = [[f"{m.frequency:.2f}", f"{m.damping_ratio:.3f}", m.motion] for m in figures.modes]
+        report.table(["frequency [Hz]", "damping ratio", "motion of A"], rows, "Under the drives, command held; friction left out.")
+        report.heading("What ends the workspace")
+        report.table(
+            ["axis", "below", "above"],
+            [[w.axis, w.stops[0] or "not looked further", w.stops[1] or "not looked further"] for w in figures.reach],
+        )
+        report.write(folder / REPORT)
+    return path
+
+
+def _workspace(figures: RigFigures):
+    figure, axes = new_figure(8.0, 3.2, ncols=2)
+    for panel, unit, first in ((axes[0], "m", 0), (axes[1], "deg", 3)):
+        for k in range(3):
+            w = figures.reach[first + k]
+            low, high = _shown(first + k, w.low), _shown(first + k, w.high)
+            panel.barh(2 - k, high - low, left=low, height=0.5, color=f"C{k}")
+            for value, side in ((low, "right"), (high, "left")):
+                panel.annotate(
+                    f"{value:.3g}",
+                    (value, 2 - k),
+                    ha=side,
+                    va="center",
+                    fontsize=9,
+                    xytext=(-3 if side == "right" else 3, 0),
+                    textcoords="offset points",
+                )
+        panel.set_yticks([2, 1, 0], [figures.reach[first + k].axis for k in range(3)])
+        panel.axvline(0.0, color="0.4", lw=0.8)
+        panel.use_sticky_edges = False
+        panel.margins(x=0.2)
+        panel.set_xlabel(f"reach from home [{unit}]")
+    return figure
+
+
+def _response(figures: RigFigures):
+    figure, (gain, phase) = new_figure(8.0, 5.0, nrows=2, sharex=True)
+    r = figures.response
+    for k, axis in enumerate(AXES):
+        style = {"color": f"C{k % 3}", "ls": "-" if k < 3 else ":", "marker": "o", "ms": 3, "label": axis}
+        gain.semilogx(r.frequency, r.gain_db()[k], **style)
+        phase.semilogx(r.frequency, r.phase_deg()[k], **style)
+    gain.axhline(-3.0, color="0.5", ls="--", lw=0.8)
+    phase.axhline(-90.0, color="0.5", ls="--", lw=0.8)
+    gain.set_ylabel("gain [dB]")
+    phase.set(xlabel="frequency [Hz]", ylabel="phase [deg]")
+    gain.legend(ncols=6, fontsize=8)
+    return figure
+
+
+def _stiffness(figures: RigFigures):
+    figure, panels = new_figure(8.0, 3.2, ncols=2)
+    for k, axis in enumerate(AXES):
+        panels[k // 3].loglog(figures.frequency, np.abs(figures.stiffness[k]), "o-", ms=3, color=f"C{k % 3}", label=axis)
+    for panel, unit in zip(panels, ("N/m", "N m/rad"), strict=True):
+        panel.set(xlabel="frequency [Hz]", ylabel=f"|stiffness| [{unit}]")
+        panel.legend(fontsize=8)
+    return figure
+
+
+def _shown(k: int, value: float) -> float:
+    return value if k < 3 else math.degrees(value)
+
+
+def _unit(k: int) -> str:
+    return "m" if k < 3 else "deg"
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None

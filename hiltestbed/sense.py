@@ -1,0 +1,83 @@
+"""Scenarios whose numbers are each allowed and absurd together: what of the result cannot be trusted, and what to change.
+
+None of it is refused. The warnings stand in `hiltestbed check`, on standard error of `hiltestbed run` and in summary.json.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+from hiltestbed.numerical_model.bodies import effective_mass
+
+if TYPE_CHECKING:
+    from hiltestbed.scenario import Scenario
+
+FEWEST_TICKS = 2.0  # of the loop in a contact, below which nothing of it is felt as it is
+FEWEST_INSTANTS = 8.0  # of the physics in a contact, below which its impulse is wrong by a percent: (pi/n)^2/24 of it
+MASS_RATIO = 1e6  # from which differences of the two motions lose half of the digits
+STIFF_DAMPER = 1.0  # part of the relative speed that the damper takes in one instant, from which an explicit force overshoots
+
+
+def warnings(scenario: Scenario) -> tuple[str, ...]:
+    """What cannot be trusted in a run of this scenario."""
+    return tuple(_warnings(scenario))
+
+
+def _warnings(scenario: Scenario) -> Iterator[str]:
+    contact, mass = scenario.mechanism.contact, effective_mass(scenario)
+    frequency = math.sqrt(contact.stiffness / mass)  # [rad/s]
+    lasts = math.pi / frequency
+    ticks, instants = lasts * scenario.rate, lasts * scenario.physics_rate
+    if not scenario.mechanism.captured:
+        if ticks < FEWEST_TICKS:
+            yield (
+                f"the contact lasts {ticks:.2g} ticks of the loop ({lasts:.3g} s at {scenario.rate:g} Hz): the numerical model is driven "
+                f"with another force than the contact's, rebound and energy say nothing; take a rate above {8.0 / lasts:.3g} Hz"
+            )
+        elif instants < FEWEST_INSTANTS:
+            yield (
+                f"the contact lasts {instants:.2g} steps of the physics: its peak and impulse are wrong by percents; "
+                f"take a physics_rate above {4 * FEWEST_INSTANTS / lasts:.3g} Hz"
+            )
+    late = scenario.sensor.delay + sum(float(getattr(e, "delay", 0.0)) for e in scenario.effects if e.link != "log")
+    if late > lasts:
+        yield (
+            f"the delay of {late:.3g} s is longer than the contact ({lasts:.3g} s): the force arrives when the bodies have parted, no "
+            f"compensation mends that; take a delay below {lasts / 10:.2g} s or a softer contact"
+        )
+    pair = scenario.spacecraft.chaser.mass, scenario.spacecraft.target.mass
+    if max(pair) >= MASS_RATIO * min(pair):
+        yield (
+            f"one vehicle has {max(pair) / min(pair):.3g} times the mass of the other: the heavy one does not move within the digits that "
+            "are kept, so that momentum and energy of the pair mean nothing"
+        )
+    if contact.damping / (mass * scenario.physics_rate) > STIFF_DAMPER:
+        yield (
+            f"the damper takes {contact.damping / (mass * scenario.physics_rate):.3g} times the relative speed in one step of the physics: "
+            f"the contact chatters; take a physics_rate above {4 * contact.damping / mass:.3g} Hz or less damping"
+        )
+    yield from _too_deep(scenario, frequency)
+
+
+def _too_deep(scenario: Scenario, frequency: float) -> Iterator[str]:
+    """A penetration v/omega that goes through the tip: what the surfaces do there is not what a contact does."""
+    if scenario.mechanism.captured:
+        return
+    deepest, tip = abs(scenario.approach.velocity[2]) / frequency, _tip(scenario)
+    if tip is not None and deepest > 2 * tip:
+        yield (
+            f"the contact goes {1e3 * deepest:.3g} mm deep, the tip is {2e3 * tip:.3g} mm across: it is all inside the other side, where "
+            "no contact is; take a slower approach or a stiffer contact"
+        )
+
+
+def _tip(scenario: Scenario) -> float | None:
+    """[m] the smallest radius of a ball or rod on the active side; None where it has none."""
+    import mujoco
+
+    active, _ = scenario.mechanism.sides()
+    round_ones = (mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_CAPSULE)
+    radii = [float(g.size[0]) for g in active.geoms if g.type in round_ones and g.size[0] > 0]
+    return min(radii, default=None)

@@ -1,0 +1,135 @@
+"""Commissioning against an emulated facility with something hidden in it: found within 1 %, and nothing found where nothing is."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hiltestbed.devices.commission.folder import write_commission
+from hiltestbed.devices.commission.procedure import Commissioned, commission
+from hiltestbed.devices.interface import DeviceError
+from hiltestbed.errors import InputError
+from hiltestbed.frames import attitude_deg_from_quat, quat_from_attitude_deg, rotation_matrix
+from hiltestbed.measured.load import load_dataset
+from hiltestbed.scenario import load_scenario
+from tests.devices.lockstep import against, scenario_of
+
+SLOW = pytest.mark.skipif("HILTESTBED_SLOW" not in os.environ, reason="takes minutes; set HILTESTBED_SLOW")
+BELIEVED: dict[str, Any] = {"sensor__noise": 0.1, "sensor__torque_noise": 0.01, "sensor__delay": 0.002}
+CAPTURED: dict[str, Any] = BELIEVED | {
+    "mechanism": {"kind": "latched", "contact": {"stiffness": 1.0e5, "damping": 200.0}},
+    "rig__platform__tracking": "ideal",
+    "approach": {"gap": 0.0, "velocity": [0.0, 0.0, 0.0]},
+}
+TURN = [3.0, -2.0, 30.0]
+HIDDEN: dict[str, Any] = {
+    "sensor__delay": 0.0063,
+    "effects": [
+        {"kind": "sensor.gain", "axis": "z", "factor": 1.08},
+        {"kind": "sensor.crosstalk", "source": "z", "axis": "x", "ratio": 0.05},
+        {"kind": "platform.delay", "delay": 0.0035},
+    ],
+    "devices__sensor__attitude_deg": TURN,
+    "devices__sensor__sign": -1,
+}
+
+
+def _measured(name: str, believed: dict[str, Any], hidden: dict[str, Any], force: float = 100.0) -> Commissioned:
+    with against(scenario_of(name, "udp", **(believed | hidden)), "udp") as (options, _):
+        return commission(scenario_of(name, "udp", **believed), options, force)
+
+
+def _effects(result: Commissioned) -> dict[str, dict[str, Any]]:
+    return {effect.kind: effect.model_dump() for effect in result.nominal.effects}
+
+
+def _apart_deg(a: np.ndarray, b: np.ndarray) -> float:
+    turn = rotation_matrix(a).T @ rotation_matrix(b)
+    return float(np.degrees(np.arccos(np.clip((np.trace(turn) - 1.0) / 2.0, -1.0, 1.0))))
+
+
+def test_a_captured_mechanism_shows_everything_in_six_axes() -> None:
+    result = _measured("13-ring-down", CAPTURED, HIDDEN)
+    found = _effects(result)
+    assert set(found) == {"sensor.gain", "sensor.crosstalk", "platform.delay"}
+    assert found["sensor.gain"]["axis"] == "z"
+    assert found["sensor.gain"]["factor"] - 1.0 == pytest.approx(0.08, rel=0.01)
+    assert (found["sensor.crosstalk"]["source"], found["sensor.crosstalk"]["axis"]) == ("z", "x")
+    assert found["sensor.crosstalk"]["ratio"] == pytest.approx(0.05, rel=0.01)
+    assert found["platform.delay"]["delay"] == pytest.approx(0.0035, rel=0.01)
+    assert result.nominal.sensor.delay == pytest.approx(0.0063, rel=0.01)
+    assert result.sensor.sign == -1
+    assert _apart_deg(result.sensor.attitude, quat_from_attitude_deg(TURN)) < 0.01 * 30.0
+    assert result.nominal.sensor.noise == pytest.approx(0.1, rel=0.2)
+
+
+@pytest.fixture(scope="module")
+def bumper() -> Commissioned:
+    return _measured("02-bumper", BELIEVED, HIDDEN)
+
+
+def test_a_bumper_shows_what_its_one_direction_can(bumper: Commissioned) -> None:
+    """Gain and delays; a leak of the force and a turn look like another turn and a leak of the torque, which is said."""
+    result = bumper
+    found = _effects(result)
+    assert found["sensor.gain"]["factor"] == pytest.approx(1.08, rel=2e-3)
+    assert result.nominal.sensor.delay == pytest.approx(0.0063, rel=0.01)
+    assert found["platform.delay"]["delay"] == pytest.approx(0.0035, rel=0.01)
+    leak = next(n for n in result.sensor.numbers if n.source != n.axis)
+    assert (leak.source, leak.axis) == ("z", "x")
+    assert found["sensor.crosstalk"]["ratio"] == pytest.approx(0.05, abs=3.0 * leak.ci95)
+    assert ("rx", "rz") in leak.or_else
+
+
+@pytest.mark.parametrize(
+    ("name", "believed"), [("02-bumper", BELIEVED), ("13-ring-down", CAPTURED), ("03-bumper-delay-uncompensated", BELIEVED)]
+)
+def test_where_nothing_is_hidden_nothing_is_found(name: str, believed: dict[str, Any]) -> None:
+    result = _measured(name, believed, {})
+    assert _effects(result) == {}
+    assert result.nominal.sensor.delay == pytest.approx(0.002, abs=3e-5)
+    assert np.abs(attitude_deg_from_quat(result.sensor.attitude)).max() < 0.1
+
+
+def test_the_folder_holds_scenarios_that_load_and_a_dataset_that_the_diagnosis_takes(bumper: Commissioned, tmp_path: Path) -> None:
+    folder = write_commission(bumper, tmp_path / "facility")
+    assert load_scenario(folder / "nominal.yaml") == bumper.nominal
+    assert load_scenario(folder / "believed.yaml").sensor.delay == 0.002
+    assert json.loads((folder / "commission.json").read_text())["sensor"]["sign"] == -1
+    dataset = load_dataset(folder / "dataset.yaml")
+    assert set(dataset.links()) == {"platform", "contact"}
+    assert len(dataset.runs) == 5
+    pressed = dataset.runs[1].record.data["wrench_meas"]
+    assert pressed[:, 2].max() == pytest.approx(108.0, rel=0.02)  # a push is positive again, in P: the sign was found
+
+
+def test_unarmed_it_moves_nothing_and_says_so() -> None:
+    with against(scenario_of("02-bumper", "udp"), "udp", armed=False) as (options, emulator):
+        with pytest.raises(InputError, match="--arm"):
+            commission(scenario_of("02-bumper", "udp"), options)
+        assert not emulator.platform.commanded
+
+
+def test_a_force_that_is_passed_stops_it_with_the_platform_held() -> None:
+    believed = scenario_of("02-bumper", "udp", safety__force=130.0)
+    stiffer = scenario_of("02-bumper", "udp", mechanism__contact__stiffness=3.0e5)
+    with against(stiffer, "udp") as (options, emulator):
+        with pytest.raises(DeviceError, match=r"the sensor carries .* safety.force is 130 N"):
+            commission(believed, options)
+        assert np.abs(emulator.rig.true_wrench[:3]).max() < 200.0
+
+
+@SLOW
+def test_the_diagnosis_of_its_dataset_says_the_same(tmp_path: Path) -> None:
+    from hiltestbed.diagnosis.diagnose import diagnose
+
+    hidden = {"effects": [{"kind": "sensor.gain", "axis": "z", "factor": 1.08}]}
+    folder = write_commission(_measured("02-bumper", BELIEVED, hidden), tmp_path / "facility")
+    found = diagnose(folder / "dataset.yaml").to_json()
+    cause = found["causes"][0]
+    assert cause["effect"] == "sensor.gain" or "sensor.gain" in cause["indistinguishable_from"]

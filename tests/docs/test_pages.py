@@ -1,0 +1,105 @@
+"""The documentation: every block that can run does run, and the reference has every key, effect, method, column and public name."""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+import shlex
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+import hiltestbed
+from hiltestbed import cli
+from hiltestbed.check import KINDS, json_schema
+from hiltestbed.effects import EFFECTS
+from hiltestbed.signals import GROUPS
+
+ROOT = Path(__file__).parents[2]
+DOCS = ROOT / "docs"
+BLOCK = re.compile(r"(?P<skip><!-- not run: [^>]*-->\n)?```(?P<language>python|console)\n(?P<text>.*?)```", re.DOTALL)
+PAGES = sorted(p for p in (*DOCS.rglob("*.md"), ROOT / "README.md") if any(not b["skip"] for b in BLOCK.finditer(p.read_text())))
+OPEN = ("view",)  # commands that need a display
+
+
+@pytest.fixture(scope="module")
+def reference() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("reference_pages", DOCS / "reference_pages.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="module")
+def pages(reference: ModuleType) -> dict[str, str]:
+    return reference.pages()
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: str(p.relative_to(ROOT)))
+def test_the_blocks_of_a_page_run_one_after_the_other(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In one folder and one namespace, as a reader would type them."""
+    pytest.importorskip("pandas")
+    pytest.importorskip("matplotlib").use("Agg")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("HILTESTBED_PLUGINS", raising=False)
+    namespace: dict[str, object] = {}
+    for block in BLOCK.finditer(page.read_text()):
+        if block["skip"]:
+            continue
+        if block["language"] == "python":
+            exec(compile(block["text"], str(page), "exec"), namespace)  # what is run is this repository's own documentation
+            continue
+        for line in block["text"].splitlines():
+            if line.startswith("$ hiltestbed "):
+                arguments = shlex.split(line.removeprefix("$ hiltestbed ").replace("PLUGINS", str(ROOT / "examples" / "plugins")))
+                if arguments[0] not in OPEN:
+                    assert status(arguments, monkeypatch) == 0, line
+
+
+def status(arguments: list[str], monkeypatch: pytest.MonkeyPatch) -> int:
+    """Exit status of a command in this process, where the loops are compiled."""
+    monkeypatch.setattr(sys, "argv", ["hiltestbed", *arguments])
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    return int(ended.value.code or 0)
+
+
+def described(schema: dict) -> Iterator[tuple[str, str]]:
+    """Every key of a schema with its description."""
+    for definition in (schema, *schema.get("$defs", {}).values()):
+        for key, about in definition.get("properties", {}).items():
+            yield key, about.get("description", "")
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_key_is_in_the_reference_with_its_meaning(kind: str, pages: dict[str, str]) -> None:
+    page = pages[f"reference/{kind}.md"] + pages["reference/effects.md"]
+    for key, meaning in described(json_schema(kind)):  # type: ignore[arg-type]
+        assert f"`{key}`" in page or key == "kind"
+        assert meaning, f"{kind}: {key} has no description"
+
+
+def test_every_effect_method_column_and_name_is_in_the_reference(pages: dict[str, str], reference: ModuleType) -> None:
+    for kind, cls in EFFECTS.items():
+        assert f"### `{kind}`" in pages["reference/effects.md"]
+        assert cls.equation in pages["reference/effects.md"]
+    for group in GROUPS.values():
+        assert all(f"`{column}`" in pages["reference/columns.md"] for column in group.columns)
+    for name in hiltestbed.__all__:
+        assert f"## `{name}`" in pages["reference/python.md"]
+    for command in ("run", "check", "sweep", "diagnose", "compare", "new", "doctor", "bench", "schema", "view"):
+        assert f"## `hiltestbed {command}`" in pages["reference/commands.md"]
+    assert set(reference.EXIT_STATUS) == {0, 1, 2, 3}
+
+
+def test_links_between_pages_lead_somewhere(pages: dict[str, str]) -> None:
+    for page in (*DOCS.rglob("*.md"), ROOT / "README.md"):
+        for target in re.findall(r"\]\((?!https?://|#)([^)#]+)", page.read_text()):
+            path = (page.parent / target).resolve()
+            inside = str(path.relative_to(DOCS.resolve())) if path.is_relative_to(DOCS.resolve()) else ""
+            assert path.exists() or inside in pages, f"{page.name}: {target}"

@@ -1,0 +1,117 @@
+"""Inputs at random, as the project's own schemas allow them: a result, or an error that says what is wrong, and nothing else.
+
+The quick part of `hiltestbed bench robustness`; what that found stands below as cases of its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+from zlib import crc32
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from hiltestbed.bench.robustness.run import robustness
+from hiltestbed.bench.robustness.trials import TRIALS, mutated
+from hiltestbed.bench.robustness.values import value_of
+from hiltestbed.campaign.schema import campaign_from
+from hiltestbed.check import check_file, json_schema
+from hiltestbed.contact.settings import Contact
+from hiltestbed.dataset import Dataset
+from hiltestbed.errors import InputError
+from hiltestbed.frames import rotation_vector
+from hiltestbed.gallery import shipped
+from hiltestbed.scenario import load_scenario, scenario_from
+from hiltestbed.simulation import run
+from hiltestbed.validation import validate
+from hiltestbed.yaml_source import Source
+
+QUICK = settings(max_examples=40, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
+NAMES = st.sampled_from(["vary", "scenario", "design", "values", "kind", "x"])
+ANYTHING = st.recursive(
+    st.none() | st.booleans() | st.floats() | st.text(max_size=8),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(NAMES, inner, max_size=3),
+)
+COUNTS = {"extremes": 12, "scenario": 8, "text": 40, "campaign": 40, "packet": 300, "dataset": 6}
+
+
+def of_schema(schema: dict[str, Any]) -> st.SearchStrategy[Any]:
+    """Values that a JSON Schema allows, and now and then one that it does not."""
+    return st.integers(0, 2**32 - 1).map(lambda seed: value_of(schema, np.random.default_rng(seed)))
+
+
+def _said(work: Callable[[], Any]) -> None:
+    """Does the work; an InputError has to say something."""
+    said = "nothing went wrong"
+    try:
+        work()
+    except InputError as error:
+        said = str(error)
+    assert said.strip()
+
+
+@QUICK
+@given(of_schema(json_schema("dataset")))
+def test_datasets_of_the_schema(data: Any) -> None:
+    _said(lambda: validate(Dataset, Source("dataset", data if isinstance(data, dict) else {"runs": data})))
+
+
+@QUICK
+@given(of_schema(Contact.model_json_schema()), st.integers(0, 3))
+def test_contacts_of_the_schema(contact: Any, place: int) -> None:
+    base = {
+        "name": "x", "duration": 0.01, "approach": {"velocity": [0.0, 0.0, 0.03]},
+        "spacecraft": {b: {"mass": 10.0**place, "inertia": [1.0, 1.0, 1.0]} for b in ("chaser", "target")},
+    }  # fmt: skip
+    _said(lambda: scenario_from(base | {"mechanism": {"kind": "bumper", "contact": contact}}))
+
+
+@QUICK
+@given(ANYTHING)
+def test_campaigns_of_any_shape(data: Any) -> None:
+    _said(lambda: campaign_from(Source("campaign", {"vary": data, "scenario": "none.yaml"})))
+
+
+@QUICK
+@given(st.integers(0, 2**32 - 1))
+def test_scenario_files_with_other_bytes(tmp_path_factory: pytest.TempPathFactory, seed: int) -> None:
+    path = tmp_path_factory.getbasetemp() / "bytes.yaml"
+    path.write_bytes(mutated((shipped("scenarios") / "02-bumper.yaml").read_bytes(), np.random.default_rng(seed)))
+    check_file(path)
+
+
+@pytest.mark.parametrize("kind", COUNTS)
+def test_trials_of_each_kind(kind: str, tmp_path: Path) -> None:
+    with np.errstate(all="ignore"):
+        for number in range(COUNTS[kind]):
+            assert TRIALS[kind](np.random.default_rng([crc32(kind.encode()), number]), tmp_path)
+
+
+def test_the_long_part_tells_what_it_did() -> None:
+    result = robustness(minutes=0.02)
+    assert result.summary["tried"] == sum(r["tried"] for r in result.records)
+    assert result.summary["failed"] == 0
+    assert {r["kind"] for r in result.records} == set(TRIALS)
+
+
+def test_a_quaternion_without_length_has_no_rotation() -> None:
+    out = np.empty(3)
+    rotation_vector(np.zeros(4), out)
+    assert np.array_equal(out, np.zeros(3))
+
+
+def test_speeds_beyond_all_bounds_end_in_words() -> None:
+    scenario = load_scenario(shipped("scenarios") / "09-docking.yaml", set={"approach.velocity.2": 6e7, "duration": 0.05})
+    result = run(scenario)
+    assert result.summary["status"] == "diverged"
+    assert result.summary["stop_reason"]
+
+
+def test_a_filter_that_remembers_years_is_refused() -> None:
+    scenario = load_scenario(shipped("scenarios") / "02-bumper.yaml", set={"sensor.lowpass": 1e-7, "duration": 0.05})
+    with pytest.raises(InputError, match="of memory"):
+        run(scenario)

@@ -1,0 +1,130 @@
+"""Stability before the run: against closed forms, and against what the loop then does."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.optimize import fsolve
+
+from hiltestbed import load_scenario, run
+from hiltestbed.loop import Loop
+from hiltestbed.numerical_model.bodies import effective_mass
+from hiltestbed.signals import Trace
+from hiltestbed.stability import EXACT, RigResponse, judge, largest_delay, measured_response, net_damping, stability
+
+SCENARIOS = Path(__file__).parents[1] / "scenarios"
+BAND, ZETA, LATE = 10.0, 0.7, 0.006  # of the platform: natural frequency [Hz], damping ratio, delay [s]
+K = 2.0e4
+
+
+def critical_damping(mass: float, stiffness: float) -> float:
+    """Of a rig that is a second order with a delay: (k + c s) w^2 e^(-s tau) + m s^2 (s^2 + 2 zeta w s + w^2) = 0 at s = j omega."""
+    w = 2.0 * math.pi * BAND
+
+    def both(x):
+        c, omega = x
+        s = 1j * omega
+        left = (stiffness + c * s) * w * w * np.exp(-s * LATE) + mass * s * s * (s * s + 2.0 * ZETA * w * s + w * w)
+        return [left.real, left.imag]
+
+    return float(fsolve(both, [stiffness * (LATE + 2.0 * ZETA / w), math.sqrt(stiffness / mass)])[0])
+
+
+def latched(damping: float):
+    """A contact that pulls, too, so that the loop is linear, behind a platform that is a second order with a delay."""
+    effects = [{"kind": "platform.delay", "delay": LATE}, {"kind": "platform.lag", "bandwidth": BAND}]
+    return load_scenario(
+        SCENARIOS / "02-bumper.yaml",
+        set={
+            "mechanism": {"kind": "latched", "contact": {"stiffness": K, "damping": damping}},
+            "effects": effects, "rate": 2000.0, "physics_rate": 4000.0, "duration": 4.0, "approach.gap": 0.0, "identification.kind": "none",
+        },
+    )  # fmt: skip
+
+
+def test_the_critical_damping_of_a_second_order_with_delay() -> None:
+    """The measured response, and the loop itself, are at their limit at the closed form's critical damping within 2 %."""
+    mass = effective_mass(latched(1.0))
+    closed = critical_damping(mass, K)
+    response = measured_response(latched(closed))
+    assert judge(latched(1.02 * closed), response, 0.0).stable
+    assert not judge(latched(0.98 * closed), response, 0.0).stable
+    around = np.array([0.9, 0.95, 1.0, 1.05, 1.1]) * closed
+    scenarios = [latched(float(c)) for c in around]
+    loop, trace = Loop(scenarios), Trace(8000, len(scenarios), 2000.0)
+    for _ in range(8000):
+        loop.step(trace)
+    z, t = np.abs(trace["pose_cmd"][:, :, 2]), trace.t
+    growth = []
+    for i in range(len(around)):
+        peaks = 1 + np.flatnonzero((z[1:-1, i] > z[:-2, i]) & (z[1:-1, i] >= z[2:, i]) & (t[1:-1] > 0.5))
+        growth.append(np.polyfit(t[peaks], np.log(z[peaks, i]), 1)[0])
+    slope, offset = np.polyfit(around, growth, 1)
+    assert -offset / slope == pytest.approx(closed, rel=0.02)
+
+
+def test_a_rig_that_follows_exactly_bears_the_contacts_own_damping_as_delay() -> None:
+    """c - k tau to first order in w tau, and at the limit phase c w/k over w."""
+    mass, k, c, tau = 400.0, 1e4, 200.0, 0.004
+    frequency, left = net_damping(EXACT.finer(), mass, k, c, tau)
+    assert left == pytest.approx(c - k * tau, rel=0.02)
+    assert frequency == pytest.approx(math.sqrt(k / mass) / (2.0 * math.pi), rel=0.02)
+    omega = math.sqrt((c * c + math.sqrt(c**4 + 4.0 * k * k * mass * mass)) / 2.0) / mass
+    assert largest_delay(EXACT.finer(), mass, k, c) == pytest.approx(math.atan(c * omega / k) / omega, rel=1e-3)
+
+
+def test_the_measured_response_is_the_drives_second_order() -> None:
+    """Without feed-forward the shipped platform is w^2/(s + w)^2, within 1 dB and 5 degrees up to 1.5 times its bandwidth."""
+    s = load_scenario(SCENARIOS / "03-bumper-delay-uncompensated.yaml", set={"compensation.motion.kind": "none"})
+    found = measured_response(s)
+    reach = found.frequency <= 1.5 * s.rig.platform.bandwidth
+    p, w = 2j * math.pi * found.frequency[reach], 2.0 * math.pi * s.rig.platform.bandwidth
+    ratio = found.follows[reach] / (w * w / (p + w) ** 2)
+    assert np.abs(20.0 * np.log10(np.abs(ratio))).max() < 1.0
+    assert np.abs(np.degrees(np.angle(ratio))).max() < 5.0
+
+
+@pytest.mark.parametrize("kind", ["pss33", "stewart", "serial_arm"])
+def test_what_is_said_before_the_run_is_what_the_run_does(kind) -> None:
+    """ln e = -pi c_net/(2 m w): the net damping that was foretold is the one that the bounce shows, and the verdict its sign."""
+    s = load_scenario(SCENARIOS / "03-bumper-delay-uncompensated.yaml", set={"rig.platform": {"kind": kind}})
+    done = run(s).summary
+    said = done["stability"]
+    foretold = -math.pi * said["net_damping"] / (2.0 * effective_mass(s) * 2.0 * math.pi * said["frequency"])
+    assert math.log(done["cor"]) == pytest.approx(foretold, abs=0.015)
+    assert not said["stable"]
+    assert said["verdict"].startswith("unstable: net damping -")
+    assert said["largest_delay"] < 0.005
+
+
+def test_stiffer_or_later_than_the_limit_is_unstable() -> None:
+    s = load_scenario(SCENARIOS / "18-stewart.yaml", set={"sensor.delay": 0.001, "compensation.force.kind": "none"})
+    said = stability(s)
+    assert said["stable"]
+    for key, limit in (("mechanism.contact.stiffness", said["largest_stiffness"]), ("sensor.delay", said["largest_delay"])):
+        for factor, stable in ((0.99, True), (1.01, False)):
+            again = stability(
+                load_scenario(
+                    SCENARIOS / "18-stewart.yaml", set={"sensor.delay": 0.001, "compensation.force.kind": "none"} | {key: factor * limit}
+                )
+            )
+            assert again["stable"] is stable, (key, factor)
+
+
+def test_what_adds_a_force_of_its_own_is_not_judged() -> None:
+    said = stability(load_scenario(SCENARIOS / "20-facing-arms.yaml"))
+    assert said["stable"] is None
+    assert "not judged with cor_designed" in said["verdict"]
+    assert said["uncompensated"]["stable"] is False
+
+
+def test_bodies_that_move_by_themselves_have_no_loop() -> None:
+    assert stability(load_scenario(SCENARIOS / "22-air-bearing.yaml")) is None
+
+
+def test_a_contact_faster_than_what_was_measured_is_not_judged() -> None:
+    slow = RigResponse(np.arange(3.0), np.ones(3, dtype=complex), np.zeros(3, dtype=complex))
+    assert net_damping(slow.finer(), 400.0, 1e6, 10.0, 0.0) is None
