@@ -275,6 +275,8 @@ def bench(
     name: Annotated[str, typer.Argument(metavar="|".join(BENCHES), help="Which benchmark.")],
     out: Out = None,
     quick: Annotated[bool, typer.Option("--quick", help="A smaller grid.")] = False,
+    noise: Annotated[bool, typer.Option("--noise", help="diagnosis: healthy rigs under every kind of noise alone.")] = False,
+    docking: Annotated[bool, typer.Option("--docking", help="diagnosis: the docking sets alone.")] = False,
     minutes: Annotated[float | None, typer.Option("--for", metavar="MINUTES", min=0.01, help="robustness: how long to go on.")] = None,
     as_json: Json = False,
 ) -> None:
@@ -286,6 +288,9 @@ def bench(
 
     if name not in BENCHES:
         raise InputError(f"bench: unknown benchmark (got {name!r}); allowed: {', '.join(BENCHES)}")
+    chosen = {option: True for option, given in (("noise", noise), ("docking", docking)) if given}
+    if chosen and name != "diagnosis":
+        raise InputError(f"bench {name}: --{next(iter(chosen))} is an option of bench diagnosis alone; leave it out")
     if minutes is not None and name != "robustness":
         raise InputError(f"bench {name} --for {minutes:g}: takes as long as it takes; --for is for robustness")
     from hiltestbed.bench.result import BENCH, write_bench
@@ -295,8 +300,8 @@ def bench(
     folder = out if out is not None else free_folder(Path("runs") / f"bench-{name}")
     refuse_foreign(folder, BENCH)
     with count_bar(f"bench {name}") as progress:
-        more = {} if minutes is None else {"minutes": minutes}
-        result = getattr(import_module(BENCHES[name]), name)(quick=quick, progress=progress, **more)
+        more: dict[str, Any] = {} if minutes is None else {"minutes": minutes}
+        result = getattr(import_module(BENCHES[name]), name)(quick=quick, progress=progress, **chosen, **more)
     write_bench(result, folder)
     if as_json:
         print(json.dumps({"name": name, "folder": str(folder), "summary": result.summary}, allow_nan=False))

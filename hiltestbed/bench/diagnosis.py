@@ -25,6 +25,7 @@ from hiltestbed.kernels import cores
 SEED = 400_000
 FULL = {"single": 82, "pair": 40, "healthy": 120, "foreign": 40}
 QUICK = {"single": 8, "pair": 3, "healthy": 3, "foreign": 3}
+NOISE_SEED, NOISE_FULL, NOISE_QUICK = 600_000, 60, 1  # sets of each kind at each strength
 DOCKING_SEED = 500_000
 DOCKING_FULL = {"single": 60, "pair": 20, "healthy": 60, "foreign": 20}
 DOCKING_QUICK = {"single": 3, "pair": 1, "healthy": 2, "foreign": 1}
@@ -42,6 +43,15 @@ class Task:
     names: tuple[str, ...] | None = None
     scale: float = 1.0
     design: str = "bumper"
+    noise: tuple[str, float] | None = None
+
+
+def noise_tasks(each: int) -> list[Task]:
+    """Healthy sets under every kind of noise at each of its strengths."""
+    from hiltestbed.bench.independent_rig import NOISE_KINDS
+
+    kinds = [(name, strength) for name, kind in NOISE_KINDS.items() for strength in kind.strengths]
+    return [Task(NOISE_SEED + i * each + j, "healthy", noise=noise) for i, noise in enumerate(kinds) for j in range(each)]
 
 
 def docking_tasks(counts: dict[str, int]) -> list[Task]:
@@ -72,9 +82,20 @@ def tasks(counts: dict[str, int], ladder: bool) -> list[Task]:
 UNSCALED = {"dynamics.integrator", "dynamics.step_delay"}  # there is no smaller one
 
 
-def diagnosis(quick: bool = False, progress: Callable[[int, int], None] | None = None) -> BenchResult:
-    """The benchmark; `quick` draws a handful of sets and leaves out the smallest sizes."""
-    todo = [*tasks(QUICK if quick else FULL, not quick), *docking_tasks(DOCKING_QUICK if quick else DOCKING_FULL)]
+def diagnosis(
+    quick: bool = False, progress: Callable[[int, int], None] | None = None, noise: bool = False, docking: bool = False
+) -> BenchResult:
+    """The benchmark.
+
+    Args:
+        quick: a handful of sets, without the smallest sizes. noise: healthy rigs under every kind of noise alone. docking: the docking
+            sets alone.
+    """
+    todo = docking_tasks(DOCKING_QUICK if quick else DOCKING_FULL)
+    if noise:
+        todo = noise_tasks(NOISE_QUICK if quick else NOISE_FULL) + (todo if docking else [])
+    elif not docking:
+        todo = [*tasks(QUICK if quick else FULL, not quick), *todo]
     records: list[dict[str, Any]] = [{}] * len(todo)
     with ProcessPoolExecutor(cores()) as pool:
         waiting = {pool.submit(one_set, task): i for i, task in enumerate(todo)}
@@ -100,7 +121,7 @@ def one_set(task: Task) -> dict[str, Any]:
     from hiltestbed.measured import load_dataset
 
     options: dict[str, Any] = {"names": task.names} if task.names else {}
-    hidden = draw_set(np.random.default_rng(task.seed), task.kind, scale=task.scale, design=task.design, **options)  # type: ignore[arg-type]
+    hidden = draw_set(np.random.default_rng(task.seed), task.kind, scale=task.scale, design=task.design, noise=task.noise, **options)  # type: ignore[arg-type]
     start = time.process_time()
     with tempfile.TemporaryDirectory() as folder:
         write_set(folder, hidden)
@@ -114,6 +135,7 @@ def one_set(task: Task) -> dict[str, Any]:
     held, asked = coverage(hidden.effects, causes)
     return {
         "seed": task.seed, "kind": task.kind, "design": task.design, "scale": task.scale, "hidden": hidden.effects,
+        "noise": list(task.noise) if task.noise else None,
         "strengths": list(hidden.strengths),
         "verdict": verdict.verdict, "link": verdict.link, "right": right, "intervals_held": held, "intervals": asked,
         "causes": [{"effect": c.effect, "indistinguishable_from": list(c.indistinguishable_from)} for c in causes],
@@ -185,6 +207,8 @@ def true_gain(findings: Any, verdict: Any, hidden: Sequence[dict[str, Any]]) -> 
 
 def summarise(records: Sequence[dict[str, Any]]) -> dict[str, Any]:
     """The rates, the confusion of names, the smallest size of each effect that was found."""
+    noisy = [r for r in records if r["noise"]]
+    records = [r for r in records if not r["noise"]]
     moderate = [r for r in records if r["scale"] == 1.0 and r["design"] == "bumper"]
     dockings = {kind: [r for r in records if r["design"] != "bumper" and r["kind"] == kind] for kind in DOCKING_FULL}
     by_kind = {kind: [r for r in moderate if r["kind"] == kind] for kind in FULL}
@@ -194,7 +218,7 @@ def summarise(records: Sequence[dict[str, Any]]) -> dict[str, Any]:
     return {
         "named_rate": _rate(by_kind["single"]),
         "pair_rate": _rate(by_kind["pair"]),
-        "false_alarm_rate": 1.0 - _rate(by_kind["healthy"]),
+        "false_alarm_rate": 1.0 - _rate(by_kind["healthy"]) if by_kind["healthy"] else 0.0,
         "foreign_unknown_rate": _rate(by_kind["foreign"]),
         "healthy_taken_off": max((r["alarm"]["taken_off"] for r in by_kind["healthy"]), default=None),
         "healthy_excess": max((r["alarm"]["excess"] for r in by_kind["healthy"]), default=None),
@@ -207,11 +231,21 @@ def summarise(records: Sequence[dict[str, Any]]) -> dict[str, Any]:
         "docking_false_alarm_rate": 1.0 - _rate(dockings["healthy"]) if dockings["healthy"] else 0.0,
         "docking_foreign_unknown_rate": _rate(dockings["foreign"]),
         "docking_sets": {kind: len(part) for kind, part in dockings.items()},
+        "noise_alarms": noise_alarms(noisy),
+        "noise_alarm_rate": 1.0 - _rate(noisy) if noisy else None,
         "cpu_median": float(np.median([r["cpu"] for r in records])) if records else None,
         "cpu_longest": max((r["cpu"] for r in records), default=None),
         "confusion": confusion(by_kind["single"] + dockings["single"]),
         "smallest_found": smallest(records),
     }
+
+
+def noise_alarms(records: Sequence[dict[str, Any]]) -> dict[str, str]:
+    """Kind of noise and strength to alarms of sets."""
+    out: dict[str, list[bool]] = {}
+    for r in records:
+        out.setdefault(f"{r['noise'][0]} {r['noise'][1]:g}", []).append(not r["right"])
+    return {name: f"{sum(wrong)} of {len(wrong)}" for name, wrong in out.items()}
 
 
 def _rate(records: Sequence[dict[str, Any]]) -> float:

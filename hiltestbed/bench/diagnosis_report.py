@@ -21,6 +21,7 @@ RATES = {
     "docking_foreign_unknown_rate": "effects outside the vocabulary in a docking, unknown or inconclusive",
     "interval_coverage": "true parameters in their 95 % intervals",
     "gain_ratio": "gain on left-out runs over the true model's gain (median)",
+    "noise_alarm_rate": "healthy rigs with noise that is not white, that were extended",
     "cpu_median": "CPU time of a set [s], median",
     "cpu_longest": "CPU time of a set [s], longest",
 }
@@ -38,6 +39,9 @@ def diagnosis_report(records: Sequence[dict[str, Any]], summary: dict[str, Any])
     report.figure(_strengths(records), "Single effects: how far each stood above the noise of its link, and whether it was named.")
     called = [[hidden, name, count] for hidden, names in summary["confusion"].items() for name, count in names.items()]
     report.table(["hidden", "called", "sets"], called, "What each hidden effect was called.")
+    if summary["noise_alarms"]:
+        rows = [[name, alarms] for name, alarms in summary["noise_alarms"].items()]
+        report.table(["noise", "alarms"], rows, "Healthy rigs whose noise is not white, and how many of them raised an alarm.")
     small = [[name, f"{found['strength']:.2g}", _sizes(found)] for name, found in summary["smallest_found"].items()]
     report.table(["effect", "rms over noise", "parameters"], small, "The smallest size of each effect that was named.")
     wrong = [

@@ -11,6 +11,7 @@ from hiltestbed.diagnosis.describe import describe
 from hiltestbed.diagnosis.fit import Fit
 from hiltestbed.diagnosis.grow import far_off, grow
 from hiltestbed.diagnosis.heldout import heldout, placebo_of
+from hiltestbed.diagnosis.in_part import explained, holding
 from hiltestbed.diagnosis.intervals import intervals
 from hiltestbed.diagnosis.investigate import Findings
 from hiltestbed.diagnosis.isolability import isolability
@@ -33,6 +34,7 @@ def find(findings: Findings, progress: Progress | None = None) -> Finding:
     if progress:
         progress("intervals and left-out runs")
     findings, nearest = _nearest(findings, verdict, progress)
+    verdict, share = _in_part(findings, verdict, nearest)
     causes = tuple(cause_of(findings, c) for c in verdict.causes)
     once = {c.effect: c for c in [*nearest, *verdict.causes]}  # a record stamped late shows on two links
     effects = [c.fit.effects()[c.index] for c in once.values()]  # as the links take them, variants included
@@ -45,13 +47,14 @@ def find(findings: Findings, progress: Progress | None = None) -> Finding:
         causes=causes,
         series=series,
         noise=findings.noise,
-        heldout=gain_of(findings, verdict.causes),
+        heldout=gain_of(findings, nearest if verdict.verdict == "named_in_part" else verdict.causes),
         ranking=tuple(r for n, e in departed.items() for r in _ranking(n, e)),
         isolability=_isolability(findings, progress),
         left=left,
         not_judged={LINK_NAMES[name]: why for name, why in verdict.not_judged.items()},
         partial=tuple(cause_of(findings, c) for c in nearest),
         partial_gain=gain_of(findings, nearest),
+        explained=share,
         assumed=findings.layout.force.words(),
     )
 
@@ -69,6 +72,19 @@ def _nearest(findings: Findings, verdict: Verdict, progress: Progress | None) ->
         findings = replace(findings, explanations={**findings.explanations, name: grown})
     fit = findings.explanations[name].chosen
     return findings, tuple(Named(kind, name, fit, index) for index, kind in enumerate(fit.kinds))
+
+
+def _in_part(findings: Findings, verdict: Verdict, nearest: tuple[Named, ...]) -> tuple[Verdict, float | None]:
+    """The verdict with those of the nearest causes that hold, and the share of the departure that is carried; itself where none does."""
+    if not nearest:
+        return verdict, None
+    e = findings.explanations[nearest[0].link]
+    kept = holding(e)
+    if not kept:
+        return verdict, None
+    causes = tuple(replace(nearest[i], probability=1.0) for i in kept)
+    others = tuple(c for c in verdict.causes if c.effect not in {n.effect for n in causes})
+    return Verdict("named_in_part", verdict.link, (*causes, *others), verdict.not_judged), explained(e)
 
 
 def _grown(e: Explanation, progress: Progress | None) -> Explanation:

@@ -31,10 +31,10 @@ def grow(found: Explanation, search: Search) -> Fit:
     best = min([found.chosen, *found.singles, *found.more], key=lambda f: f.score)
     if JITTER in best.kinds:  # noise, beside which nothing is weighed
         return best
-    before = _carried(residual, best)
+    before = carried(residual, best)
     while len(best.causes) < MOST_CAUSES_IN_PART:
         for more in search.extend(residual, best, TRIED):
-            after = _carried(residual, more) if _pays(more, best) else math.inf
+            after = carried(residual, more) if _pays(more, best) else math.inf
             if after < before + math.log(1.0 - WORTH):
                 best, before = more, after
                 break
@@ -47,7 +47,7 @@ def _pays(more: Fit, fewer: Fit) -> bool:
     return fewer.score - more.score > SELECTION_INADEQUATE * inflation(more)
 
 
-def _carried(residual: Residual, found: Fit) -> float:
+def carried(residual: Residual, found: Fit) -> float:
     """Logarithm of the rms on left-out runs, mean over the runs; of the fit itself where there is one run alone."""
     if len(residual.runs) < 2:
         return 0.5 * math.log(max(found.chi2, 1e-300))
@@ -62,6 +62,6 @@ def _needed(residual: Residual, found: Fit) -> Fit:
             continue
         causes, theta = found.without(index)
         fewer = fit(residual, causes, [theta], tries=1)
-        if not _pays(found, fewer) or _carried(residual, fewer) < _carried(residual, found):
+        if not _pays(found, fewer) or carried(residual, fewer) < carried(residual, found):
             found = fewer
     return found

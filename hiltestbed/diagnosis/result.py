@@ -202,7 +202,7 @@ class Finding:
         left: what the best extension leaves, in a sentence (verdict `unknown`): link, phase and shape.
         not_judged: link to why it could not be judged.
         partial: the effects of the vocabulary that come nearest where none leaves noise; partial_gain: theirs on left-out runs.
-        assumed: what was assumed of the noise, in sentences.
+        assumed: what was assumed of the noise, in sentences. explained: verdict `named_in_part`: share of the departure on left-out runs.
     """
 
     verdict: str
@@ -218,11 +218,12 @@ class Finding:
     partial: tuple[Cause, ...] = ()
     partial_gain: Heldout | None = None
     assumed: tuple[str, ...] = ()
+    explained: float | None = None
 
     @property
     def extends(self) -> bool:
         """Whether the model is extended: something is named, and the gain on left-out runs is significant where it was measured."""
-        named = self.verdict in ("named", "ambiguous") and bool(self.causes)
+        named = self.verdict in ("named", "ambiguous", "named_in_part") and bool(self.causes)
         return named and (self.heldout is None or self.heldout.significant)
 
 
@@ -301,6 +302,7 @@ class Diagnosis:
                 "causes": [_cause(c) for c in self.causes],
                 "not_judged": dict(self.finding.not_judged),
                 "left": self.finding.left or None,
+                "explained": self.finding.explained,
                 "partial": {
                     "sentence": partial_sentence(self.finding.partial, self.finding.partial_gain),
                     "causes": [_cause(c) for c in self.finding.partial],

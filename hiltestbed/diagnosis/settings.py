@@ -71,6 +71,13 @@ RESAMPLES = 2000
 WORTH = 0.02  # of the residual on left-out runs, geometric mean over them, by which a further cause has to lower it
 FAR_OFF = 10.0  # times the limit of what passes for noise: nearer to it a further cause would explain the noise floor's error
 
+# Parts of an explanation that hold
+CARRIED = 0.3  # of the departure on left-out runs: of less no part is named
+WORTH_IN_PART = 0.05  # of the residual on left-out runs, by which a cause has to lower it beside the others
+INVARIANT = 0.15  # of its size, by which a cause may differ from run to run where something else is at work
+MOST_RUNS = 0.8  # of the runs that have to agree
+AS_GOOD = 0.1  # of what a cause takes off chi-square: another effect this near to it is a rival
+
 # Two readings of one facility
 ONE_OF_TWO = 2.0 * math.log(2.0)  # derived: of chi-square, the price of one of two equal readings
 MOST_NOISE = 4.0  # standard deviations within which a difference is taken for noise

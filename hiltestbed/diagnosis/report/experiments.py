@@ -11,7 +11,7 @@ from hiltestbed.measured import MeasuredDataset
 def next_experiment(finding: Finding, dataset: MeasuredDataset) -> Experiment | None:
     """None where nothing is open: no discrepancy on links that were all measured, or a cause that nothing else looks like."""
     facts = facts_of(dataset, finding.causes)
-    if finding.verdict == "unknown":
+    if finding.verdict in ("unknown", "named_in_part"):
         return for_unknown(finding, facts)
     plans = [separating(c, finding.link, facts) for c in finding.causes if c.indistinguishable_from]
     if mass_of_either_body(finding, dataset):

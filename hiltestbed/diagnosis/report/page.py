@@ -17,7 +17,9 @@ TITLES = {
     "no_discrepancy": "the simulation holds",
     "named": "the cause is named",
     "ambiguous": "one of a few causes",
+    "named_in_part": "a departure that is named in part",
     "unknown": "a departure without a name",
+    "inconclusive": "not all of the loop could be judged",
 }
 FITTED = "k and c: least squares over the contact. A delay that the model does not know appears as missing damping."
 

@@ -38,6 +38,12 @@ def verdict_sentence(diagnosis: Diagnosis) -> str:
         text = f"{where[0].upper()}{where[1:]} departs from its model, and no effect of the vocabulary leaves mere noise.{left}"
         named = " and ".join(named_cause(c) for c in finding.causes)
         return text + (f" Elsewhere: {named}." if named else "")
+    if finding.verdict == "named_in_part":
+        named = " and ".join(named_cause(c) for c in finding.causes)
+        share = f", {100.0 * finding.explained:.0f} % of the departure on runs that were left out," if finding.explained else ""
+        left = f" {finding.left[0].upper()}{finding.left[1:].rstrip('.')}." if finding.left else ""
+        text = f"{where[0].upper()}{where[1:]} departs from its model. In part{share} this is {named}"
+        return f"{text}; something else is at work as well.{left}"
     parts = []
     for link in dict.fromkeys(_link(c) for c in finding.causes):
         found = " and ".join(named_cause(c) for c in finding.causes if _link(c) == link)

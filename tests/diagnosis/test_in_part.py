@@ -1,0 +1,65 @@
+"""A cause holds where something else is at work as well; what stands in for something else does not."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from hiltestbed.diagnosis.fit import fit
+from hiltestbed.diagnosis.in_part import at_bound, explained, holding, same_in_each
+from hiltestbed.diagnosis.report.page import TITLES
+from hiltestbed.diagnosis.residual import Residual
+from hiltestbed.diagnosis.result import VERDICTS
+from hiltestbed.diagnosis.search import Explanation, Search
+from hiltestbed.effects import Effect
+
+from .made import H, contact_link, effect, reread
+from .test_verdict import SPEEDS, WEIGHED, candidates
+
+
+@cache
+def disturbed(*hidden: Effect, size: float = 1.0) -> Explanation:
+    """What a search makes of contacts with `hidden` and a chirp [N] in them that the vocabulary has no name for."""
+    link = contact_link(hidden, speeds=SPEEDS)
+    t = np.arange(500) * H
+    wave = [run.measured + size * (np.sin(2 * np.pi * 40 * t**1.7 + i) * run.touching)[:, None] for i, run in enumerate(link.runs)]
+    return Search(candidates(*WEIGHED)).explain(Residual(reread(link, wave)))
+
+
+def test_a_cause_beside_a_disturbance_is_named_in_part() -> None:
+    e = disturbed(effect("contact.preload", force=6.0))
+    assert e.departs
+    assert not e.adequate
+    kept = [e.chosen.kinds[i] for i in holding(e)]
+    assert kept == ["contact.preload"]
+    assert explained(e) > 0.3
+
+
+def test_a_disturbance_alone_has_no_part_that_holds() -> None:
+    e = disturbed(size=3.0)
+    assert not e.adequate
+    assert holding(e) == ()
+
+
+def test_a_cause_has_one_size_in_each_run_and_a_stand_in_has_not() -> None:
+    """A preload that grows with the speed of the approach is none."""
+    preload = candidates("contact.preload")[0]
+    steady = Residual(contact_link([effect("contact.preload", force=6.0)], speeds=SPEEDS))
+    growing = contact_link(speeds=SPEEDS)
+    steps = [run.measured + 200.0 * v * run.touching[:, None] * (np.arange(6) == 2) for run, v in zip(growing.runs, SPEEDS, strict=True)]
+    for residual, same in ((steady, True), (Residual(reread(growing, steps)), False)):
+        chosen = fit(residual, (preload,), preload.grid)
+        alone = [fit(residual.on([i]), (preload,), preload.grid) for i in residual.runs]
+        assert same_in_each(chosen, alone, 0) is same
+
+
+@pytest.mark.parametrize(("factor", "there"), [(1.3, False), (20.0, True)])
+def test_an_estimate_at_the_end_of_its_search_is_no_estimate(factor: float, there: bool) -> None:
+    stiffness = candidates("contact.stiffness")[0]
+    assert at_bound(stiffness, np.clip([factor], stiffness.low, stiffness.high)) is there
+
+
+def test_every_verdict_has_a_title() -> None:
+    assert set(TITLES) == set(VERDICTS)
