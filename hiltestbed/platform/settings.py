@@ -29,6 +29,7 @@ class Rig(Strictly):
     """The physical side: the motion platform, and what carries the passive port."""
 
     platform: AnyPlatform = Field(
-        default_factory=lambda: PLATFORMS["pss33"].model_validate({"kind": "pss33"}), description="The motion platform that carries the active side"
+        default_factory=lambda: PLATFORMS["pss33"].model_validate({"kind": "pss33"}),
+        description="The motion platform that carries the active side",
     )
     upper: UpperPlatform = Field(default=UpperPlatform(), description="What carries the passive side and the force sensor")

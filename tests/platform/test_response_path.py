@@ -43,18 +43,10 @@ def test_it_is_the_exact_answer_to_a_command_that_is_linear_over_a_tick() -> Non
     system = lti([40.0 * w**2], [1.0, 1.2 * w, w**2, 40.0 * w**2])
     expected = lsim(system, command(np.arange(401))[:, 2], t)[1][1:]
     np.testing.assert_allclose(reached(settings, 2)[:, -1, 2], expected, atol=1e-10)
-<<<<<<< HEAD
-    lag, none = np.zeros((1, 5)), np.zeros((1, 5))
-    second_order(w, 0.7, H, 0.0, lag[0])
-    lagged, shaken, memory = np.zeros((1, 2)), np.zeros((1, 2)), np.zeros(MEMORY)
-    goal = command(np.arange(401))[:, 0]
-    effect = [follow(goal[k], goal[k + 1], H, np.inf, 0.0, 0.0, lag, none, lagged, shaken, memory) for k in range(400)]
-=======
     lag, lagged, none = np.empty((1, 5)), np.zeros((1, 2)), np.zeros((0, 2))
     second_order(w, 0.7, H, 0.0, lag[0])
     goal, memory = command(np.arange(401))[:, 0], np.zeros(MEMORY)
     effect = [follow(goal[k], goal[k + 1], H, np.inf, 0.0, 0.0, lag, np.zeros((0, 5)), lagged, none, memory) for k in range(400)]
->>>>>>> facilities
     twin = reached(ResponseSettings(bandwidth=12.0, damping_ratio=0.7), 2)
     np.testing.assert_allclose(twin[:, -1, 0], effect, atol=1e-12)
 
