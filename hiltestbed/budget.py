@@ -1,6 +1,6 @@
 """What a run, a sweep or a diagnosis will cost in memory, time and disk, estimated from its files before anything is allocated.
 
-Estimates are within a factor of two of what was measured on one core; what they are for is to tell a minute from a week, and a
+Estimates are rough: their constants are of one machine, and kinds of rigs are not told apart. They tell a minute from a week, and a
 gigabyte from a petabyte. Beyond a limit the work is refused; a variable of the environment sets the limit:
 
     HILTESTBED_MEMORY_LIMIT   [GB], left out: MEMORY_PART of the memory that is free
