@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hiltestbed.contact.sides import sides_of
 from hiltestbed.diagnosis.links import CompensationLink, DynamicsLink, Link, LinkRun, PlatformLink, WrenchLink, flat_pose
 from hiltestbed.diagnosis.links.base import padded
 from hiltestbed.diagnosis.noise import ForceNoise, force_noise
@@ -110,6 +111,10 @@ def _lacking(runs: Sequence[MeasuredRun]) -> dict[str, str]:
         out["wrench"] = "needs pose_act or pose_cmd in every run"
     elif not any(r.survey.contacts for r in runs):
         out["wrench"] = "needs a contact"
+    elif not all(sides_of(r.scenario.mechanism).rigid for r in runs):
+        out["wrench"] = (
+            "the mechanism has parts that move, or parts that collide at several points: its force does not follow from the pose of A in P"
+        )
     return out
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hiltestbed import diagnose, run, write_run
 from hiltestbed.errors import InputError
 from hiltestbed.platform.plant import Plant
 from hiltestbed.scenario import Scenario, load_scenario, scenario_sha256
@@ -152,12 +153,22 @@ def test_bad_files_are_refused(folder: Path) -> None:
 
 
 def test_its_folder_replays(folder: Path, tmp_path: Path) -> None:
-    from hiltestbed import run
-    from hiltestbed.recording import write_run
-
     write_run(run(mine(folder, duration=0.2)), tmp_path / "run")
     for file in (folder / "parts").iterdir():
         file.unlink()
     again = load_scenario(tmp_path / "run" / "scenario.yaml")
     assert scenario_sha256(again) == json.loads((tmp_path / "run" / "summary.json").read_text())["scenario_sha256"]
     simulate([again])
+
+
+def test_a_diagnosis_does_not_judge_what_the_pose_does_not_tell(folder: Path, tmp_path: Path) -> None:
+    """The plunger moves by itself: the contact cannot be replayed along the path of A, and the verdict says so."""
+    for name, speed in (("a", 0.08), ("b", 0.06)):
+        write_run(run(mine(folder, duration=1.5, **{"approach.velocity.2": speed, "sensor.noise": 0.1})), tmp_path / name, rerun=False)
+    (tmp_path / "d.yaml").write_text(
+        "scenario: mine.yaml\nruns:\n"
+        + "".join(f"  - {{file: {n}/trace.parquet, set: {{approach.velocity: [0, 0, {v}]}}}}\n" for n, v in (("a", 0.08), ("b", 0.06)))
+    )
+    found = diagnose(tmp_path / "d.yaml").finding
+    assert found.verdict == "inconclusive"
+    assert any("does not follow from the pose" in why for why in found.not_judged.values())
