@@ -12,6 +12,7 @@ from scipy.optimize import fsolve
 from hiltestbed import load_scenario, run
 from hiltestbed.loop import Loop
 from hiltestbed.numerical_model.bodies import effective_mass
+from hiltestbed.platform.pss33.settings import Pss33
 from hiltestbed.signals import Trace
 from hiltestbed.stability import EXACT, RigResponse, judge, largest_delay, measured_response, net_damping, stability
 
@@ -50,8 +51,11 @@ def test_the_critical_damping_of_a_second_order_with_delay() -> None:
     mass = effective_mass(latched(1.0))
     closed = critical_damping(mass, K)
     response = measured_response(latched(closed))
-    assert judge(latched(1.02 * closed), response, 0.0).stable
-    assert not judge(latched(0.98 * closed), response, 0.0).stable
+    above, below = (judge(latched(factor * closed), response, 0.0) for factor in (1.02, 0.98))
+    assert above is not None
+    assert above.stable
+    assert below is not None
+    assert not below.stable
     around = np.array([0.9, 0.95, 1.0, 1.05, 1.1]) * closed
     scenarios = [latched(float(c)) for c in around]
     loop, trace = Loop(scenarios), Trace(8000, len(scenarios), 2000.0)
@@ -69,7 +73,9 @@ def test_the_critical_damping_of_a_second_order_with_delay() -> None:
 def test_a_rig_that_follows_exactly_bears_the_contacts_own_damping_as_delay() -> None:
     """c - k tau to first order in w tau, and at the limit phase c w/k over w."""
     mass, k, c, tau = 400.0, 1e4, 200.0, 0.004
-    frequency, left = net_damping(EXACT.finer(), mass, k, c, tau)
+    found = net_damping(EXACT.finer(), mass, k, c, tau)
+    assert found is not None
+    frequency, left = found
     assert left == pytest.approx(c - k * tau, rel=0.02)
     assert frequency == pytest.approx(math.sqrt(k / mass) / (2.0 * math.pi), rel=0.02)
     omega = math.sqrt((c * c + math.sqrt(c**4 + 4.0 * k * k * mass * mass)) / 2.0) / mass
@@ -79,6 +85,7 @@ def test_a_rig_that_follows_exactly_bears_the_contacts_own_damping_as_delay() ->
 def test_the_measured_response_is_the_drives_second_order() -> None:
     """Without feed-forward the shipped platform is w^2/(s + w)^2, within 1 dB and 5 degrees up to 1.5 times its bandwidth."""
     s = load_scenario(SCENARIOS / "03-bumper-delay-uncompensated.yaml", set={"compensation.motion.kind": "none"})
+    assert isinstance(s.rig.platform, Pss33)
     found = measured_response(s)
     reach = found.frequency <= 1.5 * s.rig.platform.bandwidth
     p, w = 2j * math.pi * found.frequency[reach], 2.0 * math.pi * s.rig.platform.bandwidth
@@ -103,6 +110,7 @@ def test_what_is_said_before_the_run_is_what_the_run_does(kind) -> None:
 def test_stiffer_or_later_than_the_limit_is_unstable() -> None:
     s = load_scenario(SCENARIOS / "18-stewart.yaml", set={"sensor.delay": 0.001, "compensation.force.kind": "none"})
     said = stability(s)
+    assert said is not None
     assert said["stable"]
     for key, limit in (("mechanism.contact.stiffness", said["largest_stiffness"]), ("sensor.delay", said["largest_delay"])):
         for factor, stable in ((0.99, True), (1.01, False)):
@@ -111,11 +119,13 @@ def test_stiffer_or_later_than_the_limit_is_unstable() -> None:
                     SCENARIOS / "18-stewart.yaml", set={"sensor.delay": 0.001, "compensation.force.kind": "none"} | {key: factor * limit}
                 )
             )
+            assert again is not None
             assert again["stable"] is stable, (key, factor)
 
 
 def test_what_adds_a_force_of_its_own_is_not_judged() -> None:
     said = stability(load_scenario(SCENARIOS / "20-facing-arms.yaml"))
+    assert said is not None
     assert said["stable"] is None
     assert "not judged with cor_designed" in said["verdict"]
     assert said["uncompensated"]["stable"] is False

@@ -20,6 +20,7 @@ from hiltestbed.bench.contenders import BEST, CONTENDERS, Contender, contenders
 from hiltestbed.bench.cor_report import cor_report
 from hiltestbed.bench.result import BenchResult
 from hiltestbed.loop import Loop
+from hiltestbed.platform.plant import Plant
 from hiltestbed.simulation import log_error, reference_scenario
 
 Progress = Callable[[int, int], None]
@@ -172,10 +173,11 @@ def cost(contender: Contender, ticks: int = COST_TICKS) -> float:
     """Microseconds a sim-tick in a batch of 64 that the method takes beyond the numerical model, in contact."""
     contacts = [Contact(4.0, 0.02, 0.05, seed=i) for i in range(COST_RUNS)]
     loop = Loop([c.scenario(contender.force(c)) for c in contacts])
-    craft = loop.model
+    craft, plant = loop.model, loop.plant
+    assert isinstance(plant, Plant)  # the simulated side
     times = []
     for k in range(ticks):
-        loop.sensor.read(loop.k, loop.plant.wrench_sub)
+        loop.sensor.read(loop.k, plant.wrench_sub)
         start = time.perf_counter()
         loop.drive.advance(loop.measurement)
         middle = time.perf_counter()
@@ -186,7 +188,7 @@ def cost(contender: Contender, ticks: int = COST_TICKS) -> float:
         end = time.perf_counter()
         craft.q[:], craft.v[:], craft.pose[:], craft.twist[:] = q, v, pose, twist
         loop.motion.update(loop.drive.pose, loop.drive.twist, loop.measurement)
-        loop.plant.advance(loop.motion.pose, loop.motion.twist, loop.motion.acceleration)
+        plant.advance(loop.motion.pose, loop.motion.twist, loop.motion.acceleration)
         loop.k += 1
         if k > ticks // 2:
             times.append((middle - start) - (end - again))

@@ -18,6 +18,7 @@ from hiltestbed.bench.result import BenchResult
 from hiltestbed.errors import HiltestbedError
 from hiltestbed.gallery import shipped
 from hiltestbed.loop import Loop
+from hiltestbed.platform.plant import Plant
 from hiltestbed.report import Report, new_figure
 from hiltestbed.scenario import Scenario, load_scenario
 from hiltestbed.signals import Trace
@@ -67,11 +68,12 @@ def throughput(quick: bool = False, progress: Progress | None = None) -> BenchRe
 
 def side_by_side(scenario: Scenario, n: int, threads: int, stretches: int) -> dict[str, Any]:
     """The loop and the bare steps of an equal plant, in turns over one scenario; medians over the stretches."""
-    loop, bare = Loop([scenario] * n, threads), Loop([scenario] * n, threads)
+    loop, bare = Loop([scenario] * n, threads), Loop([scenario] * n, threads).plant
+    assert isinstance(bare, Plant)  # the simulated side
     trace = Trace(scenario.ticks, n, scenario.rate, loop.plant.units)
     m = scenario.substeps
     loop.step(trace)
-    bare.plant.bare_steps(m)
+    bare.bare_steps(m)
     start = time.perf_counter()
     loop.step(trace)
     ticks = max(4, min(scenario.ticks // (2 * stretches), int(STRETCH / max(time.perf_counter() - start, 1e-6))))
@@ -80,14 +82,14 @@ def side_by_side(scenario: Scenario, n: int, threads: int, stretches: int) -> di
     for s in range(stretches):
         while n <= 16 and loop.k < skip + s * ticks:
             loop.step(trace)
-        ours, theirs = arrays_of(bare.plant), arrays_of(loop.plant)
+        ours, theirs = arrays_of(bare), arrays_of(loop.plant)
         for name, array in ours.items():
             array[...] = theirs[name]
         a = time.perf_counter()
         for _ in range(ticks):
             loop.step(trace)
         b = time.perf_counter()
-        bare.plant.bare_steps(m * ticks)
+        bare.bare_steps(m * ticks)
         c = time.perf_counter()
         ratios.append((b - a) / (c - b))
         passes.append((b - a) / ticks)
@@ -127,6 +129,7 @@ def per_block(scenario: Scenario, n: int) -> dict[str, float]:
     for _ in range(int(0.4 * scenario.rate)):
         loop.step(trace)
     plant, drive, repeats = loop.plant, loop.drive, 200
+    assert isinstance(plant, Plant)  # the simulated side
     wrench = plant.wrench_sub[:, -1]
     rig = (wrench, plant.pose_act, plant.twist_act, plant.contact)
     calls: dict[str, Callable[[], Any]] = {

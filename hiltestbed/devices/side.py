@@ -16,6 +16,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from hiltestbed.contact.phases import Phases
 from hiltestbed.devices.guard import Guard
 from hiltestbed.devices.interface import PlatformClient, SensorClient
 from hiltestbed.devices.mounting import Mounting
@@ -131,7 +132,7 @@ class DeviceRig:
         limit = scenario.safety
         self._limits = [math.inf if v is None else v for v in (limit.force, limit.torque, limit.tracking_error)]
         self._behind = 0
-        self.phases = None  # of capture: the real mechanism's own
+        self.phases: Phases | None = None  # of capture: the real mechanism's own
         self.pose_act, self.twist_act = np.zeros((1, 7)), np.zeros((1, 6))
         self.pose_act[:, 6] = 1.0
         self.wrench_sub = np.zeros((1, 1, 6))

@@ -165,7 +165,7 @@ def wrench_link(
     for i, (run, n) in enumerate(zip(layout.runs, rows, strict=True)):
         link_run = _force_run(run, layout, i, n, least)
         runs.append(link_run if extra is None else replace(link_run, sigma=np.hypot(link_run.sigma, extra[i][:n])))
-    return WrenchLink(runs, *(None if a is None else _cut(a, rows) for a in (paths, jumps, rates)))
+    return WrenchLink(runs, _cut(paths, rows), None if jumps is None else _cut(jumps, rows), None if rates is None else _cut(rates, rows))
 
 
 def _cut(arrays: Sequence[Array], rows: Sequence[int]) -> list[Array]:

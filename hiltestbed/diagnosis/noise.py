@@ -86,7 +86,7 @@ def force_noise(runs: Sequence[MeasuredRun]) -> ForceNoise:
     level = np.zeros(6)
     if heavy or colour > 1.0:
         level[columns] = [_level(np.concatenate([x[:, i] for x in flat]), heavy) for i in range(len(columns))]
-    spread = np.array([np.std(np.concatenate([x[:, i] for x in flat])) for i in range(len(columns))]) * colour
+    spread = np.array([float(np.std(np.concatenate([x[:, i] for x in flat]))) for i in range(len(columns))]) * colour
     offset = [np.zeros(6) for _ in runs]
     for o, apart in zip(offset, _offsets([len(x) for x in flat], start, spread), strict=True):
         o[columns] = apart
@@ -140,7 +140,7 @@ def _without_lines(flat: list[Array]) -> list[Array]:
 def _line(x: Array, w: float) -> Array:
     t = np.arange(len(x))
     basis = np.column_stack([np.sin(w * t), np.cos(w * t)])
-    return basis @ np.linalg.lstsq(basis, x, rcond=None)[0] if len(x) else x
+    return np.asarray(basis @ np.linalg.lstsq(basis, x, rcond=None)[0], dtype=float) if len(x) else x
 
 
 def _heavy(z: Sequence[Array]) -> bool:
@@ -170,7 +170,7 @@ def _level(x: Array, heavy: bool) -> float:
     rms = float(np.std(x))
     if not heavy or rms == 0.0:
         return rms
-    return float(brentq(lambda s: float(np.mean(softened(x / s, True) ** 2)) - 1.0, 1e-2 * rms, 1e2 * rms))
+    return float(brentq(lambda s: float(np.mean(softened(x / s, True) ** 2)) - 1.0, 1e-2 * rms, 1e2 * rms))  # type: ignore[arg-type]
 
 
 def _offsets(counts: Sequence[int], start: Array, spread: Array) -> Array:

@@ -61,7 +61,7 @@ def make_wrench_link(layout: Layout, platform: Explanation | None, rows: Sequenc
         path = Path(_smooth_paths(layout, platform), None)
         noisy = platform is not None or any(r.record.has("pose_act") for r in layout.runs)
         extra = [_smoothed_noise(layout, run) for run in layout.runs] if noisy else None
-    sticks = explained and "platform.friction" in platform.chosen.kinds
+    sticks = platform is not None and platform.adequate and "platform.friction" in platform.chosen.kinds
     jumps = [_jumps(p) for p in path.poses] if sticks else None
     link = wrench_link(layout, path.poses, rows, jumps, path.rates, extra)
     return decimated(link) if decimate and jumps is None else link
@@ -105,7 +105,7 @@ def _noise_of(layout: Layout, path: Path) -> list[Array]:
     """(N, 6) noise of the reading of each run that the noise of a path brings, by replays of paths that are shaken by as much."""
     rng, count = np.random.default_rng(0), range(len(layout.runs))
     shaken, rates = [], []
-    for i, pose in enumerate(path.poses * SHAKEN_PATHS):
+    for i, pose in enumerate(list(path.poses) * SHAKEN_PATHS):
         moved = pose.copy()
         moved[:, :3] += path.place * rng.standard_normal((len(pose), 3))
         moved[:, 3:6] += 0.5 * path.place / LEVER_ARM * rng.standard_normal((len(pose), 3))

@@ -12,7 +12,7 @@ from hiltestbed.campaign.sensitivity import explained_share, sensitivity
 
 
 def points(n: int, keys: int) -> np.ndarray:
-    return qmc.Sobol(keys, seed=1).random(n)
+    return qmc.Sobol(keys, rng=1).random(n)
 
 
 def test_ishigami() -> None:

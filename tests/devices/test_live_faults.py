@@ -221,6 +221,7 @@ def test_a_thousand_malformed_datagrams_change_nothing(platform: str) -> None:
         assert sensor._client is not None
         own = moved._receiver.socket if isinstance(moved, UdpPlatformServer) else getattr(moved, "_socket")  # noqa: B009
         towards = moved._peer if isinstance(moved, UdpPlatformServer) else getattr(moved, "_towards")  # noqa: B009
+        assert own is not None
         for _ in range(2):
             sensor._socket.sendto(_rubbish(chance, record), sensor._client)
             own.sendto(_rubbish(chance, telegram), towards)

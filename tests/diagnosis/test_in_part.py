@@ -29,7 +29,7 @@ def disturbed(*hidden: Effect, size: float = 1.0) -> Explanation:
 
 
 def test_a_cause_beside_a_disturbance_is_named_in_part() -> None:
-    e = disturbed(effect("contact.preload", force=6.0))
+    e = disturbed(effect("contact.preload", force=6.0))  # type: ignore[arg-type]  # frozen, thus hashable
     assert e.departs
     assert not e.adequate
     kept = [e.chosen.kinds[i] for i in holding(e)]

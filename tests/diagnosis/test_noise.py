@@ -45,7 +45,7 @@ def test_white_noise_needs_no_words(seed: int) -> None:
 @pytest.mark.parametrize("correlation", [0.1, 0.6])
 def test_colour_is_that_of_a_first_order_process(correlation: float) -> None:
     """Its spectral density at low frequency is (1 + r)/(1 - r) times that of white noise of the same variance."""
-    coloured = [lfilter([np.sqrt(1 - correlation**2)], [1, -correlation], n, axis=0) for n in white(1)]
+    coloured = [np.asarray(lfilter([np.sqrt(1 - correlation**2)], [1, -correlation], n, axis=0)) for n in white(1)]
     noise = found(coloured)
     assert noise.colour == pytest.approx(np.sqrt((1 + correlation) / (1 - correlation)), rel=0.12)
     np.testing.assert_allclose(noise.level, SIGMA, rtol=0.1)

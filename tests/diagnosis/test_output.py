@@ -24,7 +24,7 @@ from hiltestbed.scenario import load_scenario, scenario_from, scenario_sha256
 from .recorded import NOMINAL, recorded
 
 DELAY = 0.004
-NAMED = [EFFECTS["sensor.delay"](delay=DELAY)]
+NAMED = [EFFECTS["sensor.delay"].model_validate({"delay": DELAY})]
 LATE = Cause("sensor.delay", {"delay": Parameter(DELAY, (0.0039, 0.0041), "s")}, 0.9, ("sensor.lag",))
 KEYS = {"verdict", "link", "causes", "residuals", "heldout", "closed_loop", "next_experiment", "extended_scenario"}
 

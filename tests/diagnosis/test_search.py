@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -37,7 +38,10 @@ class Along(Link):
 
     def _replay(self, lanes: Sequence[Lane]) -> list[Array]:
         rows = len(self.runs[0].measured)
-        return [np.tile(np.sum([e.offset for e in effects], axis=0) * 1e3 if effects else np.zeros(3), (rows, 1)) for _, effects in lanes]
+        return [
+            np.tile(np.sum([e.parameters()["offset"] for e in effects], axis=0) * 1e3 if effects else np.zeros(3), (rows, 1))
+            for _, effects in lanes
+        ]
 
 
 @pytest.mark.parametrize("direction", [(1, 1, 1), (1, -1, 0), (-1, -1, 2), (0, 1, -1)])
@@ -99,7 +103,8 @@ def test_a_mode_integrated_step_by_step_is_one_that_answers_a_step_early() -> No
 
 def test_responses_that_are_integrated_step_by_step_look_no_further_than_the_command() -> None:
     link = platform_link()
-    lag, mode = {"bandwidth": 50.0}, {"frequency": 30.0, "damping_ratio": 0.1}
+    lag: dict[str, Any] = {"bandwidth": 50.0}
+    mode: dict[str, Any] = {"frequency": 30.0, "damping_ratio": 0.1}
     one = link.shown(0, [effect("platform.lag", {"ahead": 2 * H}, **lag)])
     both = link.shown(0, [effect("platform.lag", {"ahead": H}, **lag)])
     assert np.array_equal(one, both)

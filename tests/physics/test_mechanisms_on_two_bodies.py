@@ -64,5 +64,6 @@ def test_soft_capture_comes_when_two_free_bodies_say_so(name, gap, velocity, off
     found = simulate([scenario], trace=True)
     first = found.outcomes[0]["phases"][0]
     assert first["at"] == pytest.approx(elapsed, rel=0.02, abs=0.01)
+    assert found.trace is not None
     trace = found.trace.run(0)
     np.testing.assert_allclose(trace["pose_act"][round(elapsed * RATE), :3], path, atol=2e-3)

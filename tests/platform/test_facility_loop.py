@@ -72,10 +72,12 @@ def test_the_sensor_feels_the_contact_and_nothing_else(kind, gantry) -> None:
 def test_a_run_alone_is_the_run_in_a_batch_bit_for_bit(kind, gantry) -> None:
     tracking = None if kind in PHYSICAL else "servo"
     runs = [bounce(kind, gantry, tracking, {"approach.velocity.2": v, "duration": 0.1, "approach.gap": 1e-3}) for v in (0.03, 0.05, 0.02)]
-    together = run_batch(runs, trace=True)
-    alone = run_batch(runs[1:2], trace=True)[0]
-    for name, column in alone.trace.columns().items():
-        assert np.array_equal(column, together[1].trace.columns()[name], equal_nan=column.dtype.kind == "f"), name
+    together = run_batch(runs, trace=True)[1].trace
+    alone = run_batch(runs[1:2], trace=True)[0].trace
+    assert together is not None
+    assert alone is not None
+    for name, column in alone.columns().items():
+        assert np.array_equal(column, together.columns()[name], equal_nan=column.dtype.kind == "f"), name
 
 
 @pytest.mark.parametrize("kind", ["stewart", "two_arms", "suspension"])
@@ -105,6 +107,7 @@ def test_the_run_folder_has_the_joints_that_there_are(kind, gantry, tmp_path) ->
     done = run(bounce(kind, gantry, None if kind in PHYSICAL else "servo", {"duration": 0.1}))
     write_run(done, tmp_path / "run")
     again = read_run(tmp_path / "run").trace
+    assert again is not None
     expected = {"two_arms": ("rad",) * 12 + ("m",), "air_bearing": ()}[kind]
     assert again.joints == expected
     assert [name for name in again.columns() if name.startswith("slider_act.")] == [f"slider_act.{j}" for j in range(len(expected))]

@@ -11,6 +11,7 @@ import pytest
 from hiltestbed.frames import Array
 from hiltestbed.platform.friction import DriveFriction
 from hiltestbed.platform.plant import Plant
+from hiltestbed.platform.pss33.settings import Pss33
 from hiltestbed.scenario import Scenario, scenario_from
 from hiltestbed.simulation import run
 from tests.platform.rigs import pose, scenario
@@ -29,7 +30,9 @@ class Sled:
     """Six masses on drives of one kind, each pushed by its own force."""
 
     def __init__(self, kind: str) -> None:
-        self.friction = DriveFriction([with_actuator(scenario(), kind).rig.platform.actuator], np.arange(6), MASS, DT)
+        platform = with_actuator(scenario(), kind).rig.platform
+        assert isinstance(platform, Pss33)
+        self.friction = DriveFriction([platform.actuator], np.arange(6), MASS, DT)
         self.x, self.v, self.applied = np.zeros(6), np.zeros((1, 6)), np.zeros((1, 6))
 
     def drag(self, speed: float, steps: int = 4000) -> float:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from hiltestbed.frames import Array
@@ -18,7 +20,7 @@ class Expected:
 
     def __init__(self, scenario: Scenario, poses: Array) -> None:
         """``poses`` (N, 7) of A in P at t_k."""
-        data = resolved(scenario) | {"effects": []}
+        data: dict[str, Any] = resolved(scenario) | {"effects": []}
         data["rig"]["platform"]["tracking"] = data["rig"]["upper"]["tracking"] = "ideal"
         believed = scenario_from(data)
         plant = Plant([believed])

@@ -72,13 +72,18 @@ def _at(x: float, y: float, z: float) -> Array:
     return np.array([x, y, z, 0.0, 0.0, 0.0, 1.0])
 
 
+def _instants(duration: float, tick: float) -> Array:
+    """[s] the ends of the ticks."""
+    return np.asarray(tick * np.arange(1, round(duration / tick) + 1), dtype=float)
+
+
 def _window(x: Array) -> Array:
     """Rises to 1 over the first fifth and falls over the last, smoothly."""
     return np.array([blend(min(1.0, 5.0 * v)) * blend(min(1.0, 5.0 * (1.0 - v))) for v in x])
 
 
 def _oscillations(tick: float) -> Array:
-    t = tick * np.arange(1, round(FREE_TIME / tick) + 1)
+    t = _instants(FREE_TIME, tick)
     out = np.zeros((len(t), 6))
     for axis, frequency in enumerate(FREQUENCIES):
         out[:, axis] = FREE * _window(t / FREE_TIME) * np.sin(2.0 * np.pi * frequency * t)
@@ -89,7 +94,7 @@ def _press(tick: float, depth: float) -> Array:
     """In to two thirds of ``depth``, oscillating by a third of it, and out."""
     inward = np.array([blend(min(1.0, k * tick / ENTRY)) for k in range(1, round(ENTRY / tick) + 1)])
     duration = PRESS_PERIODS / PRESS_FREQUENCY
-    t = tick * np.arange(1, round(duration / tick) + 1)
+    t = _instants(duration, tick)
     deep = CLEAR + 2.0 * depth / 3.0
     swing = depth / 3.0 * _window(t / duration) * np.sin(2.0 * np.pi * PRESS_FREQUENCY * t)
     z = np.concatenate([deep * inward, deep + swing, deep * inward[::-1], np.zeros(round(REST / tick))])
@@ -102,7 +107,7 @@ def _shaken(scenario: Scenario, force: float) -> Motion:
     """One axis after the other, each by what makes ``force`` or the torque that goes with it."""
     tick, truth = scenario.tick, axis_truth(scenario)
     duration = PRESS_PERIODS / PRESS_FREQUENCY
-    t = tick * np.arange(1, round(duration / tick) + 1)
+    t = _instants(duration, tick)
     wave = _window(t / duration) * np.sin(2.0 * np.pi * PRESS_FREQUENCY * t)
     out = np.zeros((6 * len(t), 6))
     for axis in range(6):

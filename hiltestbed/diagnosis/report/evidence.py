@@ -27,7 +27,7 @@ def link_series(link: Link, effects: Effects = ()) -> list[Series]:
     before = link.predict([(i, ()) for i in everything])
     after = link.predict([(i, effects) for i in everything]) if effects else before
     for i, (run, nominal, extended) in enumerate(zip(link.runs, before, after, strict=True)):
-        t = np.arange(len(run.measured)) * run.scenario.tick
+        t = np.asarray(np.arange(len(run.measured)) * run.scenario.tick, dtype=float)
         for j in range(run.measured.shape[1]):
             name = link.channels[j]
             measured, shown, better, sigma = (np.ascontiguousarray(a[:, j]) for a in (run.measured, nominal, extended, run.sigma))

@@ -67,7 +67,7 @@ class FrequencyResponse:
 
 def frequency_response(
     facility: Facility,
-    frequency: Sequence[float],
+    frequency: Array | Sequence[float],
     *,
     feed: bool = False,
     friction: bool = True,

@@ -43,7 +43,7 @@ def static_compliance(facility: Facility, *, friction: bool = False, settle: flo
 
 def dynamic_stiffness(
     facility: Facility,
-    frequency: Sequence[float],
+    frequency: Array | Sequence[float],
     *,
     friction: bool = False,
     rate: float = 2000.0,
