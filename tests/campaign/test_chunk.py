@@ -52,7 +52,7 @@ def test_a_record_that_is_stamped_late_has_the_hash_of_its_file(file: Path) -> N
 
 @pytest.mark.parametrize(
     ("keep", "files"),
-    [("trace", {"trace.parquet"}), ("all", {"scenario.yaml", "summary.json", "trace.parquet", "recording.rrd", "report.html"})],
+    [("trace", {"trace.parquet"}), ("all", {"scenario.yaml", "summary.json", "trace.parquet", "recording.rrd"})],
 )
 def test_what_is_kept_beside_the_row(file: Path, keep: str, files: set[str]) -> None:
     campaign = load_campaign(file, {"keep": keep})

@@ -48,13 +48,14 @@ def test_the_contact_never_pulls(tracking: str) -> None:
 @pytest.mark.parametrize("tracking", ["ideal", "servo"])
 @pytest.mark.parametrize("place", [0.0, 0.2])
 def test_a_law_in_place_of_the_linear_contact_acts_as_written(tracking: str, place: float) -> None:
-    """Two effects that make F = 3e6 x^1.5 (1 + 2 v) of the contact."""
+    """Two effects that make F = 3e6 x^1.5 (1 + 2 v) of the contact; under a servo through MuJoCo's impedance of 1e-4."""
     power, rise = {"kind": "contact.power_law", "exponent": 1.5, "stiffness": 3.0e6}, {"kind": "contact.hunt_crossley", "alpha": 2.0}
     s = scenario_from(scenario(tracking).model_dump(mode="json") | {"effects": [power, rise]})
     depth, rate, wrench = Press(Plant([s]), s.rate, place).run(800).columns()
     expected = 3.0e6 * np.maximum(depth, 0.0) ** 1.5 * (1.0 + 2.0 * rate)
     assert expected.max() > 100.0
-    np.testing.assert_allclose(wrench[:, 2], expected, rtol=1e-9, atol=1e-9)
+    close = 1e-9 if tracking == "ideal" else 2e-4 * expected.max()
+    np.testing.assert_allclose(wrench[:, 2], expected, rtol=1e-9, atol=close)
 
 
 @pytest.mark.parametrize("tracking", ["ideal", "servo"])

@@ -147,7 +147,8 @@ def test_bad_files_are_refused(folder: Path) -> None:
         mine(folder, **{"mechanism.active": "parts/nowhere.xml"})
     (folder / "parts" / "active.xml").write_text(active)
     turned = "\n".join(line if line[0] == "v" else "f {0} {2} {1}".format(*line.split()[1:]) for line in pyramid().strip().splitlines())
-    (folder / "parts" / "dish.obj").write_text(turned + "\n")
+    (folder / "parts" / "turned.obj").write_text(turned + "\n")  # MuJoCo remembers a mesh by its name for a second
+    (folder / "parts" / "passive.xml").write_text(PASSIVE.replace("dish.obj", "turned.obj"))
     with pytest.raises(InputError, match="point inwards"):
         mine(folder)
 

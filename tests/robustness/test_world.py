@@ -28,7 +28,7 @@ design: {{kind: grid}}
 """
 LANGUAGES = {"ascii": {"LC_ALL": "C", "PYTHONCOERCECLOCALE": "0", "PYTHONUTF8": "0"}, "unknown": {"LANG": "xx_XX"}}
 SLOW = pytest.mark.skipif("HILTESTBED_SLOW_TESTS" not in os.environ, reason="takes minutes; set HILTESTBED_SLOW_TESTS")
-FILES = {"scenario.yaml", "summary.json", "trace.parquet"}
+FILES = {"scenario.yaml", "summary.json", "trace.parquet", "report.html"}
 
 
 def start(*arguments: str, env: dict[str, str] | None = None, before: Callable[[], None] | None = None, **more) -> subprocess.Popen:
@@ -76,9 +76,7 @@ def test_nobody_reads_standard_output(tmp_path: Path) -> None:
     assert set(os.listdir(tmp_path / "r")) == FILES
 
 
-@pytest.mark.parametrize(
-    "language", [{"LC_ALL": "C", "PYTHONCOERCECLOCALE": "0", "PYTHONUTF8": "0"}, {"LANG": "xx_XX"}], ids=["ascii", "unknown"]
-)
+@pytest.mark.parametrize("language", LANGUAGES)
 def test_no_home_no_locale_and_forty_columns(tmp_path: Path, language: str) -> None:
     kept = {name: os.environ[name] for name in ("PATH", "PYTHONPATH", VARIABLE) if name in os.environ}
     env = kept | {"COLUMNS": "40", "TERM": "dumb"} | LANGUAGES[language]
