@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 
-from hiltestbed.contact.composition import ACTIVE, PASSIVE, add_side, drawn
+from hiltestbed.contact.composition import ACTIVE, PASSIVE, Structure, add_side, drawn
 from hiltestbed.contact.parameters import PARAMETERS
 from hiltestbed.contact.phases import actuators_of, dropped_by, joints_of
 from hiltestbed.contact.sides import Pair, Sides, sides_of
@@ -88,7 +88,7 @@ def _both(mechanism: Mechanism) -> mujoco.MjModel:
 
 
 @lru_cache(maxsize=16)
-def _compiled(structure, stamps: tuple[tuple[int, ...], ...]) -> mujoco.MjModel:
+def _compiled(structure: Structure, stamps: tuple[tuple[int, ...], ...]) -> mujoco.MjModel:
     """Both sides alone, the active one on a free body. Raises InputError."""
     spec = mujoco.MjSpec()
     add_side(spec, structure.mechanism, PASSIVE, spec.worldbody.add_body(name="P_body"))
@@ -98,12 +98,7 @@ def _compiled(structure, stamps: tuple[tuple[int, ...], ...]) -> mujoco.MjModel:
     try:
         return spec.compile()
     except ValueError as error:
-        raise InputError(f"{', '.join(map(str, mechanism_files(structure)))}: MuJoCo cannot compile both sides: {error}") from error
-
-
-def mechanism_files(structure) -> tuple:
-    """The files of both sides."""
-    return structure.mechanism.files()
+        raise InputError(f"{', '.join(map(str, structure.mechanism.files()))}: MuJoCo cannot compile both sides: {error}") from error
 
 
 def remarks(mechanism: Mechanism) -> list[str]:
