@@ -156,16 +156,26 @@ def _identified(loop: Loop, i: int) -> dict[str, Any]:
     truth = axis_truth(loop.scenarios[i], bool(loop.plant.captured[i]))
     estimate = loop.identification
     out = {}
+    told = _axes_told(loop, i)
     for j, axis in enumerate(AXES):
         pair = truth[j] or (None, None)
         out[axis] = {
-            "stiffness": _number(estimate.stiffness[i, j]) if estimate else None,
-            "damping": _number(estimate.damping[i, j]) if estimate else None,
+            "stiffness": _number(estimate.stiffness[i, j]) if estimate and j < told else None,
+            "damping": _number(estimate.damping[i, j]) if estimate and j < told else None,
             "stiffness_true": pair[0],
             "damping_true": pair[1],
             "samples": int(estimate.samples[i, j]) if estimate else 0,
         }
     return out
+
+
+def _axes_told(loop: Loop, i: int) -> int:
+    """How many of the six axes a spring can have: a ball joint turns freely, and what is fitted there is the arm of its force."""
+    phases = loop.plant.phases
+    if phases is None:
+        return len(AXES)
+    closed = [p.close for p in loop.scenarios[i].mechanism.phases()[: int(phases.begun[i])] if p.close is not None]
+    return len(AXES) if any(c.kind == "weld" for c in closed) else 3
 
 
 def _along_normal(loop: Loop, i: int) -> dict[str, Any]:
