@@ -18,7 +18,7 @@ from hiltestbed.measured import load_dataset
 
 SLOW = bool(os.environ.get("HILTESTBED_SLOW"))
 SCENARIOS = sorted(f.stem for f in (Path(__file__).parents[2] / "scenarios").glob("*.yaml"))
-WITHOUT_CONTACT = ("01-free-flight", "12-miss", "14-rendezvous")
+WITHOUT_CONTACT = ("01-free-flight", "12-miss", "14-rendezvous", "15-ring-docking", "16-probe-drogue", "17-gripper")  # to be judged
 QUICK = (("05-off-centre", "contact.stiffness"),)
 
 
