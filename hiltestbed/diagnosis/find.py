@@ -102,6 +102,8 @@ def cause_of(findings: Findings, c: Named) -> Cause:
     found: dict[str, Parameter] = {}
     for name, value in effect.parameters().items():
         unit = effect.unit(name)
+        if value is None:  # left out: it follows from another
+            continue
         if isinstance(value, str):
             found[name] = Parameter(value, None, "")
         elif isinstance(value, tuple):
@@ -147,7 +149,7 @@ def _words(effect: Effect) -> str:
     def text(v: Any) -> str:
         return f"{v:.4g}" if isinstance(v, float) else "[" + ", ".join(f"{x:.3g}" for x in v) + "]" if isinstance(v, tuple) else str(v)
 
-    return ", ".join(f"{name} {text(v)}" for name, v in effect.parameters().items())
+    return ", ".join(f"{name} {text(v)}" for name, v in effect.parameters().items() if v is not None)
 
 
 def _isolability(findings: Findings, progress: Progress | None) -> tuple[Isolable, ...]:

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from hiltestbed.diagnosis import judges
+from hiltestbed.diagnosis.driven import ALONG_AN_AXIS, axis_link, mass_and_force
 from hiltestbed.diagnosis.fit import Fit, fit, inflation, nothing, refit
 from hiltestbed.diagnosis.jitter import JITTER, jitter_beside
 from hiltestbed.diagnosis.layout import Layout, compensation_link, dynamics_link, lay_out, platform_link
 from hiltestbed.diagnosis.lines import hum_beside, lines
-from hiltestbed.diagnosis.links import CompensationLink, Link, LinkRun, PlatformLink, WrenchLink
+from hiltestbed.diagnosis.links import AxisLink, CompensationLink, Link, LinkRun, PlatformLink, WrenchLink
 from hiltestbed.diagnosis.paths import make_wrench_link
 from hiltestbed.diagnosis.residual import Residual
 from hiltestbed.diagnosis.search import Explanation, Progress, Search
@@ -64,10 +66,13 @@ def investigate(dataset: MeasuredDataset, progress: Progress | None = None) -> F
     if "wrench" not in layout.missing:
         _investigate_wrench(layout, found, whole, progress)
     if "dynamics" not in layout.missing:
-        residual = Residual(dynamics_link(layout, layout.rows))
-        search = Search(_candidates(layout.scales, ("dynamics",)), judges.of_dynamics(residual), (), _told(progress, "numerical model"))
-        found["dynamics"] = search.explain(residual)
-        whole["dynamics"] = dynamics_link(layout, layout.whole)
+        if layout.scales.driven is None:
+            residual = Residual(dynamics_link(layout, layout.rows))
+            search = Search(_candidates(layout.scales, ("dynamics",)), judges.of_dynamics(residual), (), _told(progress, "numerical model"))
+            found["dynamics"] = search.explain(residual)
+            whole["dynamics"] = dynamics_link(layout, layout.whole)
+        else:
+            found["dynamics"], whole["dynamics"] = _explain_axis(layout, _told(progress, "driven axis"))
     return Findings(layout, found, dict(layout.missing), whole)
 
 
@@ -85,6 +90,14 @@ def _explain_platform(layout: Layout, link: PlatformLink, progress: Progress | N
     noise = min((level for c in link.channels[:3] if (level := layout.noise.get(c))), default=0.0)
     scales = replace(layout.scales, sticks=stick_starts(link, noise, layout.scales.substeps))
     return Search(_candidates(scales, ("platform",)), progress=progress).explain(Residual(link))
+
+
+def _explain_axis(layout: Layout, progress: Progress | None) -> tuple[Explanation, AxisLink]:
+    """A mass that a force drives: its mass and what resists it, sought together from where a regression starts."""
+    link = axis_link(layout.runs)
+    candidates = tuple(c for c in _candidates(layout.scales, ("dynamics",)) if c.kind in ALONG_AN_AXIS)
+    judge = judges.of_axis(link)
+    return Search(candidates, judge, (mass_and_force(candidates),), progress, beside=math.inf).explain(Residual(link)), link
 
 
 def _explain_compensation(

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from hiltestbed.diagnosis.adequacy import Leftover
-from hiltestbed.diagnosis.links import CompensationLink
+from hiltestbed.diagnosis.links import AxisLink, CompensationLink
 from hiltestbed.diagnosis.links.base import Effects
 from hiltestbed.diagnosis.residual import Residual
 from hiltestbed.diagnosis.search import Judge
@@ -51,6 +51,19 @@ def of_dynamics(residual: Residual) -> Judge:
             allowed = max(DYNAMICS_FLOOR, COMPUTED_LEFT * departure if effects else 0.0)
             out[name] = Leftover((rms / allowed) ** 2, 0.0, 1.0, 1.0, len(residual.runs))
         return out
+
+    return judge
+
+
+def of_axis(link: AxisLink) -> Judge:
+    """Measured, and integrated twice: the noise, or a part of the motion; what a law leaves of a motion says how much it misses."""
+    motion = float(np.sqrt(np.mean(np.concatenate([(r.measured - r.measured.mean(axis=0)) ** 2 for r in link.runs]))))
+    noise = min(float(r.sigma.min()) for r in link.runs)
+    allowed = max(noise, COMPUTED_LEFT * motion)
+
+    def judge(of: Residual, effects: Effects) -> dict[str, Leftover]:
+        left = [float(np.mean(z[of.weight[i] > 0] ** 2)) * noise**2 for i, z in zip(of.runs, of.by_run([effects])[0], strict=True)]
+        return {link.channels[0]: Leftover(max(left) / allowed**2, 0.0, 1.0, 1.0, len(of.runs))}
 
     return judge
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hiltestbed.contact.sides import sides_of
+from hiltestbed.diagnosis.driven import is_driven, regression
 from hiltestbed.diagnosis.links import CompensationLink, DynamicsLink, Link, LinkRun, PlatformLink, WrenchLink, flat_pose
 from hiltestbed.diagnosis.links.base import padded
 from hiltestbed.diagnosis.noise import ForceNoise, force_noise
@@ -84,7 +85,10 @@ def lay_out(dataset: MeasuredDataset) -> Layout:
         else:
             missing["platform"] = f"the believed rig cannot follow the command on record in run {lost}"
     missing |= _lacking(runs)
-    return Layout(runs, tuple(_rows(r) for r in runs), _scales(runs, noise), noise, force, given, missing)
+    scales = _scales(runs, noise)
+    if "dynamics" not in missing and is_driven(runs):
+        scales = replace(scales, driven=regression(runs))
+    return Layout(runs, tuple(_rows(r) for r in runs), scales, noise, force, given, missing)
 
 
 def _lacking(runs: Sequence[MeasuredRun]) -> dict[str, str]:

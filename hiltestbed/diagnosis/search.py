@@ -73,6 +73,7 @@ class Search:
     judge: Judge = contact_leftovers
     special: tuple[Special, ...] = ()
     progress: Progress | None = None
+    beside: float = SELECTION  # what a further cause must take off chi-square where those found leave noise; infinite: none is sought
 
     def explain(self, residual: Residual, given: Fit | None = None) -> Explanation:
         """The explanation of a link; given: a fit with the cause that another link has shown, which is one of its causes."""
@@ -108,7 +109,7 @@ class Search:
         more: list[Fit] = []
         level = _first_of_each(singles, "kinds")
         for count in range(1, 1 if given else MOST_CAUSES):
-            if adequate and count > 1:  # a third cause beside two that leave noise would have to hide in it
+            if adequate and (count > 1 or math.isinf(self.beside)):  # a third cause beside two that leave noise would have to hide in it
                 break
             bases = level[: 1 if adequate else BEAM]
             found = [f for base in bases for f in self.extend(residual, base, PARTNERS, self.special)]
@@ -120,7 +121,7 @@ class Search:
                 found = sorted([again(residual, f) for f in found[:PARTNERS]], key=lambda f: f.score)
                 chosen = again(residual, chosen)
             more = [*found, *more]
-            need = (SELECTION if adequate else SELECTION_INADEQUATE) * inflation(found[0])
+            need = (self.beside if adequate else SELECTION_INADEQUATE) * inflation(found[0])
             if chosen.score - found[0].score <= need:
                 break
             chosen, level = found[0], found

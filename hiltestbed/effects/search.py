@@ -20,6 +20,24 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
+class DrivenAxis:
+    """What a regression of the force on the motion says of an axis that a force drives, to start a search from.
+
+    Attributes:
+        factor: of the chaser's mass. viscous: [N s/m]. coulomb, offset: [N]. fastest: speed on record [m/s].
+        stamp: [s] by which the position is read later than the numerical model hands it on; stamps: [s] to each side, that are searched.
+    """
+
+    factor: float
+    viscous: float
+    coulomb: float
+    offset: float
+    fastest: float
+    stamp: float
+    stamps: float
+
+
+@dataclass(frozen=True)
 class Scales:
     """What the data hold, to scale starts and bounds with.
 
@@ -31,6 +49,7 @@ class Scales:
         lines: force axis to frequency [Hz], amplitude [N] and phase [rad] of the strongest spectral line of the residual.
         sticks: instants a tick to starts for stiction of the platform [m], where the data show any.
         late: a delay of the force record [s] that another link has told to a tick, or None.
+        driven: an axis that a force drives, with position and force on record and nothing else, or None.
     """
 
     force: float
@@ -49,6 +68,7 @@ class Scales:
     lines: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
     sticks: Mapping[int, Sequence[float]] = field(default_factory=dict)
     late: float | None = None
+    driven: DrivenAxis | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,8 +1,8 @@
 """The numerical model: chaser and target as free-flyers, driven by the compensated wrench.
 
 A tick is a semi-implicit Euler step: each body's twist first, then its pose with the new twist. What the model may have wrong (masses,
-inertias, ports, appendages, the integrator, late steps) are numbers beside what is believed; with none of them the step is the nominal
-one.
+inertias, ports, appendages, forces, the integrator, late steps) are numbers beside what is believed; with none of them the step is the
+nominal one.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from hiltestbed.numerical_model.bodies import approach_state, inertia_matrix, po
 from hiltestbed.numerical_model.free_flyers import FreeFlyers
 from hiltestbed.numerical_model.kernels import load_wrench, move, place_at_start, relative_states
 from hiltestbed.numerical_model.parameters import DAMPING, RATIO, STIFFNESS, Departures, DynamicsParameters, stack
+from hiltestbed.numerical_model.resistance import resist_between, resist_bodies
 
 if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario
@@ -59,6 +60,9 @@ class NumericalModel:
         self._rigid = self._whole * (1.0 - d.appendage[..., RATIO].sum(axis=-1))
         self._inertia = self.inertia * d.inertia[..., None, None]
         self._swing = np.zeros((*d.appendage.shape[:3], 2, 3))
+        self._force = d.force
+        self._resisted = np.zeros((self.n, 6)) if d.force.size else None
+        self._inverse = np.linalg.inv(self._inertia)
         self._swings = bool(d.appendage[..., RATIO].any())
         self._explicit = d.explicit if d.explicit.any() else None
         self._late = d.late if d.late.any() else None
@@ -79,7 +83,13 @@ class NumericalModel:
 
     def advance(self, wrench: Array) -> None:
         """One step under ``wrench`` ``(n, 6)``, active on passive, in P at P's origin: twists, then poses."""
+        if self._resisted is not None:
+            self._resisted[:] = wrench
+            wrench = self._resisted
+            resist_between(self._force, self.q, self.v, self._port, self._rigid, self._inverse, self.tick, wrench)
         load_wrench(self.q, self._port, wrench, self._tau)
+        if self._resisted is not None:
+            resist_bodies(self._force, self.v, self._rigid, self.tick, self._tau)
         if self._swings:
             swing(self._appendage, self._whole, self._rigid, self.tick, self._swing, self._tau)
         if self._explicit is not None:

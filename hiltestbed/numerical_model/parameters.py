@@ -3,15 +3,37 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import astuple, dataclass, field
 
 import numpy as np
 
 from hiltestbed.effects.base import Effect
 from hiltestbed.frames import Array
+from hiltestbed.numerical_model.resistance import RESISTANCE
 
 BODIES = ("chaser", "target")
+RESISTED = (*BODIES, "both")  # what a resisting force acts on, in the order of its numbers
 RATIO, STIFFNESS, DAMPING, APPENDAGE = 0, 1, 2, 3  # columns of an appendage: mass ratio, k/m_a [1/s^2], d/m_a [1/s]
+
+
+@dataclass(frozen=True)
+class Resistance:
+    """A force that resists motion, see :mod:`hiltestbed.numerical_model.resistance`, whose columns its fields are in order [N, m/s]."""
+
+    body: int
+    axis: int
+    offset: float
+    viscous: float
+    viscous_back: float
+    coulomb: float
+    coulomb_back: float
+    rise: float
+    stribeck: float
+
+    @property
+    def acts(self) -> bool:
+        """Whether there is any force."""
+        return any((self.offset, self.viscous, self.viscous_back, self.coulomb, self.coulomb_back, self.rise))
 
 
 @dataclass
@@ -21,15 +43,18 @@ class DynamicsParameters:
     Attributes:
         mass, inertia: (2,) factors on chaser and target. port: (2, 3) offset of the port in body axes [m].
         appendages: of chaser and of target, each (mass ratio, k/m_a [1/s^2], d/m_a [1/s]).
-        late: whole ticks. explicit: pose with the old twist.
+        forces: that resist motion. late: whole ticks. explicit: pose with the old twist.
+        stamp: [s] by which a log reads the pose later beside; only a replay has it.
     """
 
     mass: Array = field(default_factory=lambda: np.ones(2))
     inertia: Array = field(default_factory=lambda: np.ones(2))
     port: Array = field(default_factory=lambda: np.zeros((2, 3)))
     appendages: tuple[list[tuple[float, float, float]], list[tuple[float, float, float]]] = field(default_factory=lambda: ([], []))
+    forces: list[Resistance] = field(default_factory=list)
     late: int = 0
     explicit: bool = False
+    stamp: float = 0.0
 
     @classmethod
     def of(cls, effects: Iterable[Effect]) -> DynamicsParameters:
@@ -43,20 +68,27 @@ class DynamicsParameters:
 
 @dataclass(frozen=True)
 class Departures:
-    """The departures of n models: mass, inertia (n, 2), port (n, 2, 3), appendage (n, 2, S, APPENDAGE), late and explicit (n,)."""
+    """The departures of n models.
+
+    Attributes:
+        mass, inertia: (n, 2). port: (n, 2, 3). appendage: (n, 2, S, APPENDAGE). force: (n, F, RESISTANCE). late, explicit, stamp: (n,).
+    """
 
     mass: Array
     inertia: Array
     port: Array
     appendage: Array
+    force: Array
     late: np.ndarray
     explicit: np.ndarray
+    stamp: Array
 
     @property
     def any(self) -> bool:
         """Whether any model departs at all."""
         same = np.all(self.mass == 1.0) and np.all(self.inertia == 1.0) and not self.port.any()
-        return not (same and not self.appendage.any() and not self.late.any() and not self.explicit.any())
+        whole = not (self.appendage.any() or self.force.size or self.late.any() or self.explicit.any() or self.stamp.any())
+        return not (same and whole)
 
 
 def stack(models: Sequence[DynamicsParameters]) -> Departures:
@@ -64,11 +96,18 @@ def stack(models: Sequence[DynamicsParameters]) -> Departures:
     most = max(len(part) for m in models for part in m.appendages)
     none = (0.0, 0.0, 0.0)
     swinging = [[[*part, *[none] * (most - len(part))] for part in m.appendages] for m in models]
+    resisted = max(len(m.forces) for m in models)
+    forces = np.full((len(models), resisted, RESISTANCE), -1.0)  # of no body where a model has fewer
+    for row, m in zip(forces, models, strict=True):
+        for slot, law in zip(row, m.forces, strict=False):
+            slot[:] = astuple(law)
     return Departures(
         mass=np.array([m.mass for m in models]),
         inertia=np.array([m.inertia for m in models]),
         port=np.array([m.port for m in models]),
         appendage=np.array(swinging, dtype=float).reshape(len(models), 2, most, APPENDAGE),
+        force=forces,
         late=np.array([m.late for m in models], dtype=np.int64),
         explicit=np.array([m.explicit for m in models], dtype=bool),
+        stamp=np.array([m.stamp for m in models], dtype=float),
     )

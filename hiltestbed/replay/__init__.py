@@ -5,6 +5,7 @@ The leading axis of every block is a *lane*: a recorded run under one hypothesis
 once a row, in compiled loops over the rows where the calls themselves would cost.
 """
 
+from hiltestbed.replay.axis import replay_axis
 from hiltestbed.replay.compensation import replay_compensation
 from hiltestbed.replay.numerical_model import Departing, replay_model
 from hiltestbed.replay.platform import replay_platform
@@ -12,6 +13,6 @@ from hiltestbed.replay.rig import creep_of, follows_exactly, moves_linearly, rep
 from hiltestbed.replay.wrench import Felt, replay_wrench
 
 __all__ = [
-    "Departing", "Felt", "creep_of", "follows_exactly", "moves_linearly", "replay_compensation", "replay_model", "replay_platform",
-    "replay_rig", "replay_wrench",
+    "Departing", "Felt", "creep_of", "follows_exactly", "moves_linearly", "replay_axis", "replay_compensation", "replay_model",
+    "replay_platform", "replay_rig", "replay_wrench",
 ]  # fmt: skip

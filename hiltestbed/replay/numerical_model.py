@@ -13,6 +13,7 @@ from hiltestbed.numerical_model.bodies import approach_state, inertia_matrix, po
 from hiltestbed.numerical_model.kernels import load_wrench, move, newton_euler, place_at_start, relative_states
 from hiltestbed.numerical_model.model import hand_on, run_back, swing
 from hiltestbed.numerical_model.parameters import RATIO, Departures
+from hiltestbed.numerical_model.resistance import resist_between, resist_bodies
 
 if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario
@@ -31,7 +32,7 @@ def replay_model(model: Departing, wrench: Array, run: np.ndarray) -> Array:
     swinging = np.zeros((*d.appendage.shape[:3], 2, 3))
     _replay_model(
         wrench, np.asarray(run), model.approach, model.port, model.whole, model.rigid, model.inertia, np.linalg.inv(model.inertia),
-        model.tick, d.appendage, d.explicit, d.late, q, v, tau, swinging, handed, out,
+        model.tick, d.appendage, d.force, d.explicit, d.late, q, v, tau, swinging, handed, out,
     )  # fmt: skip
     return out
 
@@ -57,7 +58,7 @@ class Departing:
 
 @njit(cache=True)
 def _replay_model(
-    wrench, run, approach, port, whole, rigid, inertia, inverse, h, appendage, explicit, late, q, v, tau, swinging, handed, out
+    wrench, run, approach, port, whole, rigid, inertia, inverse, h, appendage, force, explicit, late, q, v, tau, swinging, handed, out
 ):
     n = len(run)
     pose, twist, push, before = np.empty((n, 7)), np.empty((n, 6)), np.empty((n, 6)), np.empty((n, 2, 6))
@@ -67,7 +68,9 @@ def _replay_model(
     for k in range(wrench.shape[1]):
         for i in range(n):
             push[i] = wrench[run[i], k]
+        resist_between(force, q, v, port, rigid, inverse, h, push)
         load_wrench(q, port, push, tau)
+        resist_bodies(force, v, rigid, h, tau)
         swing(appendage, whole, rigid, h, swinging, tau)
         before[:] = v
         newton_euler(rigid, inertia, inverse, tau, h, v)

@@ -42,6 +42,7 @@ EXAMPLES: dict[str, dict[str, Any]] = {
     "dynamics.inertia": {"factor": 1.4, "body": "chaser"},
     "dynamics.port_offset": {"offset": [0.02, -0.03, 0.01], "body": "chaser"},
     "dynamics.appendage": {"mass_ratio": 0.2, "frequency": 1.5, "damping_ratio": 0.05, "body": "target"},
+    "dynamics.force": {"viscous": 40.0, "coulomb": 0.5, "offset": 0.3, "static": 0.8, "stribeck_speed": 0.002},
     "dynamics.step_delay": {"ticks": 3},
     "dynamics.integrator": {"scheme": "explicit_euler"},
     "loop.deadzone": {"width": 8.0},

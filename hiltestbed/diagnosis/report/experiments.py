@@ -7,6 +7,8 @@ from hiltestbed.diagnosis.report.facts import Facts, facts_of
 from hiltestbed.diagnosis.result import Cause, Experiment, Finding
 from hiltestbed.measured import MeasuredDataset
 
+ABSURD = 100.0  # factor of a mass that nobody gets wrong
+
 
 def next_experiment(finding: Finding, dataset: MeasuredDataset) -> Experiment | None:
     """None where nothing is open: no discrepancy on links that were all measured, or a cause that nothing else looks like."""
@@ -72,5 +74,7 @@ def mass_of_either_body(finding: Finding, dataset: MeasuredDataset) -> str | Non
             rest = 1.0 / mass[other] + (1.0 / float(entry["factor"]) - 1.0) / mass[body]
             if rest > 0.0:
                 factor = 1.0 / (rest * mass[other])
+                if not 1.0 / ABSURD < factor < ABSURD:  # a foundation is no candidate
+                    return None
                 return f"the relative pose sees the reduced mass alone: a factor of {factor:.4g} on the {other}'s mass looks the same"
     return None

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 BODIES = ("chaser", "target")
 Body = Literal["chaser", "target"]
 Offset = Annotated[tuple[Annotated[float, Field(ge=-10.0, le=10.0)], ...], Strict(False), Field(min_length=3, max_length=3)]
+OFF = 10.0  # by which the mass of a driven axis is searched beside what a regression gives
 FASTEST = 0.1  # of the rate of the loop: the fastest appendage that a numerical model of that rate can hold
 
 
@@ -40,6 +41,9 @@ class DynamicsMass(Effect):
 
     @classmethod
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:
+        if scales.driven is not None:  # whatever is believed: a regression has told the size
+            f = scales.driven.factor
+            return iter([candidate(cls, {"factor": [f]}, bounds={"factor": (f / OFF, f * OFF)}, body="chaser")])
         return (candidate(cls, {"factor": [0.6, 0.9, 1.1, 1.6]}, body=body) for body in BODIES)
 
 

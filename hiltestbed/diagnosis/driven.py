@@ -1,0 +1,156 @@
+"""An axis that a force drives: position and force on record, of a machine that started where it stood.
+
+The same link as the numerical model's, but measured: the position carries an encoder's noise, the run does not begin in free flight at
+the scenario's approach, and which row a position belongs to, the one before the force or after it, depends on the log. So place and speed
+at the start are read from the record, the stamp is fitted beside what is sought, and a regression of the force on the motion (the inverse
+model of robot identification: M. Gautier, P. Poignet, 2001) says where to start. The fit itself is of the motion, in one piece from the
+first row to the last: what a wrong force does adds up.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.signal import butter, filtfilt
+
+from hiltestbed.diagnosis.fit import Fit, fit, inflation
+from hiltestbed.diagnosis.links import AxisLink, LinkRun
+from hiltestbed.diagnosis.residual import Residual
+from hiltestbed.diagnosis.search import Special
+from hiltestbed.diagnosis.settings import CORRELATED, DYNAMICS_FLOOR, NO_POSE_NOISE, SELECTION_INADEQUATE
+from hiltestbed.effects.search import Candidate, DrivenAxis
+from hiltestbed.frames import Array
+from hiltestbed.measured import MeasuredRun
+from hiltestbed.measured.momentum import centred
+from hiltestbed.measured.noise import white_noise
+from hiltestbed.numerical_model.resistance import SMOOTH
+from hiltestbed.signals import GROUPS
+
+PLACE, FORCE = "pose_cmd.pz", "wrench_comp.fz"
+ALONG_AN_AXIS = ("dynamics.mass", "dynamics.force", "dynamics.appendage")  # the stamp stands for late steps
+STILL_FREE = 20  # rows at the start of a run in which a spacecraft that approaches feels nothing
+UNDRIVEN = 0.01  # of the approach speed, that the force changes it by in these rows
+BEGINNINGS = (12, 17, 24, 34, 48, 68, 96)  # rows of a parabola from which place and speed at the start are read
+UNEVEN_START = 0.05  # of the speed that the acceleration brings over these rows: what a parabola misses of a drive that starts
+CUTOFF = 20.0  # [Hz] of the filter before the regression, or less where the log is slow
+SLOWEST = 0.03  # of the largest speed: slower rows are left out of the regression, where dry friction turns round
+STAMPS = 3.0  # sample periods to each side, within which the stamp of a position is sought
+HALF_STEP = 1.5  # ticks by which a position that was read with its force is older: a tick, and the half by which the step is early
+
+
+def is_driven(runs: Sequence[MeasuredRun]) -> bool:
+    """Whether all that was measured is one position and the force that drives it."""
+    return bool(runs) and all(_alone(run) and not _begins_in_free_flight(run) for run in runs)
+
+
+def _alone(run: MeasuredRun) -> bool:
+    record, given = run.record, set(run.record.columns())
+    if not {PLACE, FORCE} <= given or record.has("pose_act") or record.has("wrench_meas") or not centred(run.scenario):
+        return False
+    beside = [c for group in ("pose_cmd", "wrench_comp") for c in GROUPS[group].columns if c in given and c not in (PLACE, FORCE)]
+    return all(_stands(record.column(c)) for c in beside)
+
+
+def _stands(values: Array) -> bool:
+    known = values[np.isfinite(values)]
+    return not len(known) or float(np.ptp(known)) == 0.0
+
+
+def _begins_in_free_flight(run: MeasuredRun) -> bool:
+    speed = abs(run.scenario.approach.velocity[2])
+    impulse = float(np.nansum(np.abs(_force(run)[:STILL_FREE]))) * run.scenario.tick
+    return speed > 0.0 and impulse / _reduced(run) < UNDRIVEN * speed
+
+
+def _force(run: MeasuredRun) -> Array:
+    return np.ascontiguousarray(run.record.filled("wrench_comp")[:, 2])
+
+
+def _reduced(run: MeasuredRun) -> float:
+    chaser, target = run.scenario.spacecraft.chaser.mass, run.scenario.spacecraft.target.mass
+    return chaser * target / (chaser + target)
+
+
+def axis_link(runs: Sequence[MeasuredRun]) -> AxisLink:
+    """The link on whole runs."""
+    starts = [_start(run) for run in runs]
+    return AxisLink([_link_run(run) for run in runs], [_force(run) for run in runs], [p for p, _ in starts], [v for _, v in starts])
+
+
+def _link_run(run: MeasuredRun) -> LinkRun:
+    place = run.record.column(PLACE)
+    noise = max(white_noise(place), run.record.steps.get(PLACE, 0.0) / math.sqrt(12.0), NO_POSE_NOISE)
+    sigma = np.where(np.isfinite(place), math.hypot(noise, DYNAMICS_FLOOR * math.sqrt(CORRELATED)), np.inf)
+    sigma[0] = np.inf  # the start stands for itself
+    return LinkRun(run.scenario, np.nan_to_num(place)[:, None], sigma[:, None], np.zeros(len(place), dtype=bool))
+
+
+def _start(run: MeasuredRun) -> tuple[float, float]:
+    """Place [m] and speed [m/s] at row 0: of a parabola through as few of the first rows as the noise allows."""
+    place, tick = run.record.column(PLACE), run.scenario.tick
+    known = np.flatnonzero(np.isfinite(place))
+    noise = max(white_noise(place), NO_POSE_NOISE)
+    found = (float(place[known[0]]), 0.0)
+    for count in BEGINNINGS:
+        rows = known[:count]
+        span = max(float(rows[-1] * tick), tick)
+        c, b, a = np.polyfit(rows * tick, place[rows], 2)
+        found = (float(a), float(b))
+        if noise * math.sqrt(192.0 / count) / span < UNEVEN_START * max(abs(2.0 * c) * span, abs(b)):  # error of b against what it misses
+            break
+    return found
+
+
+def regression(runs: Sequence[MeasuredRun]) -> DrivenAxis:
+    """Mass, friction and offset by least squares of the filtered force on the filtered motion."""
+    parts = [_filtered(run) for run in runs]
+    fastest = max(float(np.abs(v).max()) for _, v, _ in parts)
+    rows = [np.abs(v) > SLOWEST * fastest for _, v, _ in parts]
+    a, v, f = (np.concatenate([part[j][keep] for part, keep in zip(parts, rows, strict=True)]) for j in range(3))
+    basis = np.column_stack([a, v, np.tanh(v / SMOOTH), np.ones_like(v)])
+    scale = np.maximum(np.linalg.norm(basis, axis=0), 1e-300)
+    mass, viscous, coulomb, offset = np.linalg.lstsq(basis / scale, f, rcond=None)[0] / scale
+    period = max(max(run.scenario.tick, 1.0 / run.record.sample_rate if run.record.sample_rate else 0.0) for run in runs)
+    return DrivenAxis(
+        factor=_factor(runs[0], float(mass)),
+        viscous=max(float(viscous), 0.0),
+        coulomb=max(float(coulomb), 0.0),
+        offset=float(offset),
+        fastest=max(fastest, 1e-9),
+        stamp=HALF_STEP * runs[0].scenario.tick,
+        stamps=STAMPS * period,
+    )
+
+
+def _factor(run: MeasuredRun, mass: float) -> float:
+    """Of the chaser's mass, with which both bodies together have the inertia ``mass`` [kg] against each other; 1 where none has."""
+    chaser, target = run.scenario.spacecraft.chaser.mass, run.scenario.spacecraft.target.mass
+    return target * mass / (target - mass) / chaser if 0.0 < mass < 0.99 * target else 1.0
+
+
+def mass_and_force(candidates: Sequence[Candidate]) -> Special:
+    """The hypothesis that the mass is another and a force resists it: neither alone comes near where both are."""
+    both = [c for kind in ("dynamics.mass", "dynamics.force") for c in candidates if c.kind == kind]
+
+    def make(residual: Residual, base: Fit) -> Fit | None:
+        if base.causes or len(both) != 2:
+            return None
+        force = fit(residual, both[1:], both[1].grid)
+        together = fit(residual, both, [np.concatenate([both[0].grid[0], both[1].grid[0]]), np.concatenate([[1.0], force.theta])])
+        return together if force.score - together.score > SELECTION_INADEQUATE * inflation(together) else None
+
+    return make
+
+
+def _filtered(run: MeasuredRun) -> tuple[Array, Array, Array]:
+    """Acceleration, speed and the force that drives it, (N,) each, through one filter of no phase."""
+    tick = run.scenario.tick
+    rate = min(run.scenario.rate, run.record.sample_rate or run.scenario.rate)
+    b, a = butter(2, min(CUTOFF, 0.05 * rate) * 2.0 * tick)
+    place, force = (filtfilt(b, a, x) for x in (run.record.filled("pose_cmd")[:, 2], -_force(run)))
+    speed = np.gradient(np.asarray(place), tick)
+    edge = min(len(speed) // 10, round(2.0 / (CUTOFF * tick)))
+    inner = slice(edge, len(speed) - edge)
+    return np.gradient(speed, tick)[inner], speed[inner], np.asarray(force)[inner]

@@ -1,0 +1,102 @@
+"""A force on the bodies that the numerical model does not know of: what a guide, a screw, a bearing or gravity does."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Literal
+
+from pydantic import Field
+
+from hiltestbed.effects.base import Effect, quantity
+from hiltestbed.effects.search import Candidate, Scales, candidate
+from hiltestbed.numerical_model.parameters import RESISTED, Resistance
+from hiltestbed.plugins import register
+
+if TYPE_CHECKING:
+    from hiltestbed.numerical_model.parameters import DynamicsParameters
+
+Resisted = Literal["chaser", "target", "both"]
+STAMP = "stamp"  # [s] part of a variant: how much later than believed the log reads a position that follows from its force
+STRIBECK_SPEED = 1e-3  # [m/s] unless given: some tenths of a millimetre to a few millimetres a second are measured of greased guides
+FASTER = 10.0  # times the friction that a regression gives, as far as a search goes
+
+
+@register
+class DynamicsForce(Effect):
+    """A force resists the motion along an axis: viscous and dry friction, an offset."""
+
+    kind: Literal["dynamics.force"] = "dynamics.force"
+    viscous: float = quantity("N s/m", "Viscous friction", default=0.0, ge=0.0, search=(0.0, 1e5))
+    coulomb: float = quantity("N", "Dry friction while it moves", default=0.0, ge=0.0, search=(0.0, 1e5))
+    offset: float = quantity("N", "Force against the positive direction, whatever the speed", default=0.0, search=(-1e5, 1e5))
+    viscous_back: float | None = quantity(
+        "N s/m", "Viscous friction in the negative direction; left out: the same as in the positive", default=None, ge=0.0
+    )
+    coulomb_back: float | None = quantity(
+        "N", "Dry friction in the negative direction; left out: the same as in the positive", default=None, ge=0.0
+    )
+    static: float | None = quantity(
+        "N",
+        "Dry friction at rest in the positive direction, in the other as much above that of motion; left out: none above",
+        default=None,
+        ge=0.0,
+    )
+    stribeck_speed: float | None = quantity(
+        "m/s", "Speed over which dry friction falls from rest to motion; left out: 0.001", default=None, gt=0.0
+    )
+    axis: Literal["x", "y", "z"] = Field(
+        default="z", description="Axis along which it acts: of P for the motion of A relative to P, inertial for one body"
+    )
+    body: Resisted = Field(
+        default="both", description="Motion that it resists: of A relative to P (both, equal and opposite), or of one body"
+    )
+    link = "dynamics"
+    equation = (
+        "R = offset + viscous v + (coulomb + (static - coulomb) exp(-(v/stribeck_speed)^2)) sgn(v), sgn(v) = tanh(v/2e-4), "
+        "with v at the end of the tick"
+    )
+    reference = "C. Canudas de Wit et al., IEEE Trans. Autom. Control 40, 1995; with an offset A. Janot, M. Gautier, M. Brunot, 2019"
+    resembles = ("dynamics.mass", "dynamics.appendage")
+    repeats = True
+    leading = "coulomb"
+
+    def apply(self, p: DynamicsParameters) -> None:
+        p.stamp += float(self.variant.get(STAMP, 0.0))
+        rise = 0.0 if self.static is None else self.static - self.coulomb
+        law = Resistance(
+            body=RESISTED.index(self.body),
+            axis="xyz".index(self.axis),
+            offset=self.offset,
+            viscous=self.viscous,
+            viscous_back=self.viscous if self.viscous_back is None else self.viscous_back,
+            coulomb=self.coulomb,
+            coulomb_back=self.coulomb if self.coulomb_back is None else self.coulomb_back,
+            rise=rise,
+            stribeck=self.stribeck_speed or STRIBECK_SPEED,
+        )
+        if law.acts:
+            p.forces.append(law)
+
+    @classmethod
+    def candidates(cls, scales: Scales) -> Iterator[Candidate]:
+        if scales.driven is not None:
+            yield cls._of_driven_axis(scales)
+            return
+        force, speed = scales.force, scales.fast
+        for name, start, most in (("viscous", force / speed, 1e2), ("coulomb", force, 1e2), ("offset", force, 1e2)):
+            low = -most * force if name == "offset" else 0.0
+            starts = [(q * start,) for q in ((0.003, 0.03, -0.03) if name == "offset" else (0.003, 0.03))]
+            yield candidate(cls, {name: []}, starts=starts, bounds={name: (low, most * start)}, axis="z", body="both")
+
+    @classmethod
+    def _of_driven_axis(cls, scales: Scales) -> Candidate:
+        """From where a regression of the force on the motion starts; the row to which a position belongs is not known."""
+        given = scales.driven
+        assert given is not None
+        most = FASTER * max(abs(given.offset), given.coulomb, given.viscous * given.fastest, 1e-6)
+        names = {"viscous": [given.viscous], "coulomb": [given.coulomb], "offset": [given.offset], STAMP: [given.stamp]}
+        bounds = {
+            "viscous": (0.0, most / given.fastest), "coulomb": (0.0, most), "offset": (-most, most),
+            STAMP: (given.stamp - given.stamps, given.stamp + given.stamps),
+        }  # fmt: skip
+        return candidate(cls, names, bounds=bounds, axis="z", body="both")
