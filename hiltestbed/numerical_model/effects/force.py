@@ -37,7 +37,7 @@ class DynamicsForce(Effect):
     )
     static: float | None = quantity(
         "N",
-        "Dry friction at rest in the positive direction, in the other as much above that of motion; left out: none above",
+        "Dry friction at rest in the positive direction, in the other as much above motion; left out: none above",
         default=None,
         ge=0.0,
     )
