@@ -29,7 +29,7 @@ from hiltestbed.numerical_model.resistance import SMOOTH
 from hiltestbed.signals import GROUPS
 
 PLACE, FORCE = "pose_cmd.pz", "wrench_comp.fz"
-ALONG_AN_AXIS = ("dynamics.mass", "dynamics.force", "dynamics.appendage")  # the stamp stands for late steps
+ALONG_AN_AXIS = ("dynamics.mass", "dynamics.force")  # the stamp stands for late steps
 STILL_FREE = 20  # rows at the start of a run in which a spacecraft that approaches feels nothing
 UNDRIVEN = 0.01  # of the approach speed, that the force changes it by in these rows
 BEGINNINGS = (12, 17, 24, 34, 48, 68, 96)  # rows of a parabola from which place and speed at the start are read

@@ -19,13 +19,15 @@ from hiltestbed.diagnosis.settings import AMBIGUITY, AS_GOOD, CARRIED, INVARIANT
 from hiltestbed.effects.search import Candidate
 
 LEAST_RUNS = 3
+LEAST_WALKS = 2  # runs, each long enough for what is missed to add up
 AT_BOUND = 1e-3  # of the range of a search
 
 
 def holding(found: Explanation) -> tuple[int, ...]:
     """Numbers of the causes of the chosen fit that hold; none where too few runs can tell."""
     residual, chosen = found.residual, found.chosen
-    if len(residual.runs) < LEAST_RUNS or not chosen.causes or JITTER in chosen.kinds or explained(found) < CARRIED:
+    least = LEAST_WALKS if residual.link.walks else LEAST_RUNS
+    if len(residual.runs) < least or not chosen.causes or JITTER in chosen.kinds or explained(found) < CARRIED:
         return ()
     alone = [fit(residual.on([i]), chosen.causes, [chosen.theta], tries=1) for i in residual.runs]
     return tuple(

@@ -1,6 +1,7 @@
 """95 % intervals that hold: the curvature of chi-square where it is smooth, widened by what the runs say of one another.
 
-A plain Jacobian interval takes the model for exact. Here the covariance is the sandwich of the runs' own gradients (each run, that is
+A plain Jacobian interval takes the model for exact. Where what a model misses adds up (a position, of which a force is integrated twice),
+the misfit of neighbouring rows is one and the same: there it is taken for a random walk. Here the covariance is the sandwich of the runs' own gradients (each run, that is
 each contact, is one independent witness) where that is wider, and a floor stands for what another sub-stepping of the same rig does.
 """
 
@@ -31,6 +32,7 @@ def intervals(residual: Residual, found: Fit) -> Array:
     count = len(theta)
     normal, middle = np.zeros((count, count)), np.zeros((count, count))
     squares, samples = 0.0, 0
+    jacobians: list[tuple[Array, Array]] = []
     for i in residual.runs:
         one = residual.on([i])
         r = one(effects_at(causes, theta))
@@ -39,6 +41,7 @@ def intervals(residual: Residual, found: Fit) -> Array:
             return one.many([effects_at(causes, x) for x in thetas])
 
         jacobian = differences(moved, theta, r, scale, low, high, WIDE_STEP)
+        jacobians.append((r, jacobian))
         normal += np.einsum("mi,mj->ij", jacobian, jacobian)
         gradient = np.einsum("mi,m->i", jacobian, r)
         middle += np.outer(gradient, gradient)
@@ -52,7 +55,7 @@ def intervals(residual: Residual, found: Fit) -> Array:
     runs = len(residual.runs)
     plain = np.diag(inverse) * misfit
     between = np.diag(inverse @ middle @ inverse) * runs / max(1, runs - 1)
-    spread = np.sqrt(np.maximum(plain, 0.0)) * 1.96
+    spread = np.sqrt(np.maximum(np.maximum(plain, walked(residual, jacobians, inverse)), 0.0)) * 1.96
     if runs > 2:
         spread = np.maximum(spread, np.sqrt(np.maximum(between, 0.0)) * min(2.2, float(student.ppf(0.975, runs - 1))))
     half = spread * scale + LEAST * np.abs(theta)
@@ -62,6 +65,27 @@ def intervals(residual: Residual, found: Fit) -> Array:
         profile = [_rise(residual, found, int(j), sign, squares + RISE * misfit, bound) for sign, bound in ((-1.0, low[j]), (1.0, high[j]))]
         ends[j] = (profile[0], profile[1]) if not told[j] else (min(ends[j, 0], profile[0]), max(ends[j, 1], profile[1]))
     return ends
+
+
+def walked(residual: Residual, jacobians: Sequence[tuple[Array, Array]], inverse: Array) -> Array:
+    """(P,) variance of scaled parameters where what is left is a random walk from the start of each run; zeros where it is none.
+
+    ``r = sum of steps e``, so that ``J^T r = sum over t of e_t (sum of J from t on)``; the steps are read over each of the link's spans,
+    of which the one that makes most of them counts.
+    """
+    count = len(inverse)
+    out = np.zeros(count)
+    for span in residual.link.walks:
+        middle, squares, steps = np.zeros((count, count)), 0.0, 0
+        for i, (r, jacobian) in zip(residual.runs, jacobians, strict=True):
+            rows = max(1, round(span / residual.link.runs[i].scenario.tick))
+            moved = np.diff(r[rows - 1 :: rows], prepend=0.0)
+            onwards = np.cumsum(jacobian[::-1], axis=0)[::-1][::rows][: len(moved)]
+            middle += np.einsum("mi,mj->ij", onwards, onwards)
+            squares, steps = squares + float(moved @ moved), steps + len(moved)
+        if steps > count:
+            out = np.maximum(out, np.diag(inverse @ middle @ inverse) * squares / (steps - count))
+    return out
 
 
 def _rise(residual: Residual, found: Fit, j: int, sign: float, most: float, bound: float) -> float:

@@ -27,6 +27,7 @@ from hiltestbed.log import log_parameters
 from hiltestbed.measured import MeasuredDataset
 from hiltestbed.replay.wrench import shifted
 
+RESTARTED = 0.9  # of chi-square, that another reading of the start has to leave at most to be taken
 WRENCH = ("contact", "sensor")  # links of the vocabulary that act between the pose and the reading
 
 
@@ -96,8 +97,13 @@ def _explain_axis(layout: Layout, progress: Progress | None) -> tuple[Explanatio
     """A mass that a force drives: its mass and what resists it, sought together from where a regression starts."""
     link = axis_link(layout.runs)
     candidates = tuple(c for c in _candidates(layout.scales, ("dynamics",)) if c.kind in ALONG_AN_AXIS)
-    judge = judges.of_axis(link)
-    return Search(candidates, judge, (mass_and_force(candidates),), progress, beside=math.inf).explain(Residual(link)), link
+    search = Search(candidates, judges.of_axis(link), (mass_and_force(candidates),), progress, beside=math.inf)
+    explanation = search.explain(Residual(link))
+    if explanation.chosen.causes:
+        again = link.restarted(explanation.chosen.effects())
+        if refit(Residual(again), explanation.chosen).chi2 < RESTARTED * explanation.chosen.chi2:
+            return search.explain(Residual(again)), again
+    return explanation, link
 
 
 def _explain_compensation(

@@ -60,11 +60,13 @@ class Link(ABC):
 
     Attributes:
         name: of the link. channels: what was measured at its output. runs: as it sees them.
+        walks: [s] spans over which what a model misses adds up in the output like the steps of a random walk; none where it passes.
     """
 
     name: str
     channels: tuple[str, ...]
     runs: Sequence[LinkRun]
+    walks: tuple[float, ...] = ()
 
     def predict(self, lanes: Sequence[Lane]) -> list[Array]:
         """(N, C) of each lane what its run should have shown."""
