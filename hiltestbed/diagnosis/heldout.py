@@ -20,9 +20,10 @@ def heldout(residual: Residual, found: Fit, placebo: Fit | None, seed: int = 0) 
     runs = residual.runs
     if len(runs) < 2 or not found.causes:
         return None
-    before = {i: mean_square(residual, i, ()) for i in runs}
-    after = {i: left_out(residual, i, found) for i in runs}
-    wrong = {i: left_out(residual, i, placebo) for i in runs} if placebo is not None else dict(before)
+    judged = residual.as_judged()
+    before = {i: mean_square(judged, i, ()) for i in runs}
+    after = {i: left_out(residual, i, found, judged) for i in runs}
+    wrong = {i: left_out(residual, i, placebo, judged) for i in runs} if placebo is not None else dict(before)
     a, b, w = (np.array([x[i] for i in runs]) for x in (before, after, wrong))
     draws = np.random.default_rng(seed).integers(0, len(runs), (RESAMPLES, len(runs)))
     gains = 1.0 - np.sqrt(b[draws].sum(axis=1) / a[draws].sum(axis=1))
@@ -37,14 +38,15 @@ def _rms(squares: np.ndarray) -> float:
     return float(np.sqrt(np.mean(squares)))
 
 
-def left_out(residual: Residual, i: int, found: Fit) -> float:
-    """Mean square on run i, in units of the noise, of what was fitted to the others."""
+def left_out(residual: Residual, i: int, found: Fit, judged: Residual | None = None) -> float:
+    """Mean square on run i, in units of the noise, of what was fitted to the others; as it is ``judged``, or in the form of the fit."""
+    judged = judged or residual
     others = residual.on([j for j in residual.runs if j != i])
     smooth = [c for c in found.causes if c.kind != JITTER]  # the spread of a delay moves no mean
     theta = found.theta[: sum(len(c.names) for c in smooth)]
     if not smooth:
-        return mean_square(residual, i, ())
-    return mean_square(residual, i, fit(others, smooth, [theta], tries=1).effects())
+        return mean_square(judged, i, ())
+    return mean_square(judged, i, fit(others, smooth, [theta], tries=1).effects())
 
 
 def mean_square(residual: Residual, i: int, effects: Effects) -> float:

@@ -19,14 +19,14 @@ from hiltestbed.diagnosis.settings import AMBIGUITY, AS_GOOD, CARRIED, INVARIANT
 from hiltestbed.effects.search import Candidate
 
 LEAST_RUNS = 3
-LEAST_WALKS = 2  # runs, each long enough for what is missed to add up
+LEAST_LONG_RUNS = 2  # of which each holds many witnesses
 AT_BOUND = 1e-3  # of the range of a search
 
 
 def holding(found: Explanation) -> tuple[int, ...]:
     """Numbers of the causes of the chosen fit that hold; none where too few runs can tell."""
     residual, chosen = found.residual, found.chosen
-    least = LEAST_WALKS if residual.link.walks else LEAST_RUNS
+    least = LEAST_LONG_RUNS if residual.link.witnesses else LEAST_RUNS
     if len(residual.runs) < least or not chosen.causes or JITTER in chosen.kinds or explained(found) < CARRIED:
         return ()
     alone = [fit(residual.on([i]), chosen.causes, [chosen.theta], tries=1) for i in residual.runs]

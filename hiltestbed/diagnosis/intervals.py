@@ -1,8 +1,8 @@
 """95 % intervals that hold: the curvature of chi-square where it is smooth, widened by what the runs say of one another.
 
-A plain Jacobian interval takes the model for exact. Where what a model misses adds up (a position, of which a force is integrated twice),
-the misfit of neighbouring rows is one and the same: there it is taken for a random walk. Here the covariance is the sandwich of the runs' own gradients (each run, that is
-each contact, is one independent witness) where that is wider, and a floor stands for what another sub-stepping of the same rig does.
+A plain Jacobian interval takes the model for exact. Here the covariance is the sandwich of the runs' own gradients (each run, that is
+each contact, is one independent witness) where that is wider, and a floor stands for what another sub-stepping of the same rig does. Where
+the misfit of neighbouring rows is one and the same (a position, of which a force is integrated twice), stretches of a run are witnesses.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def intervals(residual: Residual, found: Fit) -> Array:
     runs = len(residual.runs)
     plain = np.diag(inverse) * misfit
     between = np.diag(inverse @ middle @ inverse) * runs / max(1, runs - 1)
-    spread = np.sqrt(np.maximum(np.maximum(plain, walked(residual, jacobians, inverse)), 0.0)) * 1.96
+    spread = np.sqrt(np.maximum(np.maximum(plain, witnessed(residual, jacobians, inverse)), 0.0)) * 1.96
     if runs > 2:
         spread = np.maximum(spread, np.sqrt(np.maximum(between, 0.0)) * min(2.2, float(student.ppf(0.975, runs - 1))))
     half = spread * scale + LEAST * np.abs(theta)
@@ -67,24 +67,22 @@ def intervals(residual: Residual, found: Fit) -> Array:
     return ends
 
 
-def walked(residual: Residual, jacobians: Sequence[tuple[Array, Array]], inverse: Array) -> Array:
-    """(P,) variance of scaled parameters where what is left is a random walk from the start of each run; zeros where it is none.
+def witnessed(residual: Residual, jacobians: Sequence[tuple[Array, Array]], inverse: Array) -> Array:
+    """(P,) variance of scaled parameters by what stretches of the runs say of one another; zeros where each row is a witness of its own.
 
-    ``r = sum of steps e``, so that ``J^T r = sum over t of e_t (sum of J from t on)``; the steps are read over each of the link's spans,
-    of which the one that makes most of them counts.
+    The sandwich of the stretches' gradients, for the longest stretches of the link's that make the most of it.
     """
     count = len(inverse)
     out = np.zeros(count)
-    for span in residual.link.walks:
-        middle, squares, steps = np.zeros((count, count)), 0.0, 0
+    for span in residual.link.witnesses:
+        middle, stretches = np.zeros((count, count)), 0
         for i, (r, jacobian) in zip(residual.runs, jacobians, strict=True):
             rows = max(1, round(span / residual.link.runs[i].scenario.tick))
-            moved = np.diff(r[rows - 1 :: rows], prepend=0.0)
-            onwards = np.cumsum(jacobian[::-1], axis=0)[::-1][::rows][: len(moved)]
-            middle += np.einsum("mi,mj->ij", onwards, onwards)
-            squares, steps = squares + float(moved @ moved), steps + len(moved)
-        if steps > count:
-            out = np.maximum(out, np.diag(inverse @ middle @ inverse) * squares / (steps - count))
+            gradients = np.add.reduceat(jacobian * r[:, None], np.arange(0, len(r), rows), axis=0)
+            middle += np.einsum("mi,mj->ij", gradients, gradients)
+            stretches += len(gradients)
+        if stretches > count:
+            out = np.maximum(out, np.diag(inverse @ middle @ inverse) * stretches / (stretches - count))
     return out
 
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hiltestbed.diagnosis import judges
-from hiltestbed.diagnosis.driven import ALONG_AN_AXIS, axis_link, mass_and_force
+from hiltestbed.diagnosis.driven import ALONG_AN_AXIS, WAY, axis_link, mass_and_force
 from hiltestbed.diagnosis.fit import Fit, fit, inflation, nothing, refit
 from hiltestbed.diagnosis.jitter import JITTER, jitter_beside
 from hiltestbed.diagnosis.layout import Layout, compensation_link, dynamics_link, lay_out, platform_link
@@ -98,11 +98,11 @@ def _explain_axis(layout: Layout, progress: Progress | None) -> tuple[Explanatio
     link = axis_link(layout.runs)
     candidates = tuple(c for c in _candidates(layout.scales, ("dynamics",)) if c.kind in ALONG_AN_AXIS)
     search = Search(candidates, judges.of_axis(link), (mass_and_force(candidates),), progress, beside=math.inf)
-    explanation = search.explain(Residual(link))
+    explanation = search.explain(Residual(link.over(WAY)))
     if explanation.chosen.causes:
         again = link.restarted(explanation.chosen.effects())
-        if refit(Residual(again), explanation.chosen).chi2 < RESTARTED * explanation.chosen.chi2:
-            return search.explain(Residual(again)), again
+        if refit(Residual(again.over(WAY)), explanation.chosen).chi2 < RESTARTED * explanation.chosen.chi2:
+            return search.explain(Residual(again.over(WAY))), again
     return explanation, link
 
 

@@ -62,7 +62,8 @@ def of_axis(link: AxisLink) -> Judge:
     allowed = max(noise, COMPUTED_LEFT * motion)
 
     def judge(of: Residual, effects: Effects) -> dict[str, Leftover]:
-        left = [float(np.mean(z[of.weight[i] > 0] ** 2)) * noise**2 for i, z in zip(of.runs, of.by_run([effects])[0], strict=True)]
+        placed = of.as_judged()
+        left = [float(np.mean(z[placed.weight[i] > 0] ** 2)) * noise**2 for i, z in zip(of.runs, placed.by_run([effects])[0], strict=True)]
         return {link.channels[0]: Leftover(max(left) / allowed**2, 0.0, 1.0, 1.0, len(of.runs))}
 
     return judge

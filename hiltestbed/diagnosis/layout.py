@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hiltestbed.contact.sides import sides_of
-from hiltestbed.diagnosis.driven import is_driven, regression
+from hiltestbed.diagnosis.driven import regression
 from hiltestbed.diagnosis.links import CompensationLink, DynamicsLink, Link, LinkRun, PlatformLink, WrenchLink, flat_pose
 from hiltestbed.diagnosis.links.base import padded
 from hiltestbed.diagnosis.noise import ForceNoise, force_noise
@@ -28,6 +28,7 @@ from hiltestbed.diagnosis.yielding import Deflection, deflection
 from hiltestbed.effects.search import Scales
 from hiltestbed.frames import Array
 from hiltestbed.measured import MeasuredDataset, MeasuredRun
+from hiltestbed.measured.driven import is_driven
 from hiltestbed.measured.momentum import centred
 from hiltestbed.measured.noise import white_noise
 from hiltestbed.replay.compensation import needs
@@ -86,7 +87,7 @@ def lay_out(dataset: MeasuredDataset) -> Layout:
             missing["platform"] = f"the believed rig cannot follow the command on record in run {lost}"
     missing |= _lacking(runs)
     scales = _scales(runs, noise)
-    if "dynamics" not in missing and is_driven(runs):
+    if "dynamics" not in missing and all(is_driven(r.record, r.scenario) for r in runs):
         scales = replace(scales, driven=regression(runs))
     return Layout(runs, tuple(_rows(r) for r in runs), scales, noise, force, given, missing)
 

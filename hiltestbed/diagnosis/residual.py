@@ -44,6 +44,10 @@ class Residual:
         """Of another reading of the link, under the same weights."""
         return Residual(link, self.runs, self.weight)
 
+    def as_judged(self) -> Residual:
+        """Of the link as it is judged, where it was fitted in another form."""
+        return self if self.link.whole is self.link else Residual(self.link.whole, self.runs)
+
     def by_run(self, hypotheses: Sequence[Effects]) -> list[list[Array]]:
         """Of each hypothesis and run (N, C); FAR where a prediction has left the finite numbers, so that misfits can be put in order."""
         shown = self.link.predict([(i, effects) for effects in hypotheses for i in self.runs])

@@ -9,12 +9,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
 from hiltestbed.dataset import Check
 from hiltestbed.frames import Array, quat_from_attitude_deg
 from hiltestbed.measured.balance import balances, imbalances
+from hiltestbed.measured.driven import is_driven
 from hiltestbed.measured.record import Record
 from hiltestbed.measured.remark import Remark
 from hiltestbed.measured.sameness import copies_and_constants
@@ -33,6 +35,8 @@ LEVER_LIMIT = 20.0  # [m] from torque over force: no rig is that large
 
 def contradictions(record: Record, found: Survey, scenario: Scenario) -> list[Remark]:
     """Errors for what cannot be right, notes for what is merely odd."""
+    if is_driven(record, scenario):  # it starts where it stood, and its mass is what is sought
+        return [*copies_and_constants(record, found, scenario), *(_of_the_mass(r) for r in _forces(record, found, scenario))]
     return [
         *starts_at_fault(record, found, scenario),
         *_attitudes(record, scenario),
@@ -40,6 +44,13 @@ def contradictions(record: Record, found: Survey, scenario: Scenario) -> list[Re
         *_forces(record, found, scenario),
         *_torques(record, found),
     ]
+
+
+def _of_the_mass(remark: Remark) -> Remark:
+    """A note in place of an error on the unit of the force, which another mass would make as well."""
+    if remark.check != "unit" or remark.severity != "error":
+        return remark
+    return replace(remark, severity="note", text=f"{remark.text}; or its mass is another", check="")
 
 
 def _forces(record: Record, found: Survey, scenario: Scenario) -> list[Remark]:

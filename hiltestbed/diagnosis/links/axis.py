@@ -1,11 +1,16 @@
 """wrench_comp.fz to pose_cmd.pz of a machine's axis: a force that drives a mass whose position was read.
 
-Nothing brings the mass back: what a model misses of the force stays in the position for good.
+Nothing brings the mass back, so that what a model misses of the force stays in the position for good: the misfit is a random walk. Least
+squares of the places would weigh the last rows by what all rows before them have gathered, and bend mass and friction to it; least squares
+of the ways over a short span, in which each stretch of the record speaks for itself, is the estimate of least variance. The motion is
+predicted in one piece in both, and judged by the places.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
+from dataclasses import replace
 
 import numpy as np
 
@@ -13,7 +18,6 @@ from hiltestbed.diagnosis.links.base import Effects, Lane, Link, LinkRun, padded
 from hiltestbed.frames import Array
 from hiltestbed.numerical_model.parameters import DynamicsParameters, stack
 from hiltestbed.replay import Departing, replay_axis
-
 
 BEGINNING = 0.5  # [s] at the start of a run from which a model reads its place and speed there
 NUDGE = 1e-4  # [m/s] of the start, for what it does
@@ -24,12 +28,32 @@ class AxisLink(Link):
 
     name = "dynamics"
     channels = ("pose_cmd.pz",)
-    walks = (0.1, 0.3, 1.0, 3.0)
+    witnesses = (1.0, 3.0)
 
     def __init__(self, runs: Sequence[LinkRun], forces: Sequence[Array], place: Sequence[float], speed: Sequence[float]) -> None:
         """forces: (N,) wrench_comp.fz of each run. place, speed: of row 0 [m], [m/s]. The runs' `measured` is (N, 1)."""
         self.runs, self.forces, self.place, self.speed = runs, forces, tuple(place), tuple(speed)
         self._padded = padded(forces)
+        self._from: list[np.ndarray] | None = None
+        self._places = self
+
+    @property
+    def whole(self) -> Link:
+        return self._places
+
+    def over(self, span: float) -> AxisLink:
+        """The same link on the ways that lie between a row and the one ``span`` [s] before it, or the start."""
+        out = copy(self)
+        out._places, out._from, runs = self, [], []
+        for run in self.runs:
+            known = np.flatnonzero(np.isfinite(run.sigma[:, 0]))
+            before = np.concatenate([[0], known])
+            back = before[np.searchsorted(before, np.arange(run.rows) - round(span / run.scenario.tick), side="right").clip(1) - 1]
+            sigma = np.where(np.isfinite(run.sigma[back]), np.hypot(run.sigma, run.sigma[back]), run.sigma)
+            out._from.append(back)
+            runs.append(replace(run, measured=run.measured - run.measured[back], sigma=sigma))
+        out.runs = runs
+        return out
 
     def restarted(self, effects: Effects) -> AxisLink:
         """The same link from the place and speed that the model with ``effects`` reads from the first half second of each run."""
@@ -50,4 +74,5 @@ class AxisLink(Link):
         departing = Departing([self.runs[i].scenario for i in run], stack([DynamicsParameters.of(effects) for _, effects in lanes]))
         rows = [r.rows for r in self.runs]
         found = replay_axis(departing, self._padded, np.array(self.place), np.array(self.speed), run, rows)
-        return [np.ascontiguousarray(place[: rows[i], None]) for place, i in zip(found, run, strict=True)]
+        places = [np.ascontiguousarray(place[: rows[i], None]) for place, i in zip(found, run, strict=True)]
+        return places if self._from is None else [p - p[self._from[i]] for p, i in zip(places, run, strict=True)]

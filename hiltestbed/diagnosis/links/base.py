@@ -60,13 +60,18 @@ class Link(ABC):
 
     Attributes:
         name: of the link. channels: what was measured at its output. runs: as it sees them.
-        walks: [s] spans over which what a model misses adds up in the output like the steps of a random walk; none where it passes.
+        witnesses: [s] stretches of a run whose misfits are independent of each other; none where each row's is.
     """
 
     name: str
     channels: tuple[str, ...]
     runs: Sequence[LinkRun]
-    walks: tuple[float, ...] = ()
+    witnesses: tuple[float, ...] = ()
+
+    @property
+    def whole(self) -> Link:
+        """The link as it is judged, which is fitted in another form; itself as a rule."""
+        return self
 
     def predict(self, lanes: Sequence[Lane]) -> list[Array]:
         """(N, C) of each lane what its run should have shown."""
