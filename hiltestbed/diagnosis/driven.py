@@ -120,9 +120,9 @@ def _filtered(run: MeasuredRun) -> tuple[Array, Array, Array]:
     """Acceleration, speed and the force that drives it, (N,) each, through one filter of no phase."""
     tick = run.scenario.tick
     rate = min(run.scenario.rate, run.record.sample_rate or run.scenario.rate)
-    b, a = butter(2, min(CUTOFF, 0.05 * rate) * 2.0 * tick)
-    place, force = (filtfilt(b, a, x) for x in (run.record.filled("pose_cmd")[:, 2], -_force(run)))
-    speed = np.gradient(np.asarray(place), tick)
+    b, a = butter(2, min(CUTOFF, 0.05 * rate) * 2.0 * tick)  # type: ignore[misc]
+    place, force = (np.asarray(filtfilt(b, a, x)) for x in (run.record.filled("pose_cmd")[:, 2], -_force(run)))
+    speed = np.gradient(place, tick)
     edge = min(len(speed) // 10, round(2.0 / (CUTOFF * tick)))
     inner = slice(edge, len(speed) - edge)
-    return np.gradient(speed, tick)[inner], speed[inner], np.asarray(force)[inner]
+    return np.gradient(speed, tick)[inner], speed[inner], force[inner]

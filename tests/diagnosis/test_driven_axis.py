@@ -58,7 +58,8 @@ def dataset(folder: Path, records: dict[str, dict[str, np.ndarray]], mass: float
     return folder / "dataset.yaml"
 
 
-def estimates(found: Diagnosis) -> dict[str, tuple[float, tuple[float, float]]]:
+def estimates(found: Diagnosis) -> dict[str, Any]:
+    """Parameter to its estimate and 95 % interval."""
     causes = found.finding.causes or found.finding.partial
     parameters = {f"{c.effect} {name}": p for c in causes for name, p in c.parameters.items() if isinstance(p.estimate, float)}
     return {name: (p.estimate, p.ci95) for name, p in parameters.items()}

@@ -14,7 +14,7 @@ from hiltestbed.compensation.input import InputParameters
 from hiltestbed.contact.parameters import ContactParameters
 from hiltestbed.effects import EFFECTS, Effect
 from hiltestbed.effects.base import LINKS
-from hiltestbed.effects.search import Candidate, Scales
+from hiltestbed.effects.search import Candidate, DrivenAxis, Scales
 from hiltestbed.log import LogParameters
 from hiltestbed.numerical_model.parameters import DynamicsParameters
 from hiltestbed.platform.parameters import PlatformParameters
@@ -141,12 +141,16 @@ SCALES = Scales(
     lines={"z": (50.0, 2.0, 0.4)}, sticks={2: (1e-5, 3e-5)},
 )  # fmt: skip
 HELD_SCALES = Scales(force=150.0, depth=5e-4, stiffness=5e7, tick=5e-4, noise=0.1, slow=4e-3, fast=5e-3, captured=True, slides=False)
+DRIVEN_SCALES = Scales(
+    force=100.0, depth=1e-3, stiffness=1e5, tick=1e-3, noise=0.1, slow=0.01, fast=0.1,
+    driven=DrivenAxis(factor=0.95, viscous=200.0, coulomb=20.0, offset=-3.0, fastest=0.15, stamp=1.5e-3, stamps=3e-3),
+)  # fmt: skip
 Kind = type[Effect]
 EVERY = list(EFFECTS.items())
 
 
 def candidates(effect: Kind) -> list[Candidate]:
-    return [*effect.candidates(SCALES), *effect.candidates(HELD_SCALES)]
+    return [*effect.candidates(SCALES), *effect.candidates(HELD_SCALES)] or list(effect.candidates(DRIVEN_SCALES))
 
 
 def flat(parameters: Any) -> dict[str, Any]:

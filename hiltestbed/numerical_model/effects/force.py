@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal
 from pydantic import Field
 
 from hiltestbed.effects.base import Effect, quantity
-from hiltestbed.effects.search import Candidate, Scales, candidate
+from hiltestbed.effects.search import Candidate, DrivenAxis, Scales, candidate
 from hiltestbed.numerical_model.parameters import RESISTED, Resistance
 from hiltestbed.plugins import register
 
@@ -30,10 +30,10 @@ class DynamicsForce(Effect):
     coulomb: float = quantity("N", "Dry friction while it moves", default=0.0, ge=0.0, search=(0.0, 1e5))
     offset: float = quantity("N", "Force against the positive direction, whatever the speed", default=0.0, search=(-1e5, 1e5))
     viscous_back: float | None = quantity(
-        "N s/m", "Viscous friction in the negative direction; left out: the same as in the positive", default=None, ge=0.0
+        "N s/m", "Viscous friction in the negative direction; left out: that of the positive one", default=None, ge=0.0
     )
     coulomb_back: float | None = quantity(
-        "N", "Dry friction in the negative direction; left out: the same as in the positive", default=None, ge=0.0
+        "N", "Dry friction in the negative direction; left out: that of the positive one", default=None, ge=0.0
     )
     static: float | None = quantity(
         "N",
@@ -79,20 +79,12 @@ class DynamicsForce(Effect):
 
     @classmethod
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:
-        if scales.driven is not None:
-            yield cls._of_driven_axis(scales)
-            return
-        force, speed = scales.force, scales.fast
-        for name, start, most in (("viscous", force / speed, 1e2), ("coulomb", force, 1e2), ("offset", force, 1e2)):
-            low = -most * force if name == "offset" else 0.0
-            starts = [(q * start,) for q in ((0.003, 0.03, -0.03) if name == "offset" else (0.003, 0.03))]
-            yield candidate(cls, {name: []}, starts=starts, bounds={name: (low, most * start)}, axis="z", body="both")
+        if scales.driven is not None:  # of vehicles that fly freely no force but that of the contact is sought
+            yield cls._of_driven_axis(scales.driven)
 
     @classmethod
-    def _of_driven_axis(cls, scales: Scales) -> Candidate:
+    def _of_driven_axis(cls, given: DrivenAxis) -> Candidate:
         """From where a regression of the force on the motion starts; the row to which a position belongs is not known."""
-        given = scales.driven
-        assert given is not None
         most = FASTER * max(abs(given.offset), given.coulomb, given.viscous * given.fastest, 1e-6)
         names = {"viscous": [given.viscous], "coulomb": [given.coulomb], "offset": [given.offset], STAMP: [given.stamp]}
         bounds = {
