@@ -51,7 +51,7 @@ def intervals(residual: Residual, found: Fit) -> Array:
     told = np.diag(normal) > FLAT * max(1.0, float(np.max(np.diag(normal))))  # chi-square changes with it at all, nearby
     normal[~told], normal[:, ~told], middle[~told], middle[:, ~told] = 0.0, 0.0, 0.0, 0.0
     normal[~told, ~told] = 1.0
-    inverse: Array = np.linalg.inv(normal + 1e-12 * np.max(np.diag(normal)) * np.eye(count))
+    inverse = np.asarray(np.linalg.inv(normal + 1e-12 * np.max(np.diag(normal)) * np.eye(count)), dtype=float)
     runs = len(residual.runs)
     plain = np.diag(inverse) * misfit
     between = np.diag(inverse @ middle @ inverse) * runs / max(1, runs - 1)
