@@ -26,7 +26,8 @@ from hiltestbed.measured.driven import PLACE
 from hiltestbed.measured.noise import white_noise
 from hiltestbed.numerical_model.resistance import SMOOTH
 
-ALONG_AN_AXIS = ("dynamics.mass", "dynamics.force")  # the stamp stands for late steps
+MASS, FORCE = "dynamics.mass", "dynamics.force"
+ALONG_AN_AXIS = (MASS, FORCE)  # the stamp stands for late steps
 WAY = 0.3  # [s] between the places whose way a fit looks at: 0.1 to 3 s give the same within a percent
 BEGINNINGS = (12, 17, 24, 34, 48, 68, 96)  # rows of a parabola from which place and speed at the start are read
 UNEVEN_START = 0.05  # of the speed that the acceleration brings over these rows: what a parabola misses of a drive that starts
@@ -97,21 +98,32 @@ def _factor(run: MeasuredRun, mass: float) -> float:
     return target * mass / (target - mass) / chaser if 0.0 < mass < 0.99 * target else 1.0
 
 
-def mass_and_force(candidates: Sequence[Candidate]) -> Special:
-    """The hypothesis that the mass is another and a force resists it: neither alone comes near where both are.
+def one_force(candidates: Sequence[Candidate]) -> tuple[Candidate, ...]:
+    """Without the forces that have more parameters, which are weighed by :func:`mass_and_force`."""
+    least = min((len(c.names) for c in candidates if c.kind == FORCE), default=0)
+    return tuple(c for c in candidates if c.kind != FORCE or len(c.names) == least)
 
-    The mass has to lower the misfit by what the independent stretches of the record bear: ``n ln(chi-square ratio)``, the scale unknown.
+
+def mass_and_force(candidates: Sequence[Candidate]) -> Special:
+    """The hypotheses that the mass is another and a force resists it: neither alone comes near where both are.
+
+    Each further parameter has to lower the misfit by what the independent stretches of the record bear: ``n ln(chi-square ratio)``, the
+    scale unknown.
     """
-    both = [c for kind in ("dynamics.mass", "dynamics.force") for c in candidates if c.kind == kind]
+    masses, forces = ([c for c in candidates if c.kind == kind] for kind in (MASS, FORCE))
+    tried = [(*mass, force) for force in forces for mass in ((), *((m,) for m in masses))]
 
     def make(residual: Residual, base: Fit) -> Fit | None:
-        if base.causes or len(both) != 2:
+        if base.causes or not forces:
             return None
-        force = fit(residual, both[1:], both[1].grid)
-        together = fit(residual, both, [np.concatenate([both[0].grid[0], both[1].grid[0]]), np.concatenate([[1.0], force.theta])])
         seconds = sum(residual.link.runs[i].rows * residual.link.runs[i].scenario.tick for i in residual.runs)
-        gain = seconds / min(residual.link.witnesses) * math.log(max(force.chi2, 1e-300) / max(together.chi2, 1e-300))
-        return together if gain > SELECTION_INADEQUATE else None
+        witnesses = seconds / min(residual.link.witnesses)
+        best = fit(residual, tried[0], tried[0][0].grid)
+        for causes in tried[1:]:
+            other = fit(residual, causes, [np.concatenate([c.grid[0] for c in causes])])
+            if witnesses * math.log(max(best.chi2, 1e-300) / max(other.chi2, 1e-300)) > SELECTION_INADEQUATE:
+                best = other
+        return best if best.causes != tried[0] else None
 
     return make
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hiltestbed.diagnosis import judges
-from hiltestbed.diagnosis.driven import ALONG_AN_AXIS, WAY, axis_link, mass_and_force
+from hiltestbed.diagnosis.driven import ALONG_AN_AXIS, WAY, axis_link, mass_and_force, one_force
 from hiltestbed.diagnosis.fit import Fit, fit, inflation, nothing, refit
 from hiltestbed.diagnosis.jitter import JITTER, jitter_beside
 from hiltestbed.diagnosis.layout import Layout, compensation_link, dynamics_link, lay_out, platform_link
@@ -97,7 +97,7 @@ def _explain_axis(layout: Layout, progress: Progress | None) -> tuple[Explanatio
     """A mass that a force drives: its mass and what resists it, sought together from where a regression starts."""
     link = axis_link(layout.runs)
     candidates = tuple(c for c in _candidates(layout.scales, ("dynamics",)) if c.kind in ALONG_AN_AXIS)
-    search = Search(candidates, judges.of_axis(link), (mass_and_force(candidates),), progress, beside=math.inf)
+    search = Search(one_force(candidates), judges.of_axis(link), (mass_and_force(candidates),), progress, beside=math.inf)
     explanation = search.explain(Residual(link.over(WAY)))
     if explanation.chosen.causes:
         again = link.restarted(explanation.chosen.effects())

@@ -87,6 +87,7 @@ def test_mass_friction_and_offset_are_found_whatever_mass_is_believed(
         estimate, (low, high) = got[name]
         assert estimate == pytest.approx(value, rel=0.01), name
         assert low < value < high, name
+        assert got["dynamics.force viscous_asymmetry"][0] == 0.0
         assert high - low < 0.05 * abs(value), "an interval that holds because it is wide says nothing"
 
 
@@ -110,6 +111,15 @@ def test_what_the_law_does_not_hold_widens_the_intervals_and_takes_nothing_from_
     assert got["dynamics.force coulomb"][0] == pytest.approx(TRUE.coulomb, rel=0.03)
     low, high = got["dynamics.force viscous"][1]
     assert high - low > 0.008 * TRUE.viscous
+
+
+def test_friction_that_differs_by_direction_is_told_from_friction_that_does_not(tmp_path: Path) -> None:
+    axis = generate.Axis(asymmetry=0.2)
+    found = diagnose(dataset(tmp_path, {n: cut(c) for n, c in generate.records(axis).items()}))
+    got = estimates(found)
+    assert got["dynamics.force viscous_asymmetry"][0] == pytest.approx(axis.asymmetry, rel=0.05)
+    assert got["dynamics.force viscous"][0] == pytest.approx(axis.viscous, rel=0.02)
+    assert got["dynamics.mass factor"][0] == pytest.approx(axis.mass / 100.0, rel=0.01)
 
 
 def test_a_log_at_another_rate_than_the_loop(tmp_path: Path) -> None:

@@ -67,7 +67,7 @@ VOCABULARY: dict[str, dict[str, str | None]] = {
         "viscous": "N s/m",
         "coulomb": "N",
         "offset": "N",
-        "viscous_back": "N s/m",
+        "viscous_asymmetry": "-",
         "coulomb_back": "N",
         "static": "N",
         "stribeck_speed": "m/s",

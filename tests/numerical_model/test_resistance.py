@@ -66,7 +66,7 @@ def test_below_dry_friction_it_creeps_and_above_it_goes() -> None:
 
 
 def test_each_direction_has_its_own_friction() -> None:
-    force: dict[str, Any] = {"viscous": 100.0, "viscous_back": 400.0, "coulomb": 5.0, "coulomb_back": 15.0, "offset": 2.0}
+    force: dict[str, Any] = {"viscous": 250.0, "viscous_asymmetry": 0.6, "coulomb": 5.0, "coulomb_back": 15.0, "offset": 2.0}
     _, forward = course(moving(0.0, **force), 8.0, push=30.0)
     _, back = course(moving(0.0, **force), 8.0, push=-30.0)
     assert forward[-1] == pytest.approx((30.0 - 2.0 - 5.0) / 100.0, rel=2e-3)

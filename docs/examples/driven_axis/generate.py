@@ -32,13 +32,17 @@ STEP = 5e-8  # [m] of the encoder
 
 @dataclass(frozen=True)
 class Axis:
-    """Mass [kg], friction [N s/m], [N] in each direction, offset [N], and a ripple of the force over the place [N] that nothing models."""
+    """Mass [kg], friction [N s/m], [N], offset [N], and a ripple of the force over the place [N] that nothing models.
+
+    asymmetry: part by which viscous friction is less forward and more back.
+    """
 
     mass: float = 95.109
     viscous: float = 203.50
     coulomb: float = 20.394
     coulomb_back: float = 20.394
     offset: float = -3.165
+    asymmetry: float = 0.0
     ripple: float = 0.0
     pitch: float = 0.01
 
@@ -53,26 +57,27 @@ class Axis:
             else:
                 direction = math.copysign(1.0, v)
             net = drive - (self.coulomb if direction > 0.0 else -self.coulomb_back)
+            viscous = self.viscous * (1.0 - self.asymmetry * direction)
             span, stops = seconds, False
             if net * direction < 0.0:  # it slows down
-                end = self._stop(v, net)
+                end = self._stop(v, net, viscous)
                 span, stops = (end, True) if end <= seconds else (seconds, False)
-            x, v = self._glide(x, v, net, span)
+            x, v = self._glide(x, v, net, span, viscous)
             v = 0.0 if stops else v
             seconds -= span
         return x, v
 
-    def _stop(self, v: float, net: float) -> float:
-        if self.viscous == 0.0:
+    def _stop(self, v: float, net: float, viscous: float) -> float:
+        if viscous == 0.0:
             return -self.mass * v / net
-        final = net / self.viscous
-        return self.mass / self.viscous * math.log((v - final) / -final)
+        final = net / viscous
+        return self.mass / viscous * math.log((v - final) / -final)
 
-    def _glide(self, x: float, v: float, net: float, t: float) -> tuple[float, float]:
-        if self.viscous == 0.0:
+    def _glide(self, x: float, v: float, net: float, t: float, viscous: float) -> tuple[float, float]:
+        if viscous == 0.0:
             a = net / self.mass
             return x + v * t + 0.5 * a * t * t, v + a * t
-        tau, final = self.mass / self.viscous, net / self.viscous
+        tau, final = self.mass / viscous, net / viscous
         gone = -math.expm1(-t / tau)
         return x + final * t + (v - final) * tau * gone, v + (final - v) * gone
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Literal
 
 from pydantic import Field
@@ -29,9 +29,10 @@ class DynamicsForce(Effect):
     viscous: float = quantity("N s/m", "Viscous friction", default=0.0, ge=0.0, search=(0.0, 1e5))
     coulomb: float = quantity("N", "Dry friction while it moves", default=0.0, ge=0.0, search=(0.0, 1e5))
     offset: float = quantity("N", "Force against the positive direction, whatever the speed", default=0.0, search=(-1e5, 1e5))
-    viscous_back: float | None = quantity(
-        "N s/m", "Viscous friction in the negative direction; left out: that of the positive one", default=None, ge=0.0
-    )
+    viscous_asymmetry: float = quantity(
+        "-", "Part by which viscous friction is less in the positive direction and more in the negative", default=0.0, ge=-1.0, le=1.0,
+        search=(-1.0, 1.0),
+    )  # fmt: skip
     coulomb_back: float | None = quantity(
         "N", "Dry friction in the negative direction; left out: that of the positive one", default=None, ge=0.0
     )
@@ -52,8 +53,8 @@ class DynamicsForce(Effect):
     )
     link = "dynamics"
     equation = (
-        "R = offset + viscous v + (coulomb + (static - coulomb) exp(-(v/stribeck_speed)^2)) sgn(v), sgn(v) = tanh(v/2e-4), "
-        "with v at the end of the tick"
+        "R = offset + viscous (1 - viscous_asymmetry sgn v) v + (coulomb + (static - coulomb) exp(-(v/stribeck_speed)^2)) sgn(v), "
+        "sgn(v) = tanh(v/2e-4), with v at the end of the tick"
     )
     reference = "C. Canudas de Wit et al., IEEE Trans. Autom. Control 40, 1995; with an offset A. Janot, M. Gautier, M. Brunot, 2019"
     resembles = ("dynamics.mass", "dynamics.appendage")
@@ -67,8 +68,8 @@ class DynamicsForce(Effect):
             body=RESISTED.index(self.body),
             axis="xyz".index(self.axis),
             offset=self.offset,
-            viscous=self.viscous,
-            viscous_back=self.viscous if self.viscous_back is None else self.viscous_back,
+            viscous=self.viscous * (1.0 - self.viscous_asymmetry),
+            viscous_back=self.viscous * (1.0 + self.viscous_asymmetry),
             coulomb=self.coulomb,
             coulomb_back=self.coulomb if self.coulomb_back is None else self.coulomb_back,
             rise=rise,
@@ -79,14 +80,16 @@ class DynamicsForce(Effect):
 
     @classmethod
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:
+        """Along a driven axis: with friction that is the same in both directions, and with friction that is not."""
         if scales.driven is not None:  # of vehicles that fly freely no force but that of the contact is sought
             yield cls._of_driven_axis(scales.driven)
+            yield cls._of_driven_axis(scales.driven, viscous_asymmetry=[0.0])
 
     @classmethod
-    def _of_driven_axis(cls, given: DrivenAxis) -> Candidate:
+    def _of_driven_axis(cls, given: DrivenAxis, **more: Sequence[float]) -> Candidate:
         """From where a regression of the force on the motion starts; the row to which a position belongs is not known."""
         most = FASTER * max(abs(given.offset), given.coulomb, given.viscous * given.fastest, 1e-6)
-        names = {"viscous": [given.viscous], "coulomb": [given.coulomb], "offset": [given.offset], STAMP: [given.stamp]}
+        names = {"viscous": [given.viscous], "coulomb": [given.coulomb], "offset": [given.offset], **more, STAMP: [given.stamp]}
         bounds = {
             "viscous": (0.0, most / given.fastest), "coulomb": (0.0, most), "offset": (-most, most),
             STAMP: (given.stamp - given.stamps, given.stamp + given.stamps),
