@@ -57,7 +57,8 @@ def test_a_latch_is_found_on_six_axes_as_its_jacobian_has_it(name: str) -> None:
     """
     found = ended(name)
     ideal = ended(name, **{"rig.platform.tracking": "ideal", "duration": 4.0, "sensor.delay": 0.0})
-    assert found.plant.captured[0] and ideal.plant.captured[0]
+    assert found.plant.captured[0]
+    assert ideal.plant.captured[0]
     assert found.identification is not None
     for estimate, true in zip((found.identification.stiffness, found.identification.damping), jacobian(ideal, 1e-7), strict=True):
         np.testing.assert_allclose(estimate[0], np.diag(true), rtol=1e-3)
@@ -77,7 +78,8 @@ def test_the_lever_of_a_latch_is_taken_out(scenario: str) -> None:
     loaded = load_scenario(SCENARIOS / f"{scenario}.yaml", set=QUIET)
     phases = loaded.mechanism.phases()
     close = phases[-1].close
-    assert close is not None and close.radius is not None
+    assert close is not None
+    assert close.radius is not None
     lever = sides_of(loaded.mechanism).sites["A", close.active][1][:3]
     delay = round(loaded.sensor.delay * loaded.rate)
     t = np.arange(2000) / loaded.rate
@@ -112,7 +114,8 @@ def body_rate(vector: np.ndarray, rate: np.ndarray) -> np.ndarray:
 def test_what_rubs_or_stands_still_is_not_told() -> None:
     """The gripper's jaws share every load, and after the clamping nothing moves: no wild numbers."""
     loop = ended("17-gripper", duration=9.0)
-    assert loop.plant.phases is not None and loop.plant.phases.begun[0] == 3
+    assert loop.plant.phases is not None
+    assert loop.plant.phases.begun[0] == 3
     assert loop.identification is not None
     estimate = loop.identification.stiffness[0]
     assert np.isnan(estimate).all()
