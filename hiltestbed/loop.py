@@ -127,6 +127,7 @@ class Loop:
             stiffness=estimate.stiffness if estimate else unknown,
             damping=estimate.damping if estimate else unknown,
             captured=self.plant.captured,
+            **({"lever": estimate.source.held.lever} if estimate else {}),
         )
 
     def step(self, trace: Trace | None = None) -> None:
