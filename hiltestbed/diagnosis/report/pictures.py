@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hiltestbed.diagnosis.learned_law import Learned
 from hiltestbed.diagnosis.report.evidence import counted, in_sigma, misfit
 from hiltestbed.diagnosis.result import ChannelResidual, ClosedLoop, Heldout, Ranked, Series
 from hiltestbed.measured import MeasuredDataset
@@ -150,6 +151,21 @@ def heldout_bars(heldout: Heldout) -> Figure:
     axes.set_xticks(place, [f"run {r}" for r in runs])
     axes.set_ylabel("rms over noise floor")
     axes.legend(fontsize=8, frameon=False)
+    return figure
+
+
+def learned_curves(learned: Learned) -> Figure:
+    """The curves of a learned law over the samples that each was fitted to."""
+    names = {"penetration": "penetration", "rate": "rate of penetration", "stretch": "stretch of the slider", "reading": "what is felt"}
+    figure, grid = new_figure(3.3 * len(learned.curves) + 0.6, 3.2, nrows=1, ncols=len(learned.curves), squeeze=False)
+    for axes, curve in zip(grid[0], learned.curves, strict=True):
+        factor, unit = (1e3, f"m{curve.units[0]}") if curve.units[0].startswith("m") else (1.0, curve.units[0])
+        axes.plot(factor * curve.data[:, 0], curve.data[:, 1], ".", ms=1.5, color=MEASURED, alpha=0.3, label="data")
+        axes.plot(factor * curve.knots[:, 0], curve.knots[:, 1], "o-", ms=4, color=EXTENDED, lw=1.4, label="learned")
+        axes.set_xlabel(f"{names.get(curve.over, curve.over)} [{unit}]")
+        axes.grid(alpha=0.3)
+    grid[0, 0].set_ylabel(f"{'shown' if learned.link == 'sensor' else 'force added'} [{learned.curves[0].units[1]}]")
+    grid[0, 0].legend(fontsize=8, frameon=False)
     return figure
 
 
