@@ -85,6 +85,6 @@ MOST_NOISE = 4.0  # standard deviations within which a difference is taken for n
 # Laws learned where no effect has a name for what departs
 SMOOTH_KNOTS = 1e-4  # of the mean square of a knot's response: what a squared second difference costs, for knots without data
 STRETCHES = 7  # of a slider, that are tried first: from a fiftieth of the travel to half of it
-REFINEMENTS = 3  # steps by which the reach of a slider is refined
+REFINEMENTS = 5  # steps by which the reach of a slider is refined
 AS_AN_EQUATION = 0.05  # of a curve's rms, that an equation may leave
 RESEMBLES = 0.9  # derived: cosine from which a named effect takes away four fifths of the square of what a law takes

@@ -65,14 +65,14 @@ def learn(residual: Residual, known: Effects = ()) -> tuple[Law, Heldout] | None
     """The best law of contact or sensor beside ``known`` effects, and its gain; None where none carries over to left-out runs."""
     if not isinstance(residual.link, WrenchLink) or len(residual.runs) < LEAST_RUNS:
         return None
-    found = _candidates(residual, known)
+    found, first = _candidates(residual, known)
     if not found:
         return None
     lowest = min(s.carried for _, s in found)
     near = [(f, s) for f, s in found if s.carried < lowest - math.log(1.0 - WORTH)]
     family, selected = min(near, key=lambda item: (Law(item[0], item[1].choices, np.zeros(0), ()).numbers, item[1].carried))
     if isinstance(family, ContactForce) and family.slides and selected.choices[-1] is not None:
-        family, selected = _refined(residual, known, family, selected)
+        family, selected = _refined(residual, known, family, selected, first)
     if not any(selected.choices):
         return None
     law, linear = _settled(residual, Law(family, selected.choices, np.zeros(family.count), tuple(known)))
@@ -115,21 +115,21 @@ def _counted(residual: Residual, i: int) -> np.ndarray:
     return inside if inside.any() else counts
 
 
-def _candidates(residual: Residual, known: Effects) -> list[tuple[Family, Selected]]:
+def _candidates(residual: Residual, known: Effects) -> tuple[list[tuple[Family, Selected]], Linear | None]:
+    """Every family with the best that its curves do, and the plain law of the contact linearised."""
     plain, sliding = contact_families(residual)
-    out: list[tuple[Family, Selected]] = []
-    if plain.blocks:
-        first = _from_nothing(residual, known, plain)
-        out.append((plain, select(first.normal(), plain.blocks)))
-        out += [(f, select(_from_nothing(residual, known, f, first).normal(), f.blocks)) for f in sliding]
-    for curve in sensor_families(residual, known):
-        out.append((curve, select(_from_nothing(residual, known, curve).normal(), curve.blocks)))
-    return out
+    first = _from_nothing(residual, known, plain) if plain.blocks else None
+    linear: list[tuple[Family, Linear]] = [(plain, first)] if first else []
+    linear += [(f, _from_nothing(residual, known, f, first)) for f in sliding]
+    linear += [(f, _from_nothing(residual, known, f)) for f in sensor_families(residual, known)]
+    return [(f, select(lin.normal(), f.blocks)) for f, lin in linear], first
 
 
-def _refined(residual: Residual, known: Effects, family: ContactForce, selected: Selected) -> tuple[ContactForce, Selected]:
-    """With a slider's reach between those that were tried, and more knots over its stretch."""
-    first, factor = _from_nothing(residual, known, family.plain), STEP
+def _refined(
+    residual: Residual, known: Effects, family: ContactForce, selected: Selected, first: Linear | None
+) -> tuple[ContactForce, Selected]:
+    """With a slider's reach between those that were tried, and more knots over its stretch; first: the law without it, linearised."""
+    factor = STEP
 
     def tried(reach: float, knots: int = COARSE) -> tuple[ContactForce, Selected]:
         f = with_slider(family.plain, reach, knots)
