@@ -135,15 +135,19 @@ def add_side(
     spec.attach(mechanism.sides()[which], prefix=prefix, frame=body.add_frame(pos=plane + (height - offset), quat=back))
 
 
-def inverse_mass(model: mujoco.MjModel, bodies: NDArray[np.int_], placed: bool) -> Array:
-    """``(2, k)`` what a stiffness [N/m] is multiplied with in a direct solref between ``bodies`` (2, k): for shifts and for turns [1/kg].
+def inverse_mass(model: mujoco.MjModel, bodies: NDArray[np.int_], yields: Array) -> Array:
+    """``(n, k)`` what a stiffness [N/m] between ``bodies`` (2, k) is multiplied with in the direct solref of each run [1/kg].
 
-    That is A, the sum of both inverse weights, less d times the part of it that belongs to a body which is put in place (``placed``):
-    such a body does not yield, though MuJoCo is told that it had the inverse weight of 1/kg.
+    MuJoCo's soft force is f = (a_ref - a)/R with R = A (1 - d)/d: it is K x + C v less a part that the acceleration a at the contact
+    takes, d of it or less. With A the sum of both inverse weights and y [1/kg] the acceleration per newton of the body that carries A,
+    f = K x + C v where K and C are multiplied with A - d (w - y), w being what MuJoCo takes for y: ``body_invweight0``.
+
+    Args:
+        yields: (n,) y: 0 of a body that is put in place; of one that is driven, what the numerical model answers to a newton.
     """
-    weight = model.body_invweight0[bodies]
-    immovable = placed & (model.body_weldid[bodies] == model.body_weldid[model.site_bodyid[model.site(ACTIVE + "A").id]])
-    return (weight.sum(axis=0) - IMPEDANCE * np.where(immovable[..., None], weight, 0.0).sum(axis=0)).T
+    weight = model.body_invweight0[bodies, 0]
+    carries = model.body_weldid[bodies] == model.body_weldid[model.site_bodyid[model.site(ACTIVE + "A").id]]
+    return weight.sum(axis=0) - IMPEDANCE * np.where(carries, weight - yields[:, None, None], 0.0).sum(axis=1)
 
 
 def _pair(spec: mujoco.MjSpec, name: str, active: str, passive: str, rubs: bool) -> None:

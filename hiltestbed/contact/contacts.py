@@ -39,16 +39,16 @@ class Contacts:
         structure: Structure,
         dt: float,
         least_creep: float,
-        placed: bool,
+        yields: Array,
         force: AppliedForce | None,
     ) -> None:
-        """``dt``, ``least_creep``, ``placed``: see :class:`Engagement`. ``force``: acts in place of the contacts."""
+        """``dt``, ``least_creep``, ``yields``: see :class:`Engagement`. ``force``: acts in place of the contacts."""
         n, model = len(scenarios), batch.model
         self._force, self._engagement = force, None
         if structure.touches and structure.constant:
-            solref.set_linear(batch, scenarios, scale=1.0 - IMPEDANCE if placed else 1.0)
+            solref.set_linear(batch, scenarios, scale=np.where(yields > 0.0, 1.0, 1.0 - IMPEDANCE))
         elif structure.touches:
-            self._engagement = Engagement(batch, scenarios, structure, dt, least_creep, placed)
+            self._engagement = Engagement(batch, scenarios, structure, dt, least_creep, yields)
         engagement = self._engagement
         tilt = engagement.tilt if engagement else np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (n, 1))
         self.mount = Mount(batch, scenarios, tilt)

@@ -84,10 +84,11 @@ class Engagement:
     """
 
     def __init__(
-        self, batch: Batch, scenarios: Sequence[Scenario], structure: Structure, dt: float, least_creep: float, placed: bool
+        self, batch: Batch, scenarios: Sequence[Scenario], structure: Structure, dt: float, least_creep: float, yields: Array
     ) -> None:
         """``dt`` [s] between two instants; ``least_creep`` [m/s per N] bounds the slope of friction from above by that of a step,
-        v_0 >= least_creep mu |F|; ``placed``: the active side is put in place, it does not yield."""
+        v_0 >= least_creep mu |F|; ``yields``: (n,) acceleration per newton of the body that carries A [1/kg], 0 where it is put in
+        place."""
         n, sides = len(scenarios), structure.sides
         self._dt, self._least_creep = dt, least_creep
         self._geometry, self._facets = sides.geometry, len(sides.facets)
@@ -97,12 +98,12 @@ class Engagement:
         self._live = np.ones((n, len(pairs)), dtype=bool)
         self.tilt = tilts(self.parameters[:, -1])
         self._bodies = _Bodies(batch, structure, self.tilt)
-        self._pairs = _Pairs(batch, structure, self.parameters, placed)
+        self._pairs = _Pairs(batch, structure, self.parameters, yields)
         self.state = np.zeros((n, len(pairs) + 1, STATES))
         self.met = np.zeros((n, len(pairs), MET))
         self.wrench, self.pull, self.touching = np.zeros((n, 6)), np.zeros((n, 6)), np.zeros(n, dtype=bool)
         self.pulls = bool((self.parameters[:, :-1, ADHESION] > 0.0).any() or (self.parameters[:, :-1, MODE] > 0.0).any())
-        self.latches = Latches(batch, structure, self.parameters[:, -1], placed)
+        self.latches = Latches(batch, structure, self.parameters[:, -1], yields)
         self._captured = scenarios[0].mechanism.captured
         self.latched = np.zeros(n, dtype=bool)
         self._reading = self._pairs.reading
@@ -230,18 +231,18 @@ class _Pairs:
     """MuJoCo's pairs and facets.
 
     Attributes:
-        ids: (T, 3) of each contact its pair, its facet and its ball; -1 where there is none. gain: (T,) g [1/kg].
+        ids: (T, 3) of each contact its pair, its facet and its ball; -1 where there is none. gain: (n, T) g [1/kg].
         geom_pos, geom_quat, solref, friction: MuJoCo's, of each run. reading: (n, READ native pairs) what their sensors say.
     """
 
-    def __init__(self, batch: Batch, structure: Structure, parameters: Array, placed: bool) -> None:
+    def __init__(self, batch: Batch, structure: Structure, parameters: Array, yields: Array) -> None:
         m, sides = batch.model, structure.sides
         names = [f"facet_{k}" for k in range(len(sides.facets))] + [f"native_{k}" for k in range(len(sides.native))]
         pairs = [m.pair(name).id for name in names]
         facets = [(m.geom(f"facet_{k}").id, m.geom(f"ball_{k}").id) for k in range(len(sides.facets))] + [(-1, -1)] * len(sides.native)
         self.ids = np.array([(p, *f) for p, f in zip(pairs, facets, strict=True)], dtype=np.int64).reshape(len(pairs), 3)
         bodies = m.geom_bodyid[np.stack([m.pair_geom1[pairs], m.pair_geom2[pairs]])] if pairs else np.zeros((2, 0), dtype=int)
-        self.gain = inverse_mass(m, bodies, placed)[0]
+        self.gain = inverse_mass(m, bodies, yields)
         self.geom_pos, self.geom_quat = batch.expand("geom_pos"), batch.expand("geom_quat")
         self.solref, self.friction = batch.expand("pair_solref"), batch.expand("pair_solreffriction")
         self.friction[:] = 2.0 * NO_DAMPING
@@ -311,7 +312,7 @@ def _touch_facets(
                 point[c], normal[c], show, values[c * VALUES + RADIUS], frames[i], carry[i], surface, index[c * ROW + ROUND_FRAME],
                 ids[c], geom_pos[i], geom_quat[i], work,
             )  # fmt: skip
-            _spring(linear[i, c], row, push, drag, show, gain[c], solref[i, ids[c, 0]], friction[i, ids[c, 0]])
+            _spring(linear[i, c], row, push, drag, show, gain[i, c], solref[i, ids[c, 0]], friction[i, ids[c, 0]])
 
 
 @njit(cache=True)
@@ -376,8 +377,8 @@ def _touch_natively(
     """Springs and friction of the pairs that MuJoCo collides itself, from what their sensors say of the deepest points."""
     f, slip = np.empty(6), np.zeros(3)
     for i in range(met.shape[0]):
-        for k in range(ids.shape[0] - facets):
-            c, said = facets + k, reading[i, k * READ : (k + 1) * READ]
+        for native in range(ids.shape[0] - facets):
+            c, said = facets + native, reading[i, native * READ : (native + 1) * READ]
             row, out, points = p[i, c], met[i, c], said[FOUND]
             out[:] = 0.0
             out[0] = -said[DIST] if points > 0.0 else -1.0
@@ -390,9 +391,8 @@ def _touch_natively(
             slip[0], slip[1] = said[LINVEL + 1], said[LINVEL + 2]
             push, drag = law_of(dt, least_creep, row, state[i, c], depth, out[1], slip) if live[i, c] else (0.0, 0.0)
             show = max(depth + max(-row[OFFSET], 0.0), LEAST)
-            _spring(
-                linear[i, c] and live[i, c], row, max(push, 0.0), drag, show, gain[c] / points, solref[i, ids[c, 0]], friction[i, ids[c, 0]]
-            )
+            share, k = gain[i, c] / points, ids[c, 0]
+            _spring(linear[i, c] and live[i, c], row, max(push, 0.0), drag, show, share, solref[i, k], friction[i, k])
             if push == 0.0 and depth <= 0.0:
                 continue
             touching[i] |= live[i, c]

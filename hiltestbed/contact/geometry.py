@@ -101,15 +101,17 @@ def _surface(index, values, c):
 
 
 @njit(cache=True)
-def meet(index, values, c, pose, twist, lever, blunt, work, point, normal, slip):
+def meet(index, values, c, pose, twist, lever, blunt, ahead, work, point, normal, slip):
     """One candidate of one run; returns penetration [m], negative while apart, and its rate [m/s].
 
     Args:
         pose, twist: (7,), (6,) of the round's frame in the surface's. lever: where in the overlap the force acts, 0 at the undeformed
-            surface, 1 at the tip. blunt: 1 where a ball touches, 0 where its foremost point does.
+            surface, 1 at the tip. blunt: 1 where a ball touches, 0 where its foremost point does. ahead: [m] how far apart the two may
+            be for a penetration, then negative, that is more than a bound.
         work: (5, 3) scratch.
         point, normal, slip: (3,) where the force acts [m], direction in which the passive side is pushed, and velocity of the active
-            side across it [m/s], in the surface's frame. Only a bound from above of the penetration is given where the two are far.
+            side across it [m/s], in the surface's frame. Where the two are farther apart than ``ahead``, only a bound from above of the
+            penetration is given, no more than -``ahead``.
     """
     row = values[c * VALUES : (c + 1) * VALUES]
     start, end, free, nearest, v = work[0], work[1], work[2], work[3], work[4]
@@ -135,14 +137,14 @@ def meet(index, values, c, pose, twist, lever, blunt, work, point, normal, slip)
             end[j] += pose[j] - row[PLACE + j]
         rotate_back(attitude, end, end)
     near = _beyond(row, start, end, ball) - radius
-    if near > 0.0:
+    if near > ahead:
         return -near, 0.0
     surface = _surface(index, values, c)
     if ball:
         distance = signed_distance(surface, start, radius + DEEPEST, free)
         nearest[:] = start
     else:
-        distance = segment_distance(surface, start, end, radius, free, nearest)
+        distance = segment_distance(surface, start, end, radius + ahead, free, nearest)
     x = radius - distance
     rotate(attitude, free, free)
     rotate(attitude, nearest, nearest)

@@ -75,13 +75,13 @@ class Latches:
         closed: (n, K) bool. hold: (n, K, 7) the pose of the active site in the passive one that each holds.
     """
 
-    def __init__(self, batch: Batch, structure: Structure, rows: Array, placed: bool) -> None:
-        """``rows``: (n, PARAMETERS) of the closure that is the contact itself. placed: the active side does not yield."""
+    def __init__(self, batch: Batch, structure: Structure, rows: Array, yields: Array) -> None:
+        """``rows``: (n, PARAMETERS) of the closure that is the contact itself. yields: (n,) as in :class:`Engagement`."""
         m, n, self.closures = batch.model, len(rows), closures_of(structure)
         count = len(self.closures)
         self._ids = np.array([m.equality(c.name).id for c in self.closures], dtype=np.int64)
         bodies = np.stack([m.eq_obj1id[self._ids], m.eq_obj2id[self._ids]])
-        gain, weight = inverse_mass(m, bodies, placed)[0], m.body_invweight0[bodies].sum(axis=0)
+        gain, weight = inverse_mass(m, bodies, yields), m.body_invweight0[bodies].sum(axis=0)
         self._spring = np.zeros((n, count, 3))  # stiffness, damping, radius
         for k, c in enumerate(self.closures):
             self._spring[:, k, 0] = rows[:, STIFFNESS] if c.stiffness is None else c.stiffness

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 from numba import njit
+from scipy.signal import lfilter
 
 from hiltestbed.contact.composition import PASSIVE, add_side
 from hiltestbed.frames import Array
@@ -41,6 +42,35 @@ class MountDynamics:
         add_side(spec, scenarios[0].mechanism, PASSIVE, spec.worldbody.add_body(name="passive_mount"))
         body = carried(spec.compile(), "passive_mount")
         return cls(np.array([m.stiffness for m in mounts]), np.array([m.damping for m in mounts]), body)
+
+
+def borne(scenario: Scenario, reading: Array) -> Array:
+    """``(N, 6)`` what a contact exerts where the sensor stands behind a mount and reads ``reading`` (N, 6), both in P at P's origin.
+
+    The body on the mount has an inertia of its own: w = r + M q'' while r = K q + C q', to the first order in the mount's motion q.
+    Without a mount they are the same.
+    """
+    dynamics = MountDynamics.of([scenario])
+    if dynamics is None:
+        return reading
+    stiffness, damping, body, h = dynamics.stiffness[0], dynamics.damping[0], dynamics.body, scenario.tick
+    rate = np.empty_like(reading)
+    for j in range(6):
+        if damping[j] > 0.0:  # q' = (r - K q)/C, r straight over a tick
+            stays = math.exp(-stiffness[j] * h / damping[j])
+            mean = (1.0 - stays) * damping[j] / (stiffness[j] * h)
+            pressed = lfilter([1.0 - mean, mean - stays], [1.0, -stays], reading[:, j])  # K q
+            rate[:, j] = (reading[:, j] - pressed) / damping[j]
+        else:
+            rate[:, j] = np.gradient(reading[:, j], h) / stiffness[j]
+    return np.asarray(reading + np.gradient(rate, h, axis=0) @ _inertia(body).T)
+
+
+def _inertia(body: Array) -> Array:
+    """``(6, 6)`` inertia of a body (BODY,) about P's origin: what a twist's rate (linear, then angular) takes of force and moment."""
+    m, c = body[MASS], body[CENTRE : CENTRE + 3]
+    cross = np.array([[0.0, -c[2], c[1]], [c[2], 0.0, -c[0]], [-c[1], c[0], 0.0]])
+    return np.block([[m * np.eye(3), -m * cross], [m * cross, body[INERTIA:BODY].reshape(3, 3)]])
 
 
 MASS, CENTRE, INERTIA, BODY = 0, 1, 4, 13  # where each part of a body begins, and its length

@@ -39,10 +39,10 @@ def linear_solref(stiffness: Array, damping: Array, inverse_mass: Array) -> Arra
     return solref
 
 
-def set_linear(batch: Batch, scenarios: Sequence[Scenario], scale: float) -> None:
+def set_linear(batch: Batch, scenarios: Sequence[Scenario], scale: Array) -> None:
     """Give each run of a batch its scenario's stiffness and damping.
 
-    ``scale`` multiplies both: 1, or 1 - d where the bodies are placed rather than integrated.
+    ``scale`` (n,) multiplies both: 1, or 1 - d where the bodies are placed rather than integrated.
     """
     contacts = [s.mechanism.contact for s in scenarios]
     stiffness = scale * np.array([c.stiffness for c in contacts])

@@ -58,7 +58,7 @@ def relate(pose, twist, place, motion, pose_out, twist_out):
 
 @njit(cache=True)
 def meet_all(index, values, p, frames, motions, work, depth, rate, point, normal, slip):
-    """Where the candidates of one run meet, with the parameters ``p`` (C, PARAMETERS).
+    """Where the candidates of one run meet, or come so near that they touch, with the parameters ``p`` (C, PARAMETERS).
 
     Args:
         frames, motions: (F, 7), (F, 6) poses and twists of the frames in W. work: (9, 7) scratch.
@@ -74,7 +74,7 @@ def meet_all(index, values, p, frames, motions, work, depth, rate, point, normal
             a, s = frame_a, frame_s
             relate_one(frames[a], motions[a], frames[s], motions[s], pose, twist, scratch)
         depth[c], rate[c] = meet(
-            index, values, c, pose, twist, p[c, LEVER], p[c, BLUNT], scratch, point[c], normal[c], slip[c]
+            index, values, c, pose, twist, p[c, LEVER], p[c, BLUNT], max(0.0, -p[c, OFFSET]), scratch, point[c], normal[c], slip[c]
         )  # fmt: skip
 
 

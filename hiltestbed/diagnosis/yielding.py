@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hiltestbed.contact.mount_dynamics import borne
 from hiltestbed.diagnosis.links import flat_pose
 from hiltestbed.diagnosis.settings import BLOCK
 from hiltestbed.frames import Array
@@ -48,7 +49,7 @@ def deflection(run: MeasuredRun, noise: float) -> Deflection | None:
     wrench = shifted(reading, scenario.sensor.delay / scenario.tick)
     rates = run.record.filled("twist_cmd") if run.record.has("twist_cmd") else None
     told = flat_pose(np.vstack([approach_state(scenario)[:7], command[:-1]]))
-    path = replay_rig(scenario, command, rates, wrench, reading)
+    path = replay_rig(scenario, command, rates, borne(scenario, wrench), reading)
     if path is None:
         return None
     away = flat_pose(path) - told
@@ -63,7 +64,7 @@ def deflection(run: MeasuredRun, noise: float) -> Deflection | None:
     if noise > 0.0:
         shaken = wrench.copy()
         shaken[:, :3] += noise * np.random.default_rng(0).standard_normal((len(wrench), 3))
-        noisy = replay_rig(scenario, command, rates, shaken, reading)
+        noisy = replay_rig(scenario, command, rates, borne(scenario, shaken), reading)
         passed = np.std(flat_pose(noisy) - flat_pose(path), axis=0) if noisy is not None else passed
         doubt = np.hypot(doubt, passed * math.sqrt(max(1.0, _memory(scenario) / scenario.tick)))
     return Deflection(away, doubt, float(passed[:3].max()))

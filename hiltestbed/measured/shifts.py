@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
+from scipy.signal import correlate
 
 from hiltestbed.compensation.input import InputParameters
 from hiltestbed.frames import Array
@@ -139,17 +140,19 @@ def _echo(record: Record, given: Array | None) -> int | None:
         a, b = (np.clip(v, *(np.array([-4.0, 4.0]) * 1.4826 * np.median(np.abs(v)))) for v in (a, b))
         if not (a.any() and b.any()) or len(a) < 4 * FURTHEST:
             continue
-        inner = a[FURTHEST:-FURTHEST]
-        scores = [_correlated(inner, b[FURTHEST + n : len(b) - FURTHEST + n]) for n in range(-FURTHEST, FURTHEST + 1)]
+        scores = _correlated(a[FURTHEST:-FURTHEST], b)
         top = int(np.argmax(np.abs(scores)))
         if abs(scores[top]) > ECHO and (best is None or abs(scores[top]) > best[1]):
             best = (top - FURTHEST, abs(scores[top]))
     return None if best is None else best[0]
 
 
-def _correlated(a: Array, b: Array) -> float:
-    size = float(np.sqrt((a @ a) * (b @ b)))
-    return float(a @ b) / size if size > 0 else 0.0
+def _correlated(a: Array, b: Array) -> Array:
+    """Correlation of ``a`` (n,) with each part of ``b`` (n + 2 FURTHEST,) that is as long, from the first on."""
+    total = np.concatenate([[0.0], np.cumsum(b * b)])
+    size = np.sqrt((a @ a) * (total[len(a) :] - total[: -len(a)]))
+    product = correlate(b, a, mode="valid", method="fft")
+    return np.divide(product, size, out=np.zeros_like(product), where=size > 0.0)
 
 
 def _platform_lead(record: Record, found: Survey, scenario: Scenario) -> float | None:

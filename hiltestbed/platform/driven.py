@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from hiltestbed.contact.composition import Structure
 from hiltestbed.contact.contacts import Contacts
 from hiltestbed.frames import Array
+from hiltestbed.numerical_model.bodies import effective_mass
 from hiltestbed.platform.model import sensor_columns
 from hiltestbed.platform.response import PlatformResponse
 from hiltestbed.sensor.readout import read_history, read_wrench
@@ -56,7 +57,8 @@ class ServoTracking:
         self.servo = servo = first.rig.platform.driven(scenarios, structure, dt)
         self.model = servo.model
         self.batch = Batch(self.model, n, nthread, persistent=True)
-        self.contacts = Contacts(self.batch, scenarios, structure, dt, least_creep(dt), placed=False, force=force)
+        yields = np.array([1.0 / effective_mass(s) for s in scenarios])
+        self.contacts = Contacts(self.batch, scenarios, structure, dt, least_creep(dt), yields, force)
         self.path = PlatformResponse(scenarios)
         self._ticks = np.zeros(1, dtype=np.int64)
         self._goal = np.zeros((n, 7))

@@ -83,9 +83,7 @@ class IdealTracking:
         self.tick, self.substeps = first.tick, first.substeps
         self.model = model.ideal_model(structure, first.tick / first.substeps)
         self.batch = Batch(self.model, n, nthread)
-        self.contacts = Contacts(
-            self.batch, scenarios, structure, first.tick / first.substeps, least_creep=0.0, placed=True, force=force
-        )  # fmt: skip
+        self.contacts = Contacts(self.batch, scenarios, structure, first.tick / first.substeps, 0.0, np.zeros(n), force)
         self.path = PlatformResponse(scenarios)
         answers = first.rig.platform.tracking == "response"
         settings = [s.rig.platform.response for s in scenarios] if answers else []

@@ -318,7 +318,9 @@ def _meet_near(index, values, p, frames, motions, untilted, lean, work, depth, r
         if not related:
             relate_one(frames[0], motions[0], frames[1], motions[1], pose, twist, scratch)
             related = True
-        depth[c], rate[c] = meet(index, values, c, pose, twist, p[c, LEVER], p[c, BLUNT], scratch, point[c], normal[c], slip[c])
+        depth[c], rate[c] = meet(
+            index, values, c, pose, twist, p[c, LEVER], p[c, BLUNT], max(0.0, -p[c, OFFSET]), scratch, point[c], normal[c], slip[c]
+        )  # fmt: skip
 
 
 @njit(cache=True)
@@ -362,7 +364,7 @@ def _meet(index, values, lever, poses, twists, before, clear, depth, rate, point
     count = depth.shape[2]
     frames, motions, work, p = np.zeros((2, 7)), np.zeros((2, 6)), np.empty((9, 7)), np.ones((max(count, 1), PARAMETERS))
     frames[1, 6] = 1.0
-    p[:, LEVER] = lever
+    p[:, LEVER], p[:, OFFSET] = lever, -NEAR
     longest = arm(values, count)
     for r in range(poses.shape[0]):
         nearest = -np.inf

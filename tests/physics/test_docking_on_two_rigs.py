@@ -80,6 +80,7 @@ def test_a_compensation_method_drives_both_alike(method: dict) -> None:
 EFFECTS = [
     {"kind": "contact.stiffness", "factor": 1.2}, {"kind": "contact.damping", "factor": 0.6},
     {"kind": "contact.surface_friction", "coefficient": 0.25}, {"kind": "contact.touch_offset", "offset": 3e-4},
+    {"kind": "contact.touch_offset", "offset": -3e-4},
     {"kind": "contact.misalignment", "angles_deg": [1.5, -1.0]}, {"kind": "contact.power_law", "exponent": 1.3, "stiffness": 2.5e5},
     {"kind": "contact.hunt_crossley", "alpha": 8.0}, {"kind": "contact.dry_friction", "force": 10.0},
     {"kind": "contact.dry_friction", "force": 10.0, "stiffness": 1e5}, {"kind": "contact.preload", "force": 15.0},
@@ -91,7 +92,7 @@ EFFECTS = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize("effect", EFFECTS, ids=lambda e: e["kind"])
+@pytest.mark.parametrize("effect", EFFECTS, ids=str)
 def test_an_effect_in_a_docking_does_the_same_in_both(effect: dict) -> None:
     trace, records = _both(LATE | NO_LATCH | {"compensation.force": {"kind": "phase_lead"}, "physics_rate": 10000}, (effect,))
     _agree(trace, records, 1e-7, 1e-6)

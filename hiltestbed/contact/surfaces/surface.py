@@ -18,7 +18,8 @@ from hiltestbed.contact.surfaces.soundness import Finding, examine
 from hiltestbed.frames import Array
 
 MESH = 7  # beside the kinds of :mod:`shapes`, which are MuJoCo's
-PLACES = 33  # on a segment from which a minimum is searched
+HALVINGS = 5  # of a segment, at which ends a minimum is looked for
+PARTS = 2**HALVINGS
 
 
 class Surface(NamedTuple):
@@ -88,35 +89,40 @@ def segment_distance(surface, start, end, reach, normal, nearest):
     """Least signed distance [m] of the points of a segment from ``start`` (3,) to ``end`` (3,).
 
     ``normal`` (3,) becomes the surface's outward normal at that point, which is written to ``nearest`` (3,). Only a distance below
-    ``reach`` is refined; where there is none a bound from below is returned, not less than ``reach``. The distance changes no faster
-    than the place, so what is far is passed in long strides; a minimum lies where its slope along the segment changes sign.
+    ``reach`` is searched for; where there is none a bound from below is returned, not less than ``reach``. The distance changes no
+    faster than the place (Piyavskii, USSR Comput. Math. 12(4), 1972): between two points it is no less than the mean of both distances
+    less half of what lies between them. An interval that may hold less than what is known is halved, down to a part in PARTS of the
+    segment, in which a minimum lies where the slope along the segment changes sign.
     """
-    length = 0.0
-    for j in range(3):
-        length += (end[j] - start[j]) ** 2
-    length = math.sqrt(length)
-    best, at, bound = math.inf, 0.0, math.inf
-    stride = 1.0 / (PLACES - 1)
-    t0 = 0.0
-    d0, g0 = _along(surface, start, end, t0, reach, normal, nearest)
-    if d0 < reach:
-        best, at = d0, 0.0
-    while t0 < 1.0:
-        if d0 - length * stride > reach:  # nothing below reach before t0 + (d0 - reach)/length
-            t1 = min(t0 + (d0 - reach) / length, 1.0)
-            bound = min(bound, reach)
+    length = math.sqrt((end[0] - start[0]) ** 2 + (end[1] - start[1]) ** 2 + (end[2] - start[2]) ** 2)
+    d1, g1 = _along(surface, start, end, 1.0, reach, normal, nearest)
+    d0, g0 = _along(surface, start, end, 0.0, reach, normal, nearest)
+    best, at, bound = (d0, 0.0, d0) if d0 <= d1 else (d1, 1.0, d1)
+    ends = np.empty((HALVINGS + 1, 3))  # right ends of the intervals that are still to be searched, the nearest last
+    ends[0, 0], ends[0, 1], ends[0, 2] = 1.0, d1, g1
+    count, t0 = 1, 0.0
+    while count > 0:
+        t1, d1, g1 = ends[count - 1, 0], ends[count - 1, 1], ends[count - 1, 2]
+        least = 0.5 * (d0 + d1 - (t1 - t0) * length)
+        if least < min(best, reach):
+            if t1 - t0 > 1.0 / PARTS:
+                t = 0.5 * (t0 + t1)
+                d, g = _along(surface, start, end, t, reach, normal, nearest)
+                ends[count, 0], ends[count, 1], ends[count, 2] = t, d, g
+                count += 1
+                if d < best:
+                    best, at = d, t
+                continue
+            if g0 < 0.0 < g1:
+                t, d = _turning(surface, start, end, t0, t1, g0, g1, reach, normal, nearest)
+                if d < best:
+                    best, at = d, t
         else:
-            t1 = min(t0 + stride, 1.0)
-        d1, g1 = _along(surface, start, end, t1, reach, normal, nearest)
-        if d1 < reach and d1 < best:
-            best, at = d1, t1
-        if g0 < 0.0 < g1 and 0.5 * (d0 + d1 - (t1 - t0) * length) < min(best, reach):
-            t, d = _turning(surface, start, end, t0, t1, g0, g1, reach, normal, nearest)
-            if d < reach and d < best:
-                best, at = d, t
+            bound = min(bound, least)
         t0, d0, g0 = t1, d1, g1
-    if best == math.inf:
-        return max(reach, min(d0, bound))
+        count -= 1
+    if best >= reach:
+        return max(reach, min(best, bound))
     best, _ = _along(surface, start, end, at, reach, normal, nearest)
     return best
 
