@@ -89,7 +89,8 @@ class ContactParameters:
 
     def row(self) -> Array:
         """``(PARAMETERS,)`` as the kernels take it."""
-        return np.concatenate([np.atleast_1d(getattr(self, f.name)) for f in fields(self)], dtype=float)
+        numbers = np.array([getattr(self, name) for name in NUMBERS], dtype=float)
+        return np.concatenate([numbers, *(getattr(self, name) for name in CURVES)])
 
 
 def believed_contacts(mechanism: Mechanism) -> list[ContactParameters]:
@@ -110,11 +111,13 @@ def contact_rows(contacts: Sequence[ContactParameters], rules: Sequence[int], ca
 
 # The columns of a row, by the names of the fields; a curve takes PACKED of them, from the one that says how many knots it has.
 NAMES = tuple(f.name for f in fields(ContactParameters))
+CURVES = ("over_penetration", "over_rate", "over_stretch", "spring_over_penetration", "spring_over_rate")  # the last ones
+NUMBERS = NAMES[: -len(CURVES)]
 (
     STIFFNESS, DAMPING, POWER_STIFFNESS, EXPONENT, ALPHA, DRY, PRELOAD, STOP, STOP_STIFFNESS, BRANCH_STIFFNESS, BRANCH_TIME,
     ADHESION, FRAME, OFFSET, CAPTURED, PLAY, MODE, MODE_DAMPING, MODE_MASS, FRICTION, TILT_X, TILT_Y, LEVER, REACTION, DRAG, BLUNT,
     OVER_PENETRATION,
-) = range(len(NAMES) - 4)  # fmt: skip
+) = range(len(NUMBERS) + 1)  # fmt: skip
 OVER_RATE, OVER_STRETCH, SPRING_OVER_PENETRATION, SPRING_OVER_RATE, PARAMETERS = (OVER_PENETRATION + i * PACKED for i in range(1, 6))
 # Those that are neutral where a spring and a damper are all that acts along the normal.
 LINEAR = [

@@ -96,7 +96,7 @@ def _learned(
     known = [c.fit.effects()[c.index] for c in causes]
     result = learned_on(found, known)
     alone = learned_on(found, ()) if known and result is not None else None
-    if result is not None and alone is not None and _without_names(result[0], alone[0], sum(len(c.fit.part(c.index)) for c in causes)):
+    if result is not None and alone is not None and needless(result[0], alone[0], sum(len(c.fit.part(c.index)) for c in causes)):
         others = tuple(c for c in verdict.causes if c.link != "wrench")
         verdict, share, result = Verdict("unknown", verdict.link, others, verdict.not_judged), None, alone
     if result is None:
@@ -105,7 +105,7 @@ def _learned(
     return verdict, share, learned, (effect,) if learned.carries_over else ()
 
 
-def _without_names(beside: Learned, alone: Learned, named: int) -> bool:
+def needless(beside: Learned, alone: Learned, named: int) -> bool:
     """Whether curves alone do what they do beside ``named`` parameters, with fewer numbers."""
     as_good = alone.heldout.rms_after < beside.heldout.rms_after / (1.0 - WORTH)
     return alone.carries_over and as_good and alone.numbers < beside.numbers + named

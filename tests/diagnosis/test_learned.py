@@ -7,10 +7,12 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import pytest
 
+from hiltestbed.diagnosis.find import needless
 from hiltestbed.diagnosis.learned.curves import Block, Choice, choices, shape_of
 from hiltestbed.diagnosis.learned.finding import stretches
 from hiltestbed.diagnosis.learned.learn import Law, carries_over, learn
 from hiltestbed.diagnosis.learned.words import equation, equation_of
+from hiltestbed.diagnosis.learned_law import Learned
 from hiltestbed.diagnosis.links import LinkRun, WrenchLink
 from hiltestbed.diagnosis.residual import Residual
 from hiltestbed.diagnosis.result import Heldout
@@ -146,3 +148,15 @@ def test_a_curve_in_a_short_equation(law: Callable[[Array], Array], words: str) 
 def test_a_curve_that_no_equation_fits_has_none() -> None:
     x = np.linspace(0.0, 1.0, 17)
     assert equation_of(tuple(zip(x.tolist(), np.sin(20.0 * x).tolist(), strict=True)), "x") is None
+
+
+def law_of(numbers: int, left: float, carries: bool = True) -> Learned:
+    gain = Heldout((0, 1), 20.0, left, 1.0 - left / 20.0, (0.5, 0.9), 0.0)
+    return Learned("contact.map", {}, "contact", numbers, gain, 0.9, carries, None, ())
+
+
+def test_a_name_falls_where_curves_alone_do_as_well_with_fewer_numbers() -> None:
+    assert needless(law_of(16, 2.0), law_of(17, 2.0), named=2)
+    assert not needless(law_of(4, 2.0), law_of(17, 2.0), named=2), "the name makes the law simpler"
+    assert not needless(law_of(16, 1.0), law_of(17, 2.0), named=2), "the curves leave more without it"
+    assert not needless(law_of(16, 2.0), law_of(17, 2.0, carries=False), named=2)
