@@ -37,6 +37,21 @@ def assess(summary: dict[str, Any]) -> Assessment:
     return Assessment(passive, energy, _headline(summary), tuple(_warnings(summary, passive)), tuple(_advice(summary, passive)))
 
 
+def monitored(summary: dict[str, Any]) -> tuple[str, str] | None:
+    """What process monitoring says of a run: its events in order, and wear; None where the scenario does not ask for it."""
+    found = summary.get("monitoring")
+    if not found:
+        return None
+    events = sorted((found[name], name) for name in ("touch", "seat", "capture") if found[name] is not None)
+    wear = found["wear"]
+    if wear is None:
+        note = ""
+    else:
+        note = "worn" if wear["alarm"] else "not worn"
+        note += f": stiffness {100.0 * wear['stiffness_change']:+.2g} %, damping {100.0 * wear['damping_change']:+.2g} %"
+    return ", ".join(f"{name} at {at:.3f} s" for at, name in events) or "nothing", note
+
+
 def energy_share(summary: dict[str, Any]) -> float | None:
     """Energy made by the rig over the kinetic energy of the approach; None where nothing touched or the approach is not known."""
     approach = summary.get("approach_energy")

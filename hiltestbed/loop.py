@@ -22,6 +22,7 @@ from hiltestbed.contact.phases import Phases
 from hiltestbed.frames import Array
 from hiltestbed.identification.settings import IDENTIFIERS
 from hiltestbed.metrics import Tally
+from hiltestbed.monitoring import ProcessMonitor
 from hiltestbed.outcome import Outcomes
 from hiltestbed.platform.free_motion import FreeMotion
 from hiltestbed.platform.plant import Plant
@@ -103,6 +104,7 @@ class Loop:
             self.identification.source.captured = self.plant.captured
             if self.plant.phases is not None:
                 self.identification.source.steps = self.plant.phases.begun
+        self.monitor = ProcessMonitor(scenarios) if any(s.monitoring for s in scenarios) else None
         self.dead_zone = InputDeadZone(scenarios)
         self.model = scenarios[0].numerical_model.start(scenarios)
         self.drive: Drive = FreeMotion(scenarios, self.plant) if self.plant.physical else make_drive(scenarios, self.model)
@@ -125,6 +127,7 @@ class Loop:
             stiffness=estimate.stiffness if estimate else unknown,
             damping=estimate.damping if estimate else unknown,
             captured=self.plant.captured,
+            **({"lever": estimate.source.held.lever} if estimate else {}),
         )
 
     def step(self, trace: Trace | None = None) -> None:
@@ -133,6 +136,8 @@ class Loop:
         self.sensor.read(k, plant.wrench_sub)
         if self.identification:
             self.identification.update(self.sensor.reading, plant.pose_act, plant.twist_act)
+        if self.monitor:
+            self.monitor.update(self.sensor.reading, plant.pose_act, plant.twist_act)
         if self.dead_zone.active:
             self.dead_zone.update(self.sensor.reading)
         self._pose_before[:] = drive.pose
@@ -172,7 +177,7 @@ class Loop:
     @property
     def blocks(self) -> dict[str, Any]:
         """The blocks whose arrays are the state of the loop between two ticks."""
-        names = ("sensor", "plant", "identification", "dead_zone", "drive", "motion", "tally", "outcomes", "safety")
+        names = ("sensor", "plant", "identification", "monitor", "dead_zone", "drive", "motion", "tally", "outcomes", "safety")
         return {name: getattr(self, name) for name in names}
 
     def _end_runs(self) -> None:

@@ -2,8 +2,9 @@
 
 - *touch*: the axial force exceeds five standard deviations of its noise on two readings in a row. On noise alone that happens with a
   probability of (2.9e-7)^2 a tick: once in 4e5 years at 2 kHz.
-- *seat*: the stiffness over the last samples has risen to a multiple of what it was at first: the probe stands in its socket, a buffer
-  on its stop. Said when the rise exceeds its own standard deviation ``SEAT_SIGMA`` times, on ``CONFIRM`` readings in a row.
+- *seat*: the stiffness over the last samples has risen to a multiple of what it was at first (``seat_ratio``): the probe stands in its
+  socket, a buffer on its stop. Said when the rise exceeds its own standard deviation ``SEAT_SIGMA`` times, on ``CONFIRM`` readings in a
+  row.
 - *capture*: the axial force pulls, beyond five standard deviations, on ``CONFIRM`` readings in a row: a contact alone cannot.
 - *wear*: k and c of one more contact against those of the contacts before, by Hotelling's T^2 with the covariances that the identification
   reports: an alarm where chi-squared of two degrees of freedom says less than ``false_alarm_rate`` (D. C. Montgomery, Introduction to
@@ -14,7 +15,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -23,11 +25,10 @@ from hiltestbed.frames import Array
 from hiltestbed.identification.least_squares import RecursiveLeastSquares
 from hiltestbed.identification.samples import GATE_SIGMA, ContactSamples
 from hiltestbed.scenario import Scenario
+from hiltestbed.scenario.monitoring import ContactEstimate, Monitoring
 
 AXIAL = 2
 CONFIRM = 5  # readings in a row
-WINDOW = 0.02  # [s] memory of the stiffness that is compared with the first
-SEAT_RATIO = 2.0  # times the first stiffness
 SEAT_SIGMA = 5.0
 
 
@@ -42,7 +43,11 @@ class ProcessMonitor:
     def __init__(self, scenarios: Sequence[Scenario]) -> None:
         n = len(scenarios)
         self.tick = 1.0 / scenarios[0].rate
-        self._local = RecursiveLeastSquares(ContactSamples(scenarios), [math.exp(-self.tick / WINDOW)] * n)
+        self._settings = tuple(s.monitoring for s in scenarios)
+        settings = [m or Monitoring() for m in self._settings]
+        windows = np.array([m.window for m in settings])
+        self._ratio, self._enough = np.array([m.seat_ratio for m in settings]), (windows / self.tick).astype(np.int64)
+        self._local = RecursiveLeastSquares(ContactSamples(scenarios), list(np.exp(-self.tick / windows)))
         self._threshold = np.array([GATE_SIGMA * s.sensor.noise for s in scenarios])
         self.touch, self.seat, self.capture = np.full(n, np.nan), np.full(n, np.nan), np.full(n, np.nan)
         self.first_stiffness = np.full(n, np.nan)
@@ -53,23 +58,35 @@ class ProcessMonitor:
         """Take in what was measured at t_k: wrench ``(n, 6)``, pose ``(n, 7)``, twist ``(n, 6)``."""
         self._local.update(wrench, pose, twist)
         time, local = float(self._clock[0]) * self.tick, self._local
-        enough = int(WINDOW / self.tick)
         _watch(
-            time, enough, wrench, self._threshold, local.stiffness[:, AXIAL], local.stiffness_sd[:, AXIAL], local.samples[:, AXIAL],
-            self.first_stiffness, self._runs, self.touch, self.seat, self.capture,
+            time, self._enough, self._ratio, wrench, self._threshold, local.stiffness[:, AXIAL], local.stiffness_sd[:, AXIAL],
+            local.samples[:, AXIAL], self.first_stiffness, self._runs, self.touch, self.seat, self.capture,
         )  # fmt: skip
         self._clock[0] += 1
 
+    def summary(self, i: int, contact: ContactEstimate | None) -> dict[str, Any] | None:
+        """The events of run ``i`` [s], None for one that did not happen, and wear as far as there is a baseline and a ``contact``."""
+        settings = self._settings[i]
+        if settings is None:
+            return None
+        events = {name: _number(getattr(self, name)[i]) for name in ("touch", "seat", "capture", "first_stiffness")}
+        judged = wear(settings.baseline, contact, settings.false_alarm_rate) if settings.baseline and contact else None
+        return {**events, "wear": None if judged is None else asdict(judged)}
+
+
+def _number(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
 
 @njit(cache=True)
-def _watch(time, enough, wrench, threshold, stiffness, sd, samples, first, runs, touch, seat, capture):
+def _watch(time, enough, ratio, wrench, threshold, stiffness, sd, samples, first, runs, touch, seat, capture):
     for i in range(wrench.shape[0]):
         force = wrench[i, AXIAL]
         runs[i, 0] = runs[i, 0] + 1 if force > threshold[i] else 0
         runs[i, 2] = runs[i, 2] + 1 if force < -threshold[i] else 0
-        if math.isnan(first[i]) and samples[i] >= enough and stiffness[i] > 0.0:
+        if math.isnan(first[i]) and samples[i] >= enough[i] and stiffness[i] > 0.0:
             first[i] = stiffness[i]
-        rise = stiffness[i] - SEAT_RATIO * first[i]
+        rise = stiffness[i] - ratio[i] * first[i]
         runs[i, 1] = runs[i, 1] + 1 if runs[i, 0] > 0 and rise > SEAT_SIGMA * sd[i] else 0
         if math.isnan(touch[i]) and runs[i, 0] == 2:
             touch[i] = time
@@ -77,16 +94,6 @@ def _watch(time, enough, wrench, threshold, stiffness, sd, samples, first, runs,
             seat[i] = time
         if math.isnan(capture[i]) and not math.isnan(touch[i]) and runs[i, 2] == CONFIRM:
             capture[i] = time
-
-
-@dataclass(frozen=True)
-class ContactEstimate:
-    """k [N/m] and c [N s/m] of one contact, with their standard deviations."""
-
-    stiffness: float
-    damping: float
-    stiffness_sd: float
-    damping_sd: float
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from hiltestbed.assessment import CLOSE, NEUTRAL, assess, energy_share
+from hiltestbed.assessment import CLOSE, NEUTRAL, assess, energy_share, monitored
 from hiltestbed.energy import energy_generated
 from hiltestbed.labelled import PALETTE, shade_contacts
 from hiltestbed.notebook import number
@@ -70,6 +70,8 @@ def _figures(summary: dict[str, Any]) -> list[tuple[str, str, str]]:
         ("contact time", number(summary["contact_duration"], 4, "s"), ""),
         ("largest tracking error", number(1e3 * summary["tracking_error"], 3, "mm"), "commanded less reached position"),
     ]
+    if (seen := monitored(summary)) is not None:
+        rows.append(("process monitoring", *seen))
     return rows
 
 

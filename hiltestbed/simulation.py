@@ -20,6 +20,7 @@ from hiltestbed.metrics import ContactFigures
 from hiltestbed.numerical_model.bodies import effective_mass
 from hiltestbed.result import Run
 from hiltestbed.scenario import Scenario, scenario_from, scenario_sha256
+from hiltestbed.scenario.monitoring import ContactEstimate
 from hiltestbed.sense import warnings
 from hiltestbed.signals import AXES, Trace
 from hiltestbed.snapshot import Snapshot, Snapshots
@@ -126,7 +127,9 @@ def collected(loop: Loop, rows: Any, wall: float, failures: dict[int, Snapshot])
         figures=[loop.tally.figures(i) for i in range(len(scenarios))],
         trouble=loop.trouble,
         identification=[_identified(loop, i) for i in range(len(scenarios))],
-        outcomes=[loop.outcomes.summary(i) | _capture(loop, i) | _along_normal(loop, i) for i in range(len(scenarios))],
+        outcomes=[
+            loop.outcomes.summary(i) | _capture(loop, i) | _along_normal(loop, i) | _monitored(loop, i) for i in range(len(scenarios))
+        ],
         payload=[loop.plant.payload_left(i) for i in range(len(scenarios))],
         ticks=loop.k,
         wall=wall,
@@ -145,6 +148,7 @@ def reference_scenario(scenario: Scenario) -> Scenario:
     data["compensation"] = {"force": {"kind": "none"}, "motion": {"kind": "none"}}
     data["identification"] = {"kind": "none"}
     data["safety"] = dict.fromkeys(data["safety"])  # nothing is watched
+    data["monitoring"] = None
     data["rig"]["platform"] = scenario.rig.platform.reference()
     data["rig"]["upper"]["tracking"] = "ideal"
     data["effects"] = [e for e in data["effects"] if e["kind"].startswith("contact.")]
@@ -200,6 +204,18 @@ def _capture(loop: Loop, i: int) -> dict[str, Any]:
             {"name": name, "at": k / loop.scenarios[i].rate if k >= 0 else None} for name, k in zip(phases.names, ticks, strict=True)
         ]
     }
+
+
+def _monitored(loop: Loop, i: int) -> dict[str, Any]:
+    """What process monitoring says of a run that asks for it, of wear by what was identified along z."""
+    if loop.monitor is None or loop.scenarios[i].monitoring is None:
+        return {}
+    estimate, contact = loop.identification, None
+    if isinstance(estimate, RecursiveLeastSquares):
+        k, c, k_sd, c_sd = (getattr(estimate, name)[i, 2] for name in ("stiffness", "damping", "stiffness_sd", "damping_sd"))
+        if k > 0.0 and c >= 0.0 and k_sd > 0.0 and c_sd > 0.0:
+            contact = ContactEstimate(stiffness=float(k), damping=float(c), stiffness_sd=float(k_sd), damping_sd=float(c_sd))
+    return {"monitoring": loop.monitor.summary(i, contact)}
 
 
 def _number(value: float) -> float | None:

@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from hiltestbed.assessment import assess
+from hiltestbed.assessment import assess, monitored
 from hiltestbed.errors import printable
 
 if TYPE_CHECKING:
@@ -125,6 +125,8 @@ def _figures(summary: dict[str, Any], elapsed: float | None) -> Table:
     table.add_row(
         "contact time", _number(summary["contact_duration"], 4, "s"), "" if summary["contact_duration"] else "the ports did not touch"
     )
+    if (seen := monitored(summary)) is not None:
+        table.add_row("process monitoring", *seen)
     timing = summary["timing"]
     pace = "" if timing["real_time_factor"] is None else f", {timing['real_time_factor']:.1f} times real time"
     table.add_row("time in the loop", _number(timing["wall"], 3, "s"), f"{timing['ticks']} ticks{pace}")

@@ -11,8 +11,10 @@ import pytest
 from hiltestbed import load_scenario
 from hiltestbed.bench.contacts import Contact, bounce
 from hiltestbed.loop import Loop
-from hiltestbed.monitoring import ContactEstimate, ProcessMonitor, wear
+from hiltestbed.monitoring import ProcessMonitor, wear
 from hiltestbed.scenario import Scenario
+from hiltestbed.scenario.monitoring import ContactEstimate
+from hiltestbed.simulation import simulate
 
 SCENARIOS = Path(__file__).parents[1] / "scenarios"
 FORCE = {"kind": "resynchronised"}
@@ -68,8 +70,29 @@ def _estimates(contact: Contact, seeds: range) -> list[ContactEstimate]:
     result = bounce([replace(contact, seed=seed).scenario(FORCE) for seed in seeds])
     e = result.loop.identification
     assert e is not None
-    columns = (e.stiffness, e.damping, e.stiffness_sd, e.damping_sd)  # type: ignore[attr-defined]
-    return [ContactEstimate(*(float(column[i, 2]) for column in columns)) for i in range(len(seeds))]
+    names = ("stiffness", "damping", "stiffness_sd", "damping_sd")
+    return [ContactEstimate(**{name: float(getattr(e, name)[i, 2]) for name in names}) for i in range(len(seeds))]
+
+
+def test_a_scenario_asks_for_it() -> None:
+    """The shipped one: 2 % softer than three contacts of which each is known to 0.04 %: 40 sigma."""
+    batch = simulate([load_scenario(SCENARIOS / "24-worn-buffer.yaml")])
+    found = batch.outcomes[0]["monitoring"]
+    figures = batch.figures[0]
+    assert figures.first_contact is not None
+    assert figures.first_contact + 0.005 <= found["touch"] <= figures.first_contact + 0.005 + 3.0 / 2000.0
+    assert found["first_stiffness"] == pytest.approx(98000.0, rel=0.03)
+    assert (found["seat"], found["capture"]) == (None, None)
+    assert found["wear"]["alarm"]
+    assert found["wear"]["stiffness_change"] == pytest.approx(-0.02, abs=0.002)
+    assert batch.identification[0]["z"]["stiffness_true"] == pytest.approx(98000.0)
+    healthy = simulate([load_scenario(SCENARIOS / "24-worn-buffer.yaml", set={"effects": []})]).outcomes[0]["monitoring"]
+    assert not healthy["wear"]["alarm"]
+
+
+def test_one_that_does_not_ask_is_not_watched() -> None:
+    loop = Loop([load_scenario(SCENARIOS / "02-bumper.yaml")])
+    assert loop.monitor is None
 
 
 def test_wear_is_told_and_its_false_alarms_are_as_rare_as_promised() -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,7 @@ class Measurement:
         stiffness: ``(n, 6)`` stiffness identified so far, NaN before the first estimate.
         damping: ``(n, 6)`` likewise damping.
         captured: ``(n,)`` bool, whether the latches hold.
+        lever: ``(n, 3)`` [m] from A, in A, of the latched place whose shift, turn, force and torque the six axes are; 0: A itself.
     """
 
     wrench: Array
@@ -29,3 +30,8 @@ class Measurement:
     stiffness: Array
     damping: Array
     captured: NDArray[np.bool_]
+    lever: Array = field(default_factory=lambda: np.zeros((0, 3)))
+
+    def __post_init__(self) -> None:
+        if len(self.lever) != len(self.captured):
+            self.lever = np.zeros((len(self.captured), 3))

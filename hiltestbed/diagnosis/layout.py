@@ -185,11 +185,7 @@ def _rows(run: MeasuredRun) -> int:
 
 def touching(run: MeasuredRun, rows: int) -> np.ndarray:
     """(rows,) bool: in contact, or the sensor still shows it."""
-    out = np.zeros(run.record.ticks, dtype=bool)
-    late = round(run.scenario.sensor.delay * run.scenario.rate) + 3
-    for c in run.survey.contacts:
-        out[max(0, c.start - 2) : c.end + late] = True
-    return out[:rows]
+    return run.survey.touching(rows, round(run.scenario.sensor.delay * run.scenario.rate))
 
 
 def _force_run(run: MeasuredRun, layout: Layout, i: int, rows: int, least: Array) -> LinkRun:

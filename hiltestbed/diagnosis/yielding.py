@@ -11,6 +11,7 @@ from hiltestbed.contact.mount_dynamics import borne
 from hiltestbed.diagnosis.links import flat_pose
 from hiltestbed.diagnosis.settings import BLOCK
 from hiltestbed.frames import Array
+from hiltestbed.identification.samples import GATE_SIGMA
 from hiltestbed.measured import MeasuredRun
 from hiltestbed.numerical_model.bodies import approach_state
 from hiltestbed.replay import follows_exactly, replay_rig
@@ -46,7 +47,9 @@ def deflection(run: MeasuredRun, noise: float) -> Deflection | None:
     if follows_exactly(scenario):
         return Deflection(np.zeros((len(command), 6)), np.zeros((len(command), 6)))
     reading = run.record.filled("wrench_meas") if run.record.has("wrench_meas") else np.zeros((len(command), 6))
-    wrench = shifted(reading, scenario.sensor.delay / scenario.tick)
+    late = scenario.sensor.delay / scenario.tick
+    touching = run.survey.touching(len(reading), round(late), GATE_SIGMA * noise)[:, None]  # else the reading is noise: nothing bears
+    wrench = shifted(np.where(touching, reading, 0.0), late)
     rates = run.record.filled("twist_cmd") if run.record.has("twist_cmd") else None
     told = flat_pose(np.vstack([approach_state(scenario)[:7], command[:-1]]))
     path = replay_rig(scenario, command, rates, borne(scenario, wrench), reading)
@@ -63,7 +66,7 @@ def deflection(run: MeasuredRun, noise: float) -> Deflection | None:
     passed = np.zeros(6)
     if noise > 0.0:
         shaken = wrench.copy()
-        shaken[:, :3] += noise * np.random.default_rng(0).standard_normal((len(wrench), 3))
+        shaken[:, :3] += np.where(touching, noise * np.random.default_rng(0).standard_normal((len(wrench), 3)), 0.0)
         noisy = replay_rig(scenario, command, rates, borne(scenario, shaken), reading)
         passed = np.std(flat_pose(noisy) - flat_pose(path), axis=0) if noisy is not None else passed
         doubt = np.hypot(doubt, passed * math.sqrt(max(1.0, _memory(scenario) / scenario.tick)))

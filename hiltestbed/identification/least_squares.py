@@ -6,6 +6,9 @@ On each axis ``F = k x + c v + b``: the intercept b takes up where the touch is,
 The recursion is kept in its information form (L. Ljung, System Identification, 2nd ed. 1999, eq. 11.12): the sums of products are
 updated, and the estimate solved from them. It is the usual recursion with P0 to infinity, so no P0 biases the estimate.
 
+A latch that is alone on an axis is a spring and a damper. Where joints, stops or surfaces that rub share the load it is not: what k and c
+leave of the force is then more than the sensor's noise, and none are given. None are given either where a latched axis hardly moves.
+
 The methods that it is compared with take other samples: the raw force beside the pose of the same tick, or the force after the phase
 lead (the field's usual way), for which a delay is a damping ``-k tau`` that goes into c.
 """
@@ -23,9 +26,10 @@ from hiltestbed.frames import Array
 from hiltestbed.identification.samples import NORMAL, ContactSamples
 
 MINIMUM_SAMPLES = 8
+HELD_REST = 1e-3  # part of the force's variance that k x + c v may leave, beside the noise, on an axis of a latch: 3 % of the force
 MINIMUM_TRAVEL = 1e-6  # [m, rad] standard deviation of x below which an axis is not excited
 EXPLAINED = 0.9  # part of the force's variance that k x + c v must explain, else the axis carries no spring that could be told
-SUMS = 9  # n, x, v, y, xx, xv, vv, xy, vy (yy is kept apart: it only serves the intervals)
+SUMS = 10  # n, x, v, y, xx, xv, vv, xy, vy, yy
 
 
 class RecursiveLeastSquares:
@@ -47,12 +51,12 @@ class RecursiveLeastSquares:
         self._lead = lead
         self.forgetting = np.array(forgetting)
         self._sums = np.zeros((n, 7, SUMS))
-        self._yy = np.zeros((n, 7))
         self._found = np.full((4, n, 7), np.nan)
         self._used = np.zeros((n, 7))
         self.stiffness, self.damping, self.stiffness_sd, self.damping_sd = self._found[:, :, :NORMAL]
         self.samples = self._used[:, :NORMAL]
-        self._steps = np.zeros(n, dtype=np.int64)
+        self._changes = np.zeros(n, dtype=np.int64)
+        self._noise = source.noise**2
 
     @property
     def along_normal(self) -> Array:
@@ -63,70 +67,98 @@ class RecursiveLeastSquares:
         """Take in what was measured at t_k: wrench ``(n, 6)``, pose ``(n, 7)``, twist ``(n, 6)``."""
         source = self.source
         source.take(wrench, pose, twist, self._lead.lead_wrench(wrench) if self._lead else None)
-        _begin_anew(source.steps, self._steps, self._sums, self._yy, self._found, self._used)
-        _accumulate(source.ready, source.ready_normal, source.whole, self.forgetting, self._sums, self._yy, self._used)
-        _solve(source.ready, source.ready_normal, self._sums, self._yy, *self._found)
+        _begin_anew(source.held.changes, self._changes, self._sums, self._found, self._used)
+        _accumulate(source.ready, source.ready_normal, source.whole, self.forgetting, self._sums, self._used)
+        _solve(source.ready, source.ready_normal, source.captured, source.place, self._noise, self._sums, self._found)
 
 
 @njit(cache=True)
-def _begin_anew(steps, before, sums, yy, found, used):
-    """Forget the six axes of the runs in which a phase of capture has begun: the mechanism is another one."""
-    for i in range(steps.shape[0]):
-        if steps[i] == before[i]:
+def _begin_anew(changes, seen, sums, found, used):
+    """Forget the six axes of the runs in which a latch has closed or a phase of capture has begun: the mechanism is another one."""
+    for i in range(changes.shape[0]):
+        if changes[i] == seen[i]:
             continue
-        before[i] = steps[i]
-        sums[i, :NORMAL], yy[i, :NORMAL], used[i, :NORMAL] = 0.0, 0.0, 0.0
+        seen[i] = changes[i]
+        sums[i, :NORMAL], used[i, :NORMAL] = 0.0, 0.0
         found[:, i, :NORMAL] = np.nan
 
 
 @njit(cache=True)
-def _accumulate(ready, ready_normal, sample, forgetting, sums, yy, samples):
+def _accumulate(ready, ready_normal, sample, forgetting, sums, samples):
     for i in range(sample.shape[0]):
         for j in range(7):
             if not (ready[i] if j < NORMAL else ready_normal[i]):
                 continue
-            x, v, one, y = sample[i, j]
-            s = sums[i, j]
-            for c in range(SUMS):
-                s[c] *= forgetting[i]
-            s[0] += one * one
-            s[1] += one * x
-            s[2] += one * v
-            s[3] += one * y
-            s[4] += x * x
-            s[5] += x * v
-            s[6] += v * v
-            s[7] += x * y
-            s[8] += v * y
-            yy[i, j] = forgetting[i] * yy[i, j] + y * y
+            _add(sums[i, j], sample[i, j], forgetting[i])
             samples[i, j] += 1.0
 
 
 @njit(cache=True)
-def _solve(ready, ready_normal, sums, yy, stiffness, damping, stiffness_sd, damping_sd):
+def _add(s, sample, forgetting):
+    x, v, one, y = sample
+    for c in range(SUMS):
+        s[c] *= forgetting
+    s[0] += one * one
+    s[1] += one * x
+    s[2] += one * v
+    s[3] += one * y
+    s[4] += x * x
+    s[5] += x * v
+    s[6] += v * v
+    s[7] += x * y
+    s[8] += v * y
+    s[9] += y * y
+
+
+@njit(cache=True)
+def _variance(j, place, noise):
+    """Of the sensor's noise on an axis, whose torque is that about ``place`` (3,) in P; ``noise`` (2,): variances of force and torque."""
+    if j < 3:
+        return noise[0]
+    return noise[1] + noise[0] * (place[0] ** 2 + place[1] ** 2 + place[2] ** 2 - place[j - 3] ** 2)
+
+
+@njit(cache=True)
+def _about_means(sums):
+    """Number of samples, and sums of x x, x v, v v, x y, v y, y y about the means."""
+    n, x, v, y, xx, xv, vv, xy, vy, yy = sums
+    return n, xx - x * x / n, xv - x * v / n, vv - v * v / n, xy - x * y / n, vy - v * y / n, yy - y * y / n
+
+
+@njit(cache=True)
+def _fit(sums, out):
+    """k, c and their standard deviations into ``out`` (4,), which stays as it is where the axis has not moved.
+
+    Returns the variances of the force, and of what they leave of it, times the number of samples.
+    """
+    if sums[0] < MINIMUM_SAMPLES:
+        return 0.0, 0.0
+    n, xx, xv, vv, xy, vy, total = _about_means(sums)
+    det = xx * vv - xv * xv
+    if xx < n * MINIMUM_TRAVEL**2 or det <= 1e-10 * xx * vv:
+        return 0.0, 0.0
+    k = (vv * xy - xv * vy) / det
+    c = (xx * vy - xv * xy) / det
+    rest = total - k * xy - c * vy
+    variance = max(0.0, rest) / max(1.0, n - 3.0)
+    out[0], out[1] = k, c
+    out[2], out[3] = math.sqrt(variance * vv / det), math.sqrt(variance * xx / det)
+    return total, rest
+
+
+@njit(cache=True)
+def _solve(ready, ready_normal, captured, place, noise, sums, found):
+    out = np.empty(4)
     for i in range(sums.shape[0]):
         for j in range(7):
             if not (ready[i] if j < NORMAL else ready_normal[i]):
                 continue
-            n, x, v, y, xx, xv, vv, xy, vy = sums[i, j]
-            if n < MINIMUM_SAMPLES:
+            total, rest = _fit(sums[i, j], out)
+            held = captured[i] and j < NORMAL
+            if total <= 0.0 and not held:
                 continue
-            xx -= x * x / n
-            xv -= x * v / n
-            vv -= v * v / n
-            xy -= x * y / n
-            vy -= v * y / n
-            det = xx * vv - xv * xv
-            if xx < n * MINIMUM_TRAVEL**2 or det <= 1e-10 * xx * vv:
-                continue
-            k = (vv * xy - xv * vy) / det
-            c = (xx * vy - xv * xy) / det
-            total = yy[i, j] - y * y / n
-            if k * xy + c * vy < EXPLAINED * total:
-                stiffness[i, j] = damping[i, j] = stiffness_sd[i, j] = damping_sd[i, j] = np.nan
-                continue
-            variance = max(0.0, total - k * xy - c * vy) / max(1.0, n - 3.0)
-            stiffness[i, j] = k
-            damping[i, j] = c
-            stiffness_sd[i, j] = math.sqrt(variance * vv / det)
-            damping_sd[i, j] = math.sqrt(variance * xx / det)
+            told = total > 0.0 and total - rest >= EXPLAINED * total
+            if held:
+                told &= rest - sums[i, j, 0] * _variance(j, place[i], noise[i]) <= HELD_REST * (total - rest)
+            for q in range(4):
+                found[q, i, j] = out[q] if told else np.nan

@@ -4,9 +4,10 @@ What is measured at t_k left the contact at t_k - delay, so x and v are taken th
 own filters: nothing is differentiated and no lead is needed. A sample counts when the axial force is above the noise for a while
 before and after it: at touch and at separation the force is clipped, and the filters remember it.
 
-On a plane, and in a mechanism that is latched, the six components of the relative pose are the axes of spring and damper. Anywhere else
-a contact has one axis only, its normal, which moves with the point that touches: penetration, its rate and normal then follow from the
-mechanism's geometry and the pose, and the force is that along the normal, where friction has no part.
+On a plane the six components of the relative pose are the axes of spring and damper. In a mechanism that is latched those of the latched
+place are (:mod:`hiltestbed.identification.held`), and nothing counts that was felt before the latch closed. Anywhere else a contact has one
+axis only, its normal, which moves with the point that touches: penetration, its rate and normal then follow from the mechanism's geometry
+and the pose, and the force is that along the normal, where friction has no part.
 
 A delay that is not known can be estimated from the instant of touch: the pose crosses the nominal touch point at t0, the force rises at
 t0 + delay. That is all that tells it: while the contact lasts, c takes up any error of the delay (``c - k d`` fits as well as ``c``, to
@@ -27,7 +28,8 @@ from hiltestbed.contact.geometry import ROW, SIDE
 from hiltestbed.contact.parameters import LEVER, PARAMETERS
 from hiltestbed.contact.sides import sides_of
 from hiltestbed.contact.wrench import meet_all
-from hiltestbed.frames import Array, rotation_vector
+from hiltestbed.frames import Array
+from hiltestbed.identification.held import HeldPlace, add_moment, referred
 
 if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario
@@ -36,20 +38,23 @@ GATE_SIGMA = 5.0  # contact is where the force exceeds this many standard deviat
 GATE_PEAK = 0.02  # and this part of the peak so far
 NORMAL = 6  # column of the contact's normal, after the six axes
 FILTER_MEMORY = 3.0  # time constants of the low-pass that are left out at both ends of a contact: exp(-3) = 5 % is left
+UNKNOWN = 1e15  # [N, N m] 1 sigma of a force that has passed a lead, or stands beside a pose of another time
 SPARE = 0.03  # [s] that an estimated delay may be longer than the nominal one
 
 
 class ContactSamples:
     """Regressors and force on six axes for ``n`` runs.
 
-    Axes are the components of the relative pose (position of A, rotation vector, both in P) against those of the wrench.
+    Axes are the components of the relative pose (position of A, rotation vector, both in P) against those of the wrench; of a captured
+    pair those of the latched place, with the torque about it.
 
     Attributes:
         ready: ``(n,)`` whether ``sample`` counts; ready_normal: ``(n,)`` whether ``whole[:, NORMAL]`` does.
+        noise: ``(n, 2)`` 1 sigma of force [N] and torque [N m]. place: ``(n, 3)`` [m] in P where the latch acts.
         sample: ``(n, 6, 4)`` x, v and 1 as felt, and the force. whole: ``(n, 7, 4)`` the same with the contact's normal.
         delay: ``(n,)`` [s] of the force, as known or as estimated.
         captured: ``(n,)`` bool, whether the latches hold, which a rig's switches tell: then every sample counts, pulled or pushed.
-        steps: ``(n,)`` how many phases of capture have begun; the mechanism is another one with each.
+        steps: ``(n,)`` how many phases of capture have begun. held: where it is latched, and how often it has become another mechanism.
     """
 
     def __init__(self, scenarios: Sequence[Scenario], aligned: bool = True, estimate: bool = False, lead: Sequence[float] = ()) -> None:
@@ -64,6 +69,8 @@ class ContactSamples:
         self.tick = h
         self.delay = np.array([s.sensor.delay if aligned else 0.0 for s in scenarios])
         self.threshold = np.array([GATE_SIGMA * s.sensor.noise for s in scenarios])
+        known = aligned and not lead
+        self.noise = np.array([[s.sensor.noise, s.sensor.torque_noise] if known else [UNKNOWN] * 2 for s in scenarios])
         lowpass = np.array([0.0 if s.sensor.lowpass is None else 1.0 / (2.0 * math.pi * s.sensor.lowpass) for s in scenarios]) * aligned
         highpass = np.array([math.inf if s.sensor.time_constant is None or not aligned else s.sensor.time_constant for s in scenarios])
         self._smooth = np.array([1.0 if T == 0.0 else 1.0 - math.exp(-h / T) for T in lowpass])
@@ -88,9 +95,11 @@ class ContactSamples:
         self._pending = np.zeros((n, int(self._margin.max()) + 1, 7, 4))
         self._gated = np.zeros(n, dtype=np.int64)
         self._peak = np.zeros(n)
-        self._held = np.zeros(n, dtype=np.int64)  # ticks since the capture
+        self._felt = np.zeros(n, dtype=np.int64)  # ticks since the capture
+        self.held = HeldPlace(scenarios)
         self.captured = np.zeros(n, dtype=bool)
         self._onset = np.full((n, 3), np.nan)  # force and speed at the first contact sample, delay as found then
+        self.place = np.zeros((n, 3))
         self.ready, self.ready_normal = np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)
         self.whole = np.zeros((n, 7, 4))
         self.sample = self.whole[:, :NORMAL]
@@ -99,15 +108,19 @@ class ContactSamples:
     def take(self, wrench: Array, pose: Array, twist: Array, led: Array | None = None) -> None:
         """Take in what was measured at t_k: wrench ``(n, 6)``, pose ``(n, 7)``, twist ``(n, 6)``; ``led``: the wrench to be explained."""
         k = int(self._clock[0])
-        _remember(k, pose, twist, self._x, self._v)
+        self.held.update(pose, self.captured, self.steps)
+        _remember(k, pose, twist, self.held.lever, self.held.reference, self._x, self._v)
         if self._known:
             _meet(k, *self._geometry, pose, twist, self._x, self._v, self._normal)
-        _gate(wrench, self.threshold, self.captured, self.delay, self.tick, self._held, self._peak, self._gated)
+        _gate(wrench, self.threshold, self.captured, self.delay, self.tick, self._felt, self._peak, self._gated)
         if self._estimate:
             _find_delay(k, self.tick, self._longest, wrench, self._x, self._v, self._gated, self.delay, self._onset)
-        late = (self._x, self._v, self._normal, self.delay, self.tick, self._held_rate, self._gated)
-        _sample(k, wrench if led is None else led, *late, self._smooth, self._leak, self._filter, self._pending)
-        _choose(k, self._margin, self._gated, self._held, self._flat, self._known, self._pending, self.ready, self.ready_normal, self.whole)
+        late = (self._x, self._v, self._normal, self.delay, self.tick, self._held_rate, self._gated, self.captured, self.held.origin)
+        _sample(k, wrench if led is None else led, *late, self.place, self._smooth, self._leak, self._filter, self._pending)
+        _choose(
+            k, self.tick, self.delay, self._margin, self._gated, self._felt, self.held.changes, self.held.since, self._flat, self._known,
+            self._pending, self.ready, self.ready_normal, self.whole,
+        )  # fmt: skip
         self._clock[0] = k + 1
 
     def delay_sd(self, stiffness: Array) -> Array:
@@ -123,14 +136,10 @@ class ContactSamples:
 
 
 @njit(cache=True)
-def _remember(k, pose, twist, x, v):
+def _remember(k, pose, twist, lever, reference, x, v):
     slot = k % x.shape[1]
     for i in range(pose.shape[0]):
-        for j in range(3):
-            x[i, slot, j] = pose[i, j]
-        rotation_vector(pose[i, 3:7], x[i, slot, 3:6])
-        for j in range(6):
-            v[i, slot, j] = twist[i, j]
+        referred(pose[i], twist[i], lever[i], reference[i], x[i, slot], v[i, slot])
         if k == 0:  # before the start the approach is uniform; no force is felt from then
             for s in range(x.shape[1]):
                 x[i, s] = x[i, slot]
@@ -160,10 +169,11 @@ def _meet(k, index, values, pose, twist, x, v, normal):
 
 
 @njit(cache=True)
-def _sample(k, wrench, x, v, normal, delay, h, held_rate, gated, smooth, leak, memory, pending):
+def _sample(k, wrench, x, v, normal, delay, h, held_rate, gated, captured, origin, place, smooth, leak, memory, pending):
     """x, v and 1 at t_k - delay while in contact, else 0, through the sensor's filters, beside the force read at t_k."""
     length = x.shape[1]
     slot = k % pending.shape[1]
+    f = np.empty(6)
     for i in range(wrench.shape[0]):
         ticks = delay[i] / h
         whole = int(math.floor(ticks))
@@ -173,6 +183,9 @@ def _sample(k, wrench, x, v, normal, delay, h, held_rate, gated, smooth, leak, m
         for j in range(7):
             position = (1.0 - part) * x[i, late, j] + part * x[i, early, j]
             rate = v[i, late, j] if held_rate else (1.0 - part) * v[i, late, j] + part * v[i, early, j]
+            if captured[i] and j < 3:
+                place[i, j] = position
+                position -= origin[i, j]
             for c in range(3):
                 u = 0.0 if gated[i] == 0 else position if c == 0 else rate if c == 1 else 1.0
                 before = memory[i, j, c, 0]
@@ -183,18 +196,25 @@ def _sample(k, wrench, x, v, normal, delay, h, held_rate, gated, smooth, leak, m
                 else:
                     pending[i, slot, j, c] = memory[i, j, c, 0]
         pending[i, slot, NORMAL, 3] = 0.0
+        f[:] = wrench[i]
+        if captured[i]:
+            add_moment(-1.0, place[i], f)
         for j in range(6):
-            pending[i, slot, j, 3] = wrench[i, j]
+            pending[i, slot, j, 3] = f[j]
             if j < 3:
                 pending[i, slot, NORMAL, 3] += wrench[i, j] * ((1.0 - part) * normal[i, late, j] + part * normal[i, early, j])
 
 
 @njit(cache=True)
-def _choose(k, margin, gated, held, flat, known, pending, ready, ready_normal, sample):
-    """The sample of ``margin`` (n,) ticks ago, which counts when the contact has lasted as long before it and since."""
+def _choose(k, h, delay, margin, gated, held, changes, since, flat, known, pending, ready, ready_normal, sample):
+    """The sample of ``margin`` (n,) ticks ago, which counts when the contact has lasted as long before it and since.
+
+    On the six axes it must have lasted as the mechanism that it is now, and it was felt a delay ago.
+    """
     for i in range(gated.shape[0]):
         lasted = gated[i] >= 2 * margin[i] + 1
-        ready[i] = lasted and (flat[i] or held[i] > 0)
+        same = changes[i] == 0 or since[i] >= 2 * margin[i] + 1 + math.ceil(delay[i] / h)
+        ready[i] = lasted and same and (flat[i] or held[i] > 0)
         ready_normal[i] = lasted and known and held[i] == 0
         sample[i] = pending[i, (k - margin[i]) % pending.shape[1]]
 

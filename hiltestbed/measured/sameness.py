@@ -27,7 +27,8 @@ def copies_and_constants(record: Record, found: Survey, scenario: Scenario) -> I
 
 
 def _copied_groups(record: Record, scenario: Scenario) -> Iterator[Remark]:
-    pairs = [("pose_act", "pose_cmd", "the reached pose is the commanded one in every row")]
+    commanded = not scenario.rig.platform.physical  # bodies that move by themselves are told nothing
+    pairs = [("pose_act", "pose_cmd", "the reached pose is the commanded one in every row")] if commanded else []
     given = compensated(record, scenario)
     if given is not None and not np.allclose(given, record.data["wrench_meas"], rtol=1e-9, atol=1e-12):
         pairs.append(("wrench_comp", "wrench_meas", f"though the scenario compensates ({scenario.compensation.force.kind})"))

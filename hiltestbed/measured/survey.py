@@ -47,6 +47,14 @@ class Survey:
     excited: tuple[str, ...]
     phase: float
 
+    def touching(self, rows: int, late: int, least: float = 0.0) -> np.ndarray:
+        """``(rows,)`` bool: in a contact of ``least`` [N] or more, or a sensor that is ``late`` [ticks] still shows it."""
+        out = np.zeros(rows, dtype=bool)
+        for c in self.contacts:
+            if c.peak_force is None or c.peak_force >= least:
+                out[max(0, c.start - 2) : c.end + late + 3] = True
+        return out
+
 
 def look(record: Record, scenario: Scenario) -> Survey:
     """Noise, contacts and excitation of a record."""

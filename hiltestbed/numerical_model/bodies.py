@@ -47,6 +47,17 @@ def effective_mass(scenario: Scenario) -> float:
     return float(1.0 / total)
 
 
+def rest_inertia(mass: float, inertia: Array, ratio: Array | Sequence[float], place: Array) -> Array:
+    """``(3, 3)`` about its own centre of mass of what is left of a body without the parts ``ratio`` (S,) of its mass at ``place`` (S, 3).
+
+    Steiner: the body's ``inertia`` (3, 3) [kg m^2] about its centre of mass is that of the rest and of all points together.
+    """
+    ratio = np.asarray(ratio)
+    centre = -ratio @ place / (1.0 - ratio.sum())
+    points, weights = np.vstack([place, centre]), mass * np.append(ratio, 1.0 - ratio.sum())
+    return inertia - sum(m * (p @ p * np.eye(3) - np.outer(p, p)) for m, p in zip(weights, points, strict=True))
+
+
 def pair_momentum(mass: Array, inertia: Array, q: Array, v: Array) -> Array:
     """Linear [kg m/s] and angular [N m s] momentum of both bodies together, about the inertial origin.
 

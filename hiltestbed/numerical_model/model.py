@@ -13,12 +13,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
-from hiltestbed.frames import Array, pose_step
-from hiltestbed.numerical_model.bodies import approach_state, inertia_matrix, port_pose
+from hiltestbed.errors import InputError
+from hiltestbed.frames import Array, cross, pose_step, rotate, rotate_back
+from hiltestbed.numerical_model.bodies import approach_state, inertia_matrix, port_pose, rest_inertia
 from hiltestbed.numerical_model.free_flyers import FreeFlyers
 from hiltestbed.numerical_model.kernels import load_wrench, move, place_at_start, relative_states
-from hiltestbed.numerical_model.parameters import DAMPING, RATIO, STIFFNESS, Departures, DynamicsParameters, stack
+from hiltestbed.numerical_model.parameters import BODIES, DAMPING, PLACE, RATIO, STIFFNESS, Departures, DynamicsParameters, stack
 
 if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario
@@ -29,7 +31,8 @@ class NumericalModel:
 
     Attributes:
         mass: ``(n, 2)``, inertia: ``(n, 2, 3, 3)``, port: ``(n, 2, 7)`` as believed: a compensation that keeps a copy builds it from them.
-        q: ``(n, 2, 7)`` pose of the chaser's and the target's centre of mass in the inertial frame.
+        q: ``(n, 2, 7)`` pose of the chaser's and the target's centre of mass in the inertial frame; of a body with an appendage at a place
+            of its own that of the rest of it.
         v: ``(n, 2, 6)`` linear velocity in the inertial frame, angular velocity in the body frame.
         pose: ``(n, 7)`` pose of A in P that is handed on. twist: ``(n, 6)`` velocity of A relative to P, in P.
     """
@@ -57,7 +60,9 @@ class NumericalModel:
         self._appendage = d.appendage
         self._whole = self.mass * d.mass
         self._rigid = self._whole * (1.0 - d.appendage[..., RATIO].sum(axis=-1))
-        self._inertia = self.inertia * d.inertia[..., None, None]
+        self._placed = hung_at_a_place(d.appendage)
+        self._rest, self._inertia = rests(d.appendage, self._whole, self.inertia * d.inertia[..., None, None])
+        self._port[..., :3] -= self._rest
         self._swing = np.zeros((*d.appendage.shape[:3], 2, 3))
         self._swings = bool(d.appendage[..., RATIO].any())
         self._explicit = d.explicit if d.explicit.any() else None
@@ -73,15 +78,32 @@ class NumericalModel:
     def reset(self) -> None:
         """Target at rest with P at the inertial origin; chaser where and as fast as ``approach`` says."""
         place_at_start(self._approach, self._port, self.q, self.v)
+        self._swing[:] = 0.0
+        hang(self._appendage, self._placed, self._rest, self.q, self.v, self._swing)
         relative_states(self.q, self.v, self._port, self.pose, self.twist)
         if self._late is not None:
             run_back(self.pose, self.twist, self.tick, self._handed)
+
+    def believed_start(self) -> tuple[Array, Array]:
+        """``q`` and ``v`` at t = 0 of the bodies as they are believed to be."""
+        q, v = np.zeros_like(self.q), np.zeros_like(self.v)
+        place_at_start(self._approach, self.port, q, v)
+        return q, v
+
+    def centres(self) -> Array:
+        """``(n, 2, 7)`` poses of the bodies at the centres of mass of the whole of them, appendages at rest."""
+        if not self._placed.any():
+            return self.q
+        out = self.q.copy()
+        leave_rest(self._rest, out)
+        return out
 
     def advance(self, wrench: Array) -> None:
         """One step under ``wrench`` ``(n, 6)``, active on passive, in P at P's origin: twists, then poses."""
         load_wrench(self.q, self._port, wrench, self._tau)
         if self._swings:
-            swing(self._appendage, self._whole, self._rigid, self.tick, self._swing, self._tau)
+            bodies = (self._whole, self._rigid, self._placed, self._rest, self.q, self.v)
+            swing(self._appendage, *bodies, self.tick, self._swing, self._tau)
         if self._explicit is not None:
             self._before[:] = self.v
         self.flyers.accelerate(self.q, self.v, self._tau, self.tick)
@@ -114,15 +136,72 @@ def hand_on(k, late, handed, pose, twist):
         twist[i] = handed[i, (k - late[i]) % length, 7:13]
 
 
+def hung_at_a_place(appendage: Array) -> NDArray[np.bool_]:
+    """``(n, 2)`` bodies on which an appendage ``(n, 2, S, APPENDAGE)`` hangs elsewhere than at the centre of mass."""
+    return (appendage[..., PLACE:] != 0.0).any(axis=(-1, -2))
+
+
+def rests(appendage: Array, whole: Array, inertia: Array) -> tuple[Array, Array]:
+    """Centres (n, 2, 3) [m], from those of the bodies, and inertias (n, 2, 3, 3) of what is left of bodies without their appendages.
+
+    A body of mass ``whole`` (n, 2) and ``inertia`` (n, 2, 3, 3) is what is believed of it with its appendages at rest. Raises InputError
+    where they take more inertia than it has.
+    """
+    centre, left = np.zeros((*whole.shape, 3)), inertia.copy()
+    for i, b in np.argwhere(hung_at_a_place(appendage)):
+        ratio, place = appendage[i, b, :, RATIO], appendage[i, b, :, PLACE:]
+        left[i, b] = rest_inertia(float(whole[i, b]), inertia[i, b], ratio, place) if ratio.sum() < 1.0 else -inertia[i, b]
+        if np.linalg.eigvalsh(left[i, b]).min() <= 0.0:
+            raise InputError(
+                f"effects: dynamics.appendage: the appendages of the {BODIES[b]} take more inertia than it has; "
+                "hang them nearer to its centre of mass, or lighter"
+            )
+        centre[i, b] = -ratio @ place / (1.0 - ratio.sum())
+    return centre, left
+
+
 @njit(cache=True)
-def swing(appendage, whole, rigid, h, swing, tau):
+def leave_rest(rest, q):
+    """Move the poses ``q`` (n, 2, 7) from the centres of the rests, ``rest`` (n, 2, 3) in body axes, to those of the whole bodies."""
+    arm = np.empty(3)
+    for i in range(q.shape[0]):
+        for b in range(2):
+            rotate(q[i, b, 3:7], rest[i, b], arm)
+            for j in range(3):
+                q[i, b, j] -= arm[j]
+
+
+@njit(cache=True)
+def hang(appendage, placed, rest, q, v, swing):
+    """At the start appendages with a place of their own are at rest there: ``swing`` (n, 2, S, 2, 3) is place and velocity, inertial."""
+    arm, turn, u = np.empty(3), np.empty(3), np.empty(3)
+    for i in range(q.shape[0]):
+        for b in range(2):
+            for s in range(appendage.shape[2] if placed[i, b] else 0):
+                for j in range(3):
+                    arm[j] = appendage[i, b, s, PLACE + j] - rest[i, b, j]
+                rotate(q[i, b, 3:7], arm, arm)
+                rotate(q[i, b, 3:7], v[i, b, 3:6], turn)
+                cross(turn, arm, u)
+                for j in range(3):
+                    swing[i, b, s, 0, j] = q[i, b, j] + arm[j]
+                    swing[i, b, s, 1, j] = v[i, b, j] + u[j]
+
+
+@njit(cache=True)
+def swing(appendage, whole, rigid, placed, rest, q, v, h, swing, tau):
     """Add what the appendages do to their bodies to ``tau`` (n, 2, 6), and advance them: velocity first, then displacement.
 
-    swing: (n, 2, S, 2, 3) displacement [m] and velocity [m/s] of each appendage relative to its body, in inertial axes.
+    swing: (n, 2, S, 2, 3) displacement [m] and velocity [m/s] of each appendage relative to its body, in inertial axes; where one of a
+    body is ``placed`` (n, 2), place and velocity of its own. rest: (n, 2, 3) centre of mass of the rest in a body, at ``q`` (n, 2, 7)
+    with the velocity ``v`` (n, 2, 6).
     """
     acceleration = np.empty(3)
     for i in range(tau.shape[0]):
         for b in range(2):
+            if placed[i, b]:
+                _swing_at(appendage[i, b], whole[i, b], rest[i, b], q[i, b], v[i, b], h, swing[i, b], tau[i, b])
+                continue
             for s in range(appendage.shape[2]):
                 a = appendage[i, b, s]
                 for j in range(3):
@@ -133,6 +212,33 @@ def swing(appendage, whole, rigid, h, swing, tau):
                 a = appendage[i, b, s]
                 if a[RATIO] > 0.0:
                     for j in range(3):
-                        q = swing[i, b, s]
-                        q[1, j] -= h * (a[STIFFNESS] * q[0, j] + a[DAMPING] * q[1, j] + acceleration[j])
-                        q[0, j] += h * q[1, j]
+                        m = swing[i, b, s]
+                        m[1, j] -= h * (a[STIFFNESS] * m[0, j] + a[DAMPING] * m[1, j] + acceleration[j])
+                        m[0, j] += h * m[1, j]
+
+
+@njit(cache=True)
+def _swing_at(appendage, whole, rest, q, v, h, swing, tau):
+    """The appendages of a body that hang at places of their own: force and its reaction act in one line, where the mass is.
+
+    The damper knows the velocity of the mass relative to the point of the body that is there. Linear momentum is kept to a bit, and so is
+    the angular momentum of the whole, but for what the step of the rest's spin loses.
+    """
+    away, arm, turn, drift, push, torque = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    rotate(q[3:7], v[3:6], turn)
+    for s in range(appendage.shape[0]):
+        a, m = appendage[s], swing[s]
+        for j in range(3):
+            arm[j] = a[PLACE + j] - rest[j]
+            away[j] = m[0, j] - q[j]
+        rotate(q[3:7], arm, arm)
+        cross(turn, away, drift)
+        for j in range(3):
+            push[j] = a[STIFFNESS] * (away[j] - arm[j]) + a[DAMPING] * (m[1, j] - v[j] - drift[j])
+        cross(away, push, torque)
+        rotate_back(q[3:7], torque, torque)
+        for j in range(3):
+            tau[j] += a[RATIO] * whole * push[j]
+            tau[3 + j] += a[RATIO] * whole * torque[j]
+            m[1, j] -= h * push[j]
+            m[0, j] += h * m[1, j]

@@ -11,7 +11,8 @@ from hiltestbed.effects.base import Effect
 from hiltestbed.frames import Array
 
 BODIES = ("chaser", "target")
-RATIO, STIFFNESS, DAMPING, APPENDAGE = 0, 1, 2, 3  # columns of an appendage: mass ratio, k/m_a [1/s^2], d/m_a [1/s]
+RATIO, STIFFNESS, DAMPING, PLACE, APPENDAGE = 0, 1, 2, 3, 6  # columns of an appendage: mass ratio, k/m_a [1/s^2], d/m_a [1/s], place [m]
+Appendage = tuple[float, ...]  # those columns
 
 
 @dataclass
@@ -20,14 +21,14 @@ class DynamicsParameters:
 
     Attributes:
         mass, inertia: (2,) factors on chaser and target. port: (2, 3) offset of the port in body axes [m].
-        appendages: of chaser and of target, each (mass ratio, k/m_a [1/s^2], d/m_a [1/s]).
+        appendages: of chaser and of target, each (mass ratio, k/m_a [1/s^2], d/m_a [1/s], place in body axes [m]).
         late: whole ticks. explicit: pose with the old twist.
     """
 
     mass: Array = field(default_factory=lambda: np.ones(2))
     inertia: Array = field(default_factory=lambda: np.ones(2))
     port: Array = field(default_factory=lambda: np.zeros((2, 3)))
-    appendages: tuple[list[tuple[float, float, float]], list[tuple[float, float, float]]] = field(default_factory=lambda: ([], []))
+    appendages: tuple[list[Appendage], list[Appendage]] = field(default_factory=lambda: ([], []))
     late: int = 0
     explicit: bool = False
 
@@ -62,7 +63,7 @@ class Departures:
 def stack(models: Sequence[DynamicsParameters]) -> Departures:
     """Several models as arrays with the run as leading axis."""
     most = max(len(part) for m in models for part in m.appendages)
-    none = (0.0, 0.0, 0.0)
+    none = (0.0,) * APPENDAGE
     swinging = [[[*part, *[none] * (most - len(part))] for part in m.appendages] for m in models]
     return Departures(
         mass=np.array([m.mass for m in models]),

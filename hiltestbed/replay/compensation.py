@@ -77,7 +77,7 @@ def replay_compensation(
     wrench = np.zeros((n, 6))
     measurement = Measurement(
         wrench, np.zeros((n, 7)), np.zeros((n, 6)), estimate.stiffness if estimate else unknown, estimate.damping if estimate else unknown,
-        captured,
+        captured, *([estimate.source.held.lever] if estimate else []),
     )  # fmt: skip
     out = np.empty((n, rows, 6))
     for k in range(rows):

@@ -11,7 +11,7 @@ from numba import njit
 from hiltestbed.frames import Array
 from hiltestbed.numerical_model.bodies import approach_state, inertia_matrix, port_pose
 from hiltestbed.numerical_model.kernels import load_wrench, move, newton_euler, place_at_start, relative_states
-from hiltestbed.numerical_model.model import hand_on, run_back, swing
+from hiltestbed.numerical_model.model import hand_on, hang, hung_at_a_place, rests, run_back, swing
 from hiltestbed.numerical_model.parameters import RATIO, Departures
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ def replay_model(model: Departing, wrench: Array, run: np.ndarray) -> Array:
     swinging = np.zeros((*d.appendage.shape[:3], 2, 3))
     _replay_model(
         wrench, np.asarray(run), model.approach, model.port, model.whole, model.rigid, model.inertia, np.linalg.inv(model.inertia),
-        model.tick, d.appendage, d.explicit, d.late, q, v, tau, swinging, handed, out,
+        model.tick, d.appendage, model.placed, model.rest, d.explicit, d.late, q, v, tau, swinging, handed, out,
     )  # fmt: skip
     return out
 
@@ -41,6 +41,7 @@ class Departing:
 
     Attributes:
         approach: (L, 13). port: (L, 2, 7). whole, rigid: (L, 2) mass with and without appendages. inertia: (L, 2, 3, 3). tick: [s].
+        placed, rest: (L, 2), (L, 2, 3) see :func:`~hiltestbed.numerical_model.model.rests`; port and inertia are those of the rests.
     """
 
     def __init__(self, scenarios: Sequence[Scenario], departures: Departures) -> None:
@@ -52,23 +53,27 @@ class Departing:
         self.whole = np.array([[b.mass for b in pair] for pair in bodies]) * departures.mass
         self.rigid = self.whole * (1.0 - departures.appendage[..., RATIO].sum(axis=-1))
         inertia = np.array([[inertia_matrix(b.inertia) for b in pair] for pair in bodies])
-        self.inertia = inertia * departures.inertia[..., None, None]
+        self.placed = hung_at_a_place(departures.appendage)
+        self.rest, self.inertia = rests(departures.appendage, self.whole, inertia * departures.inertia[..., None, None])
+        self.port[..., :3] -= self.rest
 
 
 @njit(cache=True)
 def _replay_model(
-    wrench, run, approach, port, whole, rigid, inertia, inverse, h, appendage, explicit, late, q, v, tau, swinging, handed, out
-):
+    wrench, run, approach, port, whole, rigid, inertia, inverse, h, appendage, placed, rest, explicit, late, q, v, tau, swinging,
+    handed, out,
+):  # fmt: skip
     n = len(run)
     pose, twist, push, before = np.empty((n, 7)), np.empty((n, 6)), np.empty((n, 6)), np.empty((n, 2, 6))
     place_at_start(approach, port, q, v)
+    hang(appendage, placed, rest, q, v, swinging)
     relative_states(q, v, port, pose, twist)
     run_back(pose, twist, h, handed)
     for k in range(wrench.shape[1]):
         for i in range(n):
             push[i] = wrench[run[i], k]
         load_wrench(q, port, push, tau)
-        swing(appendage, whole, rigid, h, swinging, tau)
+        swing(appendage, whole, rigid, placed, rest, q, v, h, swinging, tau)
         before[:] = v
         newton_euler(rigid, inertia, inverse, tau, h, v)
         for i in range(n):

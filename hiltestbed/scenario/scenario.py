@@ -23,6 +23,7 @@ from hiltestbed.identification.settings import IDENTIFIERS, AnyIdentifier
 from hiltestbed.numerical_model.settings import MODELS, AnyModel
 from hiltestbed.platform.settings import Rig
 from hiltestbed.scenario.checks import problems
+from hiltestbed.scenario.monitoring import Monitoring
 from hiltestbed.scenario.safety import Safety
 from hiltestbed.scenario.spacecraft import Approach, Spacecraft
 from hiltestbed.sensor.settings import Sensor
@@ -57,6 +58,9 @@ class Scenario(Strictly):
     identification: AnyIdentifier = Field(
         default_factory=lambda: IDENTIFIERS["rls"](kind="rls"),
         description="How stiffness and damping are estimated while the contact lasts",
+    )
+    monitoring: Monitoring | None = Field(
+        default=None, description="Touch, seat, capture and wear as the identification tells them; null: not watched"
     )
     safety: Safety = Field(default=Safety(), description="Limits past which the run stops; null: not watched")
     devices: Devices = Field(default=Devices(), description="Real devices in the place of the simulated rig, for live, emulate, commission")

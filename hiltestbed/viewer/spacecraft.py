@@ -43,7 +43,7 @@ def body_poses(scenario: Scenario, rows: NDArray[np.intp], pose_cmd: Array, wren
         model.tick = ticks / scenario.rate
         model.advance(((total[row + 1] - total[done]) / ticks)[None])
         done += ticks
-        out[TARGET, f] = model.q[0, TARGET]
+        out[TARGET, f] = model.centres()[0, TARGET]
     _place_chaser(out[TARGET], model.port[0], pose_cmd[rows], out[CHASER])
     return out
 

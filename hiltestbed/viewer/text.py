@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from hiltestbed.assessment import assess
+from hiltestbed.assessment import assess, monitored
 from hiltestbed.result import Run
 
 
@@ -23,6 +23,8 @@ def figures(run: Run) -> str:
     if "outcome" in summary:
         lines.append(f"| outcome | {summary['outcome'].replace('_', ' ')} |")
     lines += [f"| {name} | {_number(value, unit)} |" for name, value, unit in rows]
+    if (seen := monitored(summary)) is not None:
+        lines.append(f"| process monitoring | {' '.join(seen)} |")
     if summary["status"] != "completed":
         lines += ["", f"**{summary['status']}**: {summary['stop_reason']}"]
     lines += ["", f"Energy: {assess(summary).energy}.", *(f"**Warning:** {warning}." for warning in assess(summary).warnings)]

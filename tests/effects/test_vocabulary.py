@@ -62,7 +62,7 @@ VOCABULARY: dict[str, dict[str, str | None]] = {
     "dynamics.mass": {"factor": "-", "body": None},
     "dynamics.inertia": {"factor": "-", "body": None},
     "dynamics.port_offset": {"offset": "m", "body": None},
-    "dynamics.appendage": {"mass_ratio": "-", "frequency": "Hz", "damping_ratio": "-", "body": None},
+    "dynamics.appendage": {"mass_ratio": "-", "frequency": "Hz", "damping_ratio": "-", "body": None, "place": "m"},
     "dynamics.step_delay": {"ticks": "-"},
     "dynamics.integrator": {"scheme": None},
     "loop.deadzone": {"width": "N"},

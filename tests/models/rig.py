@@ -201,6 +201,7 @@ class Rig:
         normal, nearest = np.zeros(3), local.copy()
         if f.half > 0.0:
             d = segment_distance(f.surface, local - along, local + along, f.radius, normal, nearest)
+            d += FACET if d >= f.radius else 0.0  # beyond its reach it gives the reach itself, where ball and facet would just touch
         else:
             d = signed_distance(f.surface, local, math.inf, normal)
         body = self.model.geom_bodyid

@@ -29,6 +29,10 @@ def test_the_recorded_wrench_takes_the_model_where_the_loop_was(tracking: str, f
 
 def test_every_effect_of_the_numerical_model_acts_in_the_replay_as_in_the_loop() -> None:
     both = [[example(k)] for k in DYNAMICS] + [[example(k) for k in DYNAMICS], [example("dynamics.appendage")] * 2]
+    both += [
+        [example("dynamics.appendage") | {"place": [0.3, -0.2, 0.1]}],
+        [example("dynamics.appendage") | {"place": [0.3, 0.0, 0.2]}] * 2,
+    ]
     recorded = record([scenario("bumper with friction", changes={"effects": effects}) for effects in both])
     assert np.abs(replayed(recorded) - recorded["pose_cmd"]).max() < ROUND_OFF
     shown = np.abs(replayed(recorded, effects=False) - recorded["pose_cmd"]).max(axis=(1, 2))

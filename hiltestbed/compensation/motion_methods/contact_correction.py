@@ -10,11 +10,13 @@ from __future__ import annotations
 
 from typing import ClassVar, Literal
 
+import numpy as np
 from numba import njit
 
 from hiltestbed.compensation.measurement import Measurement
 from hiltestbed.compensation.settings import Input, MotionMethod
-from hiltestbed.frames import Array, twist_between
+from hiltestbed.frames import Array, rotate, twist_between
+from hiltestbed.identification.held import add_moment
 from hiltestbed.plugins import register
 
 
@@ -34,16 +36,35 @@ def correct_for_platform(measurement: Measurement, pose: Array, twist: Array, wr
     Axes without an estimate stay as they are.
     """
     m = measurement
-    _correct(pose, twist, m.wrench, m.pose, m.twist, m.stiffness, m.damping, wrench)
+    _correct(pose, twist, m.wrench, m.pose, m.twist, m.stiffness, m.damping, m.captured, m.lever, wrench)
 
 
 @njit(cache=True)
-def _correct(pose, twist, reading, pose_act, twist_act, stiffness, damping, wrench):
-    offset = wrench[0] * 0.0
+def _correct(pose, twist, reading, pose_act, twist_act, stiffness, damping, captured, lever, wrench):
+    offset, speed, force = np.empty(6), np.empty(6), np.empty(6)
+    at = np.empty(3)
     for i in range(wrench.shape[0]):
         if reading[i, 2] <= 0.0:
             continue
         twist_between(pose_act[i], pose[i], 1.0, offset)
+        speed[:] = twist[i] - twist_act[i]
+        rotate(pose_act[i, 3:7], lever[i], at)
+        _move(at, offset)
+        _move(at, speed)
+        force[:] = 0.0
         for j in range(6):
             if stiffness[i, j] > 0.0:
-                wrench[i, j] += stiffness[i, j] * offset[j] + damping[i, j] * (twist[i, j] - twist_act[i, j])
+                force[j] = stiffness[i, j] * offset[j] + damping[i, j] * speed[j]
+        if captured[i]:
+            for j in range(3):
+                at[j] += pose_act[i, j]
+            add_moment(1.0, at, force)
+        wrench[i] += force
+
+
+@njit(cache=True)
+def _move(at, twist):
+    """Take a ``twist`` (6,), or a small shift and turn, to the point ``at`` (3,) from where it is."""
+    twist[0] += twist[4] * at[2] - twist[5] * at[1]
+    twist[1] += twist[5] * at[0] - twist[3] * at[2]
+    twist[2] += twist[3] * at[1] - twist[4] * at[0]

@@ -1,8 +1,8 @@
 """Compensation while the latches hold: all six axes push and pull at once, so there is no one line along which to predict.
 
-On each axis ``F = F_meas + k (x - x') + c (v - v')`` with k and c as identified so far, x and v the pose that the rig reached now and
-(primed) when the force was felt; an axis without an estimate passes the first-order phase lead. What is linear and identified is
-reconstructed exactly, and nothing has to be known of when the contact began.
+On each axis of the latched place ``F = F_meas + k (x - x') + c (v - v')`` with k and c as identified so far, x and v the pose that the rig
+reached now and (primed) when the force was felt, the torque being that about the place; an axis without an estimate passes the first-order
+phase lead. What is linear and identified is reconstructed exactly, and nothing has to be known of when the contact began.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from hiltestbed.compensation.force_methods.phase_lead import PhaseLeadBlock
 from hiltestbed.compensation.history import History
 from hiltestbed.compensation.measurement import Measurement
 from hiltestbed.frames import Array, rotation_vector
+from hiltestbed.identification.held import UNTURNED, add_moment, referred
 
 if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario
@@ -37,12 +38,11 @@ class CapturedContact:
     def take_over(self, measurement: Measurement, wrench: Array) -> None:
         """Replace the rows of ``wrench`` ``(n, 6)`` of those runs that are captured; call at every tick."""
         led = self._lead.compensate(measurement)
-        observe(measurement.pose, measurement.twist, self._state)
+        m = measurement
+        _observe_held(m.pose, m.twist, m.lever, UNTURNED, self._state)
         self._states.remember(self._state)
         self._states.before(self._ticks, self._late)
-        _reconstruct(
-            measurement.captured, measurement.wrench, led, self._state, self._late, measurement.stiffness, measurement.damping, wrench
-        )
+        _reconstruct(m.captured, m.wrench, led, self._state, self._late, m.stiffness, m.damping, wrench)
 
 
 @njit(cache=True)
@@ -57,10 +57,22 @@ def observe(pose, twist, out):
 
 
 @njit(cache=True)
+def _observe_held(pose, twist, lever, reference, out):
+    """``out`` (n, 12): as :func:`observe`, of the latched place."""
+    for i in range(pose.shape[0]):
+        referred(pose[i], twist[i], lever[i], reference, out[i, 0:6], out[i, 6:12])
+
+
+@njit(cache=True)
 def _reconstruct(captured, measured, led, now, late, stiffness, damping, wrench):
+    felt, ahead = np.empty(6), np.empty(6)
     for i in range(captured.shape[0]):
         if captured[i]:
+            felt[:], ahead[:] = measured[i], led[i]
+            add_moment(-1.0, late[i], felt)
+            add_moment(-1.0, now[i], ahead)
             for j in range(6):
                 k, c = stiffness[i, j], damping[i, j]
                 change = k * (now[i, j] - late[i, j]) + c * (now[i, 6 + j] - late[i, 6 + j])
-                wrench[i, j] = led[i, j] if np.isnan(k) else measured[i, j] + change
+                wrench[i, j] = ahead[j] if np.isnan(k) else felt[j] + change
+            add_moment(1.0, now[i], wrench[i])

@@ -124,7 +124,7 @@ class ResynchronisedDrive:
             measurement.wrench, measurement.pose, measurement.twist, self.ahead_pose, self.ahead_twist, self._predicted,
         )  # fmt: skip
         _follow(
-            model.tick, self._bodies, self._setup.blend, model.q, model.pose, model.twist,
+            model.tick, self._bodies, self._setup.blend, model.centres(), model.pose, model.twist,
             self.ahead_pose, self.ahead_twist, self._predicted, self.wrench,
         )  # fmt: skip
         if self._captured:
@@ -162,12 +162,13 @@ def _state(scenarios: Sequence[Scenario], model: NumericalModel, late: int) -> S
     length = HISTORY + 2 * spare
     line = np.zeros((n, 3, 6))
     line[:, 0, 2] = 1.0
+    q, v = model.believed_start()
     tick = np.zeros((n, TICK), dtype=np.int64)
     tick[:, ANCHOR] = -1
     return State(
         tick=tick,
-        q=np.stack([model.q, model.q], axis=1),
-        v=np.stack([model.v, model.v], axis=1),
+        q=np.stack([q, q], axis=1),
+        v=np.stack([v, v], axis=1),
         wrench=np.zeros((n, length, 6)),
         x=np.zeros((n, length, 6)),
         rate=np.zeros((n, length, 6)),

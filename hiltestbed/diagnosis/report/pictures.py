@@ -156,15 +156,19 @@ def heldout_bars(heldout: Heldout) -> Figure:
 
 def learned_curves(learned: Learned) -> Figure:
     """The curves of a learned law over the samples that each was fitted to."""
-    names = {"penetration": "penetration", "rate": "rate of penetration", "stretch": "stretch of the slider", "reading": "what is felt"}
+    over = {
+        "penetration": ("penetration", "force added"), "rate": ("rate", "force added"), "stretch": ("stretch of the slider", "force added"),
+        "spring": ("penetration", "part of the spring added"), "spring_rate": ("rate", "part of the spring added"),
+        "reading": ("felt", "shown"),
+    }  # fmt: skip
     figure, grid = new_figure(3.3 * len(learned.curves) + 0.6, 3.2, nrows=1, ncols=len(learned.curves), squeeze=False)
     for axes, curve in zip(grid[0], learned.curves, strict=True):
         factor, unit = (1e3, f"m{curve.units[0]}") if curve.units[0].startswith("m") else (1.0, curve.units[0])
         axes.plot(factor * curve.data[:, 0], curve.data[:, 1], ".", ms=1.5, color=MEASURED, alpha=0.3, label="data")
         axes.plot(factor * curve.knots[:, 0], curve.knots[:, 1], "o-", ms=4, color=EXTENDED, lw=1.4, label="learned")
-        axes.set_xlabel(f"{names.get(curve.over, curve.over)} [{unit}]")
+        x, y = over.get(curve.over, (curve.over, learned.effect))
+        axes.set(xlabel=f"{x} [{unit}]", ylabel=f"{y} [{curve.units[1]}]")
         axes.grid(alpha=0.3)
-    grid[0, 0].set_ylabel(f"{'shown' if learned.link == 'sensor' else 'force added'} [{learned.curves[0].units[1]}]")
     grid[0, 0].legend(fontsize=8, frameon=False)
     return figure
 

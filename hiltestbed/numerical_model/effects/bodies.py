@@ -6,14 +6,17 @@ import math
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Annotated, Literal
 
+import numpy as np
 from pydantic import Field, Strict
 
 from hiltestbed.effects.base import Effect, quantity
 from hiltestbed.effects.search import Candidate, Scales, candidate
+from hiltestbed.numerical_model.bodies import inertia_matrix, rest_inertia
 from hiltestbed.plugins import register
 
 if TYPE_CHECKING:
     from hiltestbed.numerical_model.parameters import DynamicsParameters
+    from hiltestbed.scenario import Scenario
 
 BODIES = ("chaser", "target")
 Body = Literal["chaser", "target"]
@@ -90,15 +93,18 @@ class DynamicsPortOffset(Effect):
 
 @register
 class DynamicsAppendage(Effect):
-    """A part of the body's mass hangs on a spring."""
+    """A part of the body's mass hangs on a spring, at the centre of mass or at a place of its own, where it turns the body too."""
 
     kind: Literal["dynamics.appendage"] = "dynamics.appendage"
     mass_ratio: float = quantity("-", "Part of the body's mass that swings", gt=0.0, le=1.0, search=(0.005, 0.6), ratio=True)
     frequency: float = quantity("Hz", "Natural frequency with the body held", gt=0.0, search=(0.05, 20.0), ratio=True)
     damping_ratio: float = quantity("-", "Damping ratio with the body held", ge=0.0, le=1.0, search=(0.001, 0.5), ratio=True)
     body: Body = Field(default="chaser", description="Body that the departure concerns")
+    place: Offset = quantity(
+        "m", "Where it hangs, from the body's centre of mass, body axes; 0: it does not turn the body", default=(0.0, 0.0, 0.0)
+    )
     link = "dynamics"
-    equation = "m_a q'' = -k_a q - d_a q' - m_a a_body, m_a = mass_ratio m, k_a = m_a (2 pi f)^2"
+    equation = "m_a q'' = -k_a q - d_a q' - m_a a_place, m_a = mass_ratio m, k_a = m_a (2 pi f)^2; the whole at rest as believed"
     reference = "slosh or flexible panel, pendulum model"
     resembles = ("dynamics.mass",)
     repeats = True
@@ -106,7 +112,21 @@ class DynamicsAppendage(Effect):
 
     def apply(self, p: DynamicsParameters) -> None:
         w = 2.0 * math.pi * self.frequency
-        p.appendages[BODIES.index(self.body)].append((self.mass_ratio, w * w, 2.0 * self.damping_ratio * w))
+        p.appendages[BODIES.index(self.body)].append((self.mass_ratio, w * w, 2.0 * self.damping_ratio * w, *self.place))
+
+    def unfit(self, scenario: Scenario) -> str | None:
+        if not any(self.place):
+            return None
+        body = scenario.spacecraft.chaser if self.body == "chaser" else scenario.spacecraft.target
+        if self.mass_ratio == 1.0:
+            return f"its mass is that of the whole {self.body}; away from the centre of mass mass_ratio must be below 1"
+        left = np.linalg.eigvalsh(rest_inertia(body.mass, inertia_matrix(body.inertia), [self.mass_ratio], np.array([self.place]))).min()
+        if left > 0.0:
+            return None
+        return (
+            f"it takes more inertia than the {self.body} has: {self.mass_ratio * body.mass:g} kg at {list(self.place)} m leave "
+            f"{left:g} kg m^2; hang it nearer to the centre of mass, or lighter"
+        )
 
     @classmethod
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:

@@ -1,0 +1,126 @@
+"""Where a latch acts, and about which attitude it turns: the place in which spring and damper of a captured pair are six separate axes.
+
+A latch exerts K (r - r_hold) + C r' at the place r where it holds the active side, and a torque K radius^2 times the turn since it closed
+(:mod:`hiltestbed.contact.latches`). About P's origin the same force has a lever arm, which moves with r; at another point of the active
+side, turning is a shift as well. So pose and wrench are referred to the latched place before anything is fitted:
+
+- shift and velocity are those of the latch's site on the active side, turns are counted from the attitude in which it closed;
+- the torque is that about the place where the site was when the force was felt.
+
+All of it is known to a facility: the sites from the mechanism's drawing, the closing from its switches, the pose from its platform. A
+site on a part that moves on the active side is taken where the latch closed on it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from hiltestbed.contact.geometry import ACTIVE, PASSIVE
+from hiltestbed.contact.sides import sides_of
+from hiltestbed.frames import Array, quat_mul_conj, rotate, rotate_back, rotation_vector
+
+if TYPE_CHECKING:
+    from hiltestbed.scenario import Scenario
+
+AT_A, ON_ACTIVE, ON_PASSIVE = 0, 1, 2  # what tells where a latch acts: A itself, a site of the active side, one of the passive side
+NONE = -1
+UNTURNED = np.array([0.0, 0.0, 0.0, 1.0])
+
+
+class HeldPlace:
+    """The latched places of ``n`` runs.
+
+    Attributes:
+        lever: ``(n, 3)`` [m] of the place from A, in A; 0 before anything is latched. origin: ``(n, 3)`` [m] in P, from where its shifts
+        are; reference: ``(n, 4)`` attitude of A in P from which turns are counted. since: ``(n,)`` ticks since the mechanism last became
+        another one. changes: ``(n,)`` how often it has.
+    """
+
+    def __init__(self, scenarios: Sequence[Scenario]) -> None:
+        n, mechanism = len(scenarios), scenarios[0].mechanism
+        sites = sides_of(mechanism).sites
+        closing, self._places, kinds, together = NONE, [], [], []
+        self._acts = []  # of each number of phases that have begun, the closure that holds, NONE for a latch without phases
+        for phase in mechanism.phases():
+            if phase.close is not None:
+                closing += 1
+                (a, at_a), (p, at_p) = sites["A", phase.close.active], sites["P", phase.close.passive]
+                self._places.append((at_a, at_p))
+                kinds.append(ON_ACTIVE if a == ACTIVE else ON_PASSIVE if p == PASSIVE else AT_A)
+                together.append(phase.close.hold == "together" and kinds[-1] != AT_A)
+            self._acts.append(closing)
+        self._acts = np.array([NONE, *self._acts], dtype=np.int64)
+        self._places = np.array(self._places).reshape(len(kinds), 2, 7)
+        self._kinds, self._together = np.array(kinds, dtype=np.int64), np.array(together, dtype=bool)
+        self.lever, self.origin, self.reference = np.zeros((n, 3)), np.zeros((n, 3)), np.tile(UNTURNED, (n, 1))
+        self.since, self.changes = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64)
+        self._held = np.array([s.mechanism.captured for s in scenarios])
+        self._steps = np.zeros(n, dtype=np.int64)
+
+    def update(self, pose: Array, captured: NDArray[np.bool_], steps: NDArray[np.int64]) -> None:
+        """Take in the pose ``(n, 7)`` of A in P, whether latches hold ``(n,)``, and how many phases have begun ``(n,)``; once a tick."""
+        _update(
+            pose, captured, steps, self._acts, self._places, self._kinds, self._together, self._held, self._steps, self.lever,
+            self.origin, self.reference, self.since, self.changes,
+        )  # fmt: skip
+
+
+@njit(cache=True)
+def _update(pose, captured, steps, acts, places, kinds, together, held, before, lever, origin, reference, since, changes):
+    v, q = np.empty(3), np.empty(4)
+    for i in range(pose.shape[0]):
+        since[i] += 1
+        if captured[i] == held[i] and steps[i] == before[i]:
+            continue
+        held[i], before[i] = captured[i], steps[i]
+        since[i] = 0
+        changes[i] += 1
+        if not captured[i]:
+            lever[i], origin[i], reference[i] = 0.0, 0.0, UNTURNED
+            continue
+        reference[i] = pose[i, 3:7]
+        lever[i] = 0.0
+        origin[i] = pose[i, :3]
+        c = acts[min(steps[i], acts.shape[0] - 1)]
+        if c == NONE:
+            continue
+        if kinds[c] == ON_ACTIVE:
+            lever[i] = places[c, 0, :3]
+        elif kinds[c] == ON_PASSIVE:
+            for j in range(3):
+                v[j] = places[c, 1, j] - pose[i, j]
+            rotate_back(pose[i, 3:7], v, lever[i])
+        rotate(pose[i, 3:7], lever[i], v)
+        for j in range(3):
+            origin[i, j] += v[j]
+        if together[c]:
+            quat_mul_conj(places[c, 1, 3:7], places[c, 0, 3:7], q)
+            reference[i] = q
+
+
+@njit(cache=True)
+def referred(pose, twist, lever, reference, position, velocity):
+    """``position`` (6,) and ``velocity`` (6,) in P of the latched place: its shift, and the turn (rotation vector) from ``reference``."""
+    v, q = np.empty(3), np.empty(4)
+    rotate(pose[3:7], lever, v)
+    for j in range(3):
+        position[j] = pose[j] + v[j]
+        velocity[3 + j] = twist[3 + j]
+    velocity[0] = twist[0] + twist[4] * v[2] - twist[5] * v[1]
+    velocity[1] = twist[1] + twist[5] * v[0] - twist[3] * v[2]
+    velocity[2] = twist[2] + twist[3] * v[1] - twist[4] * v[0]
+    quat_mul_conj(pose[3:7], reference, q)
+    rotation_vector(q, position[3:6])
+
+
+@njit(cache=True)
+def add_moment(sign, position, wrench):
+    """Add to the torque of a ``wrench`` (6,) ``sign`` times the moment of its force at ``position`` (3,): -1 refers it to there, 1 back."""
+    wrench[3] += sign * (position[1] * wrench[2] - position[2] * wrench[1])
+    wrench[4] += sign * (position[2] * wrench[0] - position[0] * wrench[2])
+    wrench[5] += sign * (position[0] * wrench[1] - position[1] * wrench[0])
