@@ -48,7 +48,7 @@ class Survey:
     phase: float
 
     def touching(self, rows: int, late: int, least: float = 0.0) -> np.ndarray:
-        """``(rows,)`` bool: in a contact that pushes or pulls with ``least`` [N] or more, or a sensor that is ``late`` [ticks] still shows it."""
+        """``(rows,)`` bool: in a contact that bears ``least`` [N] or more, or a sensor that is ``late`` [ticks] still shows it."""
         out = np.zeros(rows, dtype=bool)
         for c in self.contacts:
             if c.peak_force is None or abs(c.peak_force) >= least:
