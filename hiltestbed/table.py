@@ -94,6 +94,8 @@ def print_diagnosis(result: dict[str, Any], folder: Path) -> None:
         console.print(f"residual on runs that were not fitted: less by {gain}", markup=False)
     if result["partial"]["sentence"]:
         console.print(result["partial"]["sentence"], markup=False)
+    if result["learned"]:
+        console.print(result["learned"]["sentence"], markup=False)
     cor = [", ".join(_number(v, 4) for v in loop[f"cor_{source}"]) for source in ("measured", "nominal", "extended")]
     if any(v is not None for v in loop["cor_measured"]):
         console.print("coefficient of restitution, run by run:\n  measured  " + cor[0] + "\n  nominal   " + cor[1], markup=False)

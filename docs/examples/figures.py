@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import hiltestbed
-from hiltestbed.diagnosis.report.pictures import EXTENDED, MEASURED, NOMINAL, force_against_penetration, heldout_bars
+from hiltestbed.diagnosis.report.pictures import EXTENDED, MEASURED, NOMINAL, force_against_penetration, heldout_bars, learned_curves
 from hiltestbed.diagnosis.result import Diagnosis, Series
 from hiltestbed.report import new_figure
 
@@ -64,9 +64,13 @@ def damper(diagnosis: Diagnosis) -> None:
 
 
 def gain(diagnosis: Diagnosis, name: str) -> None:
-    """Each record's residual when it was left out of the fit."""
-    if diagnosis.finding.partial_gain is not None:
-        heldout_bars(diagnosis.finding.partial_gain).savefig(DOCS / f"real-data-{name}-gain.png", dpi=DPI)
+    """Each record's residual when it was left out of the fit, and the law where one was learned."""
+    learned = diagnosis.finding.learned
+    worth = learned.heldout if learned is not None else diagnosis.finding.partial_gain
+    if worth is not None:
+        heldout_bars(worth).savefig(DOCS / f"real-data-{name}-gain.png", dpi=DPI)
+    if learned is not None:
+        learned_curves(learned).savefig(DOCS / f"real-data-{name}-law.png", dpi=DPI)
 
 
 EXAMPLES: Mapping = {"so101_servo": (servo, "servo"), "friction_damper": (damper, "damper")}

@@ -3,7 +3,9 @@
 One contact's law is a row of parameters (:mod:`hiltestbed.contact.parameters`) and a row of states. Order: the frame gives way, the touch
 is shifted, play is taken out, then elastic force, damping, friction, preload, hard stop and relaxation add up, and the sum is kept from
 pulling. Dry friction that gives before it slips is a spring that drags a slider: play, where there is any, lies between the port and
-that spring, and travels with the slider; the frame's deflection is not seen by it.
+that spring, and travels with the slider; the frame's deflection is not seen by it. Curves that were learned are added: over the penetration
+beyond the play, over the rate, and over the stretch of a slider of their own, which feels no play; others change the spring by a part
+that hangs on penetration and rate.
 """
 
 from __future__ import annotations
@@ -26,16 +28,22 @@ from hiltestbed.contact.parameters import (
     MODE_DAMPING,
     MODE_MASS,
     OFFSET,
+    OVER_PENETRATION,
+    OVER_RATE,
+    OVER_STRETCH,
     PLAY,
     POWER_STIFFNESS,
     PRELOAD,
     REACTION,
+    SPRING_OVER_PENETRATION,
+    SPRING_OVER_RATE,
     STIFFNESS,
     STOP,
     STOP_STIFFNESS,
 )  # fmt: skip
+from hiltestbed.piecewise import PACKED, along, between, steepest
 
-BRANCH, TOUCHING, DEFLECTION, DEFLECTION_RATE, SLIDER, STATES = 0, 1, 2, 3, 4, 5
+BRANCH, TOUCHING, DEFLECTION, DEFLECTION_RATE, SLIDER, LEARNED_SLIDER, STATES = 0, 1, 2, 3, 4, 5, 6
 SLIP_SPEED = 2e-4  # [m/s] sgn(v) is tanh(v/SLIP_SPEED)
 MODE_STEP = 0.05  # [rad] largest phase that the frame's mode advances in one inner step
 
@@ -46,7 +54,7 @@ def _law(x, v, branch, p, held):
     if held:
         half = 0.5 * p[PLAY]
         if abs(x) <= half and half > 0.0:
-            return branch if p[DRAG] > 0.0 else 0.0  # play that travels with the slider is in the branch
+            return branch if p[DRAG] > 0.0 or p[OVER_STRETCH] > 0.0 else 0.0  # play that travels with the slider is in the branch
         x = x - half if x > 0.0 else x + half
     elif x <= 0.0:
         return 0.0
@@ -54,6 +62,8 @@ def _law(x, v, branch, p, held):
     elastic = p[POWER_STIFFNESS] * depth ** p[EXPONENT] if p[POWER_STIFFNESS] > 0.0 else p[STIFFNESS] * depth
     if x < 0.0:
         elastic = -elastic
+    if p[SPRING_OVER_PENETRATION] > 0.0 or p[SPRING_OVER_RATE] > 0.0:
+        elastic *= 1.0 + _of_spring(x, v, p)
     force = elastic + abs(elastic) * p[ALPHA] * v if p[ALPHA] >= 0.0 else elastic + p[DAMPING] * v
     if p[DRY] != 0.0 and p[DRAG] <= 0.0:
         force += p[DRY] * math.tanh(v / SLIP_SPEED)
@@ -61,10 +71,21 @@ def _law(x, v, branch, p, held):
         force += math.copysign(p[STOP_STIFFNESS] * (depth - p[STOP]), x)
     if p[PRELOAD] != 0.0:
         force += math.copysign(p[PRELOAD], x)
+    if p[OVER_PENETRATION] > 0.0:
+        force += along(p[OVER_PENETRATION : OVER_PENETRATION + PACKED], x)
+    if p[OVER_RATE] > 0.0:
+        force += along(p[OVER_RATE : OVER_RATE + PACKED], v)
     force += branch
     if held:
         return force
     return max(force, -p[ADHESION])
+
+
+@njit(cache=True)
+def _of_spring(x, v, p):
+    """The part of the elastic force that learned curves add."""
+    deep = between(p[SPRING_OVER_PENETRATION : SPRING_OVER_PENETRATION + PACKED], x)
+    return deep + between(p[SPRING_OVER_RATE : SPRING_OVER_RATE + PACKED], v)
 
 
 @njit(cache=True)
@@ -122,6 +143,10 @@ def _at_rest(x, v, dt, p, state, held):
         carried += _dragged(x, p, state, held) if touching else 0.0
         if not touching:
             state[SLIDER] = 0.0
+    if p[OVER_STRETCH] > 0.0:
+        carried += _over_stretch(x, p[OVER_STRETCH : OVER_STRETCH + PACKED], state) if touching else 0.0
+        if not touching:
+            state[LEARNED_SLIDER] = 0.0
     return _with_frame(x, v, carried, p, held)
 
 
@@ -138,9 +163,20 @@ def _dragged(x, p, state, held):
 
 
 @njit(cache=True)
+def _over_stretch(x, curve, state):
+    """Force [N] of a curve over the stretch of a slider, which lies still until the stretch would leave the ends of the curve."""
+    low, high = curve[1], curve[int(curve[0])]
+    stretch = min(max(x - state[LEARNED_SLIDER], low), high)
+    state[LEARNED_SLIDER] = x - stretch
+    return along(curve, stretch)
+
+
+@njit(cache=True)
 def _ringing(x, v, dt, p, state, held):
     """The frame's mode in steps of at most MODE_STEP, drift, kick, drift (second order), under the force that it feels."""
-    stiffest = math.sqrt(p[MODE] ** 2 + (p[STIFFNESS] + p[STOP_STIFFNESS] + p[BRANCH_STIFFNESS]) / p[MODE_MASS])
+    springs = p[STIFFNESS] + p[STOP_STIFFNESS] + p[BRANCH_STIFFNESS]
+    springs += steepest(p[OVER_PENETRATION : OVER_PENETRATION + PACKED]) + steepest(p[OVER_STRETCH : OVER_STRETCH + PACKED])
+    stiffest = math.sqrt(p[MODE] ** 2 + springs / p[MODE_MASS])
     steps = max(1, math.ceil(stiffest * dt / MODE_STEP))
     inner = dt / steps
     for s in range(steps):

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hiltestbed.effects.base import Effect
 from hiltestbed.frames import Array
+from hiltestbed.piecewise import PACKED, packed
 
 if TYPE_CHECKING:
     from hiltestbed.contact.settings import Contact, Mechanism
@@ -31,6 +32,9 @@ class ContactParameters:
         mode [rad/s], mode_damping [-], mode_mass [kg]: of the frame that rings; reaction: 1 where the sensor reads the frame's reaction.
         tilt_x, tilt_y: [rad] of the passive port. lever: where the force acts, 0 at the undeformed surface, 1 at the tip.
         blunt: 1 where the ball of the tip touches, 0 where its foremost point does, on a plane that is tilted.
+        over_penetration, over_rate, over_stretch: (PACKED,) curves of a force [N] that is added, over penetration [m], its rate [m/s] and
+            the stretch [m] of a slider, which follows as soon as that would leave the curve's ends.
+        spring_over_penetration, spring_over_rate: (PACKED,) curves of a part [-] of the elastic force that is added.
     """
 
     stiffness: float
@@ -59,6 +63,11 @@ class ContactParameters:
     reaction: float = 0.0
     drag: float = 0.0
     blunt: float = 1.0
+    over_penetration: Array = field(default_factory=lambda: packed(()))
+    over_rate: Array = field(default_factory=lambda: packed(()))
+    over_stretch: Array = field(default_factory=lambda: packed(()))
+    spring_over_penetration: Array = field(default_factory=lambda: packed(()))
+    spring_over_rate: Array = field(default_factory=lambda: packed(()))
 
     @classmethod
     def believed(cls, contact: Contact, captured: bool = False) -> ContactParameters:
@@ -75,12 +84,13 @@ class ContactParameters:
     def after_capture(self) -> ContactParameters:
         """The same object as a latch that closed in the course of a run knows it: no touch, no step at it, no stop past a depth."""
         self.offset = self.preload = self.stop_stiffness = 0.0
-        self.stop = np.inf
+        self.stop, self.over_penetration, self.spring_over_penetration = np.inf, packed(()), packed(())
         return self
 
     def row(self) -> Array:
         """``(PARAMETERS,)`` as the kernels take it."""
-        return np.array([getattr(self, f.name) for f in fields(self)], dtype=float)
+        numbers = np.array([getattr(self, name) for name in NUMBERS], dtype=float)
+        return np.concatenate([numbers, *(getattr(self, name) for name in CURVES)])
 
 
 def believed_contacts(mechanism: Mechanism) -> list[ContactParameters]:
@@ -99,12 +109,18 @@ def contact_rows(contacts: Sequence[ContactParameters], rules: Sequence[int], ca
     return rows[[*rules, len(rows) - 1]]
 
 
-# The columns of a row, by the names of the fields.
+# The columns of a row, by the names of the fields; a curve takes PACKED of them, from the one that says how many knots it has.
 NAMES = tuple(f.name for f in fields(ContactParameters))
-PARAMETERS = len(NAMES)
+CURVES = ("over_penetration", "over_rate", "over_stretch", "spring_over_penetration", "spring_over_rate")  # the last ones
+NUMBERS = NAMES[: -len(CURVES)]
 (
     STIFFNESS, DAMPING, POWER_STIFFNESS, EXPONENT, ALPHA, DRY, PRELOAD, STOP, STOP_STIFFNESS, BRANCH_STIFFNESS, BRANCH_TIME,
     ADHESION, FRAME, OFFSET, CAPTURED, PLAY, MODE, MODE_DAMPING, MODE_MASS, FRICTION, TILT_X, TILT_Y, LEVER, REACTION, DRAG, BLUNT,
-) = range(PARAMETERS)  # fmt: skip
+    OVER_PENETRATION,
+) = range(len(NUMBERS) + 1)  # fmt: skip
+OVER_RATE, OVER_STRETCH, SPRING_OVER_PENETRATION, SPRING_OVER_RATE, PARAMETERS = (OVER_PENETRATION + i * PACKED for i in range(1, 6))
 # Those that are neutral where a spring and a damper are all that acts along the normal.
-LINEAR = [POWER_STIFFNESS, ALPHA, DRY, PRELOAD, STOP, BRANCH_STIFFNESS, ADHESION, FRAME, OFFSET, PLAY, MODE]
+LINEAR = [
+    POWER_STIFFNESS, ALPHA, DRY, PRELOAD, STOP, BRANCH_STIFFNESS, ADHESION, FRAME, OFFSET, PLAY, MODE, OVER_PENETRATION, OVER_RATE,
+    OVER_STRETCH, SPRING_OVER_PENETRATION, SPRING_OVER_RATE,
+]  # fmt: skip

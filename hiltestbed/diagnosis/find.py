@@ -15,9 +15,12 @@ from hiltestbed.diagnosis.in_part import explained, holding
 from hiltestbed.diagnosis.intervals import intervals
 from hiltestbed.diagnosis.investigate import Findings
 from hiltestbed.diagnosis.isolability import isolability
+from hiltestbed.diagnosis.learned.finding import learned_on
+from hiltestbed.diagnosis.learned_law import Learned
 from hiltestbed.diagnosis.report.evidence import link_series
 from hiltestbed.diagnosis.result import Cause, Finding, Heldout, Interval, Isolable, Parameter, Ranked
 from hiltestbed.diagnosis.search import Explanation, Progress, Search
+from hiltestbed.diagnosis.settings import WORTH
 from hiltestbed.diagnosis.verdict import Named, Verdict, decide
 from hiltestbed.effects.base import Effect
 from hiltestbed.effects.table import EFFECTS
@@ -35,9 +38,11 @@ def find(findings: Findings, progress: Progress | None = None) -> Finding:
         progress("intervals and left-out runs")
     findings, nearest = _nearest(findings, verdict, progress)
     verdict, share = _in_part(findings, verdict, nearest)
+    verdict, share, learned, law = _learned(findings, verdict, share, progress)
     causes = tuple(cause_of(findings, c) for c in verdict.causes)
     once = {c.effect: c for c in [*nearest, *verdict.causes]}  # a record stamped late shows on two links
-    effects = [c.fit.effects()[c.index] for c in once.values()]  # as the links take them, variants included
+    once = {c.effect: c for c in verdict.causes} if law else once
+    effects = [*(c.fit.effects()[c.index] for c in once.values()), *law]  # as the links take them, variants included
     series = [s for link in findings.whole.values() for s in link_series(link, effects)]
     departed = {name: e for name, e in findings.explanations.items() if e.departs}
     left = "; ".join(describe(e, LINK_NAMES[n]) for n, e in departed.items() if not e.adequate)
@@ -55,6 +60,7 @@ def find(findings: Findings, progress: Progress | None = None) -> Finding:
         partial=tuple(cause_of(findings, c) for c in nearest),
         partial_gain=gain_of(findings, nearest),
         explained=share,
+        learned=learned,
         assumed=findings.layout.force.words(),
     )
 
@@ -72,6 +78,37 @@ def _nearest(findings: Findings, verdict: Verdict, progress: Progress | None) ->
         findings = replace(findings, explanations={**findings.explanations, name: grown})
     fit = findings.explanations[name].chosen
     return findings, tuple(Named(kind, name, fit, index) for index, kind in enumerate(fit.kinds))
+
+
+def _learned(
+    findings: Findings, verdict: Verdict, share: float | None, progress: Progress | None
+) -> tuple[Verdict, float | None, Learned | None, tuple[Effect, ...]]:
+    """The law learned on contact or sensor, where they depart otherwise than the causes that hold, and the effect that extends the model.
+
+    A cause that was named in part falls if curves do without it what they do beside it, with fewer numbers: it was a part of them.
+    """
+    found = findings.explanations.get("wrench")
+    if verdict.verdict not in ("unknown", "named_in_part") or found is None or not found.departs or found.adequate:
+        return verdict, share, None, ()
+    if progress:
+        progress("contact and sensor: a law without a name")
+    causes = [c for c in verdict.causes if c.link == "wrench"]
+    known = [c.fit.effects()[c.index] for c in causes]
+    result = learned_on(found, known)
+    alone = learned_on(found, ()) if known and result is not None else None
+    if result is not None and alone is not None and needless(result[0], alone[0], sum(len(c.fit.part(c.index)) for c in causes)):
+        others = tuple(c for c in verdict.causes if c.link != "wrench")
+        verdict, share, result = Verdict("unknown", verdict.link, others, verdict.not_judged), None, alone
+    if result is None:
+        return verdict, share, None, ()
+    learned, effect = result
+    return verdict, share, learned, (effect,) if learned.carries_over else ()
+
+
+def needless(beside: Learned, alone: Learned, named: int) -> bool:
+    """Whether curves alone do what they do beside ``named`` parameters, with fewer numbers."""
+    as_good = alone.heldout.rms_after < beside.heldout.rms_after / (1.0 - WORTH)
+    return alone.carries_over and as_good and alone.numbers < beside.numbers + named
 
 
 def _in_part(findings: Findings, verdict: Verdict, nearest: tuple[Named, ...]) -> tuple[Verdict, float | None]:

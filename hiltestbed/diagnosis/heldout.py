@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -24,12 +24,19 @@ def heldout(residual: Residual, found: Fit, placebo: Fit | None, seed: int = 0) 
     before = {i: mean_square(judged, i, ()) for i in runs}
     after = {i: left_out(residual, i, found, judged) for i in runs}
     wrong = {i: left_out(residual, i, placebo, judged) for i in runs} if placebo is not None else dict(before)
+    return resampled(runs, before, after, wrong, seed)
+
+
+def resampled(
+    runs: Sequence[int], before: Mapping[int, float], after: Mapping[int, float], wrong: Mapping[int, float], seed: int = 0
+) -> Heldout:
+    """The gain from the mean square of each run before, after, and after a placebo; its interval by drawing runs."""
     a, b, w = (np.array([x[i] for i in runs]) for x in (before, after, wrong))
     draws = np.random.default_rng(seed).integers(0, len(runs), (RESAMPLES, len(runs)))
     gains = 1.0 - np.sqrt(b[draws].sum(axis=1) / a[draws].sum(axis=1))
     low, high = np.percentile(gains, [2.5, 97.5])
     return Heldout(
-        runs, _rms(a), _rms(b), 1.0 - _rms(b) / _rms(a), (float(low), float(high)), 1.0 - _rms(w) / _rms(a),
+        tuple(runs), _rms(a), _rms(b), 1.0 - _rms(b) / _rms(a), (float(low), float(high)), 1.0 - _rms(w) / _rms(a),
         {i: (math.sqrt(before[i]), math.sqrt(after[i])) for i in runs},
     )  # fmt: skip
 

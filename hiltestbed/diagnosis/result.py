@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hiltestbed.diagnosis.learned_law import Learned
 from hiltestbed.frames import Array
 
 if TYPE_CHECKING:
@@ -98,6 +99,11 @@ class Heldout:
     def significant(self) -> bool:
         """The interval excludes no gain, and the gain is more than the placebo's."""
         return self.ci95[0] > 0.0 and self.reduction > self.placebo_reduction
+
+    def to_json(self) -> dict[str, Any]:
+        """Its figures, and those of each run in a list."""
+        rows = [{"run": run, "before": a, "after": b} for run, (a, b) in self.per_run.items()]
+        return vars(self) | {"per_run": rows, "significant": self.significant}
 
 
 @dataclass(frozen=True)
@@ -202,6 +208,7 @@ class Finding:
         left: what the best extension leaves, in a sentence (verdict `unknown`): link, phase and shape.
         not_judged: link to why it could not be judged.
         partial: the effects of the vocabulary that come nearest where none leaves noise; partial_gain: theirs on left-out runs.
+        learned: the law learned on contact or sensor where the vocabulary leaves more than noise.
         assumed: what was assumed of the noise, in sentences. explained: verdict `named_in_part`: share of the departure on left-out runs.
     """
 
@@ -219,12 +226,30 @@ class Finding:
     partial_gain: Heldout | None = None
     assumed: tuple[str, ...] = ()
     explained: float | None = None
+    learned: Learned | None = None
+
+    @property
+    def names(self) -> bool:
+        """Whether causes extend the model: something is named, and the gain on left-out runs is significant where it was measured."""
+        named = self.verdict in ("named", "ambiguous", "named_in_part") and bool(self.causes)
+        return named and (self.heldout is None or self.heldout.significant)
+
+    @property
+    def learns(self) -> bool:
+        """Whether a learned law extends the model."""
+        return self.learned is not None and self.learned.carries_over
 
     @property
     def extends(self) -> bool:
-        """Whether the model is extended: something is named, and the gain on left-out runs is significant where it was measured."""
-        named = self.verdict in ("named", "ambiguous", "named_in_part") and bool(self.causes)
-        return named and (self.heldout is None or self.heldout.significant)
+        """Whether the model is extended."""
+        return self.names or self.learns
+
+    @property
+    def extension(self) -> tuple[Cause | Learned, ...]:
+        """What the model is extended with: what was named, beside which a law was learned, and that law."""
+        if self.learned is not None and self.learns:
+            return (*self.causes, self.learned)
+        return self.causes if self.names else ()
 
 
 @dataclass(repr=False)
@@ -290,9 +315,10 @@ class Diagnosis:
 
     def to_json(self) -> dict[str, Any]:
         """The contents of diagnosis.json; plain data without infinities."""
-        from hiltestbed.diagnosis.report.sentence import partial_sentence, verdict_sentence
+        from hiltestbed.diagnosis.report.sentence import learned_sentence, partial_sentence, verdict_sentence
         from hiltestbed.versions import versions
 
+        learned = self.finding.learned
         return finite(
             {
                 "name": self.name,
@@ -303,13 +329,14 @@ class Diagnosis:
                 "not_judged": dict(self.finding.not_judged),
                 "left": self.finding.left or None,
                 "explained": self.finding.explained,
+                "learned": learned.to_json() | {"sentence": learned_sentence(learned)} if learned else None,
                 "partial": {
                     "sentence": partial_sentence(self.finding.partial, self.finding.partial_gain),
                     "causes": [_cause(c) for c in self.finding.partial],
-                    "heldout": _heldout(self.finding.partial_gain),
+                    "heldout": self.finding.partial_gain.to_json() if self.finding.partial_gain else None,
                 },
                 "residuals": [vars(r) for r in self.residuals],
-                "heldout": _heldout(self.heldout),
+                "heldout": self.heldout.to_json() if self.heldout else None,
                 "closed_loop": self.closed_loop.to_json(),
                 "next_experiment": self.next_experiment,
                 "next_experiment_runs": list(self.experiment.runs) if self.experiment else [],
@@ -336,13 +363,6 @@ def _cause(cause: Cause) -> dict[str, Any]:
         "probability": cause.probability,
         "indistinguishable_from": list(cause.indistinguishable_from),
     }
-
-
-def _heldout(heldout: Heldout | None) -> dict[str, Any] | None:
-    if heldout is None:
-        return None
-    rows = [{"run": run, "before": a, "after": b} for run, (a, b) in heldout.per_run.items()]
-    return vars(heldout) | {"per_run": rows, "significant": heldout.significant}
 
 
 def finite(value: Any) -> Any:

@@ -81,3 +81,10 @@ AS_GOOD = 0.1  # of what a cause takes off chi-square: another effect this near 
 # Two readings of one facility
 ONE_OF_TWO = 2.0 * math.log(2.0)  # derived: of chi-square, the price of one of two equal readings
 MOST_NOISE = 4.0  # standard deviations within which a difference is taken for noise
+
+# Laws learned where no effect has a name for what departs
+SMOOTH_KNOTS = 1e-4  # of the mean square of a knot's response: what a squared second difference costs, for knots without data
+STRETCHES = 7  # of a slider, that are tried first: from a fiftieth of the travel to half of it
+REFINEMENTS = 5  # steps by which the reach of a slider is refined
+AS_AN_EQUATION = 0.05  # of a curve's rms, that an equation may leave
+RESEMBLES = 0.9  # derived: cosine from which a named effect takes away four fifths of the square of what a law takes

@@ -48,10 +48,10 @@ class Survey:
     phase: float
 
     def touching(self, rows: int, late: int, least: float = 0.0) -> np.ndarray:
-        """``(rows,)`` bool: in a contact of ``least`` [N] or more, or a sensor that is ``late`` [ticks] still shows it."""
+        """``(rows,)`` bool: in a contact that bears ``least`` [N] or more, or a sensor that is ``late`` [ticks] still shows it."""
         out = np.zeros(rows, dtype=bool)
         for c in self.contacts:
-            if c.peak_force is None or c.peak_force >= least:
+            if c.peak_force is None or abs(c.peak_force) >= least:
                 out[max(0, c.start - 2) : c.end + late + 3] = True
         return out
 

@@ -15,7 +15,7 @@ from hiltestbed.contact.latch import closes
 from hiltestbed.contact.law import STATES
 from hiltestbed.contact.mount import mount_place
 from hiltestbed.contact.mount_dynamics import BODY, SCRATCH, MountDynamics, mount_reading, mount_step
-from hiltestbed.contact.parameters import BLUNT, BRANCH_STIFFNESS, DRAG, LEVER, MODE, OFFSET, PARAMETERS, TILT_X, TILT_Y
+from hiltestbed.contact.parameters import BLUNT, BRANCH_STIFFNESS, DRAG, LEVER, MODE, OFFSET, OVER_STRETCH, PARAMETERS, TILT_X, TILT_Y
 from hiltestbed.contact.wrench import contact_wrench, held_at, meet_all, relate_one, surface_wrench, tilts
 from hiltestbed.frames import Array, quat_exp, quat_mul, twist_between
 from hiltestbed.log import LogParameters
@@ -143,7 +143,7 @@ def _replay(
     tilt, elements, out,
 ):  # fmt: skip
     """All lanes, one after the other: each is a run from its first row to its last."""
-    calibration, lag, leak, offset, drift, tone, deadzone, limit, step = elements
+    calibration, curve, lag, leak, offset, drift, tone, deadzone, limit, step = elements
     stages = max(lag.shape[1], leak.shape[1])
     low, high, last_in = np.zeros((stages, 6)), np.zeros((stages, 6)), np.zeros((stages, 6))
     quiet, late = np.zeros(6), np.zeros(6)
@@ -156,7 +156,7 @@ def _replay(
         )  # fmt: skip
         low[:], high[:], last_in[:] = 0.0, 0.0, 0.0
         back = int(math.floor(ticks[i]))
-        if not between and passes(calibration[i], lag[i], leak[i], offset[i], drift[i], tone[i], deadzone[i], limit[i]):
+        if not between and passes(calibration[i], curve[i], lag[i], leak[i], offset[i], drift[i], tone[i], deadzone[i], limit[i]):
             out[i, :back] = 0.0
             out[i, back:] = sub[: out.shape[1] - min(back, out.shape[1]), 0]
             continue
@@ -167,8 +167,8 @@ def _replay(
                 for j in range(6):
                     late[j] = sub[k - back, 0, j] if k >= back else 0.0
             condition(
-                late, k * h, quiet, calibration[i], lag[i], leak[i], offset[i], drift[i], tone[i], deadzone[i], limit[i], step[i] * 0.0,
-                low, high, last_in, out[i, k],
+                late, k * h, quiet, calibration[i], curve[i], lag[i], leak[i], offset[i], drift[i], tone[i], deadzone[i], limit[i],
+                step[i] * 0.0, low, high, last_in, out[i, k],
             )  # fmt: skip
 
 
@@ -210,7 +210,8 @@ def _contact(
     depths, rates, points, normals, slips = met
     lean = abs(last_row[TILT_X]) + abs(last_row[TILT_Y])
     reach, longest = max(0.0, -last_row[OFFSET] if count == 0 else -p[0, OFFSET]), arm(values, count)
-    remembers = last_row[BRANCH_STIFFNESS] > 0.0 or last_row[DRAG] > 0.0 or last_row[MODE] > 0.0 or latch[1] < 1.5
+    remembers = last_row[BRANCH_STIFFNESS] > 0.0 or last_row[DRAG] > 0.0 or last_row[OVER_STRETCH] > 0.0
+    remembers = remembers or last_row[MODE] > 0.0 or latch[1] < 1.5
     moved = last_row[LEVER] - lever
     plain = lean == 0.0 and not mounted and reach <= NEAR and (moved == 0.0 or _on_passive(index, count))
     sharp = not mounted and last_row[MODE] == 0.0

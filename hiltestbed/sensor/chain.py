@@ -1,9 +1,9 @@
 """What happens to the wrench between the contact and the sensor's reading.
 
 The order is the physical one. The wrench arrives late (nominal delay, `sensor.delay`, `sensor.jitter`); the transducer scales
-and mixes axes (`sensor.gain`, `sensor.crosstalk`); its electronics filter (nominal low-pass, `sensor.lag`, then the nominal charge
-leak, `sensor.highpass`) and add what does not depend on the force (`sensor.bias`, `sensor.drift`, `sensor.hum`, noise); the
-conversion then cuts small forces (`sensor.deadzone`), clips (`sensor.saturation`, the nominal range) and quantises.
+and mixes axes (`sensor.gain`, `sensor.crosstalk`) and bends them (`sensor.map`); its electronics filter (nominal low-pass, `sensor.lag`,
+then the nominal charge leak, `sensor.highpass`) and add what does not depend on the force (`sensor.bias`, `sensor.drift`, `sensor.hum`,
+noise); the conversion then cuts small forces (`sensor.deadzone`), clips (`sensor.saturation`, the nominal range) and quantises.
 """
 
 from __future__ import annotations
@@ -13,9 +13,11 @@ import math
 import numpy as np
 from numba import njit
 
+from hiltestbed.piecewise import along
+
 
 @njit(cache=True)
-def condition(w, t, noise, calibration, lag, leak, offset, drift, tone, deadzone, limit, step, low, high, before, out):
+def condition(w, t, noise, calibration, curve, lag, leak, offset, drift, tone, deadzone, limit, step, low, high, before, out):
     """One sample through the sensor, after the delay.
 
     Args:
@@ -29,6 +31,8 @@ def condition(w, t, noise, calibration, lag, leak, offset, drift, tone, deadzone
         for i in range(6):
             if calibration[j, i] != 0.0:
                 y += calibration[j, i] * w[i]
+        if curve[j, 0] > 0.0:
+            y = along(curve[j], y)
         for s in range(lag.shape[0]):
             if lag[s] < 1.0:
                 low[s, j] += (y - low[s, j]) * lag[s]
@@ -53,23 +57,23 @@ def condition(w, t, noise, calibration, lag, leak, offset, drift, tone, deadzone
 
 
 @njit(cache=True)
-def condition_all(t, late, noise, calibration, lag, leak, offset, drift, tone, deadzone, limit, step, low, high, before, out):
+def condition_all(t, late, noise, calibration, curve, lag, leak, offset, drift, tone, deadzone, limit, step, low, high, before, out):
     """:func:`condition` for n runs: late, noise and out are (n, 6), t (n,) [s], the states (n, S, 6)."""
     for i in range(late.shape[0]):
         condition(
-            late[i], t[i], noise[i], calibration[i], lag[i], leak[i], offset[i], drift[i], tone[i], deadzone[i], limit[i], step[i],
-            low[i], high[i], before[i], out[i],
+            late[i], t[i], noise[i], calibration[i], curve[i], lag[i], leak[i], offset[i], drift[i], tone[i], deadzone[i], limit[i],
+            step[i], low[i], high[i], before[i], out[i],
         )  # fmt: skip
 
 
 @njit(cache=True)
-def passes(calibration, lag, leak, offset, drift, tone, deadzone, limit):
+def passes(calibration, curve, lag, leak, offset, drift, tone, deadzone, limit):
     """Whether a sensor shows what it feels, but for its noise and its steps; see :func:`condition` for the arguments."""
     for j in range(6):
         for i in range(6):
             if calibration[j, i] != (1.0 if i == j else 0.0):
                 return False
-        if offset[j] != 0.0 or drift[j] != 0.0 or deadzone[j] != 0.0 or limit[j] < math.inf:
+        if curve[j, 0] > 0.0 or offset[j] != 0.0 or drift[j] != 0.0 or deadzone[j] != 0.0 or limit[j] < math.inf:
             return False
     for s in range(tone.shape[0]):
         for j in range(3):

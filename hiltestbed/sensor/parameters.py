@@ -11,6 +11,7 @@ import numpy as np
 
 from hiltestbed.effects.base import Effect
 from hiltestbed.frames import Array
+from hiltestbed.piecewise import Pairs, packed
 
 if TYPE_CHECKING:
     from hiltestbed.sensor.settings import Sensor as SensorSettings
@@ -25,7 +26,7 @@ class SensorParameters:
 
     Attributes:
         delay: nominal and added [s]. jitter: standard deviation of the delay [s].
-        calibration: (6, 6) what the transducer makes of the wrench.
+        calibration: (6, 6) what the transducer makes of the wrench. curve: of each axis pairs of what it feels and shows, empty: the same.
         lag: blend factor of each low-pass a tick, 1 - exp(-h/T); 1 passes. leak: factor of each high-pass, exp(-h/T); negative passes.
         offset: (6,) [N, N m]. drift: (6,) [N/s, N m/s]. tone: amplitude on x, y, z [N], frequency [Hz], phase [rad] of each.
         deadzone, limit: (6,) [N, N m]. step: (6,) quantisation step, 0 for none.
@@ -35,6 +36,7 @@ class SensorParameters:
     delay: float = 0.0
     jitter: float = 0.0
     calibration: Array = field(default_factory=lambda: np.eye(6))
+    curve: list[Pairs] = field(default_factory=lambda: [()] * 6)
     lag: list[float] = field(default_factory=list)
     leak: list[float] = field(default_factory=list)
     offset: Array = field(default_factory=lambda: np.zeros(6))
@@ -59,8 +61,9 @@ class SensorParameters:
     def copy(self) -> SensorParameters:
         """The same numbers, to be changed."""
         return replace(
-            self, calibration=self.calibration.copy(), lag=list(self.lag), leak=list(self.leak), offset=self.offset.copy(),
-            drift=self.drift.copy(), tone=list(self.tone), deadzone=self.deadzone.copy(), limit=self.limit.copy(),
+            self, calibration=self.calibration.copy(), curve=list(self.curve), lag=list(self.lag), leak=list(self.leak),
+            offset=self.offset.copy(), drift=self.drift.copy(), tone=list(self.tone), deadzone=self.deadzone.copy(),
+            limit=self.limit.copy(),
         )  # fmt: skip
 
     def with_effects(self, effects: Iterable[Effect]) -> SensorParameters:
@@ -76,13 +79,15 @@ class Chain:
     """The parameters of n sensors as the kernels take them: every array has the run as leading axis.
 
     Attributes:
-        delay, jitter: (n,). calibration: (n, 6, 6). lag, leak: (n, S). offset, drift: (n, 6). tone: (n, H, 5).
+        delay, jitter: (n,). calibration: (n, 6, 6). curve: (n, 6, 1 + 2K) packed. lag, leak: (n, S).
+        offset, drift: (n, 6). tone: (n, H, 5).
         deadzone, limit, step: (n, 6).
     """
 
     delay: Array
     jitter: Array
     calibration: Array
+    curve: Array
     lag: Array
     leak: Array
     offset: Array
@@ -92,9 +97,11 @@ class Chain:
     limit: Array
     step: Array
 
-    def elements(self) -> tuple[Array, Array, Array, Array, Array, Array, Array, Array, Array]:
+    def elements(self) -> tuple[Array, Array, Array, Array, Array, Array, Array, Array, Array, Array]:
         """What :func:`hiltestbed.sensor.chain.condition` takes, in the order of its arguments: all behind the delay."""
-        return (self.calibration, self.lag, self.leak, self.offset, self.drift, self.tone, self.deadzone, self.limit, self.step)
+        return (
+            self.calibration, self.curve, self.lag, self.leak, self.offset, self.drift, self.tone, self.deadzone, self.limit, self.step,
+        )  # fmt: skip
 
 
 def stack(sensors: Sequence[SensorParameters]) -> Chain:
@@ -107,10 +114,12 @@ def stack(sensors: Sequence[SensorParameters]) -> Chain:
     def rows(name: str) -> Array:
         return np.array([getattr(p, name) for p in sensors], dtype=float)
 
+    knots = max(len(curve) for p in sensors for curve in p.curve)
     return Chain(
         delay=rows("delay"),
         jitter=rows("jitter"),
         calibration=rows("calibration"),
+        curve=np.array([[packed(curve, knots) for curve in p.curve] for p in sensors]),
         lag=filled([p.lag for p in sensors], 1.0),
         leak=filled([p.leak for p in sensors], -1.0),
         offset=rows("offset"),

@@ -74,3 +74,35 @@ def test_adhesion_pulls_and_a_bumper_does_not() -> None:
     x, v = np.full(3, 1e-5), np.full(3, -0.05)
     assert np.all(law({}, x, v, c=400.0) == 0.0)
     np.testing.assert_allclose(law({"contact.adhesion": {"force": 8.0}}, x, v, c=400.0), -8.0)
+
+
+def test_a_table_with_a_kink_is_a_hard_stop() -> None:
+    x = np.linspace(1e-5, 3e-3, 300)
+    table = ((0.0, 0.0), (1e-3, 0.0), (2e-3, 400.0))
+    got = law({"contact.map": {"penetration": table}}, x, np.zeros(300), c=300.0)
+    np.testing.assert_allclose(got, law({"contact.hard_stop": {"position": 1e-3, "stiffness": 4e5}}, x, np.zeros(300), c=300.0), rtol=1e-12)
+
+
+def test_a_straight_line_over_the_rate_is_a_damper_and_a_part_of_the_spring_that_grows_with_it_hunt_crossley() -> None:
+    x, v = np.linspace(1e-4, 3e-3, 100), np.linspace(0.05, -0.05, 100)
+    damper = law({"contact.map": {"rate": ((-0.1, -40.0), (0.1, 40.0))}}, x, v)
+    np.testing.assert_allclose(damper, law({}, x, v, c=400.0), rtol=1e-9)
+    grown = law({"contact.map": {"spring_rate": ((-0.1, -0.3), (0.1, 0.3))}}, x, v)
+    np.testing.assert_allclose(grown, law({"contact.hunt_crossley": {"alpha": 3.0}}, x, v), rtol=1e-9)
+    softer = law({"contact.map": {"spring": ((0.0, -0.2), (1.0, -0.2))}}, x, v)
+    np.testing.assert_allclose(softer, law({"contact.stiffness": {"factor": 0.8}}, x, v), rtol=1e-9)
+
+
+@pytest.mark.parametrize("held", [True, False])
+def test_a_straight_line_over_the_stretch_is_friction_that_gives_before_it_slips(held: bool) -> None:
+    x = np.concatenate([np.linspace(0, 10e-3, 1001)[1:], np.linspace(10e-3, 4e-3, 601)[1:]])
+    got = law({"contact.map": {"stretch": ((-5e-4, -500.0), (5e-4, 500.0))}}, x, np.full(1600, 0.1), held=held)
+    np.testing.assert_allclose(got, law(friction(500.0, 1e6), x, np.full(1600, 0.1), held=held), atol=1e-6)
+
+
+def test_a_dead_zone_in_the_curve_over_the_stretch_is_play_that_travels_with_the_slider() -> None:
+    x = np.concatenate([np.linspace(0, 10e-3, 1001)[1:], np.linspace(10e-3, 4e-3, 601)[1:]])
+    table = ((-1.5e-3, -500.0), (-1e-3, 0.0), (1e-3, 0.0), (1.5e-3, 500.0))
+    got = law({"contact.map": {"stretch": table}}, x, np.full(1600, 0.1), k=0.0, held=True)
+    play = law(friction(500.0, 1e6) | {"contact.backlash": {"width": 2e-3}}, x, np.full(1600, 0.1), k=0.0, held=True)
+    np.testing.assert_allclose(got, play, atol=1e-6)

@@ -47,7 +47,13 @@ EXAMPLES: dict[str, dict[str, Any]] = {
     "dynamics.integrator": {"scheme": "explicit_euler"},
     "loop.deadzone": {"width": 8.0},
     "log.skew": {"delay": 0.0012},
-}
+    "contact.map": {
+        "penetration": [[0.0, 0.0], [1.0e-4, 2.0], [3.0e-4, 15.0]], "rate": [[-0.02, -30.0], [0.02, 40.0]],
+        "stretch": [[-1.0e-5, -6.0], [0.0, 0.0], [1.0e-5, 6.0]],
+        "spring": [[0.0, 0.1], [1.0e-4, -0.05], [3.0e-4, 0.1]], "spring_rate": [[-0.02, -0.1], [0.0, 0.0], [0.02, 0.1]],
+    },
+    "sensor.map": {"reading": [[-100.0, -100.0], [0.0, 0.0], [50.0, 49.0], [100.0, 90.0]], "axis": "z"},
+}  # fmt: skip
 
 
 def example(kind: str) -> dict[str, Any]:

@@ -78,6 +78,8 @@ VOCABULARY: dict[str, dict[str, str | None]] = {
     "dynamics.integrator": {"scheme": None},
     "loop.deadzone": {"width": "N"},
     "log.skew": {"delay": "s"},
+    "contact.map": {"penetration": "m, N", "rate": "m/s, N", "stretch": "m, N", "spring": "m, -", "spring_rate": "m/s, -"},
+    "sensor.map": {"reading": "N, N", "axis": None},
 }
 
 # The size at which an effect does nothing; None where there is none: a limit (the larger the less), or a law in place of another.
@@ -124,6 +126,8 @@ NEUTRAL: dict[str, dict[str, Any] | None] = {
     "dynamics.integrator": None,
     "loop.deadzone": None,
     "log.skew": {"delay": 0.0},
+    "contact.map": {"penetration": (), "rate": (), "stretch": (), "spring": (), "spring_rate": ()},
+    "sensor.map": None,
 }
 
 HEAD_ON = load_scenario(SCENARIOS / "02-bumper.yaml")

@@ -89,6 +89,12 @@ class WrenchLink(Link):
         rows = contact_rows(contacts, sides_of(mechanism).rules, mechanism.captured)
         return FeltLane(i, rows, sensor, log_parameters(effects) if "log" in links else _PROMPT, later)
 
+    def penetration(self, i: int) -> Array:
+        """(N,) of run i by geometry [m]: the deepest of its contacts, negative while apart; of what is captured along z."""
+        if self.runs[i].scenario.mechanism.captured:
+            return self.paths[i][:, 2]
+        return np.asarray(self._felt.met[0][i, : self.runs[i].rows].max(axis=1, initial=-1.0))
+
     def lateness(self, i: int, effects: Effects) -> float:
         """[s] by which the reading of run i is later than the contact."""
         lane = self._lane(i, effects)

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hiltestbed.campaign.structure import lockstep_groups
+from hiltestbed.diagnosis.learned_law import Learned
 from hiltestbed.diagnosis.result import Cause, ClosedLoop, Figures
 from hiltestbed.errors import HiltestbedError
 from hiltestbed.frames import Array
@@ -53,7 +54,7 @@ class Motion:
     span: tuple[int, int, int] | None
 
 
-def play(dataset: MeasuredDataset, causes: Sequence[Cause]) -> tuple[Played, ...]:
+def play(dataset: MeasuredDataset, causes: Sequence[Cause | Learned]) -> tuple[Played, ...]:
     """Simulate every run's scenario as believed, and with the causes."""
     nominal = [r.scenario for r in dataset.runs]
     extended = [with_causes(s, causes) for s in nominal] if causes else []
@@ -62,7 +63,7 @@ def play(dataset: MeasuredDataset, causes: Sequence[Cause]) -> tuple[Played, ...
     return tuple(Played(r.record.run, a, b) for r, a, b in zip(dataset.runs, traces, after, strict=True))
 
 
-def with_causes(scenario: Scenario, causes: Sequence[Cause]) -> Scenario:
+def with_causes(scenario: Scenario, causes: Sequence[Cause | Learned]) -> Scenario:
     """A run's scenario with the causes among its effects."""
     data = resolved(scenario)
     data["effects"] = [*data["effects"], *(c.entry() for c in causes)]

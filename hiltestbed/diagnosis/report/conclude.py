@@ -12,7 +12,7 @@ from hiltestbed.measured import MeasuredDataset
 
 def conclude(dataset: MeasuredDataset, finding: Finding, seconds: float | None = None) -> Diagnosis:
     """The diagnosis of a dataset; `seconds`: what it has taken so far."""
-    causes = finding.causes if finding.extends else ()
+    causes = finding.extension
     played = play(dataset, causes)
     notes = (*(f"{link} was not judged: {why}" for link, why in finding.not_judged.items()), *(str(remark) for remark in dataset.remarks))
     notes = (*finding.assumed, *notes)

@@ -6,12 +6,13 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
+from hiltestbed.diagnosis.learned_law import Learned
 from hiltestbed.diagnosis.result import Cause, Parameter
 from hiltestbed.effects.table import EFFECTS
 from hiltestbed.scenario import Scenario, dump_scenario, resolved, scenario_from
 
 
-def extended_scenario(nominal: Scenario, causes: Sequence[Cause]) -> Scenario:
+def extended_scenario(nominal: Scenario, causes: Sequence[Cause | Learned]) -> Scenario:
     """`nominal` with the causes among its effects; `nominal` itself where there are none.
 
     Raises:
@@ -25,12 +26,14 @@ def extended_scenario(nominal: Scenario, causes: Sequence[Cause]) -> Scenario:
     return scenario_from(data)
 
 
-def extended_yaml(scenario: Scenario, causes: Sequence[Cause]) -> str:
+def extended_yaml(scenario: Scenario, causes: Sequence[Cause | Learned]) -> str:
     """The text of extended.yaml: the scenario, with the intervals of the estimates as a comment at the top."""
     if not causes:
         return "# Nothing was named: this is the nominal scenario.\n" + dump_scenario(scenario)
-    lines = ["# Named by hiltestbed diagnose; estimate and 95 % interval:"]
-    lines += [f"#   {c.effect} {name}: {in_words(p)}" for c in causes for name, p in c.parameters.items()]
+    named, learned = [c for c in causes if isinstance(c, Cause)], [c for c in causes if isinstance(c, Learned)]
+    lines = ["# Named by hiltestbed diagnose; estimate and 95 % interval:"] if named else []
+    lines += [f"#   {c.effect} {name}: {in_words(p)}" for c in named for name, p in c.parameters.items()]
+    lines += [f"# Learned by hiltestbed diagnose: {c.effect}, {c.numbers} numbers" for c in learned]
     return "\n".join(lines) + "\n" + dump_scenario(scenario)
 
 
@@ -53,6 +56,6 @@ def _with_interval(value: float, ends: Any) -> str:
     return f"{value:.{digits}g} ({ends[0]:.{digits}g} to {ends[1]:.{digits}g})"
 
 
-def _described(nominal: Scenario, causes: Sequence[Cause]) -> str:
+def _described(nominal: Scenario, causes: Sequence[Cause | Learned]) -> str:
     names = ", ".join(f"{c.effect} ({EFFECTS[c.effect].meaning().rstrip('.')})" for c in causes)
     return f"{nominal.description} Extended with {names}.".strip()

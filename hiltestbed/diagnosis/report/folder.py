@@ -22,7 +22,7 @@ def write_diagnosis(diagnosis: Diagnosis, path: str | Path) -> Path:
     from hiltestbed.diagnosis.report.recording import write_diagnosis_recording
 
     path = Path(path)
-    causes = diagnosis.causes if diagnosis.finding.extends else ()
+    causes = diagnosis.finding.extension
     with whole_folder(path, mark=DIAGNOSIS) as folder:
         (folder / DIAGNOSIS).write_text(json.dumps(diagnosis.to_json(), indent=2, allow_nan=False) + "\n", encoding="utf-8")
         (folder / EXTENDED).write_text(extended_yaml(diagnosis.extended, causes), encoding="utf-8")

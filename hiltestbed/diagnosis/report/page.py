@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from hiltestbed.diagnosis.report import pictures
 from hiltestbed.diagnosis.report.extend import in_words
 from hiltestbed.diagnosis.report.facts import rounded
-from hiltestbed.diagnosis.report.sentence import gain_sentence, meaning, partial_sentence, verdict_sentence
+from hiltestbed.diagnosis.report.sentence import gain_sentence, learned_sentence, meaning, partial_sentence, verdict_sentence
 from hiltestbed.diagnosis.result import Cause, Diagnosis, Figures, Isolable
 from hiltestbed.effects.table import EFFECTS
 from hiltestbed.report import Report
@@ -41,7 +41,9 @@ def report_of(diagnosis: Diagnosis) -> Report:
 
 
 def _summary(d: Diagnosis) -> str:
-    parts = [gain_sentence(d.heldout, d.finding.extends)]
+    parts = [learned_sentence(d.finding.learned)] if d.finding.learned else []
+    if d.causes or not parts:
+        parts = [gain_sentence(d.heldout, d.finding.names), *parts]
     measured, nominal, extended = (
         _mean([f.cor for f in row]) for row in (d.closed_loop.measured, d.closed_loop.nominal, d.closed_loop.extended)
     )
@@ -62,8 +64,19 @@ def _causes(report: Report, d: Diagnosis) -> None:
             "Of the vocabulary these explain most, each beside the others. What they leave is not noise: they are a part of the cause "
             "at most, and the model is not extended with them."
         )
+    _learned(report, d)
     if d.finding.extends:
         report.text("extended.yaml in this folder is the scenario with these effects; it runs: hiltestbed run extended.yaml")
+
+
+def _learned(report: Report, d: Diagnosis) -> None:
+    learned = d.finding.learned
+    if learned is None:
+        return
+    report.heading("A law without a name")
+    report.text(learned_sentence(learned))
+    report.text(f"{learned.effect}: {meaning(learned.effect)} {EFFECTS[learned.effect].equation}")
+    report.figure(pictures.learned_curves(learned), "Each curve of the law, with what the data leave for it where all else is taken out.")
 
 
 def _cause_table(report: Report, causes: Sequence[Cause], title: str, rivals: bool = True) -> None:
@@ -120,7 +133,9 @@ def _ranking(report: Report, d: Diagnosis) -> None:
 
 def _gain(report: Report, d: Diagnosis) -> None:
     report.heading("Gain")
-    report.text(gain_sentence(d.heldout, d.finding.extends))
+    report.text(gain_sentence(d.heldout, d.finding.names))
+    if d.finding.learned is not None:
+        report.figure(pictures.heldout_bars(d.finding.learned.heldout), "The learned law on runs that were left out of its fit.")
     if d.finding.partial_gain is not None:
         report.text(partial_sentence(d.finding.partial, d.finding.partial_gain))
         report.figure(pictures.heldout_bars(d.finding.partial_gain), "The best explanation on runs that were left out of its fit.")

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hiltestbed.diagnosis.learned_law import Learned
 from hiltestbed.diagnosis.report.evidence import counted, in_sigma, misfit
 from hiltestbed.diagnosis.result import ChannelResidual, ClosedLoop, Heldout, Ranked, Series
 from hiltestbed.measured import MeasuredDataset
@@ -150,6 +151,25 @@ def heldout_bars(heldout: Heldout) -> Figure:
     axes.set_xticks(place, [f"run {r}" for r in runs])
     axes.set_ylabel("rms over noise floor")
     axes.legend(fontsize=8, frameon=False)
+    return figure
+
+
+def learned_curves(learned: Learned) -> Figure:
+    """The curves of a learned law over the samples that each was fitted to."""
+    over = {
+        "penetration": ("penetration", "force added"), "rate": ("rate", "force added"), "stretch": ("stretch of the slider", "force added"),
+        "spring": ("penetration", "part of the spring added"), "spring_rate": ("rate", "part of the spring added"),
+        "reading": ("felt", "shown"),
+    }  # fmt: skip
+    figure, grid = new_figure(3.3 * len(learned.curves) + 0.6, 3.2, nrows=1, ncols=len(learned.curves), squeeze=False)
+    for axes, curve in zip(grid[0], learned.curves, strict=True):
+        factor, unit = (1e3, f"m{curve.units[0]}") if curve.units[0].startswith("m") else (1.0, curve.units[0])
+        axes.plot(factor * curve.data[:, 0], curve.data[:, 1], ".", ms=1.5, color=MEASURED, alpha=0.3, label="data")
+        axes.plot(factor * curve.knots[:, 0], curve.knots[:, 1], "o-", ms=4, color=EXTENDED, lw=1.4, label="learned")
+        x, y = over.get(curve.over, (curve.over, learned.effect))
+        axes.set(xlabel=f"{x} [{unit}]", ylabel=f"{y} [{curve.units[1]}]")
+        axes.grid(alpha=0.3)
+    grid[0, 0].legend(fontsize=8, frameon=False)
     return figure
 
 

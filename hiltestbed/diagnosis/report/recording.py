@@ -42,9 +42,7 @@ def write_diagnosis_recording(path: Path, diagnosis: Diagnosis) -> None:
         with rr.RecordingStream("hiltestbed", recording_id=f"diagnosis-{diagnosis.name}", send_properties=False) as rec:
             rec.save(path, default_blueprint=_layout(diagnosis, channels))
             rec.send_recording_name(f"diagnosis of {diagnosis.name}")
-            text = (
-                f"# {diagnosis.verdict}\n\n{verdict_sentence(diagnosis)}\n\n{gain_sentence(diagnosis.heldout, diagnosis.finding.extends)}"
-            )
+            text = f"# {diagnosis.verdict}\n\n{verdict_sentence(diagnosis)}\n\n{gain_sentence(diagnosis.heldout, diagnosis.finding.names)}"
             rec.log("verdict", rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), static=True)
             for i, (run, played) in enumerate(zip(diagnosis.dataset.runs, diagnosis.played, strict=True)):
                 _signals(rec, i, run, played, diagnosis.finding.extends)

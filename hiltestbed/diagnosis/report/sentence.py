@@ -9,6 +9,7 @@ from hiltestbed.diagnosis.report.extend import in_words
 from hiltestbed.effects.table import EFFECTS
 
 if TYPE_CHECKING:
+    from hiltestbed.diagnosis.learned_law import Learned
     from hiltestbed.diagnosis.result import Cause, Diagnosis, Heldout
 
 WHERE = {
@@ -80,6 +81,26 @@ def partial_sentence(causes: Sequence[Cause], gain: Heldout | None) -> str:
         f"(95 % interval {low:.1f} to {high:.1f} %), from {gain.rms_before:.3g} to {gain.rms_after:.3g} times the noise; a wrong effect "
         f"gives {placebo:.1f} %.{worth} What it leaves is not noise, so that something else is at work."
     )
+
+
+def learned_sentence(learned: Learned | None) -> str:
+    """The law that was learned, and what it is worth; empty without one."""
+    if learned is None:
+        return ""
+    gain = learned.heldout
+    low, high = (100.0 * v for v in gain.ci95)
+    text = f"A law learned from the data, {learned.effect} with {learned.numbers} numbers"
+    text += f" ({learned.equation})" if learned.equation else ""
+    text += (
+        f", lowers the residual of {len(gain.runs)} runs, each left out of the fit in turn, by {100.0 * gain.reduction:.1f} % "
+        f"(95 % interval {low:.1f} to {high:.1f} %), from {gain.rms_before:.3g} to {gain.rms_after:.3g} times the noise; fitted to what "
+        f"departs half a contact later it gives {100.0 * gain.placebo_reduction:.1f} %."
+    )
+    if learned.resembles:
+        text += f" It resembles {' and '.join(learned.resembles)}."
+    if learned.carries_over:
+        return f"{text} The model is extended with it."
+    return f"{text} It is not the same in all runs, or carries too little, and the model is not extended with it."
 
 
 def meaning(effect: str) -> str:

@@ -1,0 +1,97 @@
+"""What is said of a learned law: its curves with the data under them, its gain, its equation, what it resembles."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from hiltestbed.diagnosis.learned.families import SensorCurve
+from hiltestbed.diagnosis.learned.learn import Law, carries_over, learn
+from hiltestbed.diagnosis.learned.words import equation, resembling
+from hiltestbed.diagnosis.learned_law import Learned, LearnedCurve
+from hiltestbed.diagnosis.links import WrenchLink
+from hiltestbed.diagnosis.residual import Residual
+from hiltestbed.diagnosis.result import Heldout
+from hiltestbed.diagnosis.search import Explanation
+from hiltestbed.diagnosis.settings import CARRIED
+from hiltestbed.effects.base import Effect
+from hiltestbed.frames import Array
+from hiltestbed.sensor.effects.calibration import WRENCH_AXES
+
+SHOWN = 3000  # samples under a curve, at most
+DIGITS = 6  # significant, of the numbers in a scenario
+
+
+def learned_on(found: Explanation, known: Sequence[Effect]) -> tuple[Learned, Effect] | None:
+    """The law learned on a link that leaves more than noise, beside ``known`` effects, and the effect as links take it; None without."""
+    result = learn(found.residual, known)
+    if result is None:
+        return None
+    law, gain = result
+    share = _share(gain)
+    effect = law.effect
+    given = {name: _rounded(value) for name, value in effect.parameters().items() if value}
+    learned = Learned(
+        effect.kind, given, effect.link, law.numbers, gain, share, carries_over(gain) and share >= CARRIED, equation(law),
+        resembling(found.residual, law, found.singles, found.null), tuple(_curves(found.residual, law)),
+    )  # fmt: skip
+    return learned, effect
+
+
+def _share(gain: Heldout) -> float:
+    """Of the departure, in mean square beyond the noise."""
+    before, after = gain.rms_before**2 - 1.0, max(gain.rms_after**2 - 1.0, 0.0)
+    return 1.0 - after / before if before > 0.0 else 0.0
+
+
+def _rounded(value: object) -> object:
+    if isinstance(value, tuple):
+        return [_rounded(v) for v in value]
+    return float(f"{value:.{DIGITS}g}") if isinstance(value, float) else value
+
+
+def _curves(residual: Residual, law: Law) -> list[LearnedCurve]:
+    """Each with its own value and what the whole law leaves, sample by sample."""
+    link = residual.link
+    if not isinstance(link, WrenchLink):
+        return []
+    axis = WRENCH_AXES.index(law.family.axis) if isinstance(law.family, SensorCurve) else 2
+    pairs = {b.name: np.array(c) for b, c in zip(law.family.blocks, law.family.curves(law.values, law.choices), strict=True) if c}
+    effects = [*law.known, law.effect]
+    left, places = [], {name: [] for name in pairs}
+    for i in residual.runs:
+        rows = np.flatnonzero(link.runs[i].touching & np.isfinite(link.runs[i].sigma[:, axis]))
+        left.append((link.runs[i].measured - link.shown(i, effects))[rows, axis])
+        late = np.maximum(rows - round(link.lateness(i, law.known) / link.runs[i].scenario.tick), 0)
+        depth = link.penetration(i)
+        held = link.runs[i].scenario.mechanism.captured
+        rate = np.gradient(depth, link.runs[i].scenario.tick)
+        series = {"penetration": depth, "rate": rate, "spring": depth, "spring_rate": rate}
+        if "stretch" in pairs:
+            series["stretch"] = stretches(depth, pairs["stretch"][0, 0], pairs["stretch"][-1, 0], held)
+        for name, found in places.items():
+            found.append(link.shown(i, law.known)[rows, axis] if name == "reading" else series[name][late])
+    remains = np.concatenate(left)
+    step = max(1, len(remains) // SHOWN)
+    out = []
+    for name, curve in pairs.items():
+        x = np.concatenate(places[name])
+        first, second = type(law.effect).unit(name).split(", ")
+        inside = np.interp(x, curve[:, 0], curve[:, 1]) + remains
+        if name.startswith("spring"):  # a part of a force that vanishes cannot be read
+            inside = np.full(len(x), np.nan)
+        out.append(LearnedCurve(name, curve, np.column_stack([x, inside])[::step], (first, second)))
+    return out
+
+
+def stretches(depth: Array, low: float, high: float, held: bool) -> Array:
+    """``(N,)`` stretch [m] of a slider that follows where it would leave ``low`` to ``high``, along penetrations (N,)."""
+    out, slider = np.zeros(len(depth)), 0.0
+    for k, x in enumerate(depth):
+        if x <= 0.0 and not held:
+            slider = 0.0
+            continue
+        out[k] = min(max(x - slider, low), high)
+        slider = x - out[k]
+    return out
