@@ -31,6 +31,7 @@ from hiltestbed.measured import MeasuredDataset, MeasuredRun
 from hiltestbed.measured.driven import is_driven
 from hiltestbed.measured.momentum import centred
 from hiltestbed.measured.noise import white_noise
+from hiltestbed.replay import follows_exactly
 from hiltestbed.replay.compensation import needs
 from hiltestbed.signals import GROUPS
 
@@ -74,18 +75,15 @@ def lay_out(dataset: MeasuredDataset) -> Layout:
     runs = dataset.runs
     force = force_noise(runs)
     noise = _floors(runs) | {c: float(v) for c, v in zip(GROUPS["wrench_meas"].columns, force.level, strict=True) if v > 0.0}
-    missing: dict[str, str] = {}
+    missing = _lacking(runs)
     given = None
-    if not _all(runs, "pose_cmd", "pose_act"):
-        missing["platform"] = "needs pose_cmd and pose_act in every run"
-    else:
+    if "platform" not in missing:
         found = [deflection(run, noise.get("wrench_meas.fz", 0.0)) for run in runs]
         lost = next((i for i, d in enumerate(found) if d is None), None)
         if lost is None:
             given = tuple(d for d in found if d is not None)
         else:
             missing["platform"] = f"the believed rig cannot follow the command on record in run {lost}"
-    missing |= _lacking(runs)
     scales = _scales(runs, noise)
     if "dynamics" not in missing and all(is_driven(r.record, r.scenario) for r in runs):
         scales = replace(scales, driven=regression(runs))
@@ -94,7 +92,14 @@ def lay_out(dataset: MeasuredDataset) -> Layout:
 
 def _lacking(runs: Sequence[MeasuredRun]) -> dict[str, str]:
     """Link to the groups that it needs and that some run lacks."""
+    if any(r.scenario.rig.platform.physical for r in runs):
+        free = "the bodies move by themselves: nothing is computed, and nothing is commanded"
+        return dict.fromkeys(("platform", "compensation", "dynamics"), free) | _lacking_of_wrench(runs)
     out = {}
+    if not _all(runs, "pose_cmd", "pose_act"):
+        out["platform"] = "needs pose_cmd and pose_act in every run"
+    elif any(sides_of(r.scenario.mechanism).moving and not follows_exactly(r.scenario) for r in runs):
+        out["platform"] = "parts of the mechanism move: what they load the drives with is not on record"
     if not _all(runs, "wrench_meas", "wrench_comp"):
         out["compensation"] = "needs wrench_meas and wrench_comp in every run"
     else:
@@ -108,6 +113,11 @@ def _lacking(runs: Sequence[MeasuredRun]) -> dict[str, str]:
         out["dynamics"] = "needs all axes of wrench_comp: off the axis of insertion each of them moves all of pose_cmd"
     elif all(r.record.unknown("wrench_comp")[-1] and r.record.unknown("wrench_comp").mean() > MOSTLY for r in runs):
         out["dynamics"] = "needs wrench_comp without gaps: what a missing sample did to the motion stays in it"
+    return out | _lacking_of_wrench(runs)
+
+
+def _lacking_of_wrench(runs: Sequence[MeasuredRun]) -> dict[str, str]:
+    out = {}
     if not _all(runs, "wrench_meas"):
         out["wrench"] = "needs wrench_meas in every run"
     elif not _all(runs, "wrench_meas.fz"):

@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 from hiltestbed.frames import Array
 from hiltestbed.platform.friction import BRISTLE, STEPS, drag, stribeck
 
+AT_REST = 1e-9  # [m/s], [rad/s] of a drive at the start: less is the rounding of the inverse kinematics, which has no direction
+
 
 @njit(cache=True)
 def _act(numbers, dt, axes, inputs, qvel, bristles, ctrl):
@@ -28,7 +30,7 @@ def _settle(numbers, axes, qvel, bristles):
     for i in range(qvel.shape[0]):
         for j in range(axes.shape[0]):
             v, p = qvel[i, axes[j]], numbers[i, j]
-            bristles[i, j, 0] = 0.0 if v == 0.0 else math.copysign(stribeck(v, p) / p[BRISTLE], v)
+            bristles[i, j, 0] = 0.0 if abs(v) < AT_REST else math.copysign(stribeck(v, p) / p[BRISTLE], v)
 
 
 class Rubbing:
