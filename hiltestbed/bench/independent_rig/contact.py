@@ -162,8 +162,11 @@ def wrench(law, p, velocity, state, out):
     if law.friction_load != 0.0:
         drag *= 1.0 + law.friction_load * abs(force)
     read = carried(law, force, state)
+    along = p[0] * law.normal[0] + p[1] * law.normal[1] + p[2] * law.normal[2]
     for a in range(3):
         out[a] = read * law.normal[a] + drag * slip[a]
+        if law.latched:  # held across, too, on the axis
+            out[a] += law.stiffness * (p[a] - along * law.normal[a]) + law.damping * slip[a]
     if law.side != 0.0:
         out[0] += force * law.side * x
     lift = (1.0 - law.lever) * x
