@@ -46,6 +46,7 @@ def add(app: typer.Typer, scenario_of: ScenarioOf) -> None:
         """Run the loop in real time against a real sensor and a real platform; nothing moves without --arm. See docs/safety.md."""
         from hiltestbed.devices.live import Observed, Options
         from hiltestbed.devices.live import live as run_live
+        from hiltestbed.devices.recorder import discard
         from hiltestbed.folders import free_folder, safe_name
         from hiltestbed.recording import refuse_foreign, write_run
 
@@ -53,12 +54,14 @@ def add(app: typer.Typer, scenario_of: ScenarioOf) -> None:
         folder = out if out is not None else free_folder(Path("runs") / safe_name(f"{spec.name}-live"))
         refuse_foreign(folder)
         _end_like_ctrl_c()
-        result = run_live(spec, Options(sensor, platform, armed=arm, cpu=cpu, say=_say))
+        rows = folder.with_name(folder.name + ".rows.f64")  # for a process that dies: gone once the run is written
+        result = run_live(spec, Options(sensor, platform, armed=arm, cpu=cpu, record=rows, say=_say))
         if isinstance(result, Observed):
             _print_observed(result, spec, as_json)
             return
         whole = result.trace is not None and len(result.trace.t) > 0
         write_run(result, folder, rerun=whole and not no_rerun)
+        discard(rows)
         _print_live(result.summary, folder, whole and not no_rerun, as_json)
         if result.summary["status"] != "completed":
             print(f"{spec.name}: {result.summary['status']}: {result.summary['stop_reason']}; the run lies in {folder}", file=sys.stderr)

@@ -1,13 +1,12 @@
 """The errors a caller may want to tell apart; everything hiltestbed raises on purpose is a HiltestbedError.
 
-The exit status of the command line follows the class: InputError 2, Diverged and Stopped 3, any other 1.
+The exit status of the command line follows the class: InputError 2, any other 1; a run that diverged or was stopped ends with 3.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from pathlib import Path
 
 
 def printable(text: str) -> str:
@@ -51,27 +50,6 @@ class InputError(HiltestbedError):
             return
         self.faults = (faults,) if isinstance(faults, Fault) else tuple(faults)
         super().__init__("\n".join(str(fault) for fault in self.faults))
-
-
-class Diverged(HiltestbedError):
-    """A simulation left the finite numbers: when [s], which quantity, and the folder whose state replays it."""
-
-    exit_status = 3
-
-    def __init__(self, time: float, quantity: str, state: Path | None = None) -> None:
-        self.time, self.quantity, self.state = time, quantity, state
-        replay = f"; the state before it lies in {state}" if state is not None else ""
-        super().__init__(f"diverged at t = {time:.6f} s: {quantity}{replay}")
-
-
-class Stopped(HiltestbedError):
-    """A safety limit ended a simulation: when [s] and which limit."""
-
-    exit_status = 3
-
-    def __init__(self, time: float, reason: str) -> None:
-        self.time, self.reason = time, reason
-        super().__init__(f"stopped at t = {time:.6f} s: {reason}")
 
 
 class MissingExtra(HiltestbedError):

@@ -15,7 +15,6 @@ applied from outside.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
@@ -29,7 +28,6 @@ from hiltestbed.contact.composition import (
     ACTIVE,
     AWAY,
     DIST,
-    FACET,
     FOUND,
     LATCH,
     LINVEL,
@@ -40,6 +38,7 @@ from hiltestbed.contact.composition import (
     Structure,
     inverse_mass,
 )  # fmt: skip
+from hiltestbed.contact.facets import DRAG, MET, NORM, POINT, PUSH, outwards, pose_facet, spring
 from hiltestbed.contact.geometry import ACTIVE as A
 from hiltestbed.contact.geometry import FRAMES, RADIUS, ROUND_FRAME, ROW, SIDE, SURFACE_FRAME, VALUES
 from hiltestbed.contact.geometry import PASSIVE as S
@@ -47,27 +46,23 @@ from hiltestbed.contact.latches import Latches
 from hiltestbed.contact.law import STATES
 from hiltestbed.contact.parameters import (
     ADHESION,
-    DAMPING,
     FRICTION,
     LINEAR,
     MODE,
     OFFSET,
-    STIFFNESS,
     ContactParameters,
     believed_contacts,
     contact_rows,
 )  # fmt: skip
 from hiltestbed.contact.solref import NO_DAMPING
 from hiltestbed.contact.wrench import add_at, add_contact, law_of, meet_all, tilts
-from hiltestbed.frames import Array, quat_mul, rotate, rotate_back
+from hiltestbed.frames import Array, quat_mul, rotate_back
 
 if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario
 
 WIDE = 10.0  # times the friction coefficient: MuJoCo's cone, which must not act
-NO_FRICTION = -1e-9  # [1/s^2] of a stiffness along the surface, per A
 LEAST = 1e-9  # [m] of the penetration that MuJoCo is shown where a law pushes without any
-SCALARS, POINT, NORM, SLIP, PUSH, DRAG, MET = 0, 2, 5, 8, 11, 12, 13  # columns of `met`; the first two are penetration and rate
 
 
 class Engagement:
@@ -300,7 +295,7 @@ def _touch_facets(
             touching[i] = True
             out[PUSH], out[DRAG] = push, drag
             surface, side = index[c * ROW + SURFACE_FRAME], index[c * ROW + SIDE]
-            _outwards(point[c], normal[c], slip[c], frames[i, surface], side, out)
+            outwards(point[c], normal[c], slip[c], frames[i, surface], side, out)
             add_contact(push, drag, point[c], normal[c], slip[c], frames[i, surface], side, f, wrench[i])
             if push < 0.0:
                 add_contact(push, drag, point[c], normal[c], slip[c], frames[i, surface], side, f, pull[i])
@@ -308,66 +303,11 @@ def _touch_facets(
                 geom_pos[i, ids[c, 1], 2] = AWAY
                 continue
             show = max(depth[c] - row[OFFSET], LEAST)
-            _pose_facet(
+            pose_facet(
                 point[c], normal[c], show, values[c * VALUES + RADIUS], frames[i], carry[i], surface, index[c * ROW + ROUND_FRAME],
                 ids[c], geom_pos[i], geom_quat[i], work,
             )  # fmt: skip
-            _spring(linear[i, c], row, push, drag, show, gain[i, c], solref[i, ids[c, 0]], friction[i, ids[c, 0]])
-
-
-@njit(cache=True)
-def _spring(linear, row, push, drag, show, g, solref, friction):
-    """What MuJoCo is told of a contact that it sees ``show`` [m] deep, for a normal force ``push`` and a friction worth ``drag``."""
-    if linear:
-        solref[0] = -row[STIFFNESS] * g
-        solref[1] = min(-row[DAMPING] * g, NO_DAMPING)
-    else:
-        solref[0] = min(-push * g / show, NO_DAMPING)
-        solref[1] = NO_DAMPING
-    friction[0] = NO_FRICTION * g
-    friction[1] = min(-drag * g, NO_DAMPING)
-
-
-@njit(cache=True)
-def _outwards(point, normal, slip, place, side, out):
-    """Point, normal and slip in W: what pushes the passive side, and how the active side slips."""
-    rotate(place[3:7], point, out[POINT : POINT + 3])
-    rotate(place[3:7], normal, out[NORM : NORM + 3])
-    rotate(place[3:7], slip, out[SLIP : SLIP + 3])
-    for j in range(3):
-        out[POINT + j] += place[j]
-        out[NORM + j] *= side
-        out[SLIP + j] *= side
-
-
-@njit(cache=True)
-def _pose_facet(point, normal, show, radius, frames, carry, surface, round_, ids, geom_pos, geom_quat, work):
-    """Put the facet in the tangent plane and the ball ``show`` [m] into it, so that MuJoCo's contact is at ``point`` (3,)."""
-    at, turn = work[0], work[1]
-    for j in range(3):
-        at[j] = point[j] + normal[j] * (FACET[2] - 0.5 * show)
-    rotate(carry[surface, 3:7], at[0:3], at[0:3])
-    for j in range(3):
-        geom_pos[ids[1], j] = at[j] + carry[surface, j]
-    turn[0], turn[1], turn[2], turn[3] = normal[1], -normal[0], 0.0, 1.0 - normal[2]  # turns z to -normal
-    length = math.sqrt(turn[0] ** 2 + turn[1] ** 2 + turn[3] ** 2)
-    if length > 1e-9:
-        turn[0], turn[1], turn[3] = turn[0] / length, turn[1] / length, turn[3] / length
-    else:
-        turn[0], turn[1], turn[3] = 1.0, 0.0, 0.0
-    whole = work[2]
-    quat_mul(carry[surface, 3:7], turn[0:4], whole[0:4])
-    out = geom_quat[ids[1]]
-    out[0], out[1], out[2], out[3] = whole[3], whole[0], whole[1], whole[2]
-    for j in range(3):
-        at[j] = point[j] - normal[j] * (radius - 0.5 * show)
-    rotate(frames[surface, 3:7], at[0:3], at[0:3])
-    for j in range(3):
-        at[j] += frames[surface, j] - frames[round_, j]
-    rotate_back(frames[round_, 3:7], at[0:3], at[0:3])
-    rotate(carry[round_, 3:7], at[0:3], at[0:3])
-    for j in range(3):
-        geom_pos[ids[2], j] = at[j] + carry[round_, j]
+            spring(linear[i, c], row, push, drag, show, gain[i, c], solref[i, ids[c, 0]], friction[i, ids[c, 0]])
 
 
 @njit(cache=True)
@@ -392,7 +332,7 @@ def _touch_natively(
             push, drag = law_of(dt, least_creep, row, state[i, c], depth, out[1], slip) if live[i, c] else (0.0, 0.0)
             show = max(depth + max(-row[OFFSET], 0.0), LEAST)
             share, k = gain[i, c] / points, ids[c, 0]
-            _spring(linear[i, c] and live[i, c], row, max(push, 0.0), drag, show, share, solref[i, k], friction[i, k])
+            spring(linear[i, c] and live[i, c], row, max(push, 0.0), drag, show, share, solref[i, k], friction[i, k])
             if push == 0.0 and depth <= 0.0:
                 continue
             touching[i] |= live[i, c]

@@ -109,10 +109,6 @@ class RdtClient(SensorClient):
         """The device takes its present load for zero (software bias)."""
         self._request(BIAS)
 
-    def reset_latch(self) -> None:
-        """Clear the latch that a passed threshold has set."""
-        self._request(RESET_LATCH)
-
     def fileno(self) -> int:
         return self._socket.fileno() if self._socket is not None else -1
 

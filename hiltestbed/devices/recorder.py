@@ -10,6 +10,7 @@ The file holds 64-bit floats, row by row. If the loop's process dies, everything
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import subprocess
 import sys
@@ -21,10 +22,12 @@ import numpy as np
 from hiltestbed.devices.realtime import ordinary
 from hiltestbed.devices.ring import Array, Ring
 from hiltestbed.errors import HiltestbedError
+from hiltestbed.signals import Trace, groups
 
 NAP = 0.005  # [s] between two reads of the ring
 PATIENCE = 20.0  # [s] to wait for the process to start, and to write the remaining rows
 READY = "ready"
+BEHIND = 4000  # rows that the recording may be behind: two seconds at 2 kHz
 
 
 class Recorder:
@@ -67,6 +70,44 @@ class Recorder:
         if self.path.stat().st_size == 0:
             return np.zeros((0, columns))
         return np.memmap(self.path, np.float64, "r").reshape(-1, columns)
+
+
+class TraceRecorder:
+    """The rows of a run as they come: 64-bit floats in ``path``, and in a JSON file beside it what the columns are.
+
+    Should the loop's process die, ``numpy.fromfile(path).reshape(-1, len(columns))`` is the run up to there.
+    """
+
+    def __init__(self, trace: Trace, path: Path) -> None:
+        """``trace``: takes the rows of one run. Raises HiltestbedError where the file cannot be written."""
+        own = groups(trace.joints)
+        self._trace = trace
+        columns = ["t", *(c for name in trace.data for c in own[name].columns), "contact"]
+        self._row = np.empty(len(columns))
+        path.parent.mkdir(parents=True, exist_ok=True)
+        self._recorder = Recorder(len(columns), BEHIND, path)
+        path.with_suffix(".json").write_text(json.dumps({"columns": columns}), encoding="utf-8")
+
+    def push(self, k: int) -> None:
+        """Row ``k`` of the trace, which is complete."""
+        row, trace, at = self._row, self._trace, 1
+        row[0] = trace.t[k]
+        for values in trace.data.values():
+            width = values.shape[2]
+            row[at : at + width] = values[k, 0]
+            at += width
+        row[at] = trace.contact[k, 0]
+        self._recorder.push(row)
+
+    def finish(self) -> None:
+        """End the recording; what is on disk stays."""
+        self._recorder.finish()
+
+
+def discard(path: Path) -> None:
+    """Remove what a :class:`TraceRecorder` has written: the run has been written as a whole."""
+    for file in (path, path.with_suffix(".json")):
+        file.unlink(missing_ok=True)
 
 
 def main() -> int:

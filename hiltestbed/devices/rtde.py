@@ -124,13 +124,6 @@ class _Session:
         except OSError:
             self._lose()
 
-    def pause(self) -> None:
-        if self.stream is not None:
-            try:
-                self.stream.send(rtde_wire.PAUSE)
-            except OSError:
-                self._lose()
-
     def _lose(self) -> None:
         self.counts[Event.GONE] += 1
         self.close()

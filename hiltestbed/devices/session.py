@@ -1,7 +1,8 @@
 """One run of the loop against two devices: connect, tare, wait, travel to the start, run, stop; a run like any other comes of it.
 
 Nothing moves before it is armed. Whatever happens from then on ends in a run with its reason, and the platform held, retracted or stopped
-as the scenario says. The trace is kept in memory that is there before the first cycle, and written after the last.
+as the scenario says. The trace is kept in memory that is there before the first cycle, and written after the last; a process beside the
+loop writes its rows as they come, should the loop's process die.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,6 +21,7 @@ from hiltestbed.devices.interface import PlatformClient, SensorClient
 from hiltestbed.devices.motion import run_down, run_up, travel
 from hiltestbed.devices.pace import Pace, pace_of
 from hiltestbed.devices.realtime import Granted, prepared
+from hiltestbed.devices.recorder import TraceRecorder
 from hiltestbed.devices.side import Connected, DeviceRig, side_of
 from hiltestbed.devices.table import platform_client, sensor_client, settings_of
 from hiltestbed.devices.watch import said
@@ -44,6 +47,7 @@ class Options:
     Attributes:
         sensor, platform: URLs. armed: whether anything may move. cpu: processor to run on.
         say: is told when the platform is about to move.
+        record: file that takes the rows as they come, for a process that dies; None: they are in memory until the end.
         pace: makes what a tick waits for, of sensor, platform and tick; for tests without a clock.
     """
 
@@ -51,6 +55,7 @@ class Options:
     platform: str
     armed: bool = False
     cpu: int | None = None
+    record: Path | None = None
     pace: MakePace = pace_of
     say: Callable[[str], None] = lambda step: None
     connect: Callable[[Scenario, Options], tuple[SensorClient, PlatformClient]] = field(default=lambda *a: clients(*a))
@@ -99,6 +104,7 @@ class Session:
         self.loop = Loop([scenario], side=side_of(self.rig))
         self.trace = Trace(scenario.ticks, 1, scenario.rate, self.rig.units)
         self.granted = Granted()
+        self.recorder: TraceRecorder | None = None
         self.wall = 0.0
         state = approach_state(scenario)
         self._pose, self._twist = state[:7], state[7:]
@@ -113,6 +119,9 @@ class Session:
             self.granted = stack.enter_context(prepared(self.options.cpu))
             stack.enter_context(devices.sensor)
             stack.enter_context(devices.platform)
+            if self.armed and self.options.record is not None:
+                self.recorder = TraceRecorder(self.trace, self.options.record)
+                stack.callback(self.recorder.finish)
             devices.pace = self.options.pace(devices.sensor, devices.platform, self.scenario.tick)
             if self.armed and watchdog is not None:
                 devices.watchdog = Watchdog(
@@ -177,6 +186,8 @@ class Session:
         try:
             while self.loop.k < self.scenario.ticks and self.loop.alive[0]:
                 self.loop.step(self.trace)
+                if self.recorder is not None:
+                    self.recorder.push(self.loop.k - 1)
         finally:
             self.wall = time.perf_counter() - began
 

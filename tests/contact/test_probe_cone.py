@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from hiltestbed.contact.engagement import NORM, SLIP
+from hiltestbed.contact.facets import NORM, SLIP
 from hiltestbed.frames import Array
 from hiltestbed.platform.plant import Plant
 from hiltestbed.scenario import Scenario

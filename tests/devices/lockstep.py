@@ -8,7 +8,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -69,12 +69,14 @@ def played(
     disturb: Disturbance | None = None,
     emulated: Scenario | None = None,
     armed: bool = True,
+    record: Path | None = None,
 ) -> Outcome:
     """Run ``scenario`` against the emulated rig of ``emulated``, the same where it is not given.
 
     Args:
         disturb: called before each cycle of the devices once the run is armed, with its number; the devices whose record of this cycle
             does not arrive in it.
+        record: file that takes the rows as they come.
     """
     begun, cycle = False, 0
 
@@ -85,7 +87,7 @@ def played(
         return disturb(cycle - 1, emulator, session) if begun and disturb is not None else ()
 
     with against(emulated or scenario, platform, before, armed) as (options, emulator):
-        session = Session(scenario, options)
+        session = Session(scenario, replace(options, record=record))
         with session.connected():
             observed: Observed = session.observe()
             if armed:

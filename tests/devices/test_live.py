@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hiltestbed.devices.recorder import discard
 from hiltestbed.recording import read_run, write_run
 from hiltestbed.signals import CYCLE
 from hiltestbed.simulation import run
@@ -98,6 +99,20 @@ def test_the_run_folder_is_one_like_any_other(tmp_path: Path) -> None:
     assert np.all(cycles[1:, :2] > 0.0)
     assert again.summary["live"]["events"]["platform"]["lost"] == 0
     assert np.isnan(again.trace["wrench_true"]).all()
+
+
+def test_the_rows_are_on_disk_as_they_come(tmp_path: Path) -> None:
+    """What a process that dies would leave behind is what one that lives writes at its end."""
+    rows = tmp_path / "run.rows.f64"
+    trace = played(scenario_of("02-bumper", "udp", duration=0.5), "udp", record=rows).run.trace
+    assert trace is not None
+    columns = json.loads(rows.with_suffix(".json").read_text())["columns"]
+    recorded = np.fromfile(rows).reshape(-1, len(columns))
+    assert len(recorded) == len(trace.t)
+    for name in ("t", "pose_cmd.pz", "wrench_meas.fz", "contact"):
+        np.testing.assert_array_equal(recorded[:, columns.index(name)], trace[name])
+    discard(rows)
+    assert not list(tmp_path.iterdir())
 
 
 @SLOW

@@ -31,8 +31,6 @@ METHODS = {
     "none": NONE, "phase_lead": PHASE_LEAD, "second_order_lead": SECOND_ORDER_LEAD, "polynomial": POLYNOMIAL, "dead_zone": DEAD_ZONE,
     "smith_predictor": SMITH, "virtual_contact": VIRTUAL, "passivity_control": PASSIVITY, "reconstruction": RECONSTRUCTION,
 }  # fmt: skip
-HIGHEST_ORDER = 5
-WITH_POSE = (SMITH, VIRTUAL, RECONSTRUCTION)
 INPUT, OUTPUT = 0, 2  # rows of `past`: the two inputs and the two outputs before
 ENERGY, PEAK, GATED, HELD = range(4)  # of `tally`
 MOST_DAMPING = 0.5  # of what one tick can carry

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from hiltestbed.frames import Array
 from hiltestbed.platform.facilities.kinematics import Axis
 
-QUANTITIES = ("travel", "speed", "acceleration", "force", "reach")
 TRAVEL, SPEED, ACCELERATION, FORCE, REACH = range(5)
 UNREACHED = 1e-6  # [m], [rad] by how much a command may be missed
 
@@ -50,7 +49,8 @@ class Watch:
     """The watch over `n` runs of a facility.
 
     Attributes:
-        shares: (n, 5) the largest share of its limit of each quantity in :data:`QUANTITIES`, at this tick. which: (n, 5) of which joint.
+        shares: (n, 5) the largest share of its limit of travel, speed, acceleration, force and reach, at this tick. which: (n, 5) of
+            which joint.
     """
 
     def __init__(self, axes: Sequence[Axis], home: Array, n: int, tick: float, watched: Array | None = None) -> None:
