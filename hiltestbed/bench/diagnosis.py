@@ -182,6 +182,8 @@ def coverage(hidden: Sequence[dict[str, Any]], causes: Sequence[Any]) -> tuple[i
             ):
                 continue
             for name, p in cause.parameters.items():
+                if name not in effect:  # left at its default in the set that was drawn
+                    continue
                 pairs = zip(effect[name], p.ci95, strict=True) if isinstance(p.estimate, tuple) else [(effect.get(name), p.ci95)]
                 for true, ends in pairs:
                     if ends is not None and isinstance(true, (int, float)) and ends[0] != ends[1]:
