@@ -35,7 +35,7 @@ def decimated(link: WrenchLink) -> WrenchLink:
         None,
         link.rates and [_means(r, count) for r in link.rates],
     )
-    return out.reading(lever=link.lever)
+    return out.reading(lever=link.lever, blunt=link.blunt)
 
 
 def _rms(link: WrenchLink, modelled: list[Array]) -> float:

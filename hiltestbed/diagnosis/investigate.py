@@ -123,6 +123,8 @@ def _investigate_wrench(layout: Layout, found: dict[str, Explanation], whole: di
         candidates = tuple(c for c in candidates if c.kind != "sensor.delay")
     search = Search(candidates, special=(jitter_beside, hum_beside), progress=_told(progress, "contact and sensor"))
     explanation = search.explain(residual, given[0] if given else None)
+    if not given and (pointed := _at_a_point(explanation)):
+        explanation = search.explain(Residual(pointed))
     if given and not explanation.adequate and _other_reading_betters(explanation, given[1]):
         explanation = search.explain(residual, given[1])
     elif not given and (other := _on_a_grid(explanation)):
@@ -131,7 +133,7 @@ def _investigate_wrench(layout: Layout, found: dict[str, Explanation], whole: di
         explanation = replace(explanation, candidates=(*candidates, *given[0].causes))
     found["wrench"] = explanation
     chosen = _wrench(explanation)
-    whole["wrench"] = make_wrench_link(layout, found.get("platform"), layout.whole).reading(chosen.lever, chosen.grid)
+    whole["wrench"] = make_wrench_link(layout, found.get("platform"), layout.whole).reading(chosen.lever, chosen.grid, chosen.blunt)
     if given:
         _settle_compensation(layout, found, whole, progress)
 
@@ -142,6 +144,23 @@ def _wrench(explanation: Explanation) -> WrenchLink:
     if not isinstance(link, WrenchLink):
         raise TypeError(f"an explanation of the link {link.name} (got {type(link).__name__}); allowed is a WrenchLink")
     return link
+
+
+def _at_a_point(explanation: Explanation) -> WrenchLink | None:
+    """The link where the tip touches with its foremost point, if what was found, nothing, or a tilt fits better there.
+
+    In the MJCF a plane is met by a ball: where the bodies turn, or the port is tilted, it is met beside that point. A facility may compute
+    it at the point.
+    """
+    link = _wrench(explanation)
+    if not explanation.departs or JITTER in explanation.chosen.kinds or not all(r.scenario.mechanism.flat for r in link.runs):
+        return None
+    other = link.reading(blunt=0.0)
+    there = explanation.residual.through(other)
+    tilts = [c for c in explanation.candidates if c.kind == "contact.misalignment"]
+    fits = [nothing(there), *([refit(there, explanation.chosen)] if explanation.chosen.causes else [])]
+    fits += [fit(there, (c,), c.grid) for c in tilts]
+    return other if min(f.score for f in fits) < explanation.chosen.score - ONE_OF_TWO else None
 
 
 def _on_a_grid(explanation: Explanation) -> WrenchLink | None:
@@ -192,7 +211,7 @@ def _settle_compensation(layout: Layout, found: dict[str, Explanation], whole: d
     in_time = [e for e in effects if e.link != "log"]
     links = []
     for rows in (layout.rows, layout.whole):
-        wrench = make_wrench_link(layout, found.get("platform"), rows).reading(chosen.lever, chosen.grid)
+        wrench = make_wrench_link(layout, found.get("platform"), rows).reading(chosen.lever, chosen.grid, chosen.blunt)
         everything = range(len(wrench.runs))
         late, prompt = wrench.predict([(i, effects) for i in everything]), wrench.predict([(i, in_time) for i in everything])
         used = [_as_read(run, a, b, ticks) for run, a, b in zip(wrench.runs, late, prompt, strict=True)]

@@ -52,6 +52,7 @@ class Felt:
     mount: MountDynamics | None
     substeps: int
     lever: float = 0.5
+    blunt: float = 1.0
     rates: Array | None = None
     least_creep: float = 0.0
     twists: Array = field(init=False)
@@ -66,7 +67,7 @@ class Felt:
         met = (np.full(scalars, -1.0), np.zeros(scalars), np.zeros(vectors), np.zeros(vectors), np.zeros(vectors))
         _slopes(self.poses, self.before, self.tick, twists)
         object.__setattr__(self, "twists", twists)
-        _meet(*self.geometry, self.lever, self.poses, self.ends, self.before, clear, *met)
+        _meet(*self.geometry, self.lever, self.blunt, self.poses, self.ends, self.before, clear, *met)
         object.__setattr__(self, "clear", clear)
         object.__setattr__(self, "met", met)
 
@@ -359,12 +360,12 @@ def _within(pose, slope, start, end, h, part, turn, out, rate):
 
 
 @njit(cache=True)
-def _meet(index, values, lever, poses, twists, before, clear, depth, rate, point, normal, slip):
+def _meet(index, values, lever, blunt, poses, twists, before, clear, depth, rate, point, normal, slip):
     """Geometry of the rows at which the surfaces may touch, and how far they stay apart in the tick that ends at each row."""
     count = depth.shape[2]
     frames, motions, work, p = np.zeros((2, 7)), np.zeros((2, 6)), np.empty((9, 7)), np.ones((max(count, 1), PARAMETERS))
     frames[1, 6] = 1.0
-    p[:, LEVER], p[:, OFFSET] = lever, -NEAR
+    p[:, LEVER], p[:, BLUNT], p[:, OFFSET] = lever, blunt, -NEAR
     longest = arm(values, count)
     for r in range(poses.shape[0]):
         nearest = -np.inf

@@ -29,9 +29,9 @@ WEIGHTS = np.exp(-0.5 * NODES**2) / np.sum(np.exp(-0.5 * NODES**2))
 _PROMPT = log_parameters(())
 
 
-def _numbers(scenario: Scenario, lever: float) -> tuple[list[ContactParameters], SensorParameters]:
+def _numbers(scenario: Scenario, lever: float, blunt: float) -> tuple[list[ContactParameters], SensorParameters]:
     """Contacts and sensor as a scenario believes them to be."""
-    contacts = [replace(c, lever=lever) for c in believed_contacts(scenario.mechanism)]
+    contacts = [replace(c, lever=lever, blunt=blunt) for c in believed_contacts(scenario.mechanism)]
     return contacts, SensorParameters.believed(scenario.sensor, scenario.tick)
 
 
@@ -39,7 +39,8 @@ class WrenchLink(Link):
     """Contact and sensor on the paths that A took.
 
     Attributes:
-        lever: where between the undeformed surface (0) and the tip (1) the force acts. grid: instants a tick between which a late
+        lever: where between the undeformed surface (0) and the tip (1) the force acts. blunt: 1 where the ball of the tip touches, 0 where
+        its foremost point does. grid: instants a tick between which a late
         reading lies on a straight line, as a facility has it that computes its contact step by step; None: it is that of the instant at
         which it left the contact. The rate of a contact jumps from one tick to the next, so that the two differ.
     """
@@ -53,8 +54,8 @@ class WrenchLink(Link):
         """paths: (N, 7) of A in P at t_k. jumps: (N,) how far A jumped [m] in the tick that ends at t_k, at an instant not known.
         rates: (N, 6) its twist at t_k; None: the slope over the tick that ends there."""
         self.runs, self.paths, self.jumps, self.rates = runs, paths, jumps, rates
-        self.lever, self.grid = 0.5, None
-        self._believed = [_numbers(r.scenario, self.lever) for r in runs]
+        self.lever, self.blunt, self.grid = 0.5, 1.0, None
+        self._believed = [_numbers(r.scenario, self.lever, self.blunt) for r in runs]
         scenarios = [r.scenario for r in runs]
         first, before = scenarios[0], np.empty((len(runs), 7))
         for i, (scenario, path) in enumerate(zip(scenarios, paths, strict=True)):
@@ -62,15 +63,16 @@ class WrenchLink(Link):
         captured = np.array([s.mechanism.captured for s in scenarios])
         self._felt = Felt(
             padded(paths), before, first.tick, sides_of(first.mechanism).geometry, captured, latch_limits(scenarios),
-            MountDynamics.of(scenarios), first.substeps, self.lever, None if rates is None else padded(rates), creep_of(first),
+            MountDynamics.of(scenarios), first.substeps, self.lever, self.blunt, None if rates is None else padded(rates), creep_of(first),
         )  # fmt: skip
 
-    def reading(self, lever: float | None = None, grid: int | None = None) -> WrenchLink:
+    def reading(self, lever: float | None = None, grid: int | None = None, blunt: float | None = None) -> WrenchLink:
         """The same link with another reading of what is not known of the facility."""
         out = copy(self)
-        if lever is not None and lever != self.lever:
-            out.lever, out._felt = lever, replace(self._felt, lever=lever)
-            out._believed = [_numbers(r.scenario, lever) for r in self.runs]
+        lever, blunt = self.lever if lever is None else lever, self.blunt if blunt is None else blunt
+        if (lever, blunt) != (self.lever, self.blunt):
+            out.lever, out.blunt, out._felt = lever, blunt, replace(self._felt, lever=lever, blunt=blunt)
+            out._believed = [_numbers(r.scenario, lever, blunt) for r in self.runs]
         out.grid = self.grid if grid is None else grid
         return out
 
