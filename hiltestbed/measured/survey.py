@@ -141,7 +141,11 @@ def _spans(record: Record, depth: Array | None, noise: dict[str, Noise]) -> list
 
 
 def _held(spans: list[tuple[int, int]], record: Record, depth: Array | None, scenario: Scenario) -> list[tuple[int, int]]:
-    """The spans, of which all that follow one another within the reach of a latch to the end of the record are one."""
+    """The spans, of which all that follow one another within the reach of a latch to the end of the record are one.
+
+    The reach is the depth at which it closes, and beyond it what its springs give: they hold A where they bear what the contact bore when
+    they closed, and swing about that.
+    """
     latch = scenario.mechanism.latch
     if latch is None or depth is None or not spans:
         return spans
@@ -149,7 +153,8 @@ def _held(spans: list[tuple[int, int]], record: Record, depth: Array | None, sce
     way = np.ptp(reached[-FREE_MINIMUM:]) / max(1, min(FREE_MINIMUM, record.ticks) - 1)
     if way * scenario.rate > latch.speed:
         return spans
-    outside = np.flatnonzero(reached < -latch.depth)
+    force = np.nanmax(np.abs(record.data["wrench_meas"][:, :3])) if record.has("wrench_meas") else 0.0
+    outside = np.flatnonzero(reached < -latch.depth - 2.0 * force / scenario.mechanism.contact.stiffness)
     closed = int(outside[-1]) + 1 if len(outside) else 0
     later = [start for start, end in spans if end > closed]
     return [*(s for s in spans if s[1] <= closed), (later[0], record.ticks)] if later else spans

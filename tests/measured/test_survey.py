@@ -28,7 +28,7 @@ def test_what_a_latch_holds_stays_in_contact_while_its_force_passes_through_zero
     ring = np.where(t > 1.0, np.exp(-(t - 1.0)) * np.sin(2.0 * np.pi * 2.0 * (t - 1.0)), 0.0)
     depth = np.where(t < 1.0, 0.02 * (t - 1.0), 1e-3 * ring)
     if ends == "leaves":
-        depth = np.where(t > 3.5, -0.02 * (t - 3.5), depth)
+        depth = np.where(t > 3.5, -0.06 * (t - 3.5), depth)
     pose, wrench = np.zeros((len(t), 7)), np.random.default_rng(1).standard_normal((len(t), 6))
     pose[:, 2], pose[:, 6] = depth, 1.0
     wrench[:, 2] += 400.0 * ring * (t < 3.5 if ends == "leaves" else True)
