@@ -67,7 +67,10 @@ def _stiffness_behind_a_lead(contact: Contact, lag: float) -> float:
 
 @pytest.mark.parametrize("contact", [(2.0, 0.01, 0.05), (4.0, 0.01, 0.05), (4.0, 0.01, 0.1), (2.0, 0.02, 0.05)])
 def test_the_lead_stiffens_the_contact_by_what_it_does_to_a_bounce(contact: tuple[float, float, float]) -> None:
-    """By 1 to 5 %, and where in its edges the gate opens and closes by a tenth of that. The aligned regression is off by parts of one, in c as well, which the lead shifts by per cents."""
+    """By 1 to 5 %, and by a tenth of that where in its edges the gate opens and closes.
+
+    The aligned regression is off by parts of one, in c as well, which the lead shifts by per cents.
+    """
     contacts = [Contact(*contact, seed=i) for i in range(6)]
     k_lead, c_lead = (np.median(e) for e in _errors(contacts, {"kind": "rls_lead"}))
     k, c = (np.median(e) for e in _errors(contacts, {"kind": "rls"}))
