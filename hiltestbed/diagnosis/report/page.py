@@ -10,19 +10,11 @@ from hiltestbed.diagnosis.report import pictures
 from hiltestbed.diagnosis.report.certain import certainty_section
 from hiltestbed.diagnosis.report.extend import in_words
 from hiltestbed.diagnosis.report.facts import rounded
-from hiltestbed.diagnosis.report.sentence import gain_sentence, learned_sentence, meaning, partial_sentence, verdict_sentence
+from hiltestbed.diagnosis.report.sentence import TITLES, gain_sentence, learned_sentence, meaning, partial_sentence, verdict_sentence
 from hiltestbed.diagnosis.result import Cause, Diagnosis, Figures, Isolable
 from hiltestbed.effects.table import EFFECTS
 from hiltestbed.report import Report
 
-TITLES = {
-    "no_discrepancy": "the simulation holds",
-    "named": "the cause is named",
-    "ambiguous": "one of a few causes",
-    "named_in_part": "a departure that is named in part",
-    "unknown": "a departure without a name",
-    "inconclusive": "not all of the loop could be judged",
-}
 FITTED = "k and c: least squares over the contact. A delay that the model does not know appears as missing damping."
 
 
