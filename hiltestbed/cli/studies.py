@@ -33,7 +33,7 @@ def bench(
     noise: Annotated[bool, typer.Option("--noise", help="diagnosis: healthy rigs under every kind of noise alone.")] = False,
     docking: Annotated[bool, typer.Option("--docking", help="diagnosis: the docking sets alone.")] = False,
     minutes: Annotated[float | None, typer.Option("--for", metavar="MINUTES", min=0.01, help="robustness: how long to go on.")] = None,
-    workers: Annotated[int | None, typer.Option("--workers", metavar="N", min=1, help="robustness: processes; left out: one a core.")] = None,
+    workers: Annotated[int | None, typer.Option("--workers", min=1, help="robustness: processes, else one a core.")] = None,
     as_json: Json = False,
 ) -> None:
     """Run a benchmark and write its bench.json and report.html.
