@@ -33,6 +33,7 @@ def bench(
     noise: Annotated[bool, typer.Option("--noise", help="diagnosis: healthy rigs under every kind of noise alone.")] = False,
     docking: Annotated[bool, typer.Option("--docking", help="diagnosis: the docking sets alone.")] = False,
     minutes: Annotated[float | None, typer.Option("--for", metavar="MINUTES", min=0.01, help="robustness: how long to go on.")] = None,
+    workers: Annotated[int | None, typer.Option("--workers", min=1, help="robustness: processes, else one a core.")] = None,
     as_json: Json = False,
 ) -> None:
     """Run a benchmark and write its bench.json and report.html.
@@ -46,8 +47,8 @@ def bench(
     chosen = {option: True for option, given in (("noise", noise), ("docking", docking)) if given}
     if chosen and name != "diagnosis":
         raise InputError(f"bench {name}: --{next(iter(chosen))} is an option of bench diagnosis alone; leave it out")
-    if minutes is not None and name != "robustness":
-        raise InputError(f"bench {name} --for {minutes:g}: takes as long as it takes; --for is for robustness")
+    if (minutes is not None or workers is not None) and name != "robustness":
+        raise InputError(f"bench {name}: --for and --workers are options of bench robustness alone; leave them out")
     from hiltestbed.bench.result import BENCH, write_bench
     from hiltestbed.progress import count_bar
     from hiltestbed.recording import refuse_foreign
@@ -55,7 +56,7 @@ def bench(
     folder = out if out is not None else free_folder(Path("runs") / f"bench-{name}")
     refuse_foreign(folder, BENCH)
     with count_bar(f"bench {name}") as progress:
-        more: dict[str, Any] = {} if minutes is None else {"minutes": minutes}
+        more: dict[str, Any] = {k: v for k, v in (("minutes", minutes), ("workers", workers)) if v is not None}
         result = getattr(import_module(BENCHES[name]), name)(quick=quick, progress=progress, **chosen, **more)
     write_bench(result, folder)
     if as_json:

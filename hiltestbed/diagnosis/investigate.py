@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hiltestbed.diagnosis import judges
+from hiltestbed.diagnosis.all_rows import on_all_rows
 from hiltestbed.diagnosis.driven import ALONG_AN_AXIS, WAY, axis_link, mass_and_force, one_force
 from hiltestbed.diagnosis.fit import Fit, fit, inflation, nothing, refit
 from hiltestbed.diagnosis.jitter import JITTER, jitter_beside
@@ -132,8 +133,11 @@ def _investigate_wrench(layout: Layout, found: dict[str, Explanation], whole: di
         explanation = search.explain(Residual(other))
     if given:
         explanation = replace(explanation, candidates=(*candidates, *given[0].causes))
-    found["wrench"] = explanation
     chosen = _wrench(explanation)
+    if tuple(run.rows for run in chosen.runs) != tuple(layout.rows):
+        everything = make_wrench_link(layout, path, layout.rows)
+        explanation = on_all_rows(explanation, everything.reading(chosen.lever, chosen.grid, chosen.blunt))
+    found["wrench"] = explanation
     whole["wrench"] = make_wrench_link(layout, path, layout.whole).reading(chosen.lever, chosen.grid, chosen.blunt)
     if given:
         _settle_compensation(layout, path, found, whole, progress)
