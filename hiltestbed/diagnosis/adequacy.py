@@ -44,9 +44,10 @@ class Leftover:
         return max(self.variance / self.variance_limit, self.block / self.block_limit)
 
 
-def leftover(residuals: list[Array]) -> Leftover:
-    """Of one channel; residuals: one array a run (or contact), in units of the noise."""
+def leftover(residuals: list[Array], tail: float = 2.0) -> Leftover:
+    """Of one channel; residuals: one array a run (or contact), in units of the noise; tail: variance of the square of a sample of noise."""
     total, squares, sums, blocks = 0, 0.0, 0.0, 0
+    level = FLOOR_ERROR * math.sqrt(tail / 2.0)
     for r in residuals:
         total += len(r)
         squares += float(r @ r)
@@ -57,8 +58,8 @@ def leftover(residuals: list[Array]) -> Leftover:
     return Leftover(
         squares / max(total, 1),
         sums / max(blocks, 1),
-        1.0 + FLOOR_ERROR + SPREAD * math.sqrt(2.0 / max(total, 1)),
-        1.0 + FLOOR_ERROR + SPREAD * math.sqrt(2.0 / max(blocks, 1)) + (1.0 if blocks < 10 else 0.0),
+        1.0 + level + SPREAD * math.sqrt(tail / max(total, 1)),
+        1.0 + level + SPREAD * math.sqrt((2.0 + (tail - 2.0) / BLOCK) / max(blocks, 1)) + (1.0 if blocks < 10 else 0.0),
         total,
     )
 
@@ -91,14 +92,14 @@ def contact_leftovers(residual: Residual, effects: Effects) -> dict[str, Leftove
             if varies:
                 prediction, spread = link.shaken(i, effects, varies)
                 sigma = np.hypot(sigma, spread)
-        z = softened((run.measured - prediction) / sigma, run.heavy)
+        z = softened(residual.left(i, prediction) / sigma, run.heavy)
         for c in range(len(link.channels)):
             counted = weight[:, c] > 0
             inside[c].append(z[run.touching & counted, c])
             outside[c].append(z[~run.touching & counted, c])
     out = {}
     for name, a, b in zip(link.channels, inside, outside, strict=True):
-        both = [leftover(part) for part in (a, b) if sum(map(len, part)) > 0]
+        both = [leftover(part, max(r.tail for r in link.runs)) for part in (a, b) if sum(map(len, part)) > 0]
         if both:
             out[name] = max(both, key=lambda left: left.excess)
     return out

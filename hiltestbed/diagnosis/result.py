@@ -208,7 +208,7 @@ class Finding:
         left: what the best extension leaves, in a sentence (verdict `unknown`): link, phase and shape.
         not_judged: link to why it could not be judged.
         partial: the effects of the vocabulary that come nearest where none leaves noise; partial_gain: theirs on left-out runs.
-        learned: the law learned on contact or sensor where the vocabulary leaves more than noise.
+        learned: the law learned on a link where the vocabulary leaves more than noise.
         assumed: what was assumed of the noise, in sentences. explained: verdict `named_in_part`: share of the departure on left-out runs.
     """
 

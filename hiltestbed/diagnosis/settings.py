@@ -42,9 +42,9 @@ TAIL = 0.15  # [s] after the last contact that a search looks at: where leaks an
 # Noise of the force, from free flight
 ENOUGH_FREE = 150  # rows of all runs: six channels of as many know a correlation to 0.03
 SIGNIFICANT = 4.0  # derived: standard deviations of chance; one of 15,000 white records is taken for more
+BY_CHANCE = 3e-5  # derived: the same as a probability, where what is compared is a sum of a few squares
 HEAVY = 3  # samples beyond four standard deviations, more than normal ones have
 KNEE = 3.0  # [sigma] from which a sample of noise with outliers counts by its logarithm
-STANDS_OUT = 6.0  # times the power beside it: a spectral line and not a colour
 SHARE_SHOWS = 0.3  # of the noise's variance, that a share of the reading has to add at its largest readings
 
 # Adequacy: is what is left noise?
