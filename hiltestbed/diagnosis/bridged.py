@@ -56,4 +56,5 @@ def _miss(wrench: Array, missing: np.ndarray) -> Array:
     known = np.where(touched, 0.0, 1.0)[:, None]
     weight = uniform_filter1d(known, NEIGHBOURS, axis=0)
     mean = uniform_filter1d(second * known, NEIGHBOURS, axis=0) / np.maximum(weight, 1.0 / NEIGHBOURS)
-    return np.sqrt(np.maximum(mean, 0.0)) * missing[:, None]
+    kinks = np.maximum(np.roll(second, 1, axis=0), np.roll(second, -1, axis=0))  # where the bridge meets what was measured: a touch
+    return np.sqrt(np.maximum(mean, 4.0 * kinks)) * missing[:, None]

@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
 from hiltestbed.diagnosis import judges
 from hiltestbed.diagnosis.driven import ALONG_AN_AXIS, WAY, axis_link, mass_and_force, one_force
@@ -245,8 +247,12 @@ def _choose_lever(link: WrenchLink) -> WrenchLink:
     """Where between tip and surface the force acts: the reading of the geometry that the torques bear out."""
     if all(r.scenario.mechanism.contact.friction == 0.0 for r in link.runs):
         return link
-    costs = {}
-    for lever in (0.5, 0.0, 1.0):
+
+    def cost(lever: float) -> float:
         r = Residual(link.reading(lever))(())
-        costs[lever] = float(np.sum(np.minimum(r * r, 100.0)))
-    return link.reading(min(costs, key=lambda key: costs[key]))
+        return float(np.sum(np.minimum(r * r, 100.0)))
+
+    costs = {lever: cost(lever) for lever in (0.5, 0.0, 1.0)}
+    best = min(costs, key=lambda key: costs[key])
+    found: Any = minimize_scalar(cost, bounds=(max(best - 0.5, 0.0), min(best + 0.5, 1.0)), method="bounded", options={"xatol": 0.01})
+    return link.reading(float(found.x) if found.fun < costs[best] - ONE_OF_TWO else best)

@@ -41,7 +41,7 @@ def as_ticks(run: int, clocks: Sequence[tuple[Clock, Mapping[str, Array]]], tick
 def _on_ticks(clock: Clock, columns: Mapping[str, Array], tick: float) -> Clock | None:
     """The clock with each row on its tick; None where the rows are no ticks, or stand on them already."""
     t = clock.t
-    if len(t) < 30 or abs(clock.interval / tick - 1.0) > OFF_RATE:
+    if len(t) < 30 or abs(clock.interval / tick - 1.0) > UNEVEN:
         return None
     steps = np.diff(t) / clock.interval
     whole = np.round(steps)
