@@ -119,7 +119,8 @@ def _investigate_wrench(layout: Layout, found: dict[str, Explanation], whole: di
     """Contact and sensor, which are one link to the data; and the compensation again where the record proves to be stamped late."""
     link = _choose_lever(make_wrench_link(layout, found.get("platform"), layout.rows, decimate="compensation" not in found))
     scales = replace(layout.scales, lines=lines(link))
-    candidates = _candidates(scales, WRENCH if "compensation" in found else (*WRENCH, "log"))
+    unseen = ("platform",) if link.commands else ()  # what it does is in the path then
+    candidates = _candidates(scales, (*WRENCH, *unseen) if "compensation" in found else (*WRENCH, *unseen, "log"))
     residual, given = Residual(link), _stamped_late(layout, link, found.get("compensation"))
     if given:  # which the contact alone cannot tell from a late sensor
         candidates = tuple(c for c in candidates if c.kind != "sensor.delay")

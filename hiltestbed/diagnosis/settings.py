@@ -50,7 +50,8 @@ SHARE_SHOWS = 0.3  # of the noise's variance, that a share of the reading has to
 # Adequacy: is what is left noise?
 BLOCK = 8  # samples whose mean is judged, too: a smooth misfit far below the noise shows there
 SPREAD = 4.5  # standard deviations that a figure may lie off: of some 30 figures, one in 5000 sets does
-FLOOR_ERROR = 0.08  # to which a noise floor is known from a few hundred samples
+FLOOR_ERROR = 0.08  # derived: of a variance by the median of third differences, 2.3 of which count as one, of FLOOR_ROWS
+FLOOR_ROWS = 1500
 MODEL_ERROR = 1e-3  # of the signal: another sub-stepping, another interpolation
 COMPUTED_LEFT = 0.01  # of the departure of a computed channel that an explanation may leave
 LED_NOISE = 1.7  # times the led noise, up to which a residual of the compensation may be noise of the record
