@@ -76,4 +76,11 @@ def _run(run: LinkRun, count: int) -> LinkRun:
     sigma = _means(run.sigma, count)  # infinite where one of the rows was not measured
     touching = _means(run.touching[:, None].astype(float), count)[:, 0] > 0.0
     scenario = scenario_from(resolved(run.scenario) | {"rate": rate})
-    return replace(run, scenario=scenario, measured=_means(run.measured, count), sigma=sigma, touching=touching)
+    return replace(
+        run,
+        scenario=scenario,
+        measured=_means(run.measured, count),
+        sigma=sigma,
+        touching=touching,
+        tones=tuple(w * count for w in run.tones),
+    )

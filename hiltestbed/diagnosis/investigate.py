@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
 from hiltestbed.diagnosis import judges
 from hiltestbed.diagnosis.all_rows import on_all_rows
@@ -119,7 +121,8 @@ def _investigate_wrench(layout: Layout, found: dict[str, Explanation], whole: di
     path = best_path(layout, found.get("platform"))
     link = _choose_lever(make_wrench_link(layout, path, layout.rows, decimate="compensation" not in found))
     scales = replace(layout.scales, lines=lines(link))
-    candidates = _candidates(scales, WRENCH if "compensation" in found else (*WRENCH, "log"))
+    unseen = ("platform",) if link.commands else ()  # what it does is in the path then
+    candidates = _candidates(scales, (*WRENCH, *unseen) if "compensation" in found else (*WRENCH, *unseen, "log"))
     residual, given = Residual(link), _stamped_late(layout, link, found.get("compensation"))
     if given:  # which the contact alone cannot tell from a late sensor
         candidates = tuple(c for c in candidates if c.kind != "sensor.delay")
@@ -252,8 +255,12 @@ def _choose_lever(link: WrenchLink) -> WrenchLink:
     """Where between tip and surface the force acts: the reading of the geometry that the torques bear out."""
     if all(r.scenario.mechanism.contact.friction == 0.0 for r in link.runs):
         return link
-    costs = {}
-    for lever in (0.5, 0.0, 1.0):
+
+    def cost(lever: float) -> float:
         r = Residual(link.reading(lever))(())
-        costs[lever] = float(np.sum(np.minimum(r * r, 100.0)))
-    return link.reading(min(costs, key=lambda key: costs[key]))
+        return float(np.sum(np.minimum(r * r, 100.0)))
+
+    costs = {lever: cost(lever) for lever in (0.5, 0.0, 1.0)}
+    best = min(costs, key=lambda key: costs[key])
+    found: Any = minimize_scalar(cost, bounds=(max(best - 0.5, 0.0), min(best + 0.5, 1.0)), method="bounded", options={"xatol": 0.01})
+    return link.reading(float(found.x) if found.fun < costs[best] - ONE_OF_TWO else best)

@@ -25,7 +25,7 @@ from hiltestbed.frames import Array
 from hiltestbed.measured import MeasuredRun
 from hiltestbed.measured.noise import finest_noise
 from hiltestbed.numerical_model.bodies import approach_state
-from hiltestbed.replay import moves_linearly
+from hiltestbed.replay import follows_exactly, moves_linearly
 from hiltestbed.replay.compensation import slopes
 
 
@@ -79,7 +79,16 @@ def best_path(layout: Layout, platform: Explanation | None) -> BestPath:
 def make_wrench_link(layout: Layout, best: BestPath, rows: Sequence[int], decimate: bool = False) -> WrenchLink:
     """Contact and sensor on a path; ``decimate``: in fewer rows, where nothing is lost and no other link goes on from them."""
     link = wrench_link(layout, best.path.poses, rows, best.jumps, best.path.rates, best.brought)
+    if _nobody_saw(layout):
+        return link.commanded([np.ascontiguousarray(r.record.filled("pose_cmd")) for r in layout.runs])
     return decimated(link) if decimate and best.jumps is None else link
+
+
+def _nobody_saw(layout: Layout) -> bool:
+    """Whether only the command tells where A went, on a platform that is believed to follow it."""
+    return all(r.record.has("pose_cmd") and not r.record.has("pose_act") and follows_exactly(r.scenario) for r in layout.runs) and all(
+        moves_linearly(r.scenario) for r in layout.runs
+    )
 
 
 def _measured(layout: Layout) -> list[Path]:
