@@ -9,7 +9,7 @@ import numpy as np
 
 from hiltestbed.contact.mount_dynamics import borne
 from hiltestbed.diagnosis.links import flat_pose
-from hiltestbed.diagnosis.settings import BLOCK
+from hiltestbed.diagnosis.settings import BLOCK, NO_POSE_NOISE
 from hiltestbed.frames import Array
 from hiltestbed.identification.samples import GATE_SIGMA
 from hiltestbed.measured import MeasuredRun
@@ -52,7 +52,8 @@ def deflection(run: MeasuredRun, noise: float) -> Deflection | None:
     wrench = shifted(np.where(touching, reading, 0.0), late)
     rates = run.record.filled("twist_cmd") if run.record.has("twist_cmd") else None
     told = flat_pose(np.vstack([approach_state(scenario)[:7], command[:-1]]))
-    path = replay_rig(scenario, command, rates, borne(scenario, wrench), reading)
+    reached = _as_told(run)
+    path = replay_rig(scenario, command, rates, borne(scenario, wrench), reading, reached)
     if path is None:
         return None
     away = flat_pose(path) - told
@@ -67,10 +68,19 @@ def deflection(run: MeasuredRun, noise: float) -> Deflection | None:
     if noise > 0.0:
         shaken = wrench.copy()
         shaken[:, :3] += np.where(touching, noise * np.random.default_rng(0).standard_normal((len(wrench), 3)), 0.0)
-        noisy = replay_rig(scenario, command, rates, borne(scenario, shaken), reading)
+        noisy = replay_rig(scenario, command, rates, borne(scenario, shaken), reading, reached)
         passed = np.std(flat_pose(noisy) - flat_pose(path), axis=0) if noisy is not None else passed
         doubt = np.hypot(doubt, passed * math.sqrt(max(1.0, _memory(scenario) / scenario.tick)))
     return Deflection(away, doubt, float(passed[:3].max()))
+
+
+def _as_told(run: MeasuredRun) -> Array | None:
+    """(N, 7) the pose that a motion compensation was told, where the record holds it: without the noise that a log may have added."""
+    record = run.record
+    if "pose" not in run.scenario.compensation.motion.reads or not record.has("pose_act") or not record.valid["pose_act"].all():
+        return None
+    noisy = max(run.survey.noise[f"pose_act.{axis}"].white for axis in ("px", "py", "pz") if f"pose_act.{axis}" in run.survey.noise)
+    return record.filled("pose_act") if noisy <= 10.0 * NO_POSE_NOISE else None
 
 
 def _memory(scenario: Scenario) -> float:

@@ -58,12 +58,15 @@ def creep_of(scenario: Scenario) -> float:
     return 0.0 if scenario.rig.platform.prescribed else least_creep(1.0 / scenario.physics_rate)
 
 
-def replay_rig(scenario: Scenario, command: Array, rates: Array | None, wrench: Array, reading: Array) -> Array | None:
+def replay_rig(
+    scenario: Scenario, command: Array, rates: Array | None, wrench: Array, reading: Array, reached: Array | None = None
+) -> Array | None:
     """``(N, 7)`` poses of A in P at t_k that the believed rig reaches; None where it diverges or is left behind.
 
     Args:
         command: ``(N, 7)`` pose_cmd; row k is to be reached at t_(k+1). rates: ``(N, 6)`` twist_cmd, or None.
         wrench: ``(N, 6)`` that the contact exerts at t_k. reading: ``(N, 6)`` what the sensor gave at t_k, for the identification.
+        reached: ``(N, 7)`` pose that a motion compensation was told at t_k that the platform has reached; None: what it reaches here.
     """
     start = approach_state(scenario)
     plant = Plant([scenario], force=RecordedForce(wrench, scenario.substeps))
@@ -72,8 +75,9 @@ def replay_rig(scenario: Scenario, command: Array, rates: Array | None, wrench: 
     motion.start(start[None, 7:])
     estimate = IDENTIFIERS[scenario.identification.kind].start([scenario]) if "identified" in scenario.compensation.motion.reads else None
     unknown = np.full((1, 6), np.nan)
+    told_pose = plant.pose_act if reached is None else np.empty((1, 7))
     measurement = Measurement(
-        np.zeros((1, 6)), plant.pose_act, plant.twist_act, estimate.stiffness if estimate else unknown,
+        np.zeros((1, 6)), told_pose, plant.twist_act, estimate.stiffness if estimate else unknown,
         estimate.damping if estimate else unknown, plant.captured,
     )  # fmt: skip
     told = slopes(command[None], start[None, :7], scenario.tick)[0] if rates is None else rates
@@ -83,6 +87,8 @@ def replay_rig(scenario: Scenario, command: Array, rates: Array | None, wrench: 
         measurement.wrench[0] = reading[k]
         if estimate is not None:
             estimate.update(measurement.wrench, measurement.pose, measurement.twist)
+        if reached is not None:
+            told_pose[0] = reached[k]
         motion.update(command[k : k + 1], told[k : k + 1], measurement)
         plant.advance(motion.pose, motion.twist, motion.acceleration)
         if plant.diverged[0] or np.abs(plant.pose_act[0, :3] - command[k, :3]).max() > LOST:
