@@ -135,6 +135,10 @@ def _lacking_of_wrench(runs: Sequence[MeasuredRun]) -> dict[str, str]:
         out["wrench"] = (
             "the mechanism has parts that move, or parts that collide at several points: its force does not follow from the pose of A in P"
         )
+    elif any(r.scenario.rig.upper.kind != "fixed" and r.scenario.mechanism.latch is not None for r in runs):
+        out["wrench"] = (
+            "a latch closes while the upper platform moves: where it holds A hangs on motion within a tick, which is not on record"
+        )
     return out
 
 
