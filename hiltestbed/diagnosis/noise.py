@@ -145,7 +145,7 @@ def _apart(run: MeasuredRun, columns: Sequence[int]) -> tuple[Array, Array, Arra
     values = record.data["wrench_meas"][:, columns]
     apart = ~run.survey.touching(len(values), round((run.scenario.sensor.delay + SETTLED) * run.scenario.rate))
     apart &= np.isfinite(values).all(axis=1)
-    return np.linspace(-1.0, 1.0, len(values))[apart], values[apart], np.flatnonzero(apart)
+    return np.linspace(-1.0, 1.0, len(values))[apart], values[apart], np.flatnonzero(apart).astype(float)
 
 
 def _straightened(free: Sequence[Array], columns: Sequence[int]) -> tuple[list[Array], Array]:

@@ -44,7 +44,7 @@ def without_tones(flat: Sequence[Array], tones: Sequence[float]) -> list[Array]:
     """Readings less the tones, each of its own size and phase in each run and channel."""
     if not tones:
         return list(flat)
-    return [x - _part(np.arange(len(x)), x, tones) if len(x) > 2 * len(tones) else x for x in flat]
+    return [x - _part(np.arange(len(x), dtype=float), x, tones) if len(x) > 2 * len(tones) else x for x in flat]
 
 
 def differing(flat: Sequence[Array], tones: Sequence[float], apart: Sequence[tuple[Array, Array]]) -> tuple[float, ...]:

@@ -100,7 +100,11 @@ def _replay(commands, run, start, velocity, h, late, parts, count, steps, respon
             for k in range(out.shape[1] - 1):
                 reached = before
                 for s in range(count[i]):
-                    after = _answered(command, sums, learned, start[i, axis], velocity[i, axis], k + parts[i, s] - late[i], h)
+                    at = k + parts[i, s] - late[i]
+                    if learned[0] == 0.0:  # as a rule: a call costs as much as the rest of the step
+                        after = _commanded(command, start[i, axis], velocity[i, axis], at, h)
+                    else:
+                        after = _answered(command, sums, learned, start[i, axis], velocity[i, axis], at, h)
                     reached = follow(
                         before, after, steps[i, s], speed[i], play[i], stick[i], lag[i, s], mode[i, s], lagged, shaken, memory
                     )  # fmt: skip

@@ -10,6 +10,7 @@ import pytest
 from hiltestbed.bench.diagnosis import FULL, Task, docking_tasks, noise_tasks, summarise, tasks
 from hiltestbed.bench.diagnosis_report import diagnosis_report
 from hiltestbed.bench.independent_rig import NOISE_KINDS, acting_in
+from hiltestbed.bench.reliability import reliability, wilson
 from hiltestbed.cli import main
 
 
@@ -51,6 +52,17 @@ def test_bumpers_dockings_and_noises_are_counted_apart() -> None:
     assert summary["noise_alarms"] == {"pink 1": "1 of 1"}
     assert summary["confusion"] == {"sensor.delay": {"": 1}, "sensor.gain": {"unknown": 1}}
     assert diagnosis_report([], summary) is not None
+
+
+def test_stated_probabilities_are_counted_against_what_was_hidden() -> None:
+    def said(name: str, probability: float) -> dict[str, Any]:
+        found = record(Task(1, "single", ("sensor.delay",)), "named", True)
+        return found | {"causes": [{"effect": name, "indistinguishable_from": [], "probability": probability}]}
+
+    rows = reliability([said("sensor.delay", 1.0)] * 3 + [said("sensor.gain", 0.999), said("sensor.delay", 0.6)])
+    assert [(r["low"], r["right"], r["causes"]) for r in rows] == [(0.5, 1, 1), (0.99, 3, 4)]
+    low, high = wilson(6, 6)
+    assert (low, high) == (pytest.approx(6.0 / (6.0 + 1.96**2), rel=1e-3), pytest.approx(1.0))
 
 
 def test_options_of_another_benchmark_are_refused(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

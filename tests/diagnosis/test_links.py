@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from hiltestbed.diagnosis.links import CompensationLink, DynamicsLink, LinkRun, flat_pose
+from hiltestbed.diagnosis.links import CompensationLink, DynamicsLink, LinkRun, WrenchLink, flat_pose
 from hiltestbed.diagnosis.links.platform import poses_of
 from hiltestbed.numerical_model.model import NumericalModel
 from hiltestbed.replay.wrench import shifted
@@ -106,3 +106,17 @@ def test_noise_is_raised_as_the_weights_of_the_extrapolation_say() -> None:
 
 def test_noise_of_a_method_that_looks_at_more_than_the_reading_is_not_raised() -> None:
     assert compensated({"kind": "resynchronised"}).noise_gain() == 1.0
+
+
+def test_where_nobody_measured_the_pose_the_platforms_effects_are_felt_in_the_force() -> None:
+    effects = [effect("platform.lag", bandwidth=20.0)]
+    platform = platform_link(speeds=(0.03,))
+    commands, s = platform.commands, platform.runs[0].scenario
+    runs = [LinkRun(s, np.zeros((len(c), 6)), np.ones((len(c), 6)), np.ones(len(c), dtype=bool)) for c in commands]
+    reached, believed = platform.paths(effects), platform.paths([])
+    delay = effect("sensor.delay", delay=0.002)
+    link = WrenchLink(runs, believed).commanded(commands)
+    felt = WrenchLink(runs, reached).shown(0, [delay])
+    np.testing.assert_allclose(link.shown(0, [*effects, delay]), felt, rtol=0, atol=1e-9)
+    np.testing.assert_array_equal(link.shown(0, [delay]), WrenchLink(runs, believed).shown(0, [delay]))
+    assert np.abs(felt - link.shown(0, [delay])).max() > 1.0
