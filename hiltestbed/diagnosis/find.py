@@ -86,21 +86,23 @@ def _nearest(findings: Findings, verdict: Verdict, progress: Progress | None) ->
 def _learned(
     findings: Findings, verdict: Verdict, share: float | None, progress: Progress | None
 ) -> tuple[Verdict, float | None, Learned | None, tuple[Effect, ...]]:
-    """The law learned on contact or sensor, where they depart otherwise than the causes that hold, and the effect that extends the model.
+    """The law learned on a link that departs otherwise than by the causes that hold, and the effect that extends the model.
 
     A cause that was named in part falls if curves do without it what they do beside it, with fewer numbers: it was a part of them.
     """
-    found = findings.explanations.get("wrench")
-    if verdict.verdict not in ("unknown", "named_in_part") or found is None or not found.departs or found.adequate:
+    open_ = {n: e for n, e in findings.explanations.items() if n in MEASURED and e.departs and not e.adequate}
+    if verdict.verdict not in ("unknown", "named_in_part") or not open_:
         return verdict, share, None, ()
+    name = max(open_, key=lambda n: (n == verdict.link, n == "wrench"))
+    found = open_[name]
     if progress:
-        progress("contact and sensor: a law without a name")
-    causes = [c for c in verdict.causes if c.link == "wrench"]
+        progress(f"{LINK_NAMES[name]}: a law without a name")
+    causes = [c for c in verdict.causes if c.link == name]
     known = [c.fit.effects()[c.index] for c in causes]
     result = learned_on(found, known)
     alone = learned_on(found, ()) if known and result is not None else None
     if result is not None and alone is not None and needless(result[0], alone[0], sum(len(c.fit.part(c.index)) for c in causes)):
-        others = tuple(c for c in verdict.causes if c.link != "wrench")
+        others = tuple(c for c in verdict.causes if c.link != name)
         verdict, share, result = Verdict("unknown", verdict.link, others, verdict.not_judged), None, alone
     if result is None:
         return verdict, share, None, ()

@@ -213,7 +213,7 @@ class Finding:
         not_judged: link to why it could not be judged.
         partial: the effects of the vocabulary that come nearest where none leaves noise; partial_gain: theirs on left-out runs.
         certainty: of each fit that gave a cause, how well the data hold its estimates.
-        learned: the law learned on contact or sensor where the vocabulary leaves more than noise.
+        learned: the law learned on a link where the vocabulary leaves more than noise.
         assumed: what was assumed of the noise, in sentences. explained: verdict `named_in_part`: share of the departure on left-out runs.
     """
 

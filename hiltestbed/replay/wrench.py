@@ -117,14 +117,25 @@ def replay_wrench(felt: Felt, lanes: Sequence[Lane], grid: int | None = None) ->
     run = np.array([lane.run for lane in lanes])
     out = np.empty((len(lanes), felt.poses.shape[1], 6))
     dynamics = (felt.mount.stiffness, felt.mount.damping, felt.mount.body) if felt.mount is not None else _RIGID
+    order, same = _shared(run, rows, parts)
     _replay(
-        run, felt.poses, felt.twists, felt.ends, felt.rates is not None, felt.before, felt.clear, felt.met, felt.lever, felt.least_creep, h,
-        felt.geometry, felt.captured, felt.latch, dynamics, parts, bool(instants), ticks, rows, tilts(rows[:, -1]), chain.elements(), out,
+        order, same, run, felt.poses, felt.twists, felt.ends, felt.rates is not None, felt.before, felt.clear, felt.met, felt.lever,
+        felt.least_creep, h, felt.geometry, felt.captured, felt.latch, dynamics, parts, bool(instants), ticks, rows, tilts(rows[:, -1]),
+        chain.elements(), out,
     )  # fmt: skip
     for i, lane in enumerate(lanes):
         if lane.log.skew and not lane.log.reread:
             out[i] = shifted(out[i], -lane.log.skew / h)
     return out
+
+
+def _shared(run: np.ndarray, rows: Array, parts: Array) -> tuple[np.ndarray, np.ndarray]:
+    """``(L,)`` lanes in an order in which those that share run and contact follow one another, and whether each shares with the last."""
+    keys = [(int(run[i]), rows[i].tobytes(), parts[i].tobytes()) for i in range(len(run))]
+    first: dict[tuple[int, bytes, bytes], int] = {}
+    group = np.array([first.setdefault(key, i) for i, key in enumerate(keys)])
+    order = np.argsort(group, kind="stable")
+    return order, np.diff(group[order], prepend=-1) == 0
 
 
 _RIGID = (np.zeros((0, 6)), np.zeros((0, 6)), np.zeros(BODY))
@@ -140,21 +151,23 @@ def shifted(values: Array, ticks: float) -> Array:
 
 @njit(cache=True)
 def _replay(
-    run, poses, twists, ends, bent, before, clear, met, lever, least_creep, h, geometry, captured, latch, mount, parts, between, ticks, p,
-    tilt, elements, out,
+    order, same, run, poses, twists, ends, bent, before, clear, met, lever, least_creep, h, geometry, captured, latch, mount, parts,
+    between, ticks, p, tilt, elements, out,
 ):  # fmt: skip
-    """All lanes, one after the other: each is a run from its first row to its last."""
+    """All lanes in ``order``, each a run from its first row to its last; what differs from the last in its sensor alone is ``same``."""
     calibration, curve, lag, leak, offset, drift, tone, deadzone, limit, step = elements
     stages = max(lag.shape[1], leak.shape[1])
     low, high, last_in = np.zeros((stages, 6)), np.zeros((stages, 6)), np.zeros((stages, 6))
     quiet, late = np.zeros(6), np.zeros(6)
     sub = np.empty((poses.shape[1], parts.shape[1], 6))
-    for i in range(len(run)):
+    for n in range(len(order)):
+        i = order[n]
         r = run[i]
-        _contact(
-            poses[r], twists[r], ends[r], bent, before[r], clear[r], met, lever, least_creep, h, geometry, captured[r], latch[r], r, mount,
-            parts[i], between, p[i], tilt[i], sub,
-        )  # fmt: skip
+        if not same[n]:
+            _contact(
+                poses[r], twists[r], ends[r], bent, before[r], clear[r], met, lever, least_creep, h, geometry, captured[r], latch[r], r,
+                mount, parts[i], between, p[i], tilt[i], sub,
+            )  # fmt: skip
         low[:], high[:], last_in[:] = 0.0, 0.0, 0.0
         back = int(math.floor(ticks[i]))
         if not between and passes(calibration[i], curve[i], lag[i], leak[i], offset[i], drift[i], tone[i], deadzone[i], limit[i]):

@@ -177,12 +177,13 @@ def learned_curves(learned: Learned) -> Figure:
     over = {
         "penetration": ("penetration", "force added"), "rate": ("rate", "force added"), "stretch": ("stretch of the slider", "force added"),
         "spring": ("penetration", "part of the spring added"), "spring_rate": ("rate", "part of the spring added"),
-        "reading": ("felt", "shown"),
+        "reading": ("felt", "shown"), "step": ("time since a step of the command", "part that is reached"),
     }  # fmt: skip
     figure, grid = new_figure(3.3 * len(learned.curves) + 0.6, 3.2, nrows=1, ncols=len(learned.curves), squeeze=False)
     for axes, curve in zip(grid[0], learned.curves, strict=True):
         factor, unit = (1e3, f"m{curve.units[0]}") if curve.units[0].startswith("m") else (1.0, curve.units[0])
-        axes.plot(factor * curve.data[:, 0], curve.data[:, 1], ".", ms=1.5, color=MEASURED, alpha=0.3, label="data")
+        if len(curve.data):
+            axes.plot(factor * curve.data[:, 0], curve.data[:, 1], ".", ms=1.5, color=MEASURED, alpha=0.3, label="data")
         axes.plot(factor * curve.knots[:, 0], curve.knots[:, 1], "o-", ms=4, color=EXTENDED, lw=1.4, label="learned")
         x, y = over.get(curve.over, (curve.over, learned.effect))
         axes.set(xlabel=f"{x} [{unit}]", ylabel=f"{y} [{curve.units[1]}]")
