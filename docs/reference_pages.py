@@ -85,9 +85,14 @@ def _section(title: str, definition: Mapping[str, Any]) -> Iterator[str]:
     yield from ("| key | takes | default | meaning |", "|---|---|---|---|")
     required = definition.get("required", ())
     for key, about in definition.get("properties", {}).items():
-        default = "**must be given**" if key in required else f"`{json.dumps(about['default'])}`" if "default" in about else ""
+        default = "**must be given**" if key in required else _default(about["default"]) if "default" in about else ""
         yield f"| `{key}` | {_cell(_takes(about))} | {_cell(default)} | {_cell(about.get('description', ''))} |"
     yield ""
+
+
+def _default(value: Any) -> str:
+    """A section's defaults stand with its keys."""
+    return "those of its keys" if isinstance(value, Mapping) and value else f"`{json.dumps(value)}`"
 
 
 def _takes(about: Mapping[str, Any]) -> str:

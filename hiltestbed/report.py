@@ -30,7 +30,8 @@ figcaption, .soft { color: var(--soft); font-size: .92rem } pre { background: va
 .scroll { overflow-x: auto } th { overflow-wrap: normal; vertical-align: bottom } td { overflow-wrap: break-word; max-width: 22rem }
 p.warning { border-left: 4px solid #d55e00; padding: .3rem .9rem; background: #fdf3ec }
 @media (max-width: 40rem) { body { font-size: 14px; margin: .5rem auto } h1 { font-size: 1.35rem }
-  th, td { padding: .2rem .35rem; font-size: 12px } }
+  th, td { padding: .2rem .35rem; font-size: 12px }
+  figure .scroll img { max-width: none; width: calc(var(--wide) * .62px) } }
 </style></head><body><h1>{{ title }}</h1>{% for part in parts %}{{ part }}{% endfor %}</body></html>
 """)
 
@@ -67,7 +68,7 @@ class Report:
         """Cells are escaped; numbers should come formatted."""
         head = Markup("").join(Markup("<th>{}</th>").format(cell) for cell in header)
         body = Markup("").join(
-            Markup("<tr>{}</tr>").format(Markup("").join(Markup("<td>{}</td>").format(escape(cell)) for cell in row)) for row in rows
+            Markup("<tr>{}</tr>").format(Markup("").join(Markup("<td>{}</td>").format(_cell(cell)) for cell in row)) for row in rows
         )
         below = Markup('<p class="soft">{}</p>').format(caption) if caption else Markup("")
         self._parts.append(Markup('<div class="scroll"><table><tr>{}</tr>{}</table></div>{}').format(head, body, below))
@@ -76,16 +77,21 @@ class Report:
         """A matplotlib figure, as a PNG inside the page."""
         data = io.BytesIO()
         figure.savefig(data, format="png", dpi=110, bbox_inches="tight", metadata={"Software": None})
-        source = "data:image/png;base64," + base64.b64encode(data.getvalue()).decode()
-        self._parts.append(
-            Markup('<figure><img alt="{}" src="{}"><figcaption>{}</figcaption></figure>').format(caption, Markup(source), caption)
-        )
+        wide = int.from_bytes(data.getvalue()[16:20], "big")  # of the PNG's header: on a narrow screen it scrolls and stays readable
+        source = Markup("data:image/png;base64," + base64.b64encode(data.getvalue()).decode())
+        image = Markup('<div class="scroll"><img alt="{}" style="--wide: {}" src="{}"></div>').format(caption, wide, source)
+        self._parts.append(Markup("<figure>{}<figcaption>{}</figcaption></figure>").format(image, caption))
 
     def html(self) -> str:
         return _PAGE.render(title=self.title, parts=self._parts)
 
     def write(self, path: Path) -> None:
         path.write_text(self.html(), encoding="utf-8")
+
+
+def _cell(cell: object) -> Markup:
+    """Escaped; a number and its per cent stay together."""
+    return escape(str(cell).replace(" %", "\N{NO-BREAK SPACE}%"))
 
 
 def new_figure(width: float = 8.0, height: float = 4.0, **subplots: object):
