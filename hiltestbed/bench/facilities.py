@@ -22,7 +22,7 @@ from hiltestbed.platform.facilities.hall import facility_of
 from hiltestbed.platform.facilities.measure import workspace
 from hiltestbed.scenario import Scenario, load_scenario
 from hiltestbed.simulation import log_error, reference_scenario, simulate
-from hiltestbed.stability import measured_response, stability
+from hiltestbed.stability import damper_beside, measured_response, stability
 
 DELAY = 0.002  # [s] of the force sensor
 RATIO = 0.05  # damping ratio of the contacts
@@ -89,9 +89,8 @@ def treatments(scenario: Scenario) -> dict[str, tuple[dict[str, Any], str]]:
     platform = scenario.rig.platform
     if platform.physical:
         return {"as it is": (NONE, "none")}
-    judged = stability(treated(scenario, NONE | {"motion": {"kind": "feedforward"}}))
-    lost = scenario.mechanism.contact.damping - judged["net_damping"] if judged else scenario.mechanism.contact.stiffness * DELAY
-    said, cure = platform.cure(max(lost, 0.0))
+    lost = damper_beside(treated(scenario, NONE | {"motion": {"kind": "feedforward"}}))
+    said, cure = platform.cure(scenario.mechanism.contact.stiffness * DELAY if lost is None else lost)
     return {"uncompensated": (NONE, "none"), said: (cure, "none"), "default": ({}, "rls")}
 
 
