@@ -175,47 +175,6 @@ def largest_delay(fine: RigResponse, mass: float, stiffness: float, damping: flo
     return float((phase[k] + at * (phase[k + 1] - phase[k])) / swing)
 
 
-def damper_beside(scenario: Scenario) -> float | None:
-    """Damping [N s/m] of a virtual damper beside the contact with which it swings as it would on a rig without delay or lag.
-
-    The damper acts on the pose that the rig reaches, H = G/(1 + (k + c s) Y) of the command, so that it comes as late as the platform
-    does: D + b s H is to leave c/w of Im/w^2 where it meets m w^2, w^2 = k/m. A part of b stiffens: with a lag phi of H only b cos(phi)
-    damps, and b w sin(phi) is added to the spring. None beyond what was measured.
-    """
-    fine, contact = measured_response(scenario).finer(), insertion(scenario)
-    mass = contact.mass
-    w = 2.0 * math.pi * fine.frequency
-    spring = contact.stiffness + 1j * w * contact.damping
-    reached = fine.follows / (1.0 + spring * fine.yields)
-    felt = spring * reached * np.exp(-1j * w * force_path_delay(scenario, compensated=False))
-    wanted = contact.damping / math.sqrt(contact.stiffness / mass)
-
-    def short(b: float) -> float | None:
-        whole = felt + 1j * w * b * reached
-        balance = whole.real - mass * w * w
-        k = _crossing(balance)
-        if k is None:
-            return None
-        at = _between(balance, k)
-        swing = w[k] + at * (w[k + 1] - w[k])
-        return wanted - float(whole.imag[k] + at * (whole.imag[k + 1] - whole.imag[k])) / swing
-
-    low, high = 0.0, contact.damping
-    while (missing := short(high)) is not None and missing > 0.0 and high < WIDEST * contact.damping:
-        low, high = high, 2.0 * high
-    if missing is None or missing > 0.0:
-        return None
-    if (none := short(0.0)) is None or none <= 0.0:
-        return 0.0
-    for _ in range(50):
-        middle = 0.5 * (low + high)
-        left = short(middle)
-        if left is None:
-            return None
-        low, high = (middle, high) if left > 0.0 else (low, middle)
-    return high
-
-
 def _dynamic(fine: RigResponse, stiffness: float, damping: float) -> Complex:
     contact = stiffness + 2j * math.pi * fine.frequency * damping
     return contact * fine.follows / (1.0 + contact * fine.yields)
