@@ -91,16 +91,18 @@ def _exact(scenario: Scenario) -> bool:
 
 
 def _quiet(scenario: Scenario) -> str:
-    """The rig of a scenario with nothing around it, as text."""
-    data = resolved(scenario)
+    """The rig of a scenario with nothing around it, as text: vehicles and contact, which do not act, are the same in all."""
+    data, body = resolved(scenario), {"mass": 1000.0, "inertia": [500.0, 500.0, 500.0]}
     quiet = {
         "name": "response", "description": "", "seed": 0, "duration": 1.0, "sensor": {}, "identification": {"kind": "none"},
         "safety": dict.fromkeys(data["safety"]), "effects": [e for e in data["effects"] if e["kind"].startswith("platform.")],
-        "approach": {"gap": 0.0, "velocity": [0.0, 0.0, 0.0]},
+        "approach": {"gap": 0.0, "velocity": [0.0, 0.0, 0.0]}, "spacecraft": {"chaser": body, "target": body},
     }  # fmt: skip
     quiet["compensation"] = {"force": {"kind": "none"}, "motion": {"kind": "feedforward" if scenario.compensation.motion.feeds else "none"}}
     quiet["rig"] = data["rig"] | {"upper": {"kind": "fixed"}}
     quiet["mechanism"] = {k: v for k, v in data["mechanism"].items() if k != "latch"}
+    if isinstance(quiet["mechanism"].get("contact"), dict):
+        quiet["mechanism"]["contact"] = {"stiffness": 1.0e4, "damping": 0.0, "friction": 0.0}
     return json.dumps(data | quiet, sort_keys=True)
 
 

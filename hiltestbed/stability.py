@@ -11,7 +11,7 @@ this is the critical damping of M. Zebenay, T. Boge, D. Choukroun, "Modeling, st
 simulator", IEEE Trans. Industrial Electronics 62(10), 2015.
 
 Where a contact acts in other directions as well (:mod:`hiltestbed.contact.directions`), each is judged so, with the parts of G and Y along
-it (:mod:`hiltestbed.rig_response`); the verdict is that of the one in which the smallest share of critical damping is left.
+it (:mod:`hiltestbed.rig_response`); the verdict is that of the one that bears the least further delay.
 """
 
 from __future__ import annotations
@@ -41,8 +41,8 @@ class Stability:
         [N s/m]. delay: of the force that is used, compensation taken off [s]; largest_delay: at which no damping is left [s], below 0
         where the platform alone takes more than there is; delay_margin: what is left [s]. stiffness: of the contact, largest_stiffness:
         at which no damping is left [N/m], None beyond a thousand times it.
-        compensated: the compensation of the scenario counts as its ledger has it. direction: along or about what. ratio: of critical
-        damping, what is left. Of a turn all are of the angle: N m s/rad, N m/rad.
+        compensated: the compensation of the scenario counts as its ledger has it. direction: along or about what. turns: it is of an
+        angle, in N m s/rad and N m/rad.
     """
 
     stable: bool
@@ -56,7 +56,6 @@ class Stability:
     largest_stiffness: float | None
     compensated: bool
     direction: str
-    ratio: float
     turns: bool
 
     def sentence(self) -> str:
@@ -97,7 +96,7 @@ def told(judged: list[Stability]) -> dict[str, Any]:
 
 
 def worst_of(scenario: Scenario, delay: float, compensated: bool, exact: bool = False) -> list[Stability] | None:
-    """Every direction of a scenario's contact whose frequency was measured, that with the least damping first; None without any.
+    """Every direction of a scenario's contact whose frequency was measured, the one that bears the least further delay first; or None.
 
     ``exact``: the compensation makes up for the platform.
     """
@@ -108,13 +107,19 @@ def worst_of(scenario: Scenario, delay: float, compensated: bool, exact: bool = 
     else:
         six, inverse = six_axis_response(scenario), mobility(scenario)
         judged = [judge(scenario, six.along(way.row, inverse), delay, compensated, way) for way in ways]
-    found = sorted((j for j in judged if j is not None), key=lambda j: j.ratio)
-    return found or None
+    return sorted((j for j in judged if j is not None), key=_left) or None
 
 
 def stability_of_file(path: str | Path) -> dict[str, Any] | None:
     """The same of a scenario's file, which holds."""
     return stability(load_scenario(path))
+
+
+def _left(judged: Stability) -> float:
+    """How much more delay a direction bears [s], where that was within what was measured."""
+    if judged.delay_margin is None:
+        return math.inf if judged.stable else -math.inf
+    return judged.delay_margin
 
 
 def judge(
@@ -142,7 +147,6 @@ def judge(
         largest_stiffness=stiffest,
         compensated=compensated,
         direction=contact.name,
-        ratio=left / (4.0 * math.pi * frequency * mass),
         turns=contact.turns,
     )
 
