@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from hiltestbed.comparison import Comparison, compare
     from hiltestbed.dataset import load_dataset
     from hiltestbed.diagnosis.diagnose import diagnose
+    from hiltestbed.diagnosis.result import Diagnosis
     from hiltestbed.failure import replay_failure
     from hiltestbed.gallery import shipped
     from hiltestbed.plugins import load_plugins
@@ -39,6 +40,7 @@ settle(Path(__file__).parent, os.environ)  # before any kernel is loaded
 
 __all__ = [
     "Comparison",
+    "Diagnosis",
     "Run",
     "RunTrace",
     "Scenario",
@@ -63,6 +65,7 @@ __all__ = [
 
 _HOME = {
     "Comparison": "comparison",
+    "Diagnosis": "diagnosis.result",
     "Run": "result",
     "RunTrace": "signals",
     "Scenario": "scenario",

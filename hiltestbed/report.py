@@ -73,12 +73,9 @@ class Report:
         self._parts.append(Markup('<div class="scroll"><table><tr>{}</tr>{}</table></div>{}').format(head, body, below))
 
     def figure(self, figure: Figure, caption: str = "") -> None:
-        """A matplotlib figure, as a PNG inside the page; it is closed."""
-        import matplotlib.pyplot as plt
-
+        """A matplotlib figure, as a PNG inside the page."""
         data = io.BytesIO()
         figure.savefig(data, format="png", dpi=110, bbox_inches="tight", metadata={"Software": None})
-        plt.close(figure)
         source = "data:image/png;base64," + base64.b64encode(data.getvalue()).decode()
         self._parts.append(
             Markup('<figure><img alt="{}" src="{}"><figcaption>{}</figcaption></figure>').format(caption, Markup(source), caption)
@@ -92,10 +89,8 @@ class Report:
 
 
 def new_figure(width: float = 8.0, height: float = 4.0, **subplots: object):
-    """A figure and its axes that need no screen."""
-    import matplotlib as mpl
+    """A figure and its axes that need no screen; pyplot does not know of it, so that whatever the caller draws with stays as it is."""
+    from matplotlib.figure import Figure
 
-    mpl.use("Agg")
-    import matplotlib.pyplot as plt
-
-    return plt.subplots(figsize=(width, height), layout="constrained", **subplots)  # type: ignore[arg-type]
+    figure = Figure(figsize=(width, height), layout="constrained")
+    return figure, figure.subplots(**subplots)  # type: ignore[arg-type]

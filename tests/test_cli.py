@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from hiltestbed import cli
+from hiltestbed.cli.options import complete
 from hiltestbed.scenario import load_scenario
 
 TEXT = """\
@@ -304,9 +305,9 @@ def test_doctor_finds_what_is_needed(folder: Path, call) -> None:
 
 
 def test_a_shell_completes_shipped_names_and_files(folder: Path) -> None:
-    assert cli._complete("02") == ["02-bumper"]
-    assert cli._complete("s.") == ["s.yaml"]
-    assert "delay-stiffness" in cli._complete("d")
+    assert complete("02") == ["02-bumper"]
+    assert complete("s.") == ["s.yaml"]
+    assert "delay-stiffness" in complete("d")
 
 
 def test_a_run_that_gains_energy_is_warned_of_and_one_that_does_not_is_not(folder: Path, call) -> None:

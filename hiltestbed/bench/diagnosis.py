@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from hiltestbed.bench.diagnosis_report import diagnosis_report
+from hiltestbed.bench.reliability import reliability, reliability_lines
 from hiltestbed.bench.result import BenchResult
 from hiltestbed.effects.table import EFFECTS
 from hiltestbed.kernels import cores
@@ -111,6 +112,7 @@ def diagnosis(
         for name, value in summary.items()
         if not isinstance(value, (dict, list))
     ]
+    lines += reliability_lines(summary["reliability"])
     return BenchResult("diagnosis", records, summary, diagnosis_report(records, summary), lines)
 
 
@@ -140,7 +142,9 @@ def one_set(task: Task) -> dict[str, Any]:
         "noise": list(task.noise) if task.noise else None,
         "strengths": list(hidden.strengths),
         "verdict": verdict.verdict, "link": verdict.link, "right": right, "intervals_held": held, "intervals": asked,
-        "causes": [{"effect": c.effect, "indistinguishable_from": list(c.indistinguishable_from)} for c in causes],
+        "causes": [
+            {"effect": c.effect, "indistinguishable_from": list(c.indistinguishable_from), "probability": c.probability} for c in causes
+        ],
         "alarm": alarm_figures(findings),
         "cpu": time.process_time() - start, "gain": gain.reduction if gain else None,
         "gain_true": true_gain(findings, verdict, hidden.effects) if right and task.kind == "single" else None,
@@ -211,7 +215,7 @@ def true_gain(findings: Any, verdict: Any, hidden: Sequence[dict[str, Any]]) -> 
 
 def summarise(records: Sequence[dict[str, Any]]) -> dict[str, Any]:
     """The rates, the confusion of names, the smallest size of each effect that was found."""
-    noisy = [r for r in records if r["noise"]]
+    noisy, said = [r for r in records if r["noise"]], reliability(records)
     records = [r for r in records if not r["noise"]]
     moderate = [r for r in records if r["scale"] == 1.0 and r["design"] == "bumper"]
     dockings = {kind: [r for r in records if r["design"] != "bumper" and r["kind"] == kind] for kind in DOCKING_FULL}
@@ -239,6 +243,7 @@ def summarise(records: Sequence[dict[str, Any]]) -> dict[str, Any]:
         "noise_alarm_rate": 1.0 - _rate(noisy) if noisy else None,
         "cpu_median": float(np.median([r["cpu"] for r in records])) if records else None,
         "cpu_longest": max((r["cpu"] for r in records), default=None),
+        "reliability": said,
         "confusion": confusion(by_kind["single"] + dockings["single"]),
         "smallest_found": smallest(records),
     }

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from hiltestbed.bench.reliability import reliability_plot
 from hiltestbed.report import Report, new_figure
 
 RATES = {
@@ -37,6 +38,8 @@ def diagnosis_report(records: Sequence[dict[str, Any]], summary: dict[str, Any])
     rows = [[text, "-" if summary[name] is None else f"{summary[name]:.3f}"] for name, text in RATES.items()]
     report.table(["figure", "value"], rows, _counted(summary))
     report.figure(_strengths(records), "Single effects: how far each stood above the noise of its link, and whether it was named.")
+    if summary["reliability"]:
+        report.figure(reliability_plot(summary["reliability"]), "Whether probabilities hold, with the interval that so few sets leave.")
     called = [[hidden, name, count] for hidden, names in summary["confusion"].items() for name, count in names.items()]
     report.table(["hidden", "called", "sets"], called, "What each hidden effect was called.")
     if summary["noise_alarms"]:

@@ -121,7 +121,7 @@ def contact_wrench(
     if latched:
         pose, twist = work[5], work[6][:6]
         relate_one(frames[ACTIVE], motions[ACTIVE], frames[PASSIVE], motions[PASSIVE], pose, twist, work[:5, :3])
-        latch_wrench(p[count], dt, pose, twist, hold, state[count], work[7][:6])
+        latch_wrench(p[count], dt, pose, twist, hold, state[count], work[:4], work[7][:6])
         to_frame(frames[PASSIVE], work[7], wrench)
         return True
     meet_all(index, values, p, frames, motions, work, depth, rate, point, normal, slip)
@@ -163,9 +163,12 @@ def add_at(point, f, wrench):
 
 
 @njit(cache=True)
-def latch_wrench(p, dt, pose, twist, hold, state, local):
-    """``local`` (6,) in S at S's origin: springs and dampers between A and where it is held in S, at A's origin; along z the law."""
-    turn, q, inverse, f = np.empty(3), np.empty(4), np.empty(4), np.empty(3)
+def latch_wrench(p, dt, pose, twist, hold, state, work, local):
+    """``local`` (6,) in S at S's origin: springs and dampers between A and where it is held in S, at A's origin; along z the law.
+
+    ``work`` (4, >= 4): scratch.
+    """
+    turn, q, inverse, f = work[0, :3], work[1, :4], work[2, :4], work[3, :3]
     k, c = p[STIFFNESS], p[DAMPING]
     for j in range(3):
         inverse[j] = -hold[3 + j]

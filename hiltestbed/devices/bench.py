@@ -1,7 +1,8 @@
 """Latency, jitter and deadline misses of the cycle on this machine, with and without a device on the loopback address.
 
-The device is an emulated platform (plain records over UDP) in a separate process: each cycle sends a pose and waits for its echo. A cycle
-misses its deadline if its work ends after the next one is due, or if the echo has not arrived by then.
+The device is an emulated platform (plain records over UDP) in a separate process of the same priority, for a real device does not wait for
+what else this machine does: each cycle sends a pose and waits for its echo. A cycle misses its deadline if its work ends after the next one
+is due, or if the echo has not arrived by then.
 """
 
 from __future__ import annotations
@@ -82,7 +83,7 @@ def measure(
     cycles = max(round(rate * seconds), 2)
     clock = CycleClock(rate, cycles)
     round_trips = np.zeros(cycles)
-    echo = _Echo(rate) if device else None
+    echo = _Echo(rate, priority) if device else None
     try:
         with prepared(cpu, priority) as given:
             missed = _run(clock, cycles, round_trips, echo.client if echo else None, work)
@@ -139,11 +140,12 @@ def _times(values: NDArray[np.float64]) -> Times:
 class _Echo:
     """The device's process, and the client that talks to it."""
 
-    def __init__(self, rate: float) -> None:
+    def __init__(self, rate: float, priority: int | None) -> None:
         here, there = _free_ports(2)
         url = f"udp://{LOOPBACK}:{there}"
         options = f"rate={rate:.6f}&clock=host&connect={PATIENCE:g}"
         command = [sys.executable, "-m", "hiltestbed.devices.bench", f"{url}?peer={LOOPBACK}:{here}", str(os.getpid())]
+        command += [str(priority)] if priority else []
         self._process = subprocess.Popen(command, stdin=subprocess.DEVNULL)
         self.client = platform_client(f"{url}?listen={LOOPBACK}:{here}&{options}")
         try:
@@ -179,9 +181,10 @@ def main() -> int:
     parser = argparse.ArgumentParser()
     parser.add_argument("url")
     parser.add_argument("parent", type=int)
+    parser.add_argument("priority", type=int, nargs="?", help="of SCHED_FIFO: a real device does not wait for this machine's other work")
     arguments = parser.parse_args()
     ordinary()
-    with platform_server(arguments.url) as server:
+    with prepared(priority=arguments.priority), platform_server(arguments.url) as server:
         server.publish(server.command, 0.0)
         while server.stopped is None and os.getppid() == arguments.parent:
             if server.wait(0.05) or not server.commanded:

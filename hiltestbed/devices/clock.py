@@ -11,9 +11,9 @@ import time
 import numpy as np
 from numpy.typing import NDArray
 
+from hiltestbed.devices.interface import SPIN
 from hiltestbed.errors import InputError
 
-SPIN = 150e-6  # [s] of busy-waiting before a cycle is due; an ordinary kernel oversleeps by about as much
 SECOND = 1_000_000_000  # [ns]
 
 

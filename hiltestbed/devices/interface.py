@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
+SPIN = 150e-6  # [s] of a busy wait before an instant, or after one that passes; an ordinary kernel oversleeps by about as much
 LONGEST_DRAIN = 256  # datagrams processed per poll: a flood must not stall the loop
 
 
@@ -124,14 +125,20 @@ class Link(ABC):
     def poll(self) -> bool:
         """Process what has arrived, without waiting. True if there was a new good record."""
 
-    def wait(self, timeout: float) -> bool:
-        """As :meth:`poll`, but wait up to ``timeout`` [s] for a new record."""
-        until = time.monotonic() + timeout
+    def wait(self, timeout: float, expected: float = math.inf) -> bool:
+        """As :meth:`poll`, but wait up to ``timeout`` [s] for a new record.
+
+        Around the instant at which one is ``expected`` [s] from now the wait is busy: a thread that sleeps wakes up late.
+        """
+        begin = time.monotonic()
+        until, busy_from, busy_to = begin + timeout, begin + expected - SPIN, begin + expected + SPIN
         while not self.poll():
-            left = until - time.monotonic()
-            if left <= 0.0 or self.fileno() < 0:
+            now = time.monotonic()
+            if now >= until or self.fileno() < 0:
                 return False
-            select.select([self.fileno()], [], [], left)
+            if not busy_from <= now < busy_to:
+                end = min(until, busy_from) if now < busy_from else until
+                select.select([self.fileno()], [], [], end - now)
         return True
 
     def fileno(self) -> int:

@@ -53,7 +53,7 @@ class DevicePace:
     def wait(self) -> int:
         self._count += 1
         deadline = self._due + (1.0 + SLACK) * self._tick
-        while self._link.wait(max(deadline - time.monotonic(), 0.0)):
+        while self._wait(deadline):
             index = (self._link.sample.sequence - self._first) // self._numbers
             if index >= self._count:
                 ticks, self._count = index - self._count + 1, index
@@ -61,6 +61,10 @@ class DevicePace:
                 return ticks
         self._due += self._tick
         return 1
+
+    def _wait(self, deadline: float) -> bool:
+        now = time.monotonic()
+        return self._link.wait(max(deadline - now, 0.0), max(self._due + self._tick - now, 0.0))
 
 
 class AtOnce:

@@ -250,7 +250,7 @@ class RtdePlatformServer(PlatformServer):
             self.commanded = True
         return self.stopped is None
 
-    def wait(self, timeout: float) -> bool:
+    def wait(self, timeout: float, expected: float = math.inf) -> bool:
         until = time.monotonic() + timeout
         while not self.poll():
             left = until - time.monotonic()

@@ -134,7 +134,7 @@ class ShmSensorClient(SensorClient):
         self.reading.wrench[:] = self._inbox.box.values[:6]  # type: ignore[union-attr]
         return True
 
-    def wait(self, timeout: float) -> bool:
+    def wait(self, timeout: float, expected: float = math.inf) -> bool:
         return _wait(self, timeout)
 
 
@@ -171,7 +171,7 @@ class ShmPlatformClient(PlatformClient):
         self.state.pose[:] = self._inbox.box.values  # type: ignore[union-attr]
         return True
 
-    def wait(self, timeout: float) -> bool:
+    def wait(self, timeout: float, expected: float = math.inf) -> bool:
         return _wait(self, timeout)
 
     def command(self, pose: Array) -> None:
@@ -263,7 +263,7 @@ class ShmPlatformServer(PlatformServer):
         self.commanded = True
         return True
 
-    def wait(self, timeout: float) -> bool:
+    def wait(self, timeout: float, expected: float = math.inf) -> bool:
         return _wait(self, timeout)
 
     def publish(self, pose: Array, device_time: float, status: int = 0) -> None:

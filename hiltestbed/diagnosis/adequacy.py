@@ -12,11 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from hiltestbed.diagnosis.fit import predicted
-from hiltestbed.diagnosis.links import WrenchLink
+from hiltestbed.diagnosis.links import Link, WrenchLink
 from hiltestbed.diagnosis.links.base import Effects
 from hiltestbed.diagnosis.noise import softened
 from hiltestbed.diagnosis.residual import Residual
-from hiltestbed.diagnosis.settings import BLOCK, FLOOR_ERROR, MODEL_ERROR, SPREAD
+from hiltestbed.diagnosis.settings import BLOCK, FLOOR_ERROR, FLOOR_ROWS, FREE_ROWS, MODEL_ERROR, SPREAD
 from hiltestbed.effects.base import Effect
 from hiltestbed.frames import Array
 
@@ -44,9 +44,11 @@ class Leftover:
         return max(self.variance / self.variance_limit, self.block / self.block_limit)
 
 
-def leftover(residuals: list[Array]) -> Leftover:
-    """Of one channel; residuals: one array a run (or contact), in units of the noise."""
+def leftover(residuals: list[Array], tail: float = 2.0, rows: int = FLOOR_ROWS) -> Leftover:
+    """Of one channel; residuals: one array a run (or contact), in units of the noise; tail: variance of the square of a sample of noise;
+    rows: from which the noise was read."""
     total, squares, sums, blocks = 0, 0.0, 0.0, 0
+    level = FLOOR_ERROR * math.sqrt(tail / 2.0 * max(1.0, FLOOR_ROWS / max(rows, 1)))
     for r in residuals:
         total += len(r)
         squares += float(r @ r)
@@ -57,8 +59,8 @@ def leftover(residuals: list[Array]) -> Leftover:
     return Leftover(
         squares / max(total, 1),
         sums / max(blocks, 1),
-        1.0 + FLOOR_ERROR + SPREAD * math.sqrt(2.0 / max(total, 1)),
-        1.0 + FLOOR_ERROR + SPREAD * math.sqrt(2.0 / max(blocks, 1)) + (1.0 if blocks < 10 else 0.0),
+        1.0 + level + SPREAD * math.sqrt(tail / max(total, 1)),
+        1.0 + level + SPREAD * math.sqrt((2.0 + (tail - 2.0) / BLOCK) / max(blocks, 1)) + (1.0 if blocks < 10 else 0.0),
         total,
     )
 
@@ -91,14 +93,20 @@ def contact_leftovers(residual: Residual, effects: Effects) -> dict[str, Leftove
             if varies:
                 prediction, spread = link.shaken(i, effects, varies)
                 sigma = np.hypot(sigma, spread)
-        z = softened((run.measured - prediction) / sigma, run.heavy)
+        z = softened(residual.left(i, prediction) / sigma, run.heavy)
         for c in range(len(link.channels)):
             counted = weight[:, c] > 0
             inside[c].append(z[run.touching & counted, c])
             outside[c].append(z[~run.touching & counted, c])
     out = {}
     for name, a, b in zip(link.channels, inside, outside, strict=True):
-        both = [leftover(part) for part in (a, b) if sum(map(len, part)) > 0]
+        both = [leftover(part, max(r.tail for r in link.runs), _read_from(link)) for part in (a, b) if sum(map(len, part)) > 0]
         if both:
             out[name] = max(both, key=lambda left: left.excess)
     return out
+
+
+def _read_from(link: Link) -> int:
+    """Rows from which the noise floor was read: those away from contacts, or all where there are too few."""
+    free = sum(int(np.count_nonzero(~run.touching)) for run in link.runs)
+    return free if free > FREE_ROWS * len(link.runs) else sum(run.rows for run in link.runs)

@@ -7,6 +7,7 @@ between them as between the rows.
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -15,17 +16,20 @@ from hiltestbed.diagnosis.links import LinkRun, WrenchLink
 from hiltestbed.frames import Array
 from hiltestbed.scenario import resolved, scenario_from
 
-ENOUGH = 6000  # rows of all runs that are always kept
+ENOUGH = 3000  # rows of all runs that are always kept
 LOST = 0.02  # of the departure from the nominal model that may lie between the blocks
 
 
 def decimated(link: WrenchLink) -> WrenchLink:
-    """The same link on means of 2, 4, ... rows; itself where that would lose something. The noise is left as it is: no gain is claimed."""
+    """The same link on means of 2, 4, ... rows; itself where that would lose something. The noise is left as it is: no gain is claimed.
+
+    What lies between the blocks is signal and noise; of the noise, which is known, white noise would leave as much there as it does.
+    """
     rows = sum(len(p) for p in link.paths)
     count = 1
     if rows >= 2 * ENOUGH:
         rms = _rms(link, link.predict([(i, ()) for i in range(len(link.runs))]))
-        while rows >= 2 * count * ENOUGH and _rms(link, [_between(r.measured, 2 * count) for r in link.runs]) < LOST * rms:
+        while rows >= 2 * count * ENOUGH and _lost(link, 2 * count) < LOST * rms:
             count *= 2
     if count == 1:
         return link
@@ -43,6 +47,14 @@ def _rms(link: WrenchLink, modelled: list[Array]) -> float:
     counted = [np.isfinite(r.sigma) for r in link.runs]
     left = [((r.measured - m) / r.sigma)[c] for r, m, c in zip(link.runs, modelled, counted, strict=True)]
     return float(np.sqrt(np.mean(np.concatenate(left) ** 2)))
+
+
+def _lost(link: WrenchLink, count: int) -> float:
+    """Rms of the signal that lies between blocks of ``count`` rows, in units of the noise, whose own part is taken away."""
+    between = _rms(link, [_between(r.measured, count) for r in link.runs])
+    white = np.eye(8 * count)
+    own = float(np.mean(np.sum((white - _between(white, count)) ** 2, axis=1)))
+    return math.sqrt(max(between**2 - own, 0.0))
 
 
 def _means(values: Array, count: int) -> Array:
@@ -64,4 +76,11 @@ def _run(run: LinkRun, count: int) -> LinkRun:
     sigma = _means(run.sigma, count)  # infinite where one of the rows was not measured
     touching = _means(run.touching[:, None].astype(float), count)[:, 0] > 0.0
     scenario = scenario_from(resolved(run.scenario) | {"rate": rate})
-    return replace(run, scenario=scenario, measured=_means(run.measured, count), sigma=sigma, touching=touching)
+    return replace(
+        run,
+        scenario=scenario,
+        measured=_means(run.measured, count),
+        sigma=sigma,
+        touching=touching,
+        tones=tuple(w * count for w in run.tones),
+    )

@@ -7,6 +7,7 @@ from typing import Any
 
 from hiltestbed.diagnosis import judges
 from hiltestbed.diagnosis.adequacy import contact_leftovers
+from hiltestbed.diagnosis.certainty import Certainties
 from hiltestbed.diagnosis.describe import describe
 from hiltestbed.diagnosis.fit import Fit
 from hiltestbed.diagnosis.grow import far_off, grow
@@ -17,6 +18,7 @@ from hiltestbed.diagnosis.investigate import Findings
 from hiltestbed.diagnosis.isolability import isolability
 from hiltestbed.diagnosis.learned.finding import learned_on
 from hiltestbed.diagnosis.learned_law import Learned
+from hiltestbed.diagnosis.plain import LINK_NAMES
 from hiltestbed.diagnosis.report.evidence import link_series
 from hiltestbed.diagnosis.result import Cause, Finding, Heldout, Interval, Isolable, Parameter, Ranked
 from hiltestbed.diagnosis.search import Explanation, Progress, Search
@@ -28,7 +30,6 @@ from hiltestbed.effects.table import EFFECTS
 RANKED = 6  # hypotheses of a link that are listed
 CHECKED = 3  # of them, scored on left-out runs
 MEASURED = ("platform", "wrench")  # links whose output is measured: what they leave is judged by its noise
-LINK_NAMES = {"platform": "platform", "wrench": "contact and sensor", "compensation": "compensation", "dynamics": "numerical model"}
 
 
 def find(findings: Findings, progress: Progress | None = None) -> Finding:
@@ -39,7 +40,8 @@ def find(findings: Findings, progress: Progress | None = None) -> Finding:
     findings, nearest = _nearest(findings, verdict, progress)
     verdict, share = _in_part(findings, verdict, nearest)
     verdict, share, learned, law = _learned(findings, verdict, share, progress)
-    causes = tuple(cause_of(findings, c) for c in verdict.causes)
+    certain = Certainties(findings.explanations)
+    causes = tuple(cause_of(findings, c, certain) for c in verdict.causes)
     once = {c.effect: c for c in [*nearest, *verdict.causes]}  # a record stamped late shows on two links
     once = {c.effect: c for c in verdict.causes} if law else once
     effects = [*(c.fit.effects()[c.index] for c in once.values()), *law]  # as the links take them, variants included
@@ -57,11 +59,12 @@ def find(findings: Findings, progress: Progress | None = None) -> Finding:
         isolability=_isolability(findings, progress),
         left=left,
         not_judged={LINK_NAMES[name]: why for name, why in verdict.not_judged.items()},
-        partial=tuple(cause_of(findings, c) for c in nearest),
+        partial=tuple(cause_of(findings, c, certain) for c in nearest),
         partial_gain=gain_of(findings, nearest),
         explained=share,
         learned=learned,
         assumed=findings.layout.force.words(),
+        certainty=tuple(certain),
     )
 
 
@@ -83,21 +86,23 @@ def _nearest(findings: Findings, verdict: Verdict, progress: Progress | None) ->
 def _learned(
     findings: Findings, verdict: Verdict, share: float | None, progress: Progress | None
 ) -> tuple[Verdict, float | None, Learned | None, tuple[Effect, ...]]:
-    """The law learned on contact or sensor, where they depart otherwise than the causes that hold, and the effect that extends the model.
+    """The law learned on a link that departs otherwise than by the causes that hold, and the effect that extends the model.
 
     A cause that was named in part falls if curves do without it what they do beside it, with fewer numbers: it was a part of them.
     """
-    found = findings.explanations.get("wrench")
-    if verdict.verdict not in ("unknown", "named_in_part") or found is None or not found.departs or found.adequate:
+    open_ = {n: e for n, e in findings.explanations.items() if n in MEASURED and e.departs and not e.adequate}
+    if verdict.verdict not in ("unknown", "named_in_part") or not open_:
         return verdict, share, None, ()
+    name = max(open_, key=lambda n: (n == verdict.link, n == "wrench"))
+    found = open_[name]
     if progress:
-        progress("contact and sensor: a law without a name")
-    causes = [c for c in verdict.causes if c.link == "wrench"]
+        progress(f"{LINK_NAMES[name]}: a law without a name")
+    causes = [c for c in verdict.causes if c.link == name]
     known = [c.fit.effects()[c.index] for c in causes]
     result = learned_on(found, known)
     alone = learned_on(found, ()) if known and result is not None else None
     if result is not None and alone is not None and needless(result[0], alone[0], sum(len(c.fit.part(c.index)) for c in causes)):
-        others = tuple(c for c in verdict.causes if c.link != "wrench")
+        others = tuple(c for c in verdict.causes if c.link != name)
         verdict, share, result = Verdict("unknown", verdict.link, others, verdict.not_judged), None, alone
     if result is None:
         return verdict, share, None, ()
@@ -130,9 +135,9 @@ def _grown(e: Explanation, progress: Progress | None) -> Explanation:
     return replace(e, chosen=best, leftovers=contact_leftovers(e.residual, best.effects()))
 
 
-def cause_of(findings: Findings, c: Named) -> Cause:
-    """A cause with the 95 % intervals of its parameters."""
-    ends = intervals(findings.explanations[c.link].residual, c.fit)
+def cause_of(findings: Findings, c: Named, certain: Certainties | None = None) -> Cause:
+    """A cause with the 95 % intervals of its parameters; `certain` keeps what was worked out of its fit."""
+    ends = certain.of(c.link, c.fit).ends if certain else intervals(findings.explanations[c.link].residual, c.fit).ends
     start = sum(len(x.names) for x in c.fit.causes[: c.index])
     names = c.fit.causes[c.index].names
     effect = c.fit.effects()[c.index]

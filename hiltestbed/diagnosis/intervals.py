@@ -8,6 +8,7 @@ the misfit of neighbouring rows is one and the same (a position, of which a forc
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.stats import t as student
@@ -22,11 +23,41 @@ FLAT = 1e-14  # of the largest curvature
 WIDE_STEP = 2e-3  # of the scale, for derivatives that average over the jumps at whole ticks
 
 
-def intervals(residual: Residual, found: Fit) -> Array:
-    """(P, 2) lower and upper ends, clipped to the bounds of the search."""
+@dataclass(frozen=True, eq=False)
+class Spread:
+    """How sure the estimates of a fit are.
+
+    Attributes:
+        ends: (P, 2) lower and upper ends of the 95 % intervals, clipped to the bounds of the search.
+        normal: (P, P) of the residual in scaled parameters, J'J; the row and column of a parameter that nothing is told of are those of the
+            unit matrix. told: (P,) chi-square changes with it at all, nearby. misfit: sum of squares a sample, at least 1.
+    """
+
+    ends: Array
+    normal: Array
+    told: np.ndarray
+    misfit: float
+
+    @property
+    def correlation(self) -> Array:
+        """(P, P) of the estimates, by the plain inverse of `normal`; NaN beside a parameter that nothing is told of."""
+        covariance = inverted(self.normal)
+        root = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+        out = np.clip(covariance / np.outer(root, root), -1.0, 1.0)
+        out[~self.told], out[:, ~self.told] = np.nan, np.nan
+        return out
+
+
+def inverted(normal: Array) -> Array:
+    """Inverse of normal equations, kept from dividing by zero."""
+    return np.asarray(np.linalg.inv(normal + 1e-12 * np.max(np.diag(normal)) * np.eye(len(normal))), dtype=float)
+
+
+def intervals(residual: Residual, found: Fit) -> Spread:
+    """The 95 % intervals of a fit's parameters, and what they were made from."""
     causes, theta = found.causes, found.theta
     if len(theta) == 0:
-        return np.zeros((0, 2))
+        return Spread(np.zeros((0, 2)), np.zeros((0, 0)), np.zeros(0, bool), 1.0)
     low, high, log = bounds_of(causes)
     scale = scales(theta, low, high, log)
     count = len(theta)
@@ -51,7 +82,7 @@ def intervals(residual: Residual, found: Fit) -> Array:
     told = np.diag(normal) > FLAT * max(1.0, float(np.max(np.diag(normal))))  # chi-square changes with it at all, nearby
     normal[~told], normal[:, ~told], middle[~told], middle[:, ~told] = 0.0, 0.0, 0.0, 0.0
     normal[~told, ~told] = 1.0
-    inverse = np.asarray(np.linalg.inv(normal + 1e-12 * np.max(np.diag(normal)) * np.eye(count)), dtype=float)
+    inverse = inverted(normal)
     runs = len(residual.runs)
     plain = np.diag(inverse) * misfit
     between = np.diag(inverse @ middle @ inverse) * runs / max(1, runs - 1)
@@ -64,7 +95,7 @@ def intervals(residual: Residual, found: Fit) -> Array:
     for j in np.flatnonzero(np.array(rough) | ~told):
         profile = [_rise(residual, found, int(j), sign, squares + RISE * misfit, bound) for sign, bound in ((-1.0, low[j]), (1.0, high[j]))]
         ends[j] = (profile[0], profile[1]) if not told[j] else (min(ends[j, 0], profile[0]), max(ends[j, 1], profile[1]))
-    return ends
+    return Spread(ends, normal, told, misfit)
 
 
 def witnessed(residual: Residual, jacobians: Sequence[tuple[Array, Array]], inverse: Array) -> Array:

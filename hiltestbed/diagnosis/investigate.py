@@ -5,17 +5,20 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
 from hiltestbed.diagnosis import judges
+from hiltestbed.diagnosis.all_rows import on_all_rows
 from hiltestbed.diagnosis.driven import ALONG_AN_AXIS, WAY, axis_link, mass_and_force, one_force
 from hiltestbed.diagnosis.fit import Fit, fit, inflation, nothing, refit
 from hiltestbed.diagnosis.jitter import JITTER, jitter_beside
 from hiltestbed.diagnosis.layout import Layout, compensation_link, dynamics_link, lay_out, platform_link
 from hiltestbed.diagnosis.lines import hum_beside, lines
 from hiltestbed.diagnosis.links import AxisLink, CompensationLink, Link, LinkRun, PlatformLink, WrenchLink
-from hiltestbed.diagnosis.paths import make_wrench_link
+from hiltestbed.diagnosis.paths import BestPath, best_path, make_wrench_link
 from hiltestbed.diagnosis.residual import Residual
 from hiltestbed.diagnosis.search import Explanation, Progress, Search
 from hiltestbed.diagnosis.settings import DETECTION, MOST_NOISE, ONE_OF_TWO, RECORD_LEFT
@@ -115,9 +118,11 @@ def _explain_compensation(
 
 def _investigate_wrench(layout: Layout, found: dict[str, Explanation], whole: dict[str, Link], progress: Progress | None) -> None:
     """Contact and sensor, which are one link to the data; and the compensation again where the record proves to be stamped late."""
-    link = _choose_lever(make_wrench_link(layout, found.get("platform"), layout.rows, decimate="compensation" not in found))
+    path = best_path(layout, found.get("platform"))
+    link = _choose_lever(make_wrench_link(layout, path, layout.rows, decimate="compensation" not in found))
     scales = replace(layout.scales, lines=lines(link))
-    candidates = _candidates(scales, WRENCH if "compensation" in found else (*WRENCH, "log"))
+    unseen = ("platform",) if link.commands else ()  # what it does is in the path then
+    candidates = _candidates(scales, (*WRENCH, *unseen) if "compensation" in found else (*WRENCH, *unseen, "log"))
     residual, given = Residual(link), _stamped_late(layout, link, found.get("compensation"))
     if given:  # which the contact alone cannot tell from a late sensor
         candidates = tuple(c for c in candidates if c.kind != "sensor.delay")
@@ -131,11 +136,14 @@ def _investigate_wrench(layout: Layout, found: dict[str, Explanation], whole: di
         explanation = search.explain(Residual(other))
     if given:
         explanation = replace(explanation, candidates=(*candidates, *given[0].causes))
-    found["wrench"] = explanation
     chosen = _wrench(explanation)
-    whole["wrench"] = make_wrench_link(layout, found.get("platform"), layout.whole).reading(chosen.lever, chosen.grid, chosen.blunt)
+    if tuple(run.rows for run in chosen.runs) != tuple(layout.rows):
+        everything = make_wrench_link(layout, path, layout.rows)
+        explanation = on_all_rows(explanation, everything.reading(chosen.lever, chosen.grid, chosen.blunt))
+    found["wrench"] = explanation
+    whole["wrench"] = make_wrench_link(layout, path, layout.whole).reading(chosen.lever, chosen.grid, chosen.blunt)
     if given:
-        _settle_compensation(layout, found, whole, progress)
+        _settle_compensation(layout, path, found, whole, progress)
 
 
 def _wrench(explanation: Explanation) -> WrenchLink:
@@ -200,7 +208,9 @@ def _other_reading_betters(found: Explanation, other: Fit) -> bool:
     return again.chi2 < found.chosen.chi2 - DETECTION * inflation(found.chosen)
 
 
-def _settle_compensation(layout: Layout, found: dict[str, Explanation], whole: dict[str, Link], progress: Progress | None) -> None:
+def _settle_compensation(
+    layout: Layout, path: BestPath, found: dict[str, Explanation], whole: dict[str, Link], progress: Progress | None
+) -> None:
     """The compensation again, where the contact has told how late the record is: with the readings that the loop used."""
     explanation = found["wrench"]
     effects = explanation.chosen.effects()
@@ -211,7 +221,7 @@ def _settle_compensation(layout: Layout, found: dict[str, Explanation], whole: d
     in_time = [e for e in effects if e.link != "log"]
     links = []
     for rows in (layout.rows, layout.whole):
-        wrench = make_wrench_link(layout, found.get("platform"), rows).reading(chosen.lever, chosen.grid, chosen.blunt)
+        wrench = make_wrench_link(layout, path, rows).reading(chosen.lever, chosen.grid, chosen.blunt)
         everything = range(len(wrench.runs))
         late, prompt = wrench.predict([(i, effects) for i in everything]), wrench.predict([(i, in_time) for i in everything])
         used = [_as_read(run, a, b, ticks) for run, a, b in zip(wrench.runs, late, prompt, strict=True)]
@@ -245,8 +255,12 @@ def _choose_lever(link: WrenchLink) -> WrenchLink:
     """Where between tip and surface the force acts: the reading of the geometry that the torques bear out."""
     if all(r.scenario.mechanism.contact.friction == 0.0 for r in link.runs):
         return link
-    costs = {}
-    for lever in (0.5, 0.0, 1.0):
+
+    def cost(lever: float) -> float:
         r = Residual(link.reading(lever))(())
-        costs[lever] = float(np.sum(np.minimum(r * r, 100.0)))
-    return link.reading(min(costs, key=lambda key: costs[key]))
+        return float(np.sum(np.minimum(r * r, 100.0)))
+
+    costs = {lever: cost(lever) for lever in (0.5, 0.0, 1.0)}
+    best = min(costs, key=lambda key: costs[key])
+    found: Any = minimize_scalar(cost, bounds=(max(best - 0.5, 0.0), min(best + 0.5, 1.0)), method="bounded", options={"xatol": 0.01})
+    return link.reading(float(found.x) if found.fun < costs[best] - ONE_OF_TWO else best)

@@ -69,7 +69,7 @@ def _likelihood(link: WrenchLink, residual: Residual, effects: Effects, sigma: f
     for i in residual.runs:
         mean, spread = link.shaken(i, effects, sigma)
         s2 = 1.0 + (spread * residual.weight[i]) ** 2
-        z = (link.runs[i].measured - mean) * residual.weight[i] / np.sqrt(s2)
+        z = residual.left(i, mean) * residual.weight[i] / np.sqrt(s2)
         total += float(np.sum(z * z) + np.sum(np.log(s2)))
         parts.append(z.ravel())
     return total, np.concatenate(parts)

@@ -9,10 +9,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hiltestbed.contact.sides import sides_of
+from hiltestbed.diagnosis.bridged import bridges, bridging_noise, lost
 from hiltestbed.diagnosis.driven import regression
 from hiltestbed.diagnosis.links import CompensationLink, DynamicsLink, Link, LinkRun, PlatformLink, WrenchLink, flat_pose
 from hiltestbed.diagnosis.links.base import padded
-from hiltestbed.diagnosis.noise import ForceNoise, force_noise
+from hiltestbed.diagnosis.noise import ForceNoise, force_noise, in_steps
 from hiltestbed.diagnosis.settings import (
     ARM_UNKNOWN,
     COMPENSATION_FLOOR,
@@ -37,6 +38,7 @@ from hiltestbed.signals import GROUPS
 
 MEMORY = 0.05  # [s] for which platform, contact and compensation are taken to remember a sample that is missing
 MOSTLY = 0.9  # part of the rows of every run, which hang on samples that are missing
+COMPUTED_ROUNDED = math.sqrt(CORRELATED)  # as computed channels are counted
 ROTATIONS = ("rx", "ry", "rz")
 
 
@@ -111,7 +113,10 @@ def _lacking(runs: Sequence[MeasuredRun]) -> dict[str, str]:
         out["dynamics"] = "needs wrench_comp and pose_cmd in every run"
     elif any(name in r.record.absent and not centred(r.scenario) for r in runs for name in GROUPS["wrench_comp"].columns):
         out["dynamics"] = "needs all axes of wrench_comp: off the axis of insertion each of them moves all of pose_cmd"
-    elif all(r.record.unknown("wrench_comp")[-1] and r.record.unknown("wrench_comp").mean() > MOSTLY for r in runs):
+    elif all(
+        not bridges(r.record, "wrench_comp") and r.record.unknown("wrench_comp")[-1] and r.record.unknown("wrench_comp").mean() > MOSTLY
+        for r in runs
+    ):
         out["dynamics"] = "needs wrench_comp without gaps: what a missing sample did to the motion stays in it"
     return out | _lacking_of_wrench(runs)
 
@@ -152,15 +157,30 @@ def compensation_link(layout: Layout, rows: Sequence[int]) -> CompensationLink:
     pairs = list(zip(layout.runs, rows, strict=True))
     records = {g: [np.ascontiguousarray(r.record.filled(g)[:n]) for r, n in pairs] for g in groups | twists}
     runs = [_computed_run(r, r.record.data["wrench_comp"], level, n, "wrench_meas", MEMORY) for r, n in pairs]
-    return CompensationLink(runs, [np.ascontiguousarray(r.record.filled("wrench_meas")[:n]) for r, n in pairs], records)
+    wrenches = [np.ascontiguousarray(r.record.filled("wrench_meas")[:n]) for r, n in pairs]
+    link = CompensationLink(runs, wrenches, records)
+    memory, gain = link.memory() or MEMORY, link.noise_gain()
+    runs = [_computed_run(r, r.record.data["wrench_comp"], level, n, "wrench_meas", memory) for r, n in pairs]
+    written = [np.hypot(r.record.rounding("wrench_comp"), gain * r.record.rounding("wrench_meas"))[:n] for r, n in pairs]
+    runs = [replace(run, sigma=np.hypot(run.sigma, COMPUTED_ROUNDED * w)) for run, w in zip(runs, written, strict=True)]
+    return CompensationLink(runs, wrenches, records)
 
 
 def dynamics_link(layout: Layout, rows: Sequence[int]) -> DynamicsLink:
     """The numerical model on the first ``rows`` of each run."""
     level = DYNAMICS_FLOOR * math.sqrt(CORRELATED)
     pairs = list(zip(layout.runs, rows, strict=True))
-    runs = [_computed_run(r, flat_pose(r.record.data["pose_cmd"]), level, n, "wrench_comp", None) for r, n in pairs]
-    return DynamicsLink(runs, [np.ascontiguousarray(r.record.filled("wrench_comp")[:n]) for r, n in pairs])
+    gone = {True: 0.0, False: None}  # [s] after which a lost sample is forgotten: never, unless its bridge is known
+    bridged = [bridges(r.record, "wrench_comp") for r in layout.runs]
+    runs = [
+        _computed_run(r, flat_pose(r.record.data["pose_cmd"]), level, n, "wrench_comp", gone[b])
+        for (r, n), b in zip(pairs, bridged, strict=True)
+    ]
+    wrenches = [np.ascontiguousarray(r.record.filled("wrench_comp")[:n]) for r, n in pairs]
+    missing = [lost(r.record, "wrench_comp")[:n] & b for (r, n), b in zip(pairs, bridged, strict=True)]
+    noise = bridging_noise(DynamicsLink(runs, wrenches), wrenches, missing)
+    runs = [replace(run, sigma=np.hypot(run.sigma, COMPUTED_ROUNDED * s)) for run, s in zip(runs, noise, strict=True)]
+    return DynamicsLink(runs, wrenches)
 
 
 def wrench_link(
@@ -207,13 +227,27 @@ def _force_run(run: MeasuredRun, layout: Layout, i: int, rows: int, least: Array
     """A measured force less the offset that it has in this run alone, with the noise of its colour and of its size."""
     level = np.maximum([layout.noise.get(name, 0.0) for name in GROUPS["wrench_meas"].columns], least) * layout.force.colour
     reading = np.nan_to_num(run.record.data["wrench_meas"][:rows]) - layout.force.offset[i]
-    level = np.hypot(level, layout.force.share * reading)
+    level = np.hypot(np.hypot(level, layout.force.share * reading), run.record.rounding("wrench_meas")[:rows])
+    level = level * _as_one(run, "wrench_meas", rows)
     sigma = np.where(run.record.valid["wrench_meas"][:rows], level, np.inf)
     path = next((g for g in ("pose_act", "pose_cmd") if run.record.has(g)), None)
     if path is not None:
         sigma[run.record.unknown(path, MEMORY + run.scenario.sensor.delay)[:rows]] = np.inf
     measured = np.where(run.record.valid["wrench_meas"][:rows], reading, 0.0)
-    return LinkRun(run.scenario, measured, sigma, touching(run, rows), layout.force.heavy)
+    force = layout.force
+    return LinkRun(run.scenario, measured, sigma, touching(run, rows), force.heavy, force.tail, force.baseline, force.tones)
+
+
+def _as_one(run: MeasuredRun, group: str, rows: int) -> Array:
+    """(rows, parts) root of how many equal readings in a row tell no more than one, of a channel in steps that its noise does not fill."""
+    out = np.ones((rows, len(GROUPS[group].columns)))
+    for j, name in enumerate(GROUPS[group].columns):
+        if run.record.has(name) and (in_steps(run, name) or name in run.record.digits):
+            values = run.record.column(name)[:rows]
+            starts = np.flatnonzero(np.r_[True, values[1:] != values[:-1]])
+            lengths = np.diff(np.r_[starts, rows])
+            out[:, j] = np.sqrt(np.repeat(lengths, lengths))
+    return out
 
 
 def _pose_run(run: MeasuredRun, noise: Mapping[str, float], doubt: Array, rows: int) -> LinkRun:
@@ -221,6 +255,8 @@ def _pose_run(run: MeasuredRun, noise: Mapping[str, float], doubt: Array, rows: 
     valid = run.record.valid["pose_act"][:rows]
     level = np.maximum([noise.get(f"pose_act.{part}", 0.0) for part in ("px", "py", "pz", *ROTATIONS)], NO_POSE_NOISE)
     counted = np.concatenate([valid[:, :3], np.repeat(np.all(valid[:, 3:], axis=1)[:, None], 3, axis=1)], axis=1)
+    rounding, as_one = run.record.rounding("pose_act")[:rows], _as_one(run, "pose_act", rows)
+    level = np.hypot(level, np.column_stack([rounding[:, :3], 2.0 * rounding[:, 3:6]])) * as_one[:, :6]
     sigma = np.where(counted, np.hypot(level, doubt), np.inf)
     sigma[run.record.unknown("pose_cmd", MEMORY)[:rows]] = np.inf
     sigma[0] = np.inf  # the start pose stands for itself
@@ -254,6 +290,8 @@ def _floors(runs: Sequence[MeasuredRun]) -> dict[str, float]:
             believed = runs[0].scenario.sensor.noise if ".f" in name else runs[0].scenario.sensor.torque_noise
             inside = [white_noise(r.record.column(name)[touching(r, r.record.ticks)]) for r in runs if r.survey.contacts]
             level = believed or (float(np.median(inside)) if inside else 0.0)
+            steps = [r.record.steps.get(name, 0.0) for r in runs]
+            level = math.hypot(level, max(steps) / math.sqrt(12.0)) if any(in_steps(r, name) for r in runs) else level
         floors[name] = level
     places = [n for n in ("pose_act.px", "pose_act.py", "pose_act.pz") if floors.get(n)]
     for name in places:  # a platform that moves in jumps looks noisy on the axis that moves most

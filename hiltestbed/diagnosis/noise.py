@@ -13,8 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 from scipy.optimize import brentq, nnls
+from scipy.stats import chi2 as chi_square
+from scipy.stats import f as fisher
 
-from hiltestbed.diagnosis.settings import ENOUGH_FREE, HEAVY, KNEE, SHARE_SHOWS, SIGNIFICANT, STANDS_OUT
+from hiltestbed.diagnosis.aside import DEGREE, wanders
+from hiltestbed.diagnosis.settings import BY_CHANCE, ENOUGH_FREE, HEAVY, KNEE, SHARE_SHOWS, SIGNIFICANT
+from hiltestbed.diagnosis.tones import differing, tones_of, without_tones
 from hiltestbed.frames import Array
 from hiltestbed.measured import MeasuredRun
 from hiltestbed.signals import GROUPS
@@ -22,12 +26,14 @@ from hiltestbed.signals import GROUPS
 CHANNELS = GROUPS["wrench_meas"].columns
 CLOSE = 2  # rows before the first touch that are no longer counted as free
 EDGE = 6  # rows after a touch and before its end whose differences show the touch
-LINES = 6  # spectral lines that are taken out at most
 LAGS = 64  # rows, over which a correlation is summed at most
 SMOOTH = 9  # rows of the running mean of a reading in contact
 CLIPPED = 4.0  # robust standard deviations at which a sample counts for its correlation with others
+FILLED = 1.0  # of a step, from which noise makes its error independent of the signal and from row to row
+SETTLED = 0.05  # [s] after a contact in which a reading still shows it
 FAR_TAIL = 4.0  # robust standard deviations, beyond which 6e-5 of normal samples lie
 THIRD = 20.0  # variance of third differences of white noise
+NORMAL = 2.0  # variance of the square of a normal sample
 NEIGHBOURS = 2.31  # squares of third differences that count as one: 1 + 2 (15^2 + 6^2 + 1)/20^2
 
 
@@ -39,8 +45,10 @@ class ForceNoise:
         level: (6,) standard deviation [N, N m]; 0 where it was not read: third differences stand for it.
         colour: root of the spectral density at low frequency over that of white noise of the same variance, as a smooth misfit is judged.
         heavy: whether samples lie far out more often than normal ones do.
-        offset: (6,) of each run [N, N m], by which it reads otherwise than all runs together.
-        share: of the reading, that is noise beside.
+        offset: (6,) of each run [N, N m] that is taken out of it: by which it reads otherwise than all runs together.
+        share: of the reading, that is noise beside. tail: variance of the square of a softened sample, 2 for normal noise.
+        baseline: degree of the polynomial by which the readings differ from run to run, -1 for none; tones: [rad] a row, of another phase
+            in each run, see :mod:`hiltestbed.diagnosis.aside`.
     """
 
     level: Array
@@ -48,6 +56,9 @@ class ForceNoise:
     heavy: bool
     offset: tuple[Array, ...]
     share: float
+    tail: float = NORMAL
+    baseline: int = -1
+    tones: tuple[float, ...] = ()
 
     def words(self) -> tuple[str, ...]:
         """What was assumed, in sentences; none for white noise of one level."""
@@ -56,8 +67,12 @@ class ForceNoise:
             out.append(f"the noise of the force is coloured: smooth departures are judged by {self.colour:.2g} times its level")
         if self.heavy:
             out.append("the noise of the force has outliers: samples far out count by the logarithm of their distance")
-        if any(o.any() for o in self.offset):
+        if self.baseline == 0 or any(o.any() for o in self.offset):
             out.append("the force reads a different offset in each run: it is taken out run by run")
+        if self.baseline > 0:
+            out.append("the baseline of the force wanders otherwise in each run: a cubic a run is taken out of what is left")
+        if self.tones:
+            out.append("the force holds tones of another phase in each run, as of mains: they are taken out of what is left")
         if self.share:
             out.append(f"the noise of the force grows with the reading: {100.0 * self.share:.2g} % of it beside its level")
         return tuple(out)
@@ -74,23 +89,30 @@ def force_noise(runs: Sequence[MeasuredRun]) -> ForceNoise:
     free = [_free(run) for run in runs]
     if sum(len(x) for x in free) < ENOUGH_FREE:
         return still
-    columns = [j for j in range(6) if _moves(free, j)]
+    columns = [j for j in range(6) if _moves(free, j) and not any(in_steps(run, CHANNELS[j]) for run in runs)]
     if not columns:
         return still
     flat, start = _straightened(free, columns)
-    flat = _without_lines(flat)
+    tones = tones_of(flat)
+    aside = differing(flat, tones, [_apart(run, columns)[1:] for run in runs])
+    flat = without_tones(flat, tones)
     scale = np.array([1.4826 * np.median(np.abs(np.concatenate([x[:, i] for x in flat]))) for i in range(len(columns))])
     z = [x / np.where(scale > 0.0, scale, 1.0) for x in flat]
     heavy = _heavy(z)
     colour = _colour(z)
-    level = np.zeros(6)
-    if heavy or colour > 1.0:
+    level, tail = np.zeros(6), NORMAL
+    if heavy or colour > 1.0 or aside:
         level[columns] = [_level(np.concatenate([x[:, i] for x in flat]), heavy) for i in range(len(columns))]
+    if heavy:
+        squares = np.concatenate([softened(x / level[columns], True).ravel() ** 2 for x in flat])
+        tail = max(NORMAL, float(np.var(squares)))
     spread = np.array([float(np.std(np.concatenate([x[:, i] for x in flat]))) for i in range(len(columns))]) * colour
-    offset = [np.zeros(6) for _ in runs]
-    for o, apart in zip(offset, _offsets([len(x) for x in flat], start, spread), strict=True):
-        o[columns] = apart
-    return ForceNoise(level, colour, heavy, tuple(offset), _share(runs, columns, scale))
+    if wanders([_apart(run, columns)[:2] for run in runs], spread):
+        return ForceNoise(level, colour, heavy, still.offset, _share(runs, columns, scale), tail, DEGREE, aside)
+    offset, (apart, degree) = [np.zeros(6) for _ in runs], _offsets([len(x) for x in flat], start, spread)
+    for o, found in zip(offset, apart, strict=True):
+        o[columns] = found
+    return ForceNoise(level, colour, heavy, tuple(offset), _share(runs, columns, scale), tail, degree, aside)
 
 
 def _free(run: MeasuredRun) -> Array:
@@ -109,6 +131,23 @@ def _moves(free: Sequence[Array], j: int) -> bool:
     return all(np.median(np.abs(np.diff(x[:, j]))) > 0.0 for x in free if len(x) > 10)
 
 
+def in_steps(run: MeasuredRun, name: str) -> bool:
+    """Whether a channel comes in steps that its noise does not fill: nothing of the noise can be read there."""
+    step = run.record.steps.get(name, 0.0)
+    return step > 0.0 and run.survey.noise[name].white < FILLED * step
+
+
+def _apart(run: MeasuredRun, columns: Sequence[int]) -> tuple[Array, Array, Array]:
+    """Rows away from contacts, as parts of the run from -1 to 1, the readings there, and the numbers of the rows."""
+    record = run.record
+    if not record.has("wrench_meas"):
+        return np.zeros(0), np.zeros((0, len(columns))), np.zeros(0)
+    values = record.data["wrench_meas"][:, columns]
+    apart = ~run.survey.touching(len(values), round((run.scenario.sensor.delay + SETTLED) * run.scenario.rate))
+    apart &= np.isfinite(values).all(axis=1)
+    return np.linspace(-1.0, 1.0, len(values))[apart], values[apart], np.flatnonzero(apart)
+
+
 def _straightened(free: Sequence[Array], columns: Sequence[int]) -> tuple[list[Array], Array]:
     """Readings less a straight line a run and channel, of one slope in all runs; and those lines' values at the start (R, C)."""
     rows = [np.arange(len(x), dtype=float) for x in free]
@@ -118,29 +157,6 @@ def _straightened(free: Sequence[Array], columns: Sequence[int]) -> tuple[list[A
         [x[:, columns].mean(axis=0) - slope * t.mean() if len(t) else np.zeros(len(columns)) for t, x in zip(rows, free, strict=True)]
     )
     return [x[:, columns] - s - t[:, None] * slope for t, x, s in zip(rows, free, start, strict=True)], start
-
-
-def _without_lines(flat: list[Array]) -> list[Array]:
-    """Without spectral lines, which stand out of what is beside them: a hum, mains and their harmonics."""
-    size = 1 << (max(len(x) for x in flat) - 1).bit_length() + 1
-    for _ in range(LINES):
-        power = np.zeros(size // 2 + 1)
-        for x in flat:
-            if len(x):
-                power += (np.abs(np.fft.rfft(x / np.maximum(x.std(axis=0), 1e-300), size, axis=0)) ** 2).sum(axis=1)
-        at = int(np.argmax(power))
-        width = 2 * size // max(len(x) for x in flat)
-        beside = np.concatenate([power[max(0, at - 5 * width) : max(0, at - width)], power[at + width : at + 5 * width]])
-        if not len(beside) or power[at] < STANDS_OUT * np.median(beside):
-            return flat
-        flat = [x - _line(x, 2.0 * math.pi * at / size) for x in flat]
-    return flat
-
-
-def _line(x: Array, w: float) -> Array:
-    t = np.arange(len(x))
-    basis = np.column_stack([np.sin(w * t), np.cos(w * t)])
-    return np.asarray(basis @ np.linalg.lstsq(basis, x, rcond=None)[0], dtype=float) if len(x) else x
 
 
 def _heavy(z: Sequence[Array]) -> bool:
@@ -173,17 +189,24 @@ def _level(x: Array, heavy: bool) -> float:
     return float(brentq(lambda s: float(np.mean(softened(x / s, True) ** 2)) - 1.0, 1e-2 * rms, 1e2 * rms))  # type: ignore[arg-type]
 
 
-def _offsets(counts: Sequence[int], start: Array, spread: Array) -> Array:
-    """(R, C) by which each run starts from another reading than all; zeros where chance would do that."""
+def _offsets(counts: Sequence[int], start: Array, spread: Array) -> tuple[Array, int]:
+    """(R, C) that is taken out of each run, and the degree of a polynomial that is, see :class:`ForceNoise`.
+
+    Nothing is where chance would make the runs differ as they do, and a constant where it would make of such runs what they share.
+    """
     error = np.array([2.0 * spread / math.sqrt(max(n, 1)) for n in counts])
     known = np.array(counts) > 10
     if known.sum() < 2 or not (spread > 0.0).all():
-        return np.zeros_like(start)
+        return np.zeros_like(start), -1
     weight = np.where(known[:, None], 1.0 / error**2, 0.0)
     apart = np.where(known[:, None], start - (weight * start).sum(axis=0) / weight.sum(axis=0), 0.0)
     freedom = (known.sum() - 1) * start.shape[1]
-    chi2 = float(np.sum((apart / error) ** 2))
-    return apart if chi2 > freedom + SIGNIFICANT * math.sqrt(2.0 * freedom) else np.zeros_like(start)
+    if float(np.sum((apart / error) ** 2)) <= chi_square.isf(BY_CHANCE, freedom):
+        return np.zeros_like(start), -1
+    readings, count = start[known] / spread, int(known.sum())
+    between = count * float(np.mean(readings.mean(axis=0) ** 2))  # against what the runs differ by: one F of all channels
+    shared = between > fisher.isf(BY_CHANCE, start.shape[1], freedom) * float(np.mean(readings.var(axis=0, ddof=1)))
+    return (apart, -1) if shared else (np.zeros_like(start), 0)
 
 
 def _share(runs: Sequence[MeasuredRun], columns: Sequence[int], scale: Array) -> float:

@@ -25,7 +25,7 @@ from hiltestbed.frames import Array
 from hiltestbed.measured import MeasuredRun
 from hiltestbed.measured.noise import finest_noise
 from hiltestbed.numerical_model.bodies import approach_state
-from hiltestbed.replay import moves_linearly
+from hiltestbed.replay import follows_exactly, moves_linearly
 from hiltestbed.replay.compensation import slopes
 
 
@@ -44,11 +44,22 @@ class Path:
     rate: float = 0.0
 
 
-def make_wrench_link(layout: Layout, platform: Explanation | None, rows: Sequence[int], decimate: bool = False) -> WrenchLink:
-    """Contact and sensor on the best path that the data give.
+@dataclass(frozen=True)
+class BestPath:
+    """The path that contact and sensor are replayed on.
 
-    ``decimate``: in fewer rows, where nothing is lost and no other link goes on from them.
+    Attributes:
+        brought: (N, 6) of each run the noise of the reading that the path brings; None: none. jumps: (N,) of each run how far a platform
+        that sticks jumped [m] in the tick that ends at each row; None: it does not stick.
     """
+
+    path: Path
+    brought: Sequence[Array] | None
+    jumps: Sequence[Array] | None
+
+
+def best_path(layout: Layout, platform: Explanation | None) -> BestPath:
+    """The best path that the data give."""
     explained = platform is not None and platform.adequate
     known = [(path, _noise_of(layout, path)) for path in _measured(layout)]
     measured, brought = next(((p, b) for p, b in known if _share(layout, b) < CLEAN_PATH), known[-1] if known else (None, None))
@@ -62,9 +73,22 @@ def make_wrench_link(layout: Layout, platform: Explanation | None, rows: Sequenc
         noisy = platform is not None or any(r.record.has("pose_act") for r in layout.runs)
         extra = [_smoothed_noise(layout, run) for run in layout.runs] if noisy else None
     sticks = platform is not None and platform.adequate and "platform.friction" in platform.chosen.kinds
-    jumps = [_jumps(p) for p in path.poses] if sticks else None
-    link = wrench_link(layout, path.poses, rows, jumps, path.rates, extra)
-    return decimated(link) if decimate and jumps is None else link
+    return BestPath(path, extra, [_jumps(p) for p in path.poses] if sticks else None)
+
+
+def make_wrench_link(layout: Layout, best: BestPath, rows: Sequence[int], decimate: bool = False) -> WrenchLink:
+    """Contact and sensor on a path; ``decimate``: in fewer rows, where nothing is lost and no other link goes on from them."""
+    link = wrench_link(layout, best.path.poses, rows, best.jumps, best.path.rates, best.brought)
+    if _nobody_saw(layout):
+        return link.commanded([np.ascontiguousarray(r.record.filled("pose_cmd")) for r in layout.runs])
+    return decimated(link) if decimate and best.jumps is None else link
+
+
+def _nobody_saw(layout: Layout) -> bool:
+    """Whether only the command tells where A went, on a platform that is believed to follow it."""
+    return all(r.record.has("pose_cmd") and not r.record.has("pose_act") and follows_exactly(r.scenario) for r in layout.runs) and all(
+        moves_linearly(r.scenario) for r in layout.runs
+    )
 
 
 def _measured(layout: Layout) -> list[Path]:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from hiltestbed.diagnosis.aside import Aside
 from hiltestbed.diagnosis.links import Link
 from hiltestbed.diagnosis.links.base import Effects
 from hiltestbed.diagnosis.noise import softened
@@ -26,6 +27,7 @@ class Residual:
         if weight is None:
             weight = [np.where(np.isfinite(r.sigma), 1.0 / np.where(np.isfinite(r.sigma), r.sigma, 1.0), 0.0) for r in link.runs]
         self.weight = tuple(weight)
+        self._aside: dict[int, Aside] = {}
 
     def wary(self, effects: Effects) -> Residual:
         """With less weight on samples that hang on how finely the facility divides its time under ``effects``; itself where none does."""
@@ -55,11 +57,21 @@ class Residual:
         for _ in hypotheses:
             rows = []
             for i in self.runs:
-                r = softened((self.link.runs[i].measured - shown[at]) * self.weight[i], self.link.runs[i].heavy)
+                r = softened(self.left(i, shown[at]) * self.weight[i], self.link.runs[i].heavy)
                 rows.append(r if np.isfinite(r).all() else np.clip(np.nan_to_num(r, nan=FAR), -FAR, FAR))
                 at += 1
             out.append(rows)
         return out
+
+    def left(self, i: int, shown: Array) -> Array:
+        """(N, C) of run i what was measured less what is ``shown`` (N, C), without what differs from run to run."""
+        run = self.link.runs[i]
+        left = run.measured - shown
+        if run.baseline < 0 and not run.tones:
+            return left
+        if i not in self._aside:
+            self._aside[i] = Aside(self.weight[i], run.baseline, run.tones)
+        return left - self._aside[i].of(left)
 
     def of_run(self, i: int, effects: Effects) -> Array:
         """(N, C) of run i."""

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,9 +13,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hiltestbed.diagnosis.learned_law import Learned
+from hiltestbed.diagnosis.plain import cause_json, finite, plain, told
+from hiltestbed.errors import MissingExtra
 from hiltestbed.frames import Array
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from hiltestbed.diagnosis.certainty import Certainty
     from hiltestbed.diagnosis.report.closed_loop import Played
     from hiltestbed.measured import MeasuredDataset
     from hiltestbed.scenario import Scenario
@@ -51,7 +55,7 @@ class Cause:
 
     def entry(self) -> dict[str, Any]:
         """As it stands under `effects:` in a scenario."""
-        return {"kind": self.effect} | {name: _plain(p.estimate) for name, p in self.parameters.items()}
+        return {"kind": self.effect} | {name: plain(p.estimate) for name, p in self.parameters.items()}
 
 
 @dataclass(frozen=True)
@@ -208,7 +212,8 @@ class Finding:
         left: what the best extension leaves, in a sentence (verdict `unknown`): link, phase and shape.
         not_judged: link to why it could not be judged.
         partial: the effects of the vocabulary that come nearest where none leaves noise; partial_gain: theirs on left-out runs.
-        learned: the law learned on contact or sensor where the vocabulary leaves more than noise.
+        certainty: of each fit that gave a cause, how well the data hold its estimates.
+        learned: the law learned on a link where the vocabulary leaves more than noise.
         assumed: what was assumed of the noise, in sentences. explained: verdict `named_in_part`: share of the departure on left-out runs.
     """
 
@@ -227,6 +232,7 @@ class Finding:
     assumed: tuple[str, ...] = ()
     explained: float | None = None
     learned: Learned | None = None
+    certainty: tuple[Certainty, ...] = ()
 
     @property
     def names(self) -> bool:
@@ -281,12 +287,38 @@ class Diagnosis:
         from hiltestbed.notebook import html_table
 
         rows = [
-            (cause.effect, name, _told(p), p.unit, f"{cause.probability:.2f}")
+            (cause.effect, name, told(p), p.unit, f"{cause.probability:.2f}")
             for cause in self.causes
             for name, p in cause.parameters.items()
         ]
         header = ("cause", "parameter", "estimate and 95 % interval", "unit", "probability")
         return html_table(f"{self.name}: {self.verdict}", header, rows, self.next_experiment or "")
+
+    def to_pandas(self) -> Any:
+        """A DataFrame, a row a parameter of a cause: estimate, 95 % interval, unit, probability. Raises MissingExtra."""
+        try:
+            import pandas as pd
+        except ImportError:
+            raise MissingExtra("to_pandas()", "pandas") from None
+        rows = [
+            {"cause": c.effect, "parameter": name, "estimate": p.estimate, "ci95": p.ci95, "unit": p.unit, "probability": c.probability}
+            for c in self.causes
+            for name, p in c.parameters.items()
+        ]
+        return pd.DataFrame(rows, columns=["cause", "parameter", "estimate", "ci95", "unit", "probability"])
+
+    def plot(self, channel: str | None = None, axes: Axes | None = None) -> Axes:
+        """A channel as it was measured and as its link makes it, nominal and extended, in the run that the nominal model misses most.
+
+        Args:
+            channel: left out, the one that is missed most.
+
+        Raises:
+            InputError: no such channel, or no link could be judged.
+        """
+        from hiltestbed.diagnosis.report.pictures import plot_channel
+
+        return plot_channel(self.finding.series, self.compared, channel, axes)
 
     @property
     def verdict(self) -> str:
@@ -325,14 +357,14 @@ class Diagnosis:
                 "verdict": self.verdict,
                 "sentence": verdict_sentence(self),
                 "link": self.link,
-                "causes": [_cause(c) for c in self.causes],
+                "causes": [cause_json(c) for c in self.causes],
                 "not_judged": dict(self.finding.not_judged),
                 "left": self.finding.left or None,
                 "explained": self.finding.explained,
                 "learned": learned.to_json() | {"sentence": learned_sentence(learned)} if learned else None,
                 "partial": {
                     "sentence": partial_sentence(self.finding.partial, self.finding.partial_gain),
-                    "causes": [_cause(c) for c in self.finding.partial],
+                    "causes": [cause_json(c) for c in self.finding.partial],
                     "heldout": self.finding.partial_gain.to_json() if self.finding.partial_gain else None,
                 },
                 "residuals": [vars(r) for r in self.residuals],
@@ -342,6 +374,7 @@ class Diagnosis:
                 "next_experiment_runs": list(self.experiment.runs) if self.experiment else [],
                 "extended_scenario": "extended.yaml" if self.finding.extends else None,
                 "ranking": [vars(r) for r in self.finding.ranking],
+                "certainty": [c.to_json() for c in self.finding.certainty],
                 "isolability": [vars(i) for i in self.finding.isolability],
                 "remarks": list(self.remarks),
                 "seconds": self.seconds,
@@ -354,37 +387,3 @@ class Diagnosis:
         from hiltestbed.diagnosis.report.folder import write_diagnosis
 
         return write_diagnosis(self, folder)
-
-
-def _cause(cause: Cause) -> dict[str, Any]:
-    return {
-        "effect": cause.effect,
-        "parameters": {name: vars(p) for name, p in cause.parameters.items()},
-        "probability": cause.probability,
-        "indistinguishable_from": list(cause.indistinguishable_from),
-    }
-
-
-def finite(value: Any) -> Any:
-    """Plain data for JSON: tuples and arrays as lists, numbers of NumPy as Python's, what is not finite as None."""
-    if isinstance(value, Mapping):
-        return {str(k): finite(v) for k, v in value.items()}
-    if isinstance(value, (list, tuple, np.ndarray)):
-        return [finite(v) for v in value]
-    if isinstance(value, np.generic):
-        value = value.item()
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
-
-
-def _plain(value: Any) -> Any:
-    return list(value) if isinstance(value, tuple) else value
-
-
-def _told(parameter: Parameter) -> str:
-    """An estimate with its interval, where it is one number."""
-    estimate, interval = parameter.estimate, parameter.ci95
-    if not isinstance(estimate, float) or not interval or isinstance(interval[0], tuple) or isinstance(interval[1], tuple):
-        return str(estimate)
-    return f"{estimate:.4g} ({', '.join('open' if end is None else f'{end:.4g}' for end in interval)})"

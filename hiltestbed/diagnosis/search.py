@@ -85,7 +85,7 @@ class Search:
         if singles and (wary := residual.wary(singles[0].effects())) is not residual:
             residual = wary
             null = refit(residual, null)
-            singles = [again(residual, f) for f in _first_of_each(singles, "kinds")[:BEAM]]
+            singles = [again(residual, f) for f in first_of_each(singles, "kinds")[:BEAM]]
             before = self.judge(residual, null.effects())
         singles += [f for make in self.special if (f := make(residual, null)) is not None]  # under the weights that a better mean has left
         singles.sort(key=_order)
@@ -107,13 +107,15 @@ class Search:
         leftovers = self.judge(residual, chosen.effects())
         adequate = all(left.noise for left in leftovers.values())
         more: list[Fit] = []
-        level = _first_of_each(singles, "kinds")
+        level = first_of_each(singles, "kinds")
         for count in range(1, 1 if given else MOST_CAUSES):
             if adequate and (count > 1 or math.isinf(self.beside)):  # a third cause beside two that leave noise would have to hide in it
                 break
-            bases = level[: 1 if adequate else BEAM]
-            found = [f for base in bases for f in self.extend(residual, base, PARTNERS, self.special)]
-            found = _first_of_each(sorted(found, key=lambda f: f.score), "key")
+            found: list[Fit] = []
+            for base in level[: 1 if adequate else BEAM]:
+                search = self._near(residual, base, found) if count > 1 else self
+                found += search.extend(residual, base, PARTNERS, self.special, found)
+            found = first_of_each(sorted(found, key=lambda f: f.score), "key")
             if not found:
                 break
             if (wary := residual.wary(found[0].effects())) is not residual:
@@ -129,10 +131,20 @@ class Search:
             adequate = all(left.noise for left in leftovers.values())
         null = nothing(residual)
         result = Explanation(residual, self.candidates, null, chosen, adequate, True, leftovers, before, (*singles, *known), tuple(more))
-        return result if not (adequate and chosen.causes) else _with_rivals(result, self.judge)
+        return result if not (adequate and chosen.causes) else with_rivals(result, self.judge)
 
-    def extend(self, residual: Residual, base: Fit, most: int = SINGLES, special: Sequence[Special] = ()) -> list[Fit]:
-        """Fits of ``base`` with one more cause, best first."""
+    def _near(self, residual: Residual, base: Fit, found: Sequence[Fit]) -> Search:
+        """The same search; where the best that was found leaves noise, for causes that make a rival of it out of ``base``."""
+        best = min(found, key=lambda f: f.score, default=base)
+        foreign = set(base.kinds) - set(best.kinds)
+        if not foreign or not all(left.noise for left in self.judge(residual, best.effects()).values()):
+            return self
+        return replace(self, candidates=tuple(c for c in self.candidates if c.kind in best.kinds))
+
+    def extend(
+        self, residual: Residual, base: Fit, most: int = SINGLES, special: Sequence[Special] = (), beside: Sequence[Fit] = ()
+    ) -> list[Fit]:
+        """Fits of ``base`` with one more cause, best first; a descent that will not come near the best of ``beside`` is not finished."""
         if JITTER in base.kinds:  # its likelihood is not a sum of squares: it is added to others, not they to it
             return []
         rated = sorted(self._rate(residual, base), key=lambda item: -item[0])
@@ -145,7 +157,7 @@ class Search:
             if self.progress:
                 self.progress(" + ".join([*base.kinds, c.kind]))
             together = [np.concatenate([base.theta, s]) for s in starts]
-            best = min(fits, key=lambda f: f.chi2, default=base)
+            best = min((*fits, *beside), key=lambda f: f.chi2, default=base)
             near = best.chi2 + CLOSE_BY * inflation(best)
             fits.append(fit(residual, (*base.causes, c), together, tries=2 if base.causes else 3, known=near))
         fits += [f for make in special if (f := make(residual, base)) is not None]
@@ -230,7 +242,7 @@ def _boldness(f: Fit) -> float:
     return sum(abs(math.log(max(e.parameters()["factor"], 1e-9))) for e in f.effects() if "factor" in e.parameters())
 
 
-def _first_of_each(fits: Sequence[Fit], by: str) -> list[Fit]:
+def first_of_each(fits: Sequence[Fit], by: str) -> list[Fit]:
     """The first of each set of causes; ``by``: whether sets of the same ``kinds``, or of the same hypotheses (``key``), are one."""
     seen, out = set(), []
     for f in fits:
@@ -241,12 +253,13 @@ def _first_of_each(fits: Sequence[Fit], by: str) -> list[Fit]:
     return out
 
 
-def _with_rivals(found: Explanation, judge: Judge) -> Explanation:
+def with_rivals(found: Explanation, judge: Judge) -> Explanation:
+    """With the fits that differ from the chosen one in one cause and cannot be told from it."""
     chosen = found.chosen
     pool = [f for f in (*found.singles, *found.more) if len(f.causes) == len(chosen.causes)]
     close = [f for f in pool if f is not chosen and f.score - chosen.score < AMBIGUITY * inflation(chosen)]
     rivals: list[list[Fit]] = [[] for _ in chosen.causes]
-    for f in _first_of_each(close, "kinds"):
+    for f in first_of_each(close, "kinds"):
         shared = [kind in f.kinds for kind in chosen.kinds]
         if sum(shared) != len(shared) - 1:
             continue

@@ -42,15 +42,16 @@ TAIL = 0.15  # [s] after the last contact that a search looks at: where leaks an
 # Noise of the force, from free flight
 ENOUGH_FREE = 150  # rows of all runs: six channels of as many know a correlation to 0.03
 SIGNIFICANT = 4.0  # derived: standard deviations of chance; one of 15,000 white records is taken for more
+BY_CHANCE = 3e-5  # derived: the same as a probability, where what is compared is a sum of a few squares
 HEAVY = 3  # samples beyond four standard deviations, more than normal ones have
 KNEE = 3.0  # [sigma] from which a sample of noise with outliers counts by its logarithm
-STANDS_OUT = 6.0  # times the power beside it: a spectral line and not a colour
 SHARE_SHOWS = 0.3  # of the noise's variance, that a share of the reading has to add at its largest readings
 
 # Adequacy: is what is left noise?
 BLOCK = 8  # samples whose mean is judged, too: a smooth misfit far below the noise shows there
 SPREAD = 4.5  # standard deviations that a figure may lie off: of some 30 figures, one in 5000 sets does
-FLOOR_ERROR = 0.08  # to which a noise floor is known from a few hundred samples
+FLOOR_ERROR = 0.08  # derived: of a variance by the median of third differences, 2.3 of which count as one, of FLOOR_ROWS
+FLOOR_ROWS = 1500
 MODEL_ERROR = 1e-3  # of the signal: another sub-stepping, another interpolation
 COMPUTED_LEFT = 0.01  # of the departure of a computed channel that an explanation may leave
 LED_NOISE = 1.7  # times the led noise, up to which a residual of the compensation may be noise of the record

@@ -12,12 +12,14 @@ import numpy as np
 
 from hiltestbed.diagnosis.links import PlatformLink
 from hiltestbed.diagnosis.residual import Residual, square
-from hiltestbed.platform.effects.tracking import FINE, PlatformFriction
+from hiltestbed.platform.effects.tracking import PlatformFriction
 
 SCANNED = 500  # sticks, on the slowest run
 LONGEST = 2000  # rows of it, above which fewer are scanned
 FINER = 15  # by which the scans of all runs are refined at a time
 KEPT = 4  # of each scan
+INSTANTS = (2, 3, 4, 5, 6, 8, 10, 13, 16, 20, 28, 40, 60, 100, 200)  # a tick: finer ones differ by less than a pose is known
+LIKELY = 2  # of them, beside those of the believed physics, that are searched to the end
 FINEST = 1e-5  # of a stick
 CLEAR = 6.0  # times the noise: a departure that may be a stick
 
@@ -36,8 +38,10 @@ def stick_starts(link: PlatformLink, noise: float, substeps: int) -> dict[int, l
     # The largest departure is the stick, give or take what the command moves in a tick.
     tried = np.geomspace(max(away - speeds[i] - 4.0 * noise, 0.5 * away), away + speeds[i] + noise, count)
     slowest, starts = Residual(link, [i]), {}
-    for instants in dict.fromkeys((substeps, FINE)):
-        costs = _costs(slowest, tried, instants)
+    scans = {instants: _costs(slowest, tried, instants) for instants in sorted({substeps, *INSTANTS})}
+    likely = sorted(scans, key=lambda instants: min(scans[instants]))[:LIKELY]
+    for instants in dict.fromkeys((substeps, *likely)):
+        costs = scans[instants]
         near = [float(tried[j]) for j in np.argsort(costs)[:6]]
         starts[instants] = finest_sticks(Residual(link), near, float(tried[1] / tried[0]) - 1.0, instants)
     return starts

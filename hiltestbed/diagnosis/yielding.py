@@ -19,7 +19,7 @@ from hiltestbed.replay.wrench import shifted
 from hiltestbed.scenario import Scenario
 
 KNOWN = 0.25  # of the deflection that a wrong reading of the force may falsify: the largest gain error that goes unnoticed here
-LATER = 5e-3  # [s] that the reading may be later than believed
+OFF = 5e-3  # [s] that the reading may be later than believed, or earlier
 UNFOLLOWED = 0.01  # of a departure: what the drives leave of a jump is not replayed
 CONSTANTS = 10.0  # time constants of the drives, within which where they start from is forgotten
 
@@ -58,8 +58,8 @@ def deflection(run: MeasuredRun, noise: float) -> Deflection | None:
     away = flat_pose(path) - told
     departure = np.nanmax(np.abs(flat_pose(run.record.data["pose_act"]) - told - away), axis=0, initial=0.0)
     departure[:3], departure[3:] = departure[:3].max(), departure[3:].max()
-    later = shifted(away, -LATER / scenario.tick) - away
-    doubt = math.sqrt(BLOCK) * np.sqrt((KNOWN * away) ** 2 + later**2 + (UNFOLLOWED * departure) ** 2)
+    off = [np.abs(shifted(away, way * OFF / scenario.tick) - away) for way in (-1.0, 1.0)]
+    doubt = math.sqrt(BLOCK) * np.sqrt((KNOWN * away) ** 2 + np.maximum(*off) ** 2 + (UNFOLLOWED * departure) ** 2)
     doubt[: math.ceil(_settling(scenario) / scenario.tick)] = np.inf
     if not run.record.has("wrench_meas"):
         doubt[np.maximum.accumulate(told[:, 2] > -departure[2])] = np.inf

@@ -83,7 +83,7 @@ def _scaled(record: Record, found: Survey, scenario: Scenario, pair: Momentum) -
         for name in _moving(pair):
             yield Remark("error", record.run, name, text, scale_fix(name, -1.0), {"scale": scale}, "sign")
     for axis, s in pair.axes.items():
-        if scale > 0 and s < AXIS_REVERSED * scale:
+        if scale > 0 and -SCALE * scale < s < AXIS_REVERSED * scale:  # more than that is another motion, which the force does not make
             name = f"{pair.force}.f{axis}"
             text = f"pushes {pair.pose}.p{axis} the wrong way ({s:.3g} times what it causes, all axes {scale:.3g}): its sign is turned"
             yield Remark("error", record.run, name, text, scale_fix(name, -1.0), {"scale": s}, "sign")

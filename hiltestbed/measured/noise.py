@@ -15,6 +15,7 @@ MAD_TO_SIGMA = 1.4826
 UNIFORM = 2.0  # rms over white, above which a pose does not move uniformly and a straight line says nothing of its noise
 ROUND_OFF = 1e-12  # of the largest value: such steps are those of the number format
 SPARSE = 0.7  # part of the ticks that hold a sample, below which they are the samples of a slower log
+FEW_DIGITS = 6  # of a text file, up to which its rounding may show
 SAME = 1e-9  # of the range: values this close are one value
 
 
@@ -88,3 +89,20 @@ def step_of(values: Array) -> float | None:
         return None
     multiples = gaps / step
     return step if np.abs(multiples - np.round(multiples)).max() < 0.05 else None
+
+
+def last_digit(size: Array, count: int) -> Array:
+    """What the last of ``count`` significant digits is worth in numbers of a ``size`` above 0."""
+    return 10.0 ** (np.floor(np.log10(size)) - count + 1)
+
+
+def digits_of(values: Array) -> int | None:
+    """How many significant digits ``values`` have where they are few, :data:`FEW_DIGITS` at most; None where they have more."""
+    size = np.abs(values[np.isfinite(values) & (values != 0.0)])
+    if len(np.unique(size)) < 10:
+        return None
+    for count in range(2, FEW_DIGITS + 1):
+        places = size / last_digit(size, count)
+        if np.abs(places - np.round(places)).max() < 1e-6:
+            return count
+    return None

@@ -13,9 +13,11 @@ from hiltestbed.frames import Array
 from hiltestbed.measured.clock import Clock, check_clock, start_of_run, to_ticks
 from hiltestbed.measured.columns import Columns, near
 from hiltestbed.measured.formats import read_columns
-from hiltestbed.measured.noise import step_of
+from hiltestbed.measured.held import without_held
+from hiltestbed.measured.noise import digits_of, step_of
 from hiltestbed.measured.record import MEASURED_GROUPS, Record, place
 from hiltestbed.measured.remark import Remark
+from hiltestbed.measured.ticks import as_ticks
 from hiltestbed.measured.units import factor
 from hiltestbed.scenario import Scenario
 from hiltestbed.signals import GROUPS
@@ -37,13 +39,18 @@ def read_record(run: int, file: Path, channels: Mapping[str, Channel], scenario:
     if not values:
         what = "holds none of the channels " + ", ".join(f"{group}.*" for group in MEASURED_GROUPS)
         raise InputError(Fault(str(file), None, None, "channels", f"{what} ({near('pose_act', columns.names)}); name its columns there"))
+    values, held = without_held(run, values)
     stamps = _stamps(file, columns, values, source, channels)
     clocks, remarks = _clocks(run, stamps, scenario)
     good = {name: (values[name], clock) for name, clock in clocks.items() if clock is not None}
     if len(good) < len(values):
         return None, remarks
+    shared = {id(clock): (clock, {n: column for n, (column, other) in good.items() if other is clock}) for _, clock in good.values()}
+    regular, found = as_ticks(run, list(shared.values()), scenario.tick)
+    good = {name: (column, regular[id(clock)]) for name, (column, clock) in good.items()}
+    remarks += found
     lost, more = _losses(run, good)
-    remarks += more
+    remarks += [*held, *more]
     record = _on_ticks(run, file, {name: pair for name, pair in good.items() if name not in lost}, scenario)
     return record, remarks
 
@@ -146,4 +153,15 @@ def _on_ticks(run: int, file: Path, channels: Mapping[str, tuple[Array, Clock]],
     rate = 1 / min(clock.interval for clock in clocks)
     found = {name: step_of(column[np.isfinite(column)]) for name, (column, _) in channels.items()}
     steps = {name: step for name, step in found.items() if step is not None}
-    return Record(run, file, np.arange(ticks) / scenario.rate, data, valid, {}, absent, rate, steps)
+    _share_steps(steps, {name: column for name, (column, _) in channels.items()})
+    few = {name: digits_of(column) for name, (column, _) in channels.items() if name not in steps}
+    digits = {name: count for name, count in few.items() if count is not None}
+    return Record(run, file, np.arange(ticks) / scenario.rate, data, valid, {}, absent, rate, steps, digits)
+
+
+def _share_steps(steps: dict[str, float], columns: Mapping[str, Array]) -> None:
+    """Give a channel that hardly moves the step of its like (the other forces, the other places): its own cannot be read."""
+    for name, column in columns.items():
+        alike = [step for other, step in steps.items() if other[:-1] == name[:-1] and other != name]
+        if name not in steps and alike and len(np.unique(column[np.isfinite(column)])) < 3:
+            steps[name] = max(alike)

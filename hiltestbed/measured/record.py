@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hiltestbed.frames import Array
+from hiltestbed.measured.noise import last_digit
 from hiltestbed.signals import GROUPS
 
 MEASURED_GROUPS = ("pose_cmd", "pose_act", "twist_cmd", "twist_act", "wrench_meas", "wrench_comp")
@@ -31,6 +32,7 @@ class Record:
         absent: columns of MEASURED_GROUPS that the file does not hold, or that were lost.
         sample_rate: [Hz] of the file.
         steps: column to the step its samples come in, for those that come in steps.
+        digits: column to how many significant digits its samples have, for those that were written with few.
     """
 
     run: int
@@ -42,6 +44,7 @@ class Record:
     absent: tuple[str, ...] = ()
     sample_rate: float = 0.0
     steps: dict[str, float] = field(default_factory=dict)
+    digits: dict[str, int] = field(default_factory=dict)
 
     @property
     def ticks(self) -> int:
@@ -64,6 +67,16 @@ class Record:
         """``(ticks,)``: where a column was measured."""
         group, part = place(name)
         return self.valid[group][:, part]
+
+    def rounding(self, group: str) -> Array:
+        """``(ticks, parts)`` 1 sigma of what writing the samples with few significant digits has made of them; 0 where they have many."""
+        values = self.data[group]
+        out = np.zeros_like(values)
+        for j, name in enumerate(GROUPS[group].columns):
+            if name in self.digits:
+                size = np.abs(np.nan_to_num(values[:, j]))
+                out[:, j] = np.where(size > 0.0, last_digit(np.where(size > 0.0, size, 1.0), self.digits[name]) / math.sqrt(12.0), 0.0)
+        return out
 
     def filled(self, group: str) -> Array:
         """``(ticks, parts)`` without NaN, to drive a model with; not for residuals, which count where ``valid`` alone.

@@ -49,7 +49,7 @@ def _copied_axes(record: Record) -> Iterator[Remark]:
         own = [n for n in names if n.startswith(group + ".")]
         for i, first in enumerate(own):
             for second in own[i + 1 :]:
-                if _same(record.column(first), record.column(second)):
+                if _same(*_moving(record.column(first), record.column(second))):
                     text = f"holds the numbers of {first} in every row: a copy"
                     yield Remark("error", record.run, second, text, f"map the right column of {second}, or leave it out", {}, "copy")
 
@@ -87,6 +87,17 @@ def _bend(record: Record) -> float:
                 t = record.t[known]
                 bends.append(float(np.abs(values[known] - np.polyval(np.polyfit(t - t[0], values[known], 1), t - t[0])).max()))
     return max(bends)
+
+
+def _moving(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The rows in which one of the two is not at the number that it holds most often: at rest on a coarse step all channels are alike."""
+    away = np.zeros(len(a), dtype=bool)
+    for values in (a, b):
+        known = values[np.isfinite(values)]
+        numbers, counts = np.unique(known, return_counts=True)
+        if len(numbers):
+            away |= values != numbers[counts.argmax()]
+    return a[away], b[away]
 
 
 def _same(a: np.ndarray, b: np.ndarray) -> bool:

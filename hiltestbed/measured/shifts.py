@@ -14,6 +14,7 @@ from scipy.signal import correlate
 
 from hiltestbed.compensation.input import InputParameters
 from hiltestbed.frames import Array
+from hiltestbed.measured.late import force_leads
 from hiltestbed.measured.record import Record
 from hiltestbed.measured.remark import Remark
 from hiltestbed.measured.survey import Survey
@@ -40,6 +41,15 @@ def shifts(record: Record, found: Survey, scenario: Scenario) -> Iterator[Remark
         text = "gives wrench_comp worse than wrench_comp gives it, by the scenario's own compensation: the two are exchanged"
         yield Remark("error", record.run, "wrench_meas", text, "exchange the columns of wrench_meas and wrench_comp", {}, "shift")
         return
+    others = list(_out_of_order(record, found, scenario, given))
+    leads, ahead = force_leads(record, found, scenario), _platform_lead(record, found, scenario)
+    if leads and (not others or (ahead is not None and abs(ahead + leads) < 1.0)):
+        yield _led(record, leads, ahead, scenario)
+    yield from others
+
+
+def _out_of_order(record: Record, found: Survey, scenario: Scenario, given: Array | None) -> Iterator[Remark]:
+    """Where an output comes before its input, on the links that are exact."""
     moved = _model_lag(record, scenario)
     echo = _echo(record, given)
     ahead = _platform_lead(record, found, scenario)
@@ -50,6 +60,10 @@ def shifts(record: Record, found: Survey, scenario: Scenario) -> Iterator[Remark
         yield _shifted(record, channel, moved if channel == "pose_cmd" else -moved, scenario, "pose_cmd moves before wrench_comp pushes it")
     elif moved == 0 and echo is not None and echo > 0:
         yield _shifted(record, "wrench_meas", -echo, scenario, f"its noise shows in wrench_comp {echo} rows later")
+    elif moved == 0 and echo is not None and echo < 0:
+        yield _answered(record, -echo, scenario, "its noise shows in wrench_comp before it")
+    elif not record.has("wrench_comp") and given is not None and (answered := _model_lag(record, scenario, given) or 0) < 0:
+        yield _answered(record, -answered, scenario, "pose_cmd moves before the believed compensation of it pushes")
     if ahead is not None and ahead > 0:
         yield _ahead(record, ahead, moved, scenario, found)
 
@@ -77,16 +91,37 @@ def _ahead(record: Record, rows: float, moved: int | None, scenario: Scenario, f
     return _remark(record, "pose_act", text, fix, rows)
 
 
+def _answered(record: Record, rows: int, scenario: Scenario, why: str) -> Remark:
+    """A note: the diagnosis has a name for a force that is late on record alone."""
+    text = f"is answered {rows} rows before it stands in the record, for {why}: the record is late and the loop is not"
+    fix = f"move it by {-rows * scenario.tick:.6g} s before the export; else the diagnosis takes it for log.skew, or for a late sensor"
+    return Remark("note", record.run, "wrench_meas", text, fix, {"rows": float(rows)}, "shift")
+
+
+def _led(record: Record, rows: int, lead: float | None, scenario: Scenario) -> Remark:
+    """The force comes ``rows`` before the pose on record makes it; ``lead`` of the platform tells which of the two was shifted."""
+    if lead is not None and abs(lead + rows) < 1.0:
+        return _shifted(record, "pose_act", rows, scenario, "wrench_meas shows the contact before it, and pose_cmd is as much ahead of it")
+    text = f"shows the contact {rows} rows before pose_act makes it: one of the two was shifted, or the sensor is faster than sensor.delay"
+    by = rows * scenario.tick
+    fix = f"move pose_act by {-by:.6g} s or wrench_meas by {by:.6g} s before the export, or correct sensor.delay"
+    return _remark(record, "wrench_meas", text, fix, rows)
+
+
 def _rough(found: Survey, group: str) -> float:
     return max((found.noise[n].white for n in (f"{group}.px", f"{group}.py", f"{group}.pz") if n in found.noise), default=0.0)
 
 
-def _model_lag(record: Record, scenario: Scenario) -> int | None:
-    """Whole rows by which pose_cmd shows the force late (negative: early); None where nothing can be said, 0 where it fits as it is."""
-    names = [f"pose_cmd.p{a}" for a in "xyz"] + [f"wrench_comp.{p}" for p in ("fx", "fy", "fz", "tx", "ty", "tz")]
+def _model_lag(record: Record, scenario: Scenario, given: Array | None = None) -> int | None:
+    """Whole rows by which pose_cmd shows the force late (negative: early); None where nothing can be said, 0 where it fits as it is.
+
+    given: (ticks, 6) in place of the wrench_comp on record.
+    """
+    names = [f"pose_cmd.p{a}" for a in "xyz"]
+    names += [f"wrench_comp.{p}" for p in ("fx", "fy", "fz", "tx", "ty", "tz")] if given is None else []
     if not set(names) <= set(record.columns()) or not all(record.measured(n).all() for n in names):
         return None
-    wrench = np.ascontiguousarray(record.data["wrench_comp"])
+    wrench = np.ascontiguousarray(record.data["wrench_comp"] if given is None else given)
     both = np.stack([wrench, np.zeros_like(wrench)])
     poses = replay_model(Departing([scenario] * 2, stack([DynamicsParameters()] * 2)), both, np.arange(2))
     if not np.isfinite(poses).all() or record.ticks < 4 * FURTHEST:

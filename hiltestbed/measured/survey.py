@@ -36,7 +36,7 @@ class Survey:
     Attributes:
         free: ticks before the first touch.
         noise: column to its noise.
-        contacts: in order; for a latched mechanism the whole run.
+        contacts: in order; what a latch holds stays in contact to the end, though the force passes through zero.
         excited: columns that range over more than MOVED sigma.
         phase: angular frequency of the nominal contact times the sensor's nominal delay [rad].
     """
@@ -64,6 +64,7 @@ def look(record: Record, scenario: Scenario) -> Survey:
     noise = {n: noise_of(record.column(n), free, record.steps.get(n, 0.0), n.startswith("pose")) for n in record.columns()}
     flat = scenario.mechanism.flat
     spans = [(0, record.ticks)] if latched else _spans(record, depth if flat else None, noise) or _spans(record, depth, noise)
+    spans = _held(spans, record, depth, scenario)
     contacts = tuple(_contact(record, span, depth, scenario) for span in spans)
     excited = tuple(name for name in record.columns() if _range(record.column(name)) > MOVED * max(noise[name].white, 1e-300))
     k, body = scenario.mechanism.contact.stiffness, scenario.spacecraft
@@ -137,6 +138,26 @@ def _spans(record: Record, depth: Array | None, noise: dict[str, Noise]) -> list
         sigma = max(noise["wrench_meas.fz"].rms, 1e-12)
         return [span for span in _above(force, 2 * sigma, ONSET * sigma) if span[1] - span[0] >= ONSET_TICKS]
     return []
+
+
+def _held(spans: list[tuple[int, int]], record: Record, depth: Array | None, scenario: Scenario) -> list[tuple[int, int]]:
+    """The spans, of which all that follow one another within the reach of a latch to the end of the record are one.
+
+    The reach is the depth at which it closes, and beyond it what its springs give: they hold A where they bear what the contact bore when
+    they closed, and swing about that.
+    """
+    latch = scenario.mechanism.latch
+    if latch is None or depth is None or not spans:
+        return spans
+    reached = _bridged(depth)
+    way = np.ptp(reached[-FREE_MINIMUM:]) / max(1, min(FREE_MINIMUM, record.ticks) - 1)
+    if way * scenario.rate > latch.speed:
+        return spans
+    force = np.nanmax(np.abs(record.data["wrench_meas"][:, :3])) if record.has("wrench_meas") else 0.0
+    outside = np.flatnonzero(reached < -latch.depth - 2.0 * force / scenario.mechanism.contact.stiffness)
+    closed = int(outside[-1]) + 1 if len(outside) else 0
+    later = [start for start, end in spans if end > closed]
+    return [*(s for s in spans if s[1] <= closed), (later[0], record.ticks)] if later else spans
 
 
 def _above(values: Array, low: float, high: float) -> list[tuple[int, int]]:

@@ -10,6 +10,7 @@ import numpy as np
 
 from hiltestbed.effects.base import Effect
 from hiltestbed.frames import Array
+from hiltestbed.piecewise import packed
 
 if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario
@@ -24,6 +25,7 @@ class PlatformParameters:
         lag: natural frequency [rad/s] and damping ratio of each second-order response.
         mode: natural frequency [rad/s] and damping ratio of each structural mode that is shaken at its base.
         instants: a tick at which a platform that sticks may move; 0: those of the physics.
+        step: what it answers to a step of the command, packed, see :func:`hiltestbed.piecewise.packed`; without knots: the step itself.
     """
 
     tick: float
@@ -35,6 +37,7 @@ class PlatformParameters:
     lag: list[tuple[float, float]] = field(default_factory=list)
     mode: list[tuple[float, float]] = field(default_factory=list)
     instants: int = 0
+    step: Array = field(default_factory=lambda: packed(()))
 
     @classmethod
     def believed(cls, scenario: Scenario) -> PlatformParameters:
@@ -52,7 +55,7 @@ class PlatformParameters:
 @dataclass(frozen=True)
 class Response:
     """The parameters of n platforms as the kernels take them: delay, speed, play, stick (n,), scale (n, 3), lag and mode (n, S, 2),
-    a frequency of 0 for none."""
+    a frequency of 0 for none, step (n, PACKED)."""
 
     delay: Array
     speed: Array
@@ -61,6 +64,7 @@ class Response:
     scale: Array
     lag: Array
     mode: Array
+    step: Array
 
 
 def stack(platforms: Sequence[PlatformParameters]) -> Response:
@@ -74,4 +78,4 @@ def stack(platforms: Sequence[PlatformParameters]) -> Response:
         return np.array([getattr(p, name) for p in platforms], dtype=float)
 
     lag, mode = filled([p.lag for p in platforms]), filled([p.mode for p in platforms])
-    return Response(rows("delay"), rows("speed"), rows("play"), rows("stick"), rows("scale"), lag, mode)
+    return Response(rows("delay"), rows("speed"), rows("play"), rows("stick"), rows("scale"), lag, mode, rows("step"))

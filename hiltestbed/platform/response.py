@@ -1,9 +1,9 @@
 """What the motion platform makes of its command, on the three translations.
 
 The command runs linearly over each tick to `pose_cmd`; before the start it is the uniform approach. It passes, in this order, a
-transport delay, a speed limit, second-order lags, structural modes shaken at their base, play, stiction and a scale error. Lags and
-modes are linear, and their input is linear between two instants: they are advanced exactly, so that the result does not depend on
-how finely a tick is divided.
+transport delay, a response that was learned, a speed limit, second-order lags, structural modes shaken at their base, play, stiction
+and a scale error. Lags and modes are linear, and their input is linear between two instants: they are advanced exactly,
+so that the result does not depend on how finely a tick is divided.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from numba import njit
 from hiltestbed.effects.table import by_link
 from hiltestbed.frames import Array
 from hiltestbed.platform.parameters import PlatformParameters, stack
+from hiltestbed.platform.step_response import longest_memory, summed_over
 
 if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario
@@ -113,7 +114,9 @@ class PlatformResponse:
         self.parameters = p = stack(parameters)
         self._late = p.delay / self.tick
         self.path = np.zeros((n, self.substeps, 3))
-        self.ring = np.zeros((n, math.ceil(float(self._late.max())) + 3, 3))  # command reached at t_j in slot j modulo its length
+        slots = math.ceil(float(self._late.max()) + longest_memory(p.step) / self.tick) + 3
+        self.ring = np.zeros((n, slots, 3))  # command reached at t_j in slot j modulo its length
+        self.sums = np.zeros((n, slots, 3))  # its integral over time, likewise
         self.memory = np.zeros((n, 3, MEMORY))
         self.lagged, self.shaken = np.zeros((n, 3, p.lag.shape[1], 2)), np.zeros((n, 3, p.mode.shape[1], 2))
         self.lag_kernel, self.mode_kernel = np.zeros((*p.lag.shape[:2], 5)), np.zeros((*p.mode.shape[:2], 5))
@@ -127,17 +130,18 @@ class PlatformResponse:
         """Put the platform of run ``i`` on a uniform motion that is at ``start`` (3,) [m] with ``velocity`` (3,) [m/s] at t = 0."""
         for back in range(self.ring.shape[1]):
             self.ring[i, -back % self.ring.shape[1]] = start - velocity * self.tick * back
-        there = start - velocity * self.parameters.delay[i]
+            self.sums[i, -back % self.ring.shape[1]] = self.tick * back * (0.5 * velocity * self.tick * back - start)
+        there, moving = summed_over(self.parameters.step[i], start - velocity * self.parameters.delay[i], velocity)
         self.memory[i] = there[:, None]
         self.lagged[i, ..., 0] = self.shaken[i, ..., 0] = there[:, None]
-        self.lagged[i, ..., 1] = self.shaken[i, ..., 1] = velocity[:, None]
+        self.lagged[i, ..., 1] = self.shaken[i, ..., 1] = moving[:, None]
 
     def advance(self, k: int, pose_cmd: Array) -> Array:
         """The path (n, m, 3) from t_k to t_(k+1) on the command (n, 7) to be reached at t_(k+1)."""
         p = self.parameters
         advance_paths(
-            k, pose_cmd, self.ring, self._late, self.tick / self.substeps, p.speed, p.play, p.stick, p.scale, self.lag_kernel,
-            self.mode_kernel, self.lagged, self.shaken, self.memory, self.path,
+            k, pose_cmd, self.ring, self.sums, p.step, self._late, self.tick / self.substeps, p.speed, p.play, p.stick, p.scale,
+            self.lag_kernel, self.mode_kernel, self.lagged, self.shaken, self.memory, self.path,
         )  # fmt: skip
         return self.path
 
@@ -153,16 +157,43 @@ def _ring_at(ring, axis, at):
     return low + part * (ring[int(first + 1) % ring.shape[0], axis] - low)
 
 
+@njit(cache=True, inline="always")
+def _sum_at(ring, sums, axis, at, h):
+    """The integral of the command over time up to the tick ``at`` [m s]."""
+    first = math.floor(at)
+    part = at - first
+    slot, after = int(first) % ring.shape[0], int(first + 1) % ring.shape[0]
+    low = ring[slot, axis]
+    return sums[slot, axis] + h * part * (low + 0.5 * part * (ring[after, axis] - low)) if part > 0.0 else sums[slot, axis]
+
+
 @njit(cache=True)
-def advance_paths(k, pose_cmd, ring, late, dt, speed, play, stick, scale, lag, mode, lagged, shaken, memory, path):
+def _answered(ring, sums, step, axis, at, h):
+    """The command at the tick ``at`` after the packed ``step`` response, exactly: the command is linear over each tick."""
+    n, most = int(step[0]), (len(step) - 1) // 2
+    if n == 0:
+        return _ring_at(ring, axis, at)
+    out = step[1 + most] * _ring_at(ring, axis, at - step[1] / h)
+    earlier = _sum_at(ring, sums, axis, at - step[1] / h, h)
+    for i in range(n - 1):
+        later = _sum_at(ring, sums, axis, at - step[2 + i] / h, h)
+        out += (step[2 + most + i] - step[1 + most + i]) / (step[2 + i] - step[1 + i]) * (earlier - later)
+        earlier = later
+    return out
+
+
+@njit(cache=True)
+def advance_paths(k, pose_cmd, ring, sums, step, late, dt, speed, play, stick, scale, lag, mode, lagged, shaken, memory, path):
     """The paths (n, m, 3) of one tick, from t_k, on the commands ``pose_cmd`` (n, >= 3); see :class:`PlatformResponse`."""
     substeps = path.shape[1]
     for i in range(path.shape[0]):
         for axis in range(3):
             ring[i, (k + 1) % ring.shape[1], axis] = pose_cmd[i, axis]
-            before = _ring_at(ring[i], axis, k - late[i])
+            now, last = (k + 1) % ring.shape[1], k % ring.shape[1]
+            sums[i, now, axis] = sums[i, last, axis] + 0.5 * substeps * dt * (ring[i, last, axis] + ring[i, now, axis])
+            before = _answered(ring[i], sums[i], step[i], axis, k - late[i], substeps * dt)
             for s in range(substeps):
-                after = _ring_at(ring[i], axis, k + (s + 1.0) / substeps - late[i])
+                after = _answered(ring[i], sums[i], step[i], axis, k + (s + 1.0) / substeps - late[i], substeps * dt)
                 reached = follow(
                     before, after, dt, speed[i], play[i], stick[i], lag[i], mode[i], lagged[i, axis], shaken[i, axis], memory[i, axis]
                 )

@@ -39,7 +39,8 @@ def replay_platform(scenarios: Sequence[Scenario], parameters: Sequence[Platform
     velocity = np.array([s.approach.velocity for s in scenarios], dtype=float)
     out = np.empty((len(run), commands.shape[1], 3))
     _replay(
-        commands, np.asarray(run), start, velocity, tick, late, parts, count, steps, p.speed, p.play, p.stick, p.scale, lag, mode, out
+        commands, np.asarray(run), start, velocity, tick, late, parts, count, steps, p.step, p.speed, p.play, p.stick, p.scale, lag, mode,
+        out,
     )  # fmt: skip
     return out
 
@@ -71,30 +72,35 @@ def _kernels(numbers: Array, steps: Array, count: np.ndarray, base: float) -> Ar
 
 
 @njit(cache=True)
-def _replay(commands, run, start, velocity, h, late, parts, count, steps, speed, play, stick, scale, lag, mode, out):
+def _replay(commands, run, start, velocity, h, late, parts, count, steps, response, speed, play, stick, scale, lag, mode, out):
     lagged, shaken, memory = np.zeros((lag.shape[2], 2)), np.zeros((mode.shape[2], 2)), np.zeros(MEMORY)
+    sums = np.zeros(commands.shape[1] + 1)
     for i in range(len(run)):
         for axis in range(3):
             command = commands[run[i], :, axis]
-            if _still(command, start[i, axis], velocity[i, axis]):
+            learned = response[i]
+            if learned[0] == 0.0 and _still(command, start[i, axis], velocity[i, axis]):
                 out[i, :, axis] = start[i, axis]
                 out[i, 1:, axis] *= scale[i, axis]
                 continue
-            if _sticks_alone(speed[i], play[i], stick[i], lag[i], mode[i], late[i]):
+            if learned[0] == 0.0 and _sticks_alone(speed[i], play[i], stick[i], lag[i], mode[i], late[i]):
                 _stick(
                     command, start[i, axis], velocity[i, axis], h, int(round(late[i])), count[i], stick[i], scale[i, axis], out[i, :, axis]
                 )
                 continue
-            before = _commanded(command, start[i, axis], velocity[i, axis], -late[i], h)
-            rest = _commanded(command, start[i, axis], velocity[i, axis], -max(late[i], 0.0), h)  # a response taken early starts no earlier
+            if learned[0] > 0.0:
+                _sum_up(command, start[i, axis], h, sums)
+            before = _answered(command, sums, learned, start[i, axis], velocity[i, axis], -late[i], h)
+            rest = _answered(command, sums, learned, start[i, axis], velocity[i, axis], -max(late[i], 0.0), h)  # starts no earlier
+            share = learned[len(learned) // 2 + int(learned[0])] if learned[0] > 0.0 else 1.0
             memory[:] = rest
             lagged[:, 0] = shaken[:, 0] = rest
-            lagged[:, 1] = shaken[:, 1] = velocity[i, axis]
+            lagged[:, 1] = shaken[:, 1] = share * velocity[i, axis]
             out[i, 0, axis] = start[i, axis]
             for k in range(out.shape[1] - 1):
                 reached = before
                 for s in range(count[i]):
-                    after = _commanded(command, start[i, axis], velocity[i, axis], k + parts[i, s] - late[i], h)
+                    after = _answered(command, sums, learned, start[i, axis], velocity[i, axis], k + parts[i, s] - late[i], h)
                     reached = follow(
                         before, after, steps[i, s], speed[i], play[i], stick[i], lag[i, s], mode[i, s], lagged, shaken, memory
                     )  # fmt: skip
@@ -150,3 +156,39 @@ def _commanded(command, start, velocity, at, h):
     if part == 0.0:
         return low
     return low + part * (command[min(k, last)] - low)
+
+
+@njit(cache=True)
+def _sum_up(command, start, h, sums):
+    """The integral of the command over time [m s] at each tick into ``sums`` (N + 1,)."""
+    sums[0], last = 0.0, start
+    for k in range(len(command)):
+        sums[k + 1] = sums[k] + 0.5 * h * (last + command[k])
+        last = command[k]
+
+
+@njit(cache=True, inline="always")
+def _summed(command, sums, start, velocity, at, h):
+    """The integral of the command over time up to the tick ``at`` [m s], from the start."""
+    if at <= 0.0:
+        return at * h * (start + 0.5 * velocity * at * h)
+    k = min(int(at), len(command))
+    part = at - k
+    low = start if k == 0 else command[k - 1]
+    high = command[min(k, len(command) - 1)]
+    return sums[k] + h * part * (low + 0.5 * part * (high - low))
+
+
+@njit(cache=True)
+def _answered(command, sums, step, start, velocity, at, h):
+    """The command after the packed ``step`` response, see :mod:`hiltestbed.platform.step_response`."""
+    n, most = int(step[0]), (len(step) - 1) // 2
+    if n == 0:
+        return _commanded(command, start, velocity, at, h)
+    out = step[1 + most] * _commanded(command, start, velocity, at - step[1] / h, h)
+    earlier = _summed(command, sums, start, velocity, at - step[1] / h, h)
+    for i in range(n - 1):
+        later = _summed(command, sums, start, velocity, at - step[2 + i] / h, h)
+        out += (step[2 + most + i] - step[1 + most + i]) / (step[2 + i] - step[1 + i]) * (earlier - later)
+        earlier = later
+    return out

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -23,7 +24,10 @@ from hiltestbed.sensor.chain import condition, passes
 from hiltestbed.sensor.parameters import SensorParameters, stack
 
 WHOLE = 1e-6  # ticks that a delay may be off a whole number
+KEPT = 64_000_000  # [byte] of what contacts exerted, for replays that change the sensor alone
 NEAR = 2.5e-3  # [m] by which the surfaces may be nearer than believed for rows to be passed over by geometry alone
+
+ContactKey = tuple[int, bool, bytes, bytes]  # run, whether read between instants, these within a tick, numbers of the contact
 
 
 @dataclass(frozen=True)
@@ -39,6 +43,7 @@ class Felt:
             the pose over the tick that ends there.
         least_creep: [m/s per N] bounds the slope of friction from above, see :class:`hiltestbed.contact.contacts.Contacts`.
         twists: (R, N, 6) over the tick that ends at each row. clear: (R, N) least distance of the surfaces in that tick [m].
+        kept: what contacts exerted in the latest replays, the latest last.
         met: geometry at t_k while nothing is tilted and the surfaces are near, see :func:`hiltestbed.contact.wrench.meet_all`: it does
             not depend on what the law is thought to be.
     """
@@ -58,6 +63,7 @@ class Felt:
     twists: Array = field(init=False)
     clear: Array = field(init=False)
     met: tuple[Array, Array, Array, Array, Array] = field(init=False)
+    kept: OrderedDict[ContactKey, Array] = field(default_factory=OrderedDict, init=False, repr=False)
 
     def __post_init__(self) -> None:
         runs, rows = self.poses.shape[:2]
@@ -70,6 +76,13 @@ class Felt:
         _meet(*self.geometry, self.lever, self.blunt, self.poses, self.ends, self.before, clear, *met)
         object.__setattr__(self, "clear", clear)
         object.__setattr__(self, "met", met)
+
+    def keep(self, key: ContactKey, exerted: Array) -> None:
+        """Keep what a contact exerted, as the latest, and let go of the oldest beyond :data:`KEPT`."""
+        self.kept[key] = exerted
+        self.kept.move_to_end(key)
+        while len(self.kept) > 1 and sum(a.nbytes for a in self.kept.values()) > KEPT:
+            self.kept.popitem(last=False)
 
     @property
     def ends(self) -> Array:
@@ -114,17 +127,37 @@ def replay_wrench(felt: Felt, lanes: Sequence[Lane], grid: int | None = None) ->
     if chain.tone.shape[1]:
         again = np.array([lane.log.skew * lane.log.reread for lane in lanes])
         chain.tone[:, :, 4] -= 2.0 * math.pi * chain.tone[:, :, 3] * again[:, None]  # a tone goes on until it is read anew
-    run = np.array([lane.run for lane in lanes])
     out = np.empty((len(lanes), felt.poses.shape[1], 6))
-    dynamics = (felt.mount.stiffness, felt.mount.damping, felt.mount.body) if felt.mount is not None else _RIGID
-    _replay(
-        run, felt.poses, felt.twists, felt.ends, felt.rates is not None, felt.before, felt.clear, felt.met, felt.lever, felt.least_creep, h,
-        felt.geometry, felt.captured, felt.latch, dynamics, parts, bool(instants), ticks, rows, tilts(rows[:, -1]), chain.elements(), out,
-    )  # fmt: skip
+    tilt, elements = tilts(rows[:, -1]), chain.elements()
+    for key, members in _together(lanes, rows, parts, bool(instants)).items():
+        sub = felt.kept.get(key)
+        if sub is None:
+            sub = _one_contact(felt, lanes[members[0]].run, rows[members[0]], parts[members[0]], tilt[members[0]], bool(instants))
+        felt.keep(key, sub)
+        _sense(np.array(members), sub, bool(instants), ticks, h, elements, out)
     for i, lane in enumerate(lanes):
         if lane.log.skew and not lane.log.reread:
             out[i] = shifted(out[i], -lane.log.skew / h)
     return out
+
+
+def _together(lanes: Sequence[Lane], rows: Array, parts: Array, between: bool) -> dict[ContactKey, list[int]]:
+    """Lanes by run, contact and instants: those that differ in their sensor alone share what the contact exerts."""
+    found: dict[ContactKey, list[int]] = {}
+    for i, lane in enumerate(lanes):
+        found.setdefault((lane.run, between, parts[i].tobytes(), rows[i].tobytes()), []).append(i)
+    return found
+
+
+def _one_contact(felt: Felt, r: int, rows: Array, parts: Array, tilt: Array, between: bool) -> Array:
+    """``(N, m, 6)`` what the contact of run r exerts at the instants ``parts`` (m,) of the tick that ends at each row."""
+    sub = np.empty((felt.poses.shape[1], len(parts), 6))
+    dynamics = (felt.mount.stiffness, felt.mount.damping, felt.mount.body) if felt.mount is not None else _RIGID
+    _contact(
+        felt.poses[r], felt.twists[r], felt.ends[r], felt.rates is not None, felt.before[r], felt.clear[r], felt.met, felt.lever,
+        felt.least_creep, felt.tick, felt.geometry, felt.captured[r], felt.latch[r], r, dynamics, parts, between, rows, tilt, sub,
+    )  # fmt: skip
+    return sub
 
 
 _RIGID = (np.zeros((0, 6)), np.zeros((0, 6)), np.zeros(BODY))
@@ -139,31 +172,22 @@ def shifted(values: Array, ticks: float) -> Array:
 
 
 @njit(cache=True)
-def _replay(
-    run, poses, twists, ends, bent, before, clear, met, lever, least_creep, h, geometry, captured, latch, mount, parts, between, ticks, p,
-    tilt, elements, out,
-):  # fmt: skip
-    """All lanes, one after the other: each is a run from its first row to its last."""
+def _sense(lanes, sub, between, ticks, h, elements, out):
+    """What the sensors of the ``lanes`` give of one contact, ``sub`` (N, m, 6): rows of ``out`` (L, N, 6)."""
     calibration, curve, lag, leak, offset, drift, tone, deadzone, limit, step = elements
     stages = max(lag.shape[1], leak.shape[1])
     low, high, last_in = np.zeros((stages, 6)), np.zeros((stages, 6)), np.zeros((stages, 6))
-    quiet, late = np.zeros(6), np.zeros(6)
-    sub = np.empty((poses.shape[1], parts.shape[1], 6))
-    for i in range(len(run)):
-        r = run[i]
-        _contact(
-            poses[r], twists[r], ends[r], bent, before[r], clear[r], met, lever, least_creep, h, geometry, captured[r], latch[r], r, mount,
-            parts[i], between, p[i], tilt[i], sub,
-        )  # fmt: skip
+    quiet, late, rows = np.zeros(6), np.zeros(6), out.shape[1]
+    for i in lanes:
         low[:], high[:], last_in[:] = 0.0, 0.0, 0.0
         back = int(math.floor(ticks[i]))
         if not between and passes(calibration[i], curve[i], lag[i], leak[i], offset[i], drift[i], tone[i], deadzone[i], limit[i]):
             out[i, :back] = 0.0
-            out[i, back:] = sub[: out.shape[1] - min(back, out.shape[1]), 0]
+            out[i, back:] = sub[: rows - min(back, rows), 0]
             continue
-        for k in range(out.shape[1]):
+        for k in range(rows):
             if between:
-                _interpolated(sub, k * parts.shape[1] - ticks[i] * parts.shape[1], late)
+                _interpolated(sub, k * sub.shape[1] - ticks[i] * sub.shape[1], late)
             else:
                 for j in range(6):
                     late[j] = sub[k - back, 0, j] if k >= back else 0.0

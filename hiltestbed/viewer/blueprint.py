@@ -9,10 +9,13 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
+from hiltestbed.energy import energy_generated
 from hiltestbed.frames import Array
 from hiltestbed.result import Run
+from hiltestbed.scenario import Scenario
 from hiltestbed.signals import AXES, RunTrace
 from hiltestbed.viewer import plots, rig, spacecraft
+from hiltestbed.viewer.scales import ACROSS, readable
 
 Point = tuple[float, float, float]
 
@@ -20,6 +23,7 @@ SIX_AXES: tuple[Point, Point] = (1.45, -2.75, 0.2), (0.0, 0.0, -0.45)  # eye and
 NINE_AXES: tuple[Point, Point] = (5.0, -2.8, 1.7), (0.0, 0.0, 0.75)
 BACKGROUND = (22, 26, 33)
 BEFORE, AFTER = 0.15, 0.35  # [s] shown around the first contact, at least
+LEAST = 0.02  # [s] shown by the plots on both sides of a contact, at least
 SHOWN = 10.0  # [s] that the window takes to play, in slow motion where it is shorter
 
 
@@ -41,12 +45,22 @@ class Facts:
         span = last - first
         return max(first - max(BEFORE, 0.5 * span), 0.0), min(last + max(AFTER, span), float(t[-1]))
 
+    @property
+    def shown(self) -> tuple[float, float]:
+        """[s] that the plots show: the contact and a quarter of it to each side; the whole run where the ports do not touch."""
+        t, contact = self.trace.t, self.trace.contact
+        if not contact.any():
+            return float(t[0]), float(t[-1])
+        first, last = (float(t[i]) for i in np.flatnonzero(contact)[[0, -1]])
+        margin = max(0.25 * (last - first), LEAST)
+        return readable(max(first - margin, 0.0), min(last + margin, float(t[-1])), ACROSS)
+
 
 def layout(facts: Facts) -> rrb.Blueprint:
     """The layout as it opens: playing the contact in slow motion."""
     start, end = facts.window
     return rrb.Blueprint(
-        rrb.Horizontal(_scenes(facts), _signals(facts), column_shares=[1.25, 1.0]),
+        rrb.Horizontal(_scenes(facts), _signals(facts), column_shares=[1.0, 1.0]),
         rrb.TimePanel(
             timeline="time",
             playback_speed=min(1.0, float(f"{(end - start) / SHOWN:.1g}")) if end > start else 1.0,
@@ -60,17 +74,21 @@ def layout(facts: Facts) -> rrb.Blueprint:
 
 
 def _scenes(facts: Facts) -> rrb.Vertical:
-    legend = f"force arrow: 1 m is {1.0 / facts.force_scale:g} N"
-    nine_axes = facts.run.scenario.rig.upper.kind != "fixed"
-    eye, target = NINE_AXES if nine_axes else SIX_AXES  # between the columns of either frame
     return rrb.Vertical(
-        _scene(f"The rig ({legend})", rig.ROOT, eye, target, contents=[f"/{rig.ROOT}/**", *(f"- /{name}" for name in rig.PORT_NAMES)]),
+        rig_view(facts.run.scenario, "The rig", facts.force_scale),
         rrb.Horizontal(
             _scene("At the contact", rig.AT_P, eye=(0.42, -0.76, -0.2), target=(0.0, 0.0, 0.01), contents=[f"/{rig.ROOT}/**"]),
             _spacecraft(facts),
         ),
         row_shares=[1.7, 1.0],
     )
+
+
+def rig_view(scenario: Scenario, name: str, force_scale: float) -> rrb.Spatial3DView:
+    """The rig from between the columns of its frame; ``force_scale`` [m/N] of the arrow."""
+    eye, target = NINE_AXES if scenario.rig.upper.kind != "fixed" else SIX_AXES
+    contents = [f"/{rig.ROOT}/**", *(f"- /{name}" for name in rig.PORT_NAMES)]
+    return _scene(f"{name} (force arrow: 1 m is {1.0 / force_scale:g} N)", rig.ROOT, eye, target, contents=contents)
 
 
 def _spacecraft(facts: Facts) -> rrb.Spatial3DView:
@@ -116,24 +134,31 @@ def _signals(facts: Facts) -> rrb.Tabs:
 
 
 def _contact(facts: Facts) -> rrb.Vertical:
-    """The axis of insertion; with its stiffness and damping where these have a true value, else with the forces across it."""
+    """The axis of insertion, beside it its stiffness and damping where these have a true value, else the forces across it."""
+    trace = facts.trace
     if facts.run.summary["identification"]["z"]["stiffness_true"] is not None:
-        between = [
-            _plot(facts, "stiffness/z", "Stiffness, z [N/m]", _range(facts, "stiffness")),
-            _plot(facts, "damping/z", "Damping, z [N s/m]", _range(facts, "damping")),
+        beside = [
+            _plot(facts, "stiffness/z", "Stiffness, z [N/m]", _estimate_range(facts, "stiffness")),
+            _plot(facts, "damping/z", "Damping, z [N s/m]", _estimate_range(facts, "damping")),
         ]
     else:
-        between = [_plot(facts, f"force/{axis}", f"Contact force, {axis} [N]") for axis in "xy"]
-    return rrb.Vertical(
-        _plot(facts, "position_mm/z", "Insertion, z [mm]"),
-        _plot(facts, "force/z", "Contact force, z [N]"),
-        _plot(facts, "force_error", "Measured less physical force [N]"),
-        _phases(facts),
-        *between,
-        _plot(facts, "energy_generated", "Energy made by the rig [J]"),
-        row_shares=[1.0, 1.25, 0.9, 0.6, 0.9, 0.9, 0.9],
-        name="Contact",
+        across = (_range(facts, _forces(trace, j)) for j in range(2))
+        beside = [_plot(facts, f"force/{axis}", f"Contact force, {axis} [N]", r) for axis, r in zip("xy", across, strict=True)]
+    less = trace["wrench_meas"][:, :3] - trace["wrench_true"][:, :3]
+    positions = 1e3 * np.stack([trace["pose_cmd"][:, 2], trace["pose_act"][:, 2]], axis=-1)
+    energy = energy_generated(trace, facts.run.scenario)
+    left = rrb.Vertical(
+        _plot(facts, "position_mm/z", "Insertion, z [mm]", _range(facts, positions)),
+        _plot(facts, "force/z", "Contact force, z [N]", _range(facts, _forces(trace, 2))),
+        _plot(facts, "force_error", "Measured less physical force [N]", _range(facts, less)),
     )
+    right = rrb.Vertical(*beside, _plot(facts, "energy_generated", "Energy made by the rig [J]", _range(facts, energy)))
+    return rrb.Vertical(rrb.Horizontal(left, right), _phases(facts), row_shares=[8.0, 1.0], name="Contact")
+
+
+def _forces(trace: RunTrace, axis: int) -> Array:
+    """``(ticks, 3)`` physical, measured, used."""
+    return np.stack([trace[f"wrench_{kind}"][:, axis] for kind in ("true", "meas", "comp")], axis=-1)
 
 
 def _six(facts: Facts, name: str, *quantities: tuple[str, str, str]) -> rrb.Horizontal:
@@ -155,7 +180,7 @@ def _estimates(facts: Facts) -> rrb.Horizontal:
 
 
 def _time_axis(facts: Facts) -> rrb.TimeAxis:
-    start, end = (rr.encodings.TimeRangeBoundary.absolute(seconds=t) for t in facts.window)
+    start, end = (rr.encodings.TimeRangeBoundary.absolute(seconds=t) for t in facts.shown)
     return rrb.TimeAxis(view_range=rr.encodings.TimeRange(start=start, end=end))
 
 
@@ -173,7 +198,15 @@ def _phases(facts: Facts) -> rrb.StateTimelineView:
     return rrb.StateTimelineView(name="Contact phase", origin=plots.PHASE, time_view=_time_axis(facts))
 
 
-def _range(facts: Facts, name: str) -> tuple[float, float] | None:
+def _range(facts: Facts, values: Array) -> tuple[float, float] | None:
+    """Of values ``(ticks, ...)`` in the window; None where there is none, and the viewer then chooses."""
+    start, end = facts.shown
+    shown = values[(facts.trace.t >= start) & (facts.trace.t <= end)]
+    shown = shown[np.isfinite(shown)]
+    return readable(float(shown.min()), float(shown.max())) if len(shown) else None
+
+
+def _estimate_range(facts: Facts, name: str) -> tuple[float, float] | None:
     """From the later estimates and the truth: the first few estimates of a contact can be anything."""
     values: Array = facts.trace[f"{name}_est"][:, 2]
     values = values[np.isfinite(values)]
@@ -184,4 +217,4 @@ def _range(facts: Facts, name: str) -> tuple[float, float] | None:
         return None
     low, high = min(shown), max(shown)
     margin = max(0.25 * (high - low), 0.02 * abs(high), 1e-9)
-    return low - margin, high + margin
+    return readable(low - margin, high + margin)

@@ -7,6 +7,7 @@ DESIRED = (176, 182, 192)  # what the numerical model asks for
 REACHED = (255, 140, 38)  # what the rig did
 TRUE = (176, 182, 192)  # what an estimate should be
 ESTIMATE = (196, 132, 255)
+UNSURE = (196, 132, 255, 70)  # an estimate that still moves
 ENERGY = (255, 92, 110)
 PATH = (250, 214, 120)  # where the tip of the probe goes
 TEXT = (235, 238, 242)

@@ -15,6 +15,7 @@ from hiltestbed.frames import Array, rotation_vectors
 from hiltestbed.result import Run
 from hiltestbed.signals import AXES, RunTrace
 from hiltestbed.viewer import colors
+from hiltestbed.viewer.sureness import unsure
 
 ROOT = "signals"
 XYZ = "xyz"
@@ -41,7 +42,7 @@ class Plotter:
         self.time = rr.TimeColumn("time", duration=t)
 
     def curves(
-        self, path: str, names: Sequence[str], palette: Sequence[tuple[int, int, int]], values: Array, widths: Sequence[float] = ()
+        self, path: str, names: Sequence[str], palette: Sequence[tuple[int, ...]], values: Array, widths: Sequence[float] = ()
     ) -> None:
         """Curves ``values`` (ticks, curves) under one entity; a broad one under a narrow one stays in sight."""
         style = rr.SeriesLines(names=list(names), colors=list(palette), widths=list(widths) or [1.5] * len(names))
@@ -78,18 +79,22 @@ def _wrenches(plotter: Plotter, trace: RunTrace) -> None:
         plotter.curves(f"force/{axis}", [f"{n} [N]" for n in names], palette, triple[:, j], BROAD)
         plotter.curves(f"torque/{axis}", [f"{n} [N m]" for n in names], palette, triple[:, 3 + j], BROAD)
     less = trace["wrench_meas"][:, :3] - trace["wrench_true"][:, :3]
-    plotter.curves("force_error", [f"{axis}: measured less physical [N]" for axis in XYZ], colors.SERIES[:3], less)
+    plotter.curves("force_error", [f"{axis} [N]" for axis in XYZ], colors.SERIES[:3], less)
 
 
 def _estimates(plotter: Plotter, run: Run, trace: RunTrace) -> None:
-    """Identified stiffness and damping from the first estimate on, with their true values where there is one."""
+    """Identified stiffness and damping from the first estimate on, bright once settled, with their true values where there is one."""
+    counted = trace.contact if trace.contact.any() else np.ones(len(trace.t), dtype=bool)
     for name, units in (("stiffness", ("N/m", "N m/rad")), ("damping", ("N s/m", "N m s/rad"))):
         for j, axis in enumerate(AXES):
             unit, values = units[j // 3], trace[f"{name}_est"][:, j]
             known = np.flatnonzero(np.isfinite(values))
             if len(known):
-                later = Plotter(plotter.rec, trace.t[known[0] :])
-                later.curves(f"{name}/{axis}/identified", [f"identified [{unit}]"], [colors.ESTIMATE], values[known[0] :, None])
+                later, since = Plotter(plotter.rec, trace.t[known[0] :]), slice(known[0], None)
+                sure = np.where(unsure(values, counted), np.nan, values)[since]
+                later.curves(f"{name}/{axis}/identified", [f"identified [{unit}]"], [colors.UNSURE], values[since, None])
+                if np.isfinite(sure).any():
+                    later.curves(f"{name}/{axis}/identified_surely", [f"settled [{unit}]"], [colors.ESTIMATE], sure[:, None], [2.0])
             truth = run.summary["identification"][axis][f"{name}_true"]
             if truth is not None:
                 ends = Plotter(plotter.rec, trace.t[[0, -1]])

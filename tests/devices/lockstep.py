@@ -115,7 +115,7 @@ def against(
         while sensor.poll() or moved.poll():
             pass
 
-        def wait(timeout: float) -> bool:
+        def wait(timeout: float, expected: float) -> bool:
             seen = sensor.sample.sequence
             lost = before(emulator)
             emulator.cycle()

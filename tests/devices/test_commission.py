@@ -19,7 +19,7 @@ from hiltestbed.measured.load import load_dataset
 from hiltestbed.scenario import load_scenario
 from tests.devices.lockstep import against, scenario_of
 
-SLOW = pytest.mark.skipif("HILTESTBED_SLOW" not in os.environ, reason="takes minutes; set HILTESTBED_SLOW")
+SLOW = pytest.mark.skipif("HILTESTBED_SLOW" not in os.environ, reason="takes minutes; ./check --all")
 BELIEVED: dict[str, Any] = {"sensor__noise": 0.1, "sensor__torque_noise": 0.01, "sensor__delay": 0.002}
 CAPTURED: dict[str, Any] = BELIEVED | {
     "mechanism": {"kind": "latched", "contact": {"stiffness": 1.0e5, "damping": 200.0}},

@@ -19,7 +19,7 @@ from hiltestbed.signals import CYCLE
 from hiltestbed.simulation import run
 from tests.devices.lockstep import SCENARIOS, played, scenario_of, urls_of
 
-SLOW = pytest.mark.skipif("HILTESTBED_SLOW" not in os.environ, reason="depends on the wall clock; set HILTESTBED_SLOW")
+SLOW = pytest.mark.skipif("HILTESTBED_SLOW" not in os.environ, reason="depends on the wall clock; ./check --all")
 
 
 @pytest.mark.parametrize("platform", ["rsi", "udp"])

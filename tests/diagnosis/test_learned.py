@@ -19,7 +19,7 @@ from hiltestbed.diagnosis.result import Heldout
 from hiltestbed.frames import Array
 from hiltestbed.scenario import Scenario, resolved, scenario_from
 
-from .made import NOISE, STIFFNESS, H, bounce, scenario
+from .made import NOISE, STIFFNESS, H, bounce, effect, platform_link, scenario
 
 SPEEDS = (0.02, 0.03, 0.045, 0.06, 0.03)
 DAMPING = 400.0
@@ -99,6 +99,23 @@ def test_the_curve_of_a_sensor_is_told_from_that_of_a_contact_by_other_known_spr
     knots = np.array(law.effect.parameters()["reading"])
     assert np.abs(knots[:, 1] - (knots[:, 0] - 4e-4 * knots[:, 0] ** 2)).max() < 0.01 * knots[-1, 0]
     assert equation(law) is not None
+
+
+def test_the_answer_of_a_platform_to_a_step_is_recovered() -> None:
+    """Two poles of 12 Hz, damping ratio 0.35, 2 ms late: no effect of the vocabulary."""
+    t = np.linspace(0.0, 0.12, 18)
+    w, zeta = 2.0 * np.pi * 12.0, 0.35
+    s = w * np.sqrt(1.0 - zeta**2)
+    answer = 1.0 - np.exp(-zeta * w * t) * (np.cos(s * t) + zeta * w / s * np.sin(s * t))
+    true = tuple((float(a) + 0.002, float(b)) for a, b in zip(t, answer, strict=True))
+    residual = Residual(platform_link([effect("platform.response", step=true)], speeds=(0.02, 0.03, 0.045, 0.06)))
+    law, gain = learned(residual)
+    assert law.effect.kind == "platform.response"
+    assert worth(residual, gain) > 0.8
+    assert carries_over(gain)
+    found, at = np.array(law.effect.parameters()["step"]), np.linspace(0.01, 0.1, 30)
+    assert np.abs(np.interp(at, *found.T) - np.interp(at, *np.array(true).T)).max() < 0.1
+    assert learn(Residual(platform_link(speeds=(0.02, 0.03, 0.06)))) is None
 
 
 def test_nothing_is_learned_from_noise_and_nothing_from_one_run() -> None:

@@ -14,7 +14,7 @@ from hiltestbed.diagnosis.layout import lay_out
 from hiltestbed.diagnosis.learned import learn
 from hiltestbed.diagnosis.learned.finding import learned_on
 from hiltestbed.diagnosis.learned.learn import carries_over
-from hiltestbed.diagnosis.paths import make_wrench_link
+from hiltestbed.diagnosis.paths import best_path, make_wrench_link
 from hiltestbed.diagnosis.report.conclude import conclude
 from hiltestbed.diagnosis.report.evidence import link_series
 from hiltestbed.diagnosis.residual import Residual
@@ -30,7 +30,7 @@ LOSS = {"kind": "contact.map", "spring_rate": [[-1e-3, -0.1], [1e-3, 0.0]]}  # a
 
 def residual_of(dataset: MeasuredDataset) -> Residual:
     layout = lay_out(dataset)
-    return Residual(make_wrench_link(layout, None, layout.rows))
+    return Residual(make_wrench_link(layout, best_path(layout, None), layout.rows))
 
 
 @pytest.mark.parametrize("name", ["unknown.curve", "unknown.unloading", "unknown.speeding"])

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from hiltestbed.diagnosis.aside import Aside
 from hiltestbed.diagnosis.noise import ForceNoise, force_noise, softened
 from hiltestbed.frames import Array
 from hiltestbed.measured import MeasuredRun
@@ -22,9 +23,11 @@ def run(noise: Array) -> MeasuredRun:
     t = np.arange(ROWS)
     force = np.where((t > TOUCH) & (t < END), 150.0 * np.sin(np.pi * (t - TOUCH) / (END - TOUCH)), 0.0)
     reading = noise + force[:, None] * np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
-    record: Any = SimpleNamespace(data={"wrench_meas": reading}, ticks=ROWS, has=lambda name: True)
-    survey: Any = SimpleNamespace(contacts=[SimpleNamespace(start=TOUCH, end=END)])
-    return MeasuredRun(record, None, survey)  # type: ignore[arg-type]
+    record: Any = SimpleNamespace(data={"wrench_meas": reading}, ticks=ROWS, has=lambda name: True, steps={})
+    contact = (np.arange(ROWS) >= TOUCH) & (np.arange(ROWS) < END)
+    survey: Any = SimpleNamespace(contacts=[SimpleNamespace(start=TOUCH, end=END)], touching=lambda rows, late: contact)
+    scenario: Any = SimpleNamespace(sensor=SimpleNamespace(delay=0.0), rate=1000.0)
+    return MeasuredRun(record, scenario, survey)  # type: ignore[arg-type]
 
 
 def white(seed: int) -> list[Array]:
@@ -62,6 +65,34 @@ def test_an_offset_of_each_run_is_taken_out_but_for_what_they_share() -> None:
     apart = rng.standard_normal((RUNS, 6)) * SIGMA
     noise = found([n + 2.0 * SIGMA + o for n, o in zip(white(3), apart, strict=True)])
     np.testing.assert_allclose(np.array(noise.offset), apart - apart.mean(axis=0), atol=4 * 2 * SIGMA.max() / np.sqrt(TOUCH))
+
+
+def test_what_all_runs_share_of_offsets_that_differ_is_no_bias_where_chance_makes_as_much_of_them() -> None:
+    rng = np.random.default_rng(8)
+    apart = rng.standard_normal((RUNS, 6)) * SIGMA
+    noise = found([n + o for n, o in zip(white(8), apart, strict=True)])
+    assert (noise.baseline, np.abs(noise.offset).max()) == (0, 0.0)
+
+
+def test_mains_of_another_phase_in_each_run_are_tones_and_their_frequency_is_told_to_a_part_of_a_turn() -> None:
+    rng = np.random.default_rng(9)
+    t = np.arange(ROWS)[:, None] * 1e-3
+    hum = [SIGMA * np.sin(2 * np.pi * 50.0 * t + rng.uniform(-np.pi, np.pi, 6)) for _ in range(RUNS)]
+    noise = found([n + h for n, h in zip(white(9), hum, strict=True)])
+    assert len(noise.tones) == 1
+    assert noise.tones[0] * ROWS / (2 * np.pi) == pytest.approx(50.0 * ROWS * 1e-3, abs=0.1)
+    np.testing.assert_allclose(noise.level, SIGMA, rtol=0.1)
+    left = Aside(np.ones((ROWS, 6)), -1, noise.tones).of(hum[0])
+    assert np.std(hum[0] - left) < 0.1 * np.std(hum[0])
+
+
+def test_a_baseline_that_bends_otherwise_in_each_run_wanders_and_a_cubic_takes_most_of_it() -> None:
+    rng = np.random.default_rng(10)
+    t = np.linspace(0.0, 1.0, ROWS)[:, None]
+    sway = [4.0 * SIGMA * np.sin(2 * np.pi * rng.uniform(0.25, 0.75, 6) * t + rng.uniform(-np.pi, np.pi, 6)) for _ in range(RUNS)]
+    assert found([n + s for n, s in zip(white(10), sway, strict=True)]).baseline == 3
+    one = sway[0] - sway[0].mean(axis=0)
+    assert np.std(one - Aside(np.ones((ROWS, 6)), 3, ()).of(one)) < 0.15 * np.std(one)
 
 
 def test_a_share_of_the_reading_is_found_with_its_size_and_a_delay_that_varies_is_none() -> None:

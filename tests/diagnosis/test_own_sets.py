@@ -1,6 +1,6 @@
 """What the simulation can run can be diagnosed: shipped scenarios as they record themselves, healthy and with something hidden.
 
-HILTESTBED_SLOW=1 goes through all of them.
+``./check --all`` goes through all of them.
 """
 
 from __future__ import annotations

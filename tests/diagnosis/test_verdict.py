@@ -63,7 +63,7 @@ def test_a_cause_is_named_with_its_size() -> None:
     verdict = decide(findings(wrench=e))
     assert verdict.verdict == "named"
     assert [c.effect for c in verdict.causes] == ["contact.preload"]
-    ends = intervals(e.residual, e.chosen)
+    ends = intervals(e.residual, e.chosen).ends
     # 1000 rows in contact with 0.1 N each: 0.1/sqrt(1000) = 3 mN.
     assert e.chosen.theta[0] == pytest.approx(6.0, abs=0.02)
     assert ends[0, 0] <= 6.0 <= ends[0, 1]

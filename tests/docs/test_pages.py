@@ -25,19 +25,24 @@ PAGES = sorted(p for p in (*DOCS.rglob("*.md"), ROOT / "README.md") if any(not b
 OPEN = ("view",)  # commands that need a display
 
 
-@pytest.fixture(scope="module")
-def reference() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("reference_pages", DOCS / "reference_pages.py")
+def module(name: str) -> ModuleType:
+    """A hook of the site."""
+    spec = importlib.util.spec_from_file_location(name, DOCS / f"{name}.py")
     assert spec is not None
     assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    found = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(found)
+    return found
+
+
+@pytest.fixture(scope="module")
+def reference() -> ModuleType:
+    return module("reference_pages")
 
 
 @pytest.fixture(scope="module")
 def pages(reference: ModuleType) -> dict[str, str]:
-    return reference.pages()
+    return reference.pages() | module("gallery_pages").pages()
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: str(p.relative_to(ROOT)))

@@ -11,6 +11,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from hiltestbed.bench.independent_rig import draw_set, write_set
 from hiltestbed.errors import InputError
 from hiltestbed.measured import MeasuredDataset, examine, load_dataset
 from hiltestbed.measured.noise import step_of
@@ -313,3 +314,10 @@ def test_the_axis_of_insertion_alone_is_balanced_where_nothing_else_moves(tmp_pa
     (error,) = [r for r in examine(path).remarks if r.severity == "error"]
     assert (error.channel, error.check) == ("wrench_meas.fz", "unit")
     assert "lbf" in error.text
+
+
+def test_an_axis_that_a_port_beside_its_place_moves_is_not_called_turned(tmp_path: Path) -> None:
+    """Along y a hum pushes hardly, and a lever of the port that nobody believes in moves it the other way, several times as far."""
+    names = ("platform.speed_limit", "sensor.hum", "dynamics.port_offset")
+    write_set(tmp_path, draw_set(np.random.default_rng(910_001), "pair", names))
+    assert [r for r in examine(tmp_path / "dataset.yaml").remarks if r.severity == "error"] == []

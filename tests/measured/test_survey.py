@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
+import numpy as np
 import pytest
 
-from hiltestbed.measured.survey import Contact, Survey
+from hiltestbed.gallery import find_scenario
+from hiltestbed.measured.record import Record
+from hiltestbed.measured.survey import Contact, Survey, look
+from hiltestbed.scenario import load_scenario
 
 
 @pytest.mark.parametrize("peak", [200.0, -200.0, None])
@@ -12,3 +18,26 @@ def test_what_pulls_touches_as_well_as_what_pushes(peak: float | None) -> None:
     survey = Survey(0, {}, (Contact(10, 20, peak, 1e-3, None),), (), 0.0)
     assert survey.touching(40, late=4, least=50.0).sum() == 10 + 2 + 4 + 3
     assert survey.touching(40, late=4, least=500.0).any() == (peak is None)
+
+
+@pytest.mark.parametrize("ends", ["held", "leaves"])
+def test_what_a_latch_holds_stays_in_contact_while_its_force_passes_through_zero(tmp_path: Path, ends: str) -> None:
+    scenario = load_scenario(find_scenario(Path("09-docking")))
+    assert scenario.mechanism.latch is not None
+    t = np.arange(8000) / scenario.rate
+    ring = np.where(t > 1.0, np.exp(-(t - 1.0)) * np.sin(2.0 * np.pi * 2.0 * (t - 1.0)), 0.0)
+    depth = np.where(t < 1.0, 0.02 * (t - 1.0), 1e-3 * ring)
+    if ends == "leaves":
+        depth = np.where(t > 3.5, -0.06 * (t - 3.5), depth)
+    pose, wrench = np.zeros((len(t), 7)), np.random.default_rng(1).standard_normal((len(t), 6))
+    pose[:, 2], pose[:, 6] = depth, 1.0
+    wrench[:, 2] += 400.0 * ring * (t < 3.5 if ends == "leaves" else True)
+    valid = {"pose_act": np.ones(pose.shape, bool), "wrench_meas": np.ones(wrench.shape, bool)}
+    record = Record(1, tmp_path, t, {"pose_act": pose, "wrench_meas": wrench}, valid)
+    spans = [(c.start, c.end) for c in look(record, scenario).contacts]
+    if ends == "held":
+        assert len(spans) == 1
+        assert abs(spans[0][0] - 2000) < 10
+        assert spans[0][1] == 8000
+    else:  # out of the latch's reach at the end: it held nothing
+        assert len(spans) > 2

@@ -108,11 +108,13 @@ def test_many_hypotheses_at_once_are_each_what_it_is_alone() -> None:
         [scenario("probe and cone with latch"), scenario("probe and cone with latch", changes={"approach.offset": [0.02, 0.0]})]
     )
     s = recorded.scenarios[0]
-    effects = [EFFECTS[k](**example(k)) for k in ("contact.stiffness", "sensor.delay", "frame.compliance", "contact.misalignment")]
-    lanes = [lane(s, run, [e]) for e in effects for run in (1, 0)]
-    together = replay_wrench(felt(recorded), lanes, grid=s.substeps)
-    for i in (0, 3, 6):
-        assert np.array_equal(together[i], replay_wrench(felt(recorded), [lanes[i]], grid=s.substeps)[0])
+    kinds = ("contact.stiffness", "sensor.gain", "sensor.delay", "frame.compliance", "sensor.lag", "contact.misalignment")
+    effects = [EFFECTS[k](**example(k)) for k in kinds]
+    lanes = [lane(s, run, [e]) for e in effects for run in (1, 0)]  # of a run, those of the sensor share their contact
+    for grid in (s.substeps, None):
+        together = replay_wrench(felt(recorded), lanes, grid=grid)
+        for i in (0, 2, 3, 5, 6, 9, 10):
+            assert np.array_equal(together[i], replay_wrench(felt(recorded), [lanes[i]], grid=grid)[0])
 
 
 def test_a_latch_closes_in_the_replay_when_it_does_in_the_loop() -> None:

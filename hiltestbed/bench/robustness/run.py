@@ -1,4 +1,4 @@
-"""`hiltestbed bench robustness [--for MINUTES]`: trials at random, in processes that may crash or hang."""
+"""`hiltestbed bench robustness [--for MINUTES] [--workers N]`: trials at random, in processes that may crash or hang."""
 
 from __future__ import annotations
 
@@ -6,19 +6,30 @@ import json
 import selectors
 import subprocess
 import sys
+import tempfile
+import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from hiltestbed.bench.result import BenchResult
 from hiltestbed.bench.robustness.trials import REFUSED, REMARKED, SURVIVED, TRIALS
+from hiltestbed.kernels import cores
 from hiltestbed.report import Report
 
-QUICK, LONG = 0.5, 15.0  # [min] where nothing is asked for
-BATCH = 40  # trials a process, of those that take long
+QUICK, LONG = 0.5, 60.0  # [min] at most, where nothing is asked for
+TARGETS = {
+    "scenario": 5_000, "extremes": 5_000, "text": 5_000, "dataset": 2_000, "distortion": 1_000, "file": 20_000, "campaign": 1_000,
+    "packet": 10_000, "kill": 200,
+}  # fmt: skip
+BATCH = {"file": 1000, "packet": 1000, "text": 500, "campaign": 500, "kill": 10}  # trials a process; of the other kinds PLAIN
+PLAIN = 200
 HANGS = 240.0  # [s] without an answer, from which a trial hangs: kernels may have to be compiled for it
+SLOW = {"kill": 4000.0}  # of kinds whose trials are whole commands
 BEGIN = 600.0  # [s] until the first answer
 CONTAINED = {"file"}  # kinds whose crash ends a process of its own when it is done in earnest
 SHOWN = 50  # faults that are listed
@@ -33,6 +44,8 @@ class Tally:
     wall: float = 0.0
     ended: Counter[str] = field(default_factory=Counter)
     faults: dict[str, dict[str, Any]] = field(default_factory=dict)
+    following: int = 0
+    busy: int = 0
 
     def fault(self, kind: str, number: int, place: str, text: str) -> None:
         """Count a fault; the first of each place is kept."""
@@ -41,86 +54,149 @@ class Tally:
         entry["times"] += 1
 
 
-def robustness(quick: bool = False, progress: Progress | None = None, minutes: float | None = None) -> BenchResult:
-    """Trials of every kind in turn until the time is up."""
+def robustness(
+    quick: bool = False, progress: Progress | None = None, minutes: float | None = None, workers: int | None = None
+) -> BenchResult:
+    """Trials of every kind, by as many processes as there are ``workers``, until as many as ``TARGETS`` are done or the time is up."""
     limit = 60.0 * (minutes if minutes is not None else QUICK if quick else LONG)
-    start, tallies = time.monotonic(), {kind: Tally() for kind in TRIALS}
-    following = dict.fromkeys(TRIALS, 0)
-    while time.monotonic() - start < limit:
-        kind = min(TRIALS, key=lambda k: tallies[k].wall)
-        if following[kind] and tallies[kind].wall == 0.0:
-            break  # nothing can be run at all
-        following[kind] = _batch(kind, following[kind], tallies[kind], start + limit)
-        if progress:
-            progress(round(min(time.monotonic() - start, limit)), round(limit))
-    return _result(tallies)
+    start = time.monotonic()
+    count = workers or cores()
+    with tempfile.TemporaryDirectory(prefix="hiltestbed-") as shared, ThreadPoolExecutor(count) as pool:
+        work = _Work({kind: Tally() for kind in TRIALS}, start + limit, Path(shared))
+        running = [pool.submit(work.go_on) for _ in range(count)]
+        try:
+            while not all(one.done() for one in running):
+                time.sleep(POLL)
+                if progress:
+                    progress(round(min(time.monotonic() - start, limit)), round(limit))
+        except BaseException:
+            work.until = 0.0
+            raise
+        for one in running:
+            one.result()
+    return _result(work.tallies, time.monotonic() - start, count)
 
 
-def _batch(kind: str, first: int, tally: Tally, until: float) -> int:
-    """Runs trials from ``first`` on in one process; returns the number of the next."""
-    count = BATCH * (25 if kind in ("packet", "text", "campaign") else 1)
-    begin, following, current = time.monotonic(), first, None
-    for told in _answers(kind, first, count, until):
-        if "begin" in told:
-            current = told["begin"]
-        elif "lost" in told:
-            if current is not None and told["lost"] != "time is up":
-                following = current + 1
-                tally.tried += 1
-                if kind in CONTAINED and told["lost"] != "hangs":
-                    tally.ended["contained"] += 1
-                else:
-                    tally.fault(kind, current, told["lost"], f"the process {told['lost']}")
+POLL = 0.05  # [s]
+
+
+@dataclass
+class _Work:
+    """What is left to do; one thread of each worker takes from it."""
+
+    tallies: dict[str, Tally]
+    until: float
+    shared: Path
+    lock: threading.Lock = field(default_factory=threading.Lock)
+
+    def go_on(self) -> None:
+        """Batches of the kinds that are the furthest behind, until all is done."""
+        while time.monotonic() < self.until:
+            with self.lock:
+                behind = {k: (t.tried + t.busy) / TARGETS[k] for k, t in self.tallies.items() if t.tried + t.busy < TARGETS[k]}
+                if not behind:
+                    return
+                kind = min(behind, key=lambda k: behind[k])
+                tally = self.tallies[kind]
+                count = min(BATCH.get(kind, PLAIN), TARGETS[kind] - tally.tried - tally.busy)
+                count = max(1, min(count, round(FIRST * TARGETS[kind]))) if tally.tried == 0 else count
+                first = tally.following
+                tally.following += count
+                tally.busy += count
+            self._batch(kind, first, count)
+
+    def _batch(self, kind: str, first: int, count: int) -> None:
+        """Trials from ``first`` on, in one process after the other where one is lost."""
+        tally, begin, following, current = self.tallies[kind], time.monotonic(), first, None
+        while following < first + count and time.monotonic() < self.until:
+            for told in _answers(kind, following, first + count - following, self.shared, lambda: self.until):
+                if "begin" in told:
+                    current = told["begin"]
+                    continue
+                with self.lock:
+                    if "lost" not in told:
+                        following, current = told["number"] + 1, None
+                        self._told(kind, tally, told)
+                    elif told["lost"] != "time is up":
+                        number = following if current is None else current
+                        following = number + 1
+                        self._lost(kind, tally, number, told["lost"])
+        with self.lock:
+            tally.busy -= first + count - following
+            tally.wall += time.monotonic() - begin
+
+    def _told(self, kind: str, tally: Tally, told: dict[str, Any]) -> None:
+        tally.tried += 1
+        tally.busy -= 1
+        if "fault" in told:
+            tally.fault(kind, told["number"], told["place"], told["fault"])
         else:
-            following, current = told["number"] + 1, None
-            tally.tried += 1
-            if "fault" in told:
-                tally.fault(kind, told["number"], told["place"], told["fault"])
-            else:
-                tally.ended[told["ended"]] += 1
-    tally.wall += max(time.monotonic() - begin, 1e-3)
-    return following
+            tally.ended[told["ended"]] += 1
+
+    def _lost(self, kind: str, tally: Tally, number: int, how: str) -> None:
+        tally.tried += 1
+        tally.busy -= 1
+        if kind in CONTAINED and how != "hangs":
+            tally.ended["contained"] += 1
+        else:
+            tally.fault(kind, number, how, f"the process {how}")
 
 
-def _answers(kind: str, first: int, count: int, until: float) -> Iterator[dict[str, Any]]:
-    """What a worker says, and ``lost`` with how where it ends before it is done."""
-    order = [sys.executable, "-m", "hiltestbed.bench.robustness.worker", kind, str(first), str(count)]
-    with subprocess.Popen(order, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as process:
+FIRST = 0.01  # of what is to be done of a kind, in its first batch: a short time is shared by all kinds
+
+
+def _answers(kind: str, first: int, count: int, shared: Path, until: Callable[[], float]) -> Iterator[dict[str, Any]]:
+    """What a worker says, and ``lost`` with how where it ends before it is done; ``shared``: a folder of all workers."""
+    order = [sys.executable, "-m", "hiltestbed.bench.robustness.worker", kind, str(first), str(count), str(shared)]
+    with subprocess.Popen(order, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as process:
         assert process.stdout is not None
-        pending, patience = b"", BEGIN
+        pending, patience, heard = b"", BEGIN, time.monotonic()
         with selectors.DefaultSelector() as waiting:
             waiting.register(process.stdout, selectors.EVENT_READ)
             while True:
-                ready = waiting.select(min(patience, max(until - time.monotonic(), 0.0)))
-                if not ready:
+                ready = waiting.select(min(1.0, max(until() - time.monotonic(), 0.0)))
+                hangs = not ready and time.monotonic() - heard > patience
+                if hangs or time.monotonic() >= until():
                     process.kill()
-                    yield {"lost": "time is up" if time.monotonic() >= until else "hangs"}
+                    yield {"lost": "hangs" if hangs else "time is up"}
                     return
+                if not ready:
+                    continue
+                heard = time.monotonic()
                 data = process.stdout.read1(65536)  # type: ignore[attr-defined]
                 if not data:
                     break
                 *lines, pending = (pending + data).split(b"\n")
                 for line in lines:
                     told = json.loads(line)
-                    patience = HANGS if "number" in told else patience
+                    patience = SLOW.get(kind, HANGS) if "number" in told else patience
                     yield told
         if process.wait():
             yield {"lost": f"ends with {process.returncode}"}
 
 
-def _result(tallies: dict[str, Tally]) -> BenchResult:
+def _result(tallies: dict[str, Tally], wall: float, workers: int) -> BenchResult:
     records = [
-        {"kind": kind, "tried": t.tried, "survived": t.ended[SURVIVED], "refused": t.ended[REFUSED], "remarked": t.ended[REMARKED],
+        {"kind": kind, "tried": t.tried, "wanted": TARGETS[kind], "survived": t.ended[SURVIVED],
+         "refused": t.ended[REFUSED], "remarked": t.ended[REMARKED],
          "stopped": t.ended["stopped"] + t.ended["diverged"], "contained": t.ended["contained"], "failed": t.ended["failed"],
          "wall": t.wall, "other": {k: n for k, n in t.ended.items() if k.startswith("taken")}}
         for kind, t in tallies.items()
     ]  # fmt: skip
     faults = [fault for t in tallies.values() for fault in t.faults.values()]
     tried, failed = sum(t.tried for t in tallies.values()), sum(t.ended["failed"] for t in tallies.values())
-    summary = {"tried": tried, "failed": failed, "faults": faults, "kinds": {r["kind"]: r for r in records}}
+    summary = {
+        "tried": tried,
+        "failed": failed,
+        "minutes": wall / 60.0,
+        "workers": workers,
+        "faults": faults,
+        "kinds": {r["kind"]: r for r in records},
+    }
     report = Report("Robustness")
     report.lead(f"{tried} trials at random, {failed} of which ended in something else than a result or a clear refusal.")
-    columns = ("kind", "tried", "survived", "refused", "remarked", "stopped", "contained", "failed")
+    report.text(f"{wall / 60.0:.1f} minutes with {workers} processes.")
+    columns = ("kind", "tried", "wanted", "survived", "refused", "remarked", "stopped", "contained", "failed")
     report.table(list(columns), [[str(r[c]) for c in columns] for r in records])
     if faults:
         rows = [[f["kind"], str(f["number"]), str(f["times"]), f["fault"]] for f in faults[:SHOWN]]

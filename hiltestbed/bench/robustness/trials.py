@@ -12,12 +12,13 @@ import numpy as np
 from numpy.random import Generator
 
 from hiltestbed.bench.robustness.distortions import DISTORTIONS
+from hiltestbed.bench.robustness.kills import good_set, kill
 from hiltestbed.bench.robustness.values import value_of
 from hiltestbed.errors import HiltestbedError, InputError
 
 SURVIVED, REFUSED, REMARKED = "survived", "refused", "remarked"
 Trial = Callable[[Generator, Path], str]
-MOST_TICKS, MOST_INSTANTS = 1500, 60_000  # of a scenario that is run: the rest is as valid, and takes longer
+MOST_TICKS, MOST_INSTANTS = 600, 12_000  # of a scenario that is run: the rest is as valid, and takes longer
 ROWS = 200
 SUFFIXES = ("csv", "parquet", "h5", "mat", "mf4", "tdms", "mcap")
 _schemas: dict[str, dict[str, Any]] = {}
@@ -159,14 +160,11 @@ def distortion(rng: Generator, folder: Path) -> str:
 
 
 def _good_set(folder: Path) -> dict[str, dict[str, np.ndarray]]:
-    """Tables of a good set, made once a process, with its scenario in ``folder``."""
+    """Tables of a good set, made once beside ``folder`` for all workers, with its scenario in ``folder``."""
     import pyarrow.parquet as pq
 
     if "tables" not in _good:
-        from hiltestbed.bench.independent_rig.sets import draw_set
-        from hiltestbed.bench.independent_rig.writing import write_set
-
-        made = write_set(folder / "good", draw_set(np.random.default_rng(3), "healthy"))
+        made = good_set(folder.parent)
         files = sorted(made.glob("run_*.parquet"))[:1]
         _good["scenario"] = (made / "nominal.yaml").read_text()
         _good["tables"] = {f.name: {n: c.to_numpy().copy() for n, c in _columns(pq.read_table(f))} for f in files}
@@ -309,5 +307,5 @@ def mutated(data: bytes, rng: Generator) -> bytes:
 
 TRIALS: dict[str, Trial] = {
     "scenario": scenario, "extremes": extremes, "text": text, "dataset": dataset, "distortion": distortion, "file": data_file,
-    "campaign": campaign, "packet": packet,
+    "campaign": campaign, "packet": packet, "kill": kill,
 }  # fmt: skip

@@ -1,6 +1,8 @@
-"""The process that trials run in: `python -m hiltestbed.bench.robustness.worker KIND FIRST COUNT`, a line of JSON before and after each.
+"""The process that trials run in: `python -m hiltestbed.bench.robustness.worker KIND FIRST COUNT [SHARED]`, a line of JSON before and after
+each.
 
-Trial N of a kind is the same whenever and wherever it is run: `... KIND N 1` repeats it.
+Trial N of a kind is the same whenever and wherever it is run: `... KIND N 1` repeats it. SHARED is a folder in which workers leave what is
+made once for all of them.
 """
 
 from __future__ import annotations
@@ -18,14 +20,16 @@ import numpy as np
 from hiltestbed.bench.robustness.trials import TRIALS
 
 
-def serve(kind: str, first: int, count: int) -> None:
+def serve(kind: str, first: int, count: int, shared: Path | None = None) -> None:
     """Run trials and tell how each ended."""
-    with tempfile.TemporaryDirectory(prefix="hiltestbed-") as folder, np.errstate(all="ignore"):
+    with tempfile.TemporaryDirectory(prefix="hiltestbed-", dir=shared) as place, np.errstate(all="ignore"):
+        folder = Path(place) if shared else Path(place) / "trials"
+        folder.mkdir(exist_ok=True)
         for number in range(first, first + count):
             _tell({"begin": number})
             start = time.perf_counter()
             try:
-                ended = TRIALS[kind](np.random.default_rng([crc32(kind.encode()), number]), Path(folder))
+                ended = TRIALS[kind](np.random.default_rng([crc32(kind.encode()), number]), folder)
                 told = {"ended": ended}
             except Exception as error:
                 last = traceback.extract_tb(error.__traceback__)
@@ -41,4 +45,4 @@ def _tell(what: dict) -> None:
 
 
 if __name__ == "__main__":
-    serve(sys.argv[1], int(sys.argv[2]), int(sys.argv[3]))
+    serve(sys.argv[1], int(sys.argv[2]), int(sys.argv[3]), Path(sys.argv[4]) if len(sys.argv) > 4 else None)

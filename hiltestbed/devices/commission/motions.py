@@ -25,6 +25,7 @@ ARM = 0.05  # [m] off the axis
 FREQUENCIES = (1.3, 2.1, 3.4)  # [Hz] of x, y, z in the open
 PRESS_FREQUENCY, PRESS_PERIODS = 3.0, 6
 REST = 0.3  # [s] before each motion, and after a press
+SETTLED = 0.2  # [s] of the rest before a motion, after which a platform stands still where the record of the motion begins
 ENTRY = 0.6  # [s] in, and out again
 FREE_TIME = 3.0  # [s]
 

@@ -11,12 +11,11 @@ from scipy.optimize import least_squares
 from hiltestbed.frames import Array
 
 LONGEST = 0.2  # [s]
-SETTLE = 0.2  # [s] that are left out at the start of a motion
 
 
 @dataclass(frozen=True)
 class Path:
-    """A motion as it went: command (N, 7), row k for t_(k+1); pose (N, 7) and wrench (N, 6), in P, at t_k; whether it touched."""
+    """A motion from rest: command (N, 7), row k for t_(k+1); pose (N, 7) and wrench (N, 6), in P, at t_k; whether it touched."""
 
     command: Array
     pose: Array
@@ -48,10 +47,9 @@ def fit_platform(paths: Sequence[Path], tick: float) -> PlatformFit:
     def parts(delay: float) -> list[tuple[Array, Array, Array]]:
         out = []
         for path in paths:
-            first = round(SETTLE / tick)
-            k = np.arange(first, len(path.pose), dtype=float)
+            k = np.arange(len(path.pose), dtype=float)
             told = np.stack([np.interp(k - 1.0 - delay / tick, np.arange(len(path.command)), path.command[:, j]) for j in range(3)], axis=1)
-            out.append((told, path.pose[first:, :3], path.wrench[first:, :3]))
+            out.append((told, path.pose[:, :3], path.wrench[:, :3]))
         return out
 
     def residuals(p: Array) -> Array:

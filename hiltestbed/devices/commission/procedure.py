@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from hiltestbed.devices.commission.expected import Expected
-from hiltestbed.devices.commission.motions import Motion, motions
+from hiltestbed.devices.commission.motions import SETTLED, Motion, motions
 from hiltestbed.devices.commission.platform import Path, PlatformFit, fit_platform
 from hiltestbed.devices.commission.sensor import SensorFit, Shown, fit_sensor
 from hiltestbed.devices.interface import DeviceError
@@ -96,7 +96,8 @@ def _fitted(scenario: Scenario, planned: Sequence[Motion], rows: dict[str, list[
     sensor = fit_sensor(touched, np.array(scenario.devices.sensor.position), noise)
     believed = _mounted(scenario, sensor, noise)
     mounting = Mounting(believed.devices)
-    paths = {motion.name: _path(rows[motion.name], mounting, observed.shown, motion.touches) for motion in planned}
+    begin = round(SETTLED / scenario.tick)  # what the travel to a motion left is no part of it
+    paths = {motion.name: _path(rows[motion.name][begin:], mounting, observed.shown, motion.touches) for motion in planned}
     platform = fit_platform(list(paths.values()), scenario.tick)
     starts = {motion.name: motion.start for motion in planned}
     return Commissioned(believed, _nominal(believed, sensor, platform), observed, sensor, platform, paths, starts)

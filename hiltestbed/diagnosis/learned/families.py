@@ -1,4 +1,4 @@
-"""Laws that may be learned between the pose and the reading: a force of the contact, and a curve of an axis of the sensor."""
+"""Laws that may be learned: a force of the contact, a curve of an axis of the sensor, and the platform's answer to a step."""
 
 from __future__ import annotations
 
@@ -11,13 +11,14 @@ import numpy as np
 from hiltestbed.contact.effects.learned import ContactMap
 from hiltestbed.diagnosis.learned.curves import Block
 from hiltestbed.diagnosis.learned.selection import Choices
-from hiltestbed.diagnosis.links import WrenchLink
+from hiltestbed.diagnosis.links import PlatformLink, WrenchLink
 from hiltestbed.diagnosis.links.base import Effects
 from hiltestbed.diagnosis.residual import Residual
 from hiltestbed.diagnosis.settings import STRETCHES
 from hiltestbed.effects.base import Effect
 from hiltestbed.frames import Array
 from hiltestbed.piecewise import Pairs
+from hiltestbed.platform.effects.learned import LearnedResponse
 from hiltestbed.sensor.effects.calibration import WRENCH_AXES
 from hiltestbed.sensor.effects.learned import SensorMap
 
@@ -26,6 +27,10 @@ HELD_LEVELS, PUSHED_LEVELS = (3, 5, 9, 17), (2, 3, 5, 9, 17)
 SMALL = 1e-4  # of the peak force: the size of a difference
 PLAIN = 4  # blocks without a slider
 REACHES = (0.02, 0.5)  # of the travel, that a slider's stretch is tried over
+MEMORIES = 9  # of a platform's response, that are tried
+SHORTEST = 2.0  # ticks, of such a memory
+LONGEST = 0.2  # of the shortest run, and one second at most
+AT_ONCE = ((0.0, 1.0), (1.0, 1.0))  # a step that is followed by itself
 
 
 @dataclass(frozen=True)
@@ -97,6 +102,33 @@ class SensorCurve(Family):
 
     def effect(self, values: Array, choices: Choices | None = None) -> Effect:
         return SensorMap.hypothesis({}, reading=tuple((x, x + y) for x, y in self.curves(values, choices)[0]), axis=self.axis)
+
+
+@dataclass(frozen=True)
+class PlatformStep(Family):
+    """What a platform has reached of a step of its command, over the time since; its values are that less the whole step.
+
+    The places of the block count back from the end of its memory, so that an odd curve is one that ends at the whole step.
+    """
+
+    def effect(self, values: Array, choices: Choices | None = None) -> Effect:
+        return LearnedResponse.hypothesis({}, step=self.curves(values, choices)[0] or AT_ONCE)
+
+    def curves(self, values: Array, choices: Choices | None = None) -> list[Pairs]:
+        memory = float(self.blocks[0].places[-1])
+        return [tuple((memory - x, 1.0 + y) for x, y in reversed(curve)) for curve in super().curves(values, choices)]
+
+
+def platform_families(residual: Residual) -> Iterator[PlatformStep]:
+    """One of each memory, its knots closer where the step is fresh."""
+    link = residual.link
+    if not isinstance(link, PlatformLink):
+        raise TypeError(f"a platform's response is learned on its link (got {link.name}); allowed is a PlatformLink")
+    tick = link.runs[0].scenario.tick
+    longest = max(min(1.0, LONGEST * tick * min(link.runs[i].rows for i in residual.runs)), 2.0 * SHORTEST * tick)
+    since = np.linspace(1.0, 0.0, FINE) ** 2
+    for memory in np.geomspace(SHORTEST * tick, longest, MEMORIES):
+        yield PlatformStep((Block("step", memory * (1.0 - since), False, PUSHED_LEVELS),), 1.0)
 
 
 def contact_families(residual: Residual) -> tuple[ContactForce, list[ContactForce]]:

@@ -55,7 +55,8 @@ def _curves(residual: Residual, law: Law) -> list[LearnedCurve]:
     """Each with its own value and what the whole law leaves, sample by sample."""
     link = residual.link
     if not isinstance(link, WrenchLink):
-        return []
+        first, second = type(law.effect).unit("step").split(", ")
+        return [LearnedCurve("step", np.array(law.family.curves(law.values, law.choices)[0]), np.zeros((0, 2)), (first, second))]
     axis = WRENCH_AXES.index(law.family.axis) if isinstance(law.family, SensorCurve) else 2
     pairs = {b.name: np.array(c) for b, c in zip(law.family.blocks, law.family.curves(law.values, law.choices), strict=True) if c}
     effects = [*law.known, law.effect]

@@ -9,9 +9,18 @@ import numpy as np
 
 from hiltestbed.diagnosis.heldout import mean_square, resampled
 from hiltestbed.diagnosis.learned.curves import roughness
-from hiltestbed.diagnosis.learned.families import COARSE, FINE, ContactForce, Family, contact_families, sensor_families, with_slider
+from hiltestbed.diagnosis.learned.families import (
+    COARSE,
+    FINE,
+    ContactForce,
+    Family,
+    contact_families,
+    platform_families,
+    sensor_families,
+    with_slider,
+)
 from hiltestbed.diagnosis.learned.selection import Choices, Normal, Selected, normal_equations, select, shape, solve
-from hiltestbed.diagnosis.links import WrenchLink
+from hiltestbed.diagnosis.links import PlatformLink, WrenchLink
 from hiltestbed.diagnosis.links.base import Effects
 from hiltestbed.diagnosis.residual import Residual
 from hiltestbed.diagnosis.result import Heldout
@@ -62,8 +71,8 @@ class Linear:
 
 
 def learn(residual: Residual, known: Effects = ()) -> tuple[Law, Heldout] | None:
-    """The best law of contact or sensor beside ``known`` effects, and its gain; None where none carries over to left-out runs."""
-    if not isinstance(residual.link, WrenchLink) or len(residual.runs) < LEAST_RUNS:
+    """The best law of a link beside ``known`` effects, and its gain; None where none carries over to left-out runs."""
+    if not isinstance(residual.link, (WrenchLink, PlatformLink)) or len(residual.runs) < LEAST_RUNS:
         return None
     found, first = _candidates(residual, known)
     if not found:
@@ -117,6 +126,8 @@ def _counted(residual: Residual, i: int) -> np.ndarray:
 
 def _candidates(residual: Residual, known: Effects) -> tuple[list[tuple[Family, Selected]], Linear | None]:
     """Every family with the best that its curves do, and the plain law of the contact linearised."""
+    if isinstance(residual.link, PlatformLink):
+        return [(f, select(_from_nothing(residual, known, f).normal(), f.blocks)) for f in platform_families(residual)], None
     plain, sliding = contact_families(residual)
     first = _from_nothing(residual, known, plain) if plain.blocks else None
     linear: list[tuple[Family, Linear]] = [(plain, first)] if first else []

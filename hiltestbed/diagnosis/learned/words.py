@@ -17,7 +17,7 @@ from hiltestbed.piecewise import Pairs
 
 POINTS = 200  # of a curve, at which an equation is compared with it
 MOST_LIKE = 3  # named effects that are listed
-BETWEEN = ("contact", "sensor")
+BETWEEN = ("contact", "sensor", "platform")
 
 
 class Form(NamedTuple):
@@ -116,6 +116,8 @@ SYMBOLS = {"penetration": ("x", "f(x)"), "rate": ("v", "g(v)"), "stretch": ("s",
 def equation(law: Law) -> str | None:
     """The whole law; a curve that no equation fits stands as a letter; None where none has one."""
     curves = law.family.curves(law.values, law.choices)
+    if law.effect.link == "platform":
+        return second_order_of(curves[0])
     parts, short, reach = [], False, ""
     for b, curve in zip(law.family.blocks, curves, strict=True):
         if not curve:
@@ -133,8 +135,30 @@ def equation(law: Law) -> str | None:
     return text + reach
 
 
+def second_order_of(curve: Pairs) -> str | None:
+    """A delay, a natural frequency and a damping ratio that give a step response, its last value among them; None where none do."""
+    times, values = np.array(curve).T
+    t, end = np.linspace(times[0], times[-1], POINTS), values[-1]
+    y = np.interp(t, times, values)
+    size = float(np.sqrt(np.mean((y - end) ** 2)))
+
+    def step(p: Array) -> Array:
+        w, zeta, since = np.exp(p[0]), min(p[1], 0.999), np.maximum(t - p[2], 0.0)
+        s = w * np.sqrt(1.0 - zeta**2)
+        return end * (1.0 - np.exp(-zeta * w * since) * (np.cos(s * since) + zeta * w / s * np.sin(s * since)))
+
+    starts = [(np.log(part / times[-1]), 0.6, 0.1 * times[-1]) for part in (1.0, 3.0, 10.0)]
+    bounds = ((np.log(0.1 / times[-1]), 0.02, 0.0), (np.log(100.0 / times[-1]), 0.999, times[-1]))
+    found = min((least_squares(lambda p: step(p) - y, x, bounds=bounds) for x in starts), key=lambda f: f.cost)
+    if size == 0.0 or np.sqrt(np.mean(found.fun**2)) > AS_AN_EQUATION * size:
+        return None
+    w, zeta, late = float(np.exp(found.x[0])), float(found.x[1]), float(found.x[2])
+    share = "" if abs(end - 1.0) < 1e-3 else f"{end:.3g} "
+    return f"x'' = w^2 ({share}x_cmd(t - {late:.2g} s) - x) - {2.0 * zeta:.2g} w x', w = 2 pi {w / (2.0 * np.pi):.3g} Hz"
+
+
 def resembling(residual: Residual, law: Law, singles: Sequence[Fit], null: Fit) -> tuple[str, ...]:
-    """Named effects of contact and sensor that take away, where they are fitted alone, what the law does: by the angle between the two."""
+    """Named effects of the same link that take away, where they are fitted alone, what the law does: by the angle between the two."""
     before, after = residual.many([law.known, [*law.known, law.effect]])
     taken = before - after
     alike: dict[str, float] = {}

@@ -40,7 +40,9 @@ class LinkRun:
     Attributes:
         scenario: as believed. measured: (N, C) at the output, 0 where it was not measured.
         sigma: (N, C) its noise, infinite where not measured. touching: (N,) bool, the nominal or the measured contact, with its tail
-        through the sensor. heavy: whether the noise has outliers, see :func:`hiltestbed.diagnosis.noise.softened`.
+        through the sensor. heavy: whether the noise has outliers, see :func:`hiltestbed.diagnosis.noise.softened`. tail: variance of the
+        square of a sample of noise. baseline: degree of a polynomial of each run that is no misfit, -1 for none; tones: [rad] a row, which
+        are none either, see :mod:`hiltestbed.diagnosis.aside`.
     """
 
     scenario: Scenario
@@ -48,6 +50,9 @@ class LinkRun:
     sigma: Array
     touching: np.ndarray
     heavy: bool = False
+    tail: float = 2.0
+    baseline: int = -1
+    tones: tuple[float, ...] = ()
 
     @property
     def rows(self) -> int:

@@ -14,6 +14,7 @@ from hiltestbed.replay import replay_compensation
 from hiltestbed.replay.wrench import shifted
 
 LARGE = 1e9  # [N] an impulse that no dead zone holds back
+FORGOTTEN = 1e-6  # of the largest answer
 ANSWER = 400  # rows, within which the answer to an impulse has passed
 
 
@@ -57,10 +58,23 @@ class CompensationLink(Link):
 
     def noise_gain(self) -> float:
         """By how much white noise of the readings is raised by the compensation of the first run; 1 where it is not linear."""
+        answer = self._answer()
+        return 1.0 if answer is None else float(np.linalg.norm(answer))
+
+    def memory(self) -> float | None:
+        """[s] after which the compensation of the first run has forgotten a reading; None where it is not linear."""
+        answer = self._answer()
+        if answer is None:
+            return None
+        lasting = np.flatnonzero(np.abs(answer[ANSWER // 4 :]) > FORGOTTEN * np.abs(answer).max())
+        return float(lasting[-1] + 1) * self.runs[0].scenario.tick
+
+    def _answer(self) -> Array | None:
+        """(ANSWER,) to an impulse of one, in the first run; None where the compensation is not linear."""
         scenario = self.runs[0].scenario
         if scenario.compensation.force.reads != {"wrench"}:
-            return 1.0
+            return None
         impulse = np.zeros((1, ANSWER, 6))
         impulse[0, ANSWER // 4] = LARGE  # not at the start, which a method may take for the past
         found = replay_compensation([scenario], [InputParameters()], {}, impulse, np.zeros(1, dtype=int))
-        return float(np.linalg.norm(found[0, :, 0])) / LARGE
+        return found[0, :, 0] / LARGE

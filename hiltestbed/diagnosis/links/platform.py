@@ -9,8 +9,12 @@ import numpy as np
 from hiltestbed.diagnosis.links.base import Effects, Lane, Link, LinkRun, flat_pose, padded
 from hiltestbed.frames import Array
 from hiltestbed.numerical_model.bodies import approach_state
+from hiltestbed.platform.effects.response import PlatformDelay
+from hiltestbed.platform.effects.tracking import PlatformFriction
 from hiltestbed.platform.parameters import PlatformParameters
 from hiltestbed.replay import replay_platform
+
+JUMPED = 0.25  # ticks, by which the instant of a jump is known: how finely a facility divides a tick is not
 
 
 class PlatformLink(Link):
@@ -35,6 +39,15 @@ class PlatformLink(Link):
         for i, place in zip(run, places, strict=True):
             out.append(np.concatenate([place[: self.runs[i].rows], self._attitude[i]], axis=1) + self.deflection[i])
         return out
+
+    def doubt(self, i: int, effects: Effects) -> Array | None:
+        """Of a platform that jumps, the rows into which a jump falls that may as well have come a row sooner or later."""
+        if all(e.kind != PlatformFriction.model_fields["kind"].default for e in effects):
+            return None
+        off = JUMPED * self.runs[i].scenario.tick
+        sooner, later = ([*effects, PlatformDelay.hypothesis({}, delay=d)] for d in (-off, off))
+        early, late = self.predict([(i, sooner), (i, later)])
+        return np.abs(late - early)
 
     def paths(self, effects: Effects) -> list[Array]:
         """(N, 7) poses of each run that the platform reaches, with the attitude that was commanded."""

@@ -16,7 +16,8 @@ from hiltestbed.diagnosis.links.base import Effects, Lane, Later, Link, LinkRun,
 from hiltestbed.frames import Array, pose_step
 from hiltestbed.log import log_parameters
 from hiltestbed.numerical_model.bodies import approach_state
-from hiltestbed.replay import Felt, creep_of, replay_wrench
+from hiltestbed.platform.parameters import PlatformParameters
+from hiltestbed.replay import Felt, creep_of, replay_platform, replay_wrench
 from hiltestbed.replay.wrench import WHOLE
 from hiltestbed.replay.wrench import Lane as FeltLane
 from hiltestbed.scenario import Scenario
@@ -55,6 +56,7 @@ class WrenchLink(Link):
         rates: (N, 6) its twist at t_k; None: the slope over the tick that ends there."""
         self.runs, self.paths, self.jumps, self.rates = runs, paths, jumps, rates
         self.lever, self.blunt, self.grid = 0.5, 1.0, None
+        self.commands: Sequence[Array] | None = None
         self._believed = [_numbers(r.scenario, self.lever, self.blunt) for r in runs]
         scenarios = [r.scenario for r in runs]
         first, before = scenarios[0], np.empty((len(runs), 7))
@@ -76,7 +78,32 @@ class WrenchLink(Link):
         out.grid = self.grid if grid is None else grid
         return out
 
+    def commanded(self, commands: Sequence[Array]) -> WrenchLink:
+        """The same link where nobody measured the paths: they are what the platform made of ``commands`` (N, 7), its effects included."""
+        out = copy(self)
+        out.commands = commands
+        return out
+
     def _replay(self, lanes: Sequence[Lane]) -> list[Array]:
+        moved = [n for n, (_, effects) in enumerate(lanes) if any(e.link == "platform" for e in effects)] if self.commands else []
+        if not moved:
+            return self._felt_by(lanes)
+        rest = [n for n in range(len(lanes)) if n not in set(moved)]
+        out = dict(zip(rest, self._felt_by([lanes[n] for n in rest]) if rest else [], strict=True))
+        out |= dict(zip(moved, self._moved([lanes[n] for n in moved]), strict=True))
+        return [out[n] for n in range(len(lanes))]
+
+    def _moved(self, lanes: Sequence[Lane]) -> list[Array]:
+        """On the paths that a platform with effects takes, with the attitude that was commanded."""
+        runs = [self.runs[i] for i, _ in lanes]
+        scenarios = [r.scenario for r in runs]
+        parameters = [PlatformParameters.believed(s).with_effects(effects) for s, (_, effects) in zip(scenarios, lanes, strict=True)]
+        places = replay_platform(scenarios, parameters, padded(self.commands or ()), np.array([i for i, _ in lanes]))
+        paths = [np.concatenate([p[: r.rows], self.paths[i][:, 3:]], axis=1) for p, r, (i, _) in zip(places, runs, lanes, strict=True)]
+        link = WrenchLink(runs, paths).reading(self.lever, self.grid, self.blunt)
+        return link.predict([(n, [e for e in effects if e.link != "platform"]) for n, (_, effects) in enumerate(lanes)])
+
+    def _felt_by(self, lanes: Sequence[Lane]) -> list[Array]:
         found = replay_wrench(self._felt, [self._lane(i, effects) for i, effects in lanes], self.grid)
         return [reading[: self.runs[i].rows] for reading, (i, _) in zip(found, lanes, strict=True)]
 

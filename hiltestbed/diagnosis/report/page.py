@@ -5,22 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from hiltestbed.diagnosis.plain import LINK_NAMES
 from hiltestbed.diagnosis.report import pictures
+from hiltestbed.diagnosis.report.certain import certainty_section
 from hiltestbed.diagnosis.report.extend import in_words
 from hiltestbed.diagnosis.report.facts import rounded
-from hiltestbed.diagnosis.report.sentence import gain_sentence, learned_sentence, meaning, partial_sentence, verdict_sentence
+from hiltestbed.diagnosis.report.sentence import TITLES, gain_sentence, learned_sentence, meaning, partial_sentence, verdict_sentence
 from hiltestbed.diagnosis.result import Cause, Diagnosis, Figures, Isolable
 from hiltestbed.effects.table import EFFECTS
 from hiltestbed.report import Report
 
-TITLES = {
-    "no_discrepancy": "the simulation holds",
-    "named": "the cause is named",
-    "ambiguous": "one of a few causes",
-    "named_in_part": "a departure that is named in part",
-    "unknown": "a departure without a name",
-    "inconclusive": "not all of the loop could be judged",
-}
 FITTED = "k and c: least squares over the contact. A delay that the model does not know appears as missing damping."
 
 
@@ -31,6 +25,7 @@ def report_of(diagnosis: Diagnosis) -> Report:
     report.text(_summary(diagnosis))
     _causes(report, diagnosis)
     _evidence(report, diagnosis)
+    certainty_section(report, diagnosis.finding.certainty)
     _ranking(report, diagnosis)
     _gain(report, diagnosis)
     _next(report, diagnosis)
@@ -122,7 +117,7 @@ def _ranking(report: Report, d: Diagnosis) -> None:
         mine = [r for r in ranking if r.link == link]
         report.figure(
             pictures.ranking_bars(mine),
-            f"Link {link or d.link}: shorter is better; within a few units of the best they cannot be told apart.",
+            f"Link {LINK_NAMES.get(link, link) or d.link}: shorter is better; within a few units of the best they cannot be told apart.",
         )
         rows = [
             (" + ".join(r.effects), r.parameters, f"{r.score - min(x.score for x in mine):.3g}", _number(r.heldout), _yes(r.adequate))

@@ -11,6 +11,7 @@ import numpy as np
 from hiltestbed.diagnosis.learned_law import Learned
 from hiltestbed.diagnosis.report.evidence import counted, in_sigma, misfit
 from hiltestbed.diagnosis.result import ChannelResidual, ClosedLoop, Heldout, Ranked, Series
+from hiltestbed.errors import InputError
 from hiltestbed.measured import MeasuredDataset
 from hiltestbed.report import new_figure
 
@@ -60,13 +61,30 @@ def residuals_over_time(series: Sequence[Series], compared: str) -> Figure:
 
 
 def channel_over_time(series: Sequence[Series], compared: str) -> Figure:
-    """The worst channel as it was measured and as the link makes it, around the contact, in its worst run; of a pose, whose departure is
-    small beside its travel, what it departs from the nominal one by."""
-    channel = worst_channels(series)[0]
+    """The worst channel as it was measured and as the link makes it, around the contact, in its worst run."""
+    figure, axes = new_figure(9.0, 3.2)
+    plot_channel(series, compared, None, axes)
+    return figure
+
+
+def plot_channel(series: Sequence[Series], compared: str, channel: str | None, axes: Axes | None) -> Axes:
+    """A channel (left out: the worst) around the contact, in its worst run; of a pose, whose departure is small beside its travel, what it
+    departs from the nominal one by.
+
+    Raises:
+        InputError: no such channel.
+    """
+    channels = list(dict.fromkeys(s.channel for s in series))
+    if not channels or (channel is not None and channel not in channels):
+        raise InputError(f"plot: no channel {channel or ''!r}; allowed are {', '.join(channels) or 'none: no link could be judged'}")
+    channel = channel or worst_channels(series)[0]
     s = next(x for x in series if x.channel == channel and x.run == worst_run(series, channel))
+    if axes is None:
+        import matplotlib.pyplot as plt
+
+        _, axes = plt.subplots(figsize=(9.0, 3.2), layout="constrained")
     pose = channel.startswith("pose")
     rows, less, factor = _around_contact(s), s.nominal if pose else np.zeros(len(s.t)), 1e3 if pose else 1.0
-    figure, axes = new_figure(9.0, 3.2)
     _shade(axes, s)
     axes.plot(s.t[rows], factor * (s.measured - less)[rows], color=MEASURED, lw=2.4, alpha=0.35, label="measured")
     axes.plot(s.t[rows], factor * (s.nominal - less)[rows], color=NOMINAL, lw=1.2, label="nominal")
@@ -76,7 +94,7 @@ def channel_over_time(series: Sequence[Series], compared: str) -> Figure:
     unit = f"m{s.unit}" if pose else s.unit
     axes.set(xlabel="time [s]", ylabel=f"{channel}{', less nominal' if pose else ''}\nrun {s.run} [{unit}]")
     axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), fontsize=8, ncols=3, frameon=False)
-    return figure
+    return axes
 
 
 def force_against_penetration(series: Sequence[Series], dataset: MeasuredDataset, compared: str) -> Figure | None:
@@ -159,12 +177,13 @@ def learned_curves(learned: Learned) -> Figure:
     over = {
         "penetration": ("penetration", "force added"), "rate": ("rate", "force added"), "stretch": ("stretch of the slider", "force added"),
         "spring": ("penetration", "part of the spring added"), "spring_rate": ("rate", "part of the spring added"),
-        "reading": ("felt", "shown"),
+        "reading": ("felt", "shown"), "step": ("time since a step of the command", "part that is reached"),
     }  # fmt: skip
     figure, grid = new_figure(3.3 * len(learned.curves) + 0.6, 3.2, nrows=1, ncols=len(learned.curves), squeeze=False)
     for axes, curve in zip(grid[0], learned.curves, strict=True):
         factor, unit = (1e3, f"m{curve.units[0]}") if curve.units[0].startswith("m") else (1.0, curve.units[0])
-        axes.plot(factor * curve.data[:, 0], curve.data[:, 1], ".", ms=1.5, color=MEASURED, alpha=0.3, label="data")
+        if len(curve.data):
+            axes.plot(factor * curve.data[:, 0], curve.data[:, 1], ".", ms=1.5, color=MEASURED, alpha=0.3, label="data")
         axes.plot(factor * curve.knots[:, 0], curve.knots[:, 1], "o-", ms=4, color=EXTENDED, lw=1.4, label="learned")
         x, y = over.get(curve.over, (curve.over, learned.effect))
         axes.set(xlabel=f"{x} [{unit}]", ylabel=f"{y} [{curve.units[1]}]")

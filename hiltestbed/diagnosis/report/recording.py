@@ -1,4 +1,5 @@
-"""recording.rrd of a diagnosis: every run's signals, measured, nominal and extended, on one timeline, and what each link leaves."""
+"""recording.rrd of a diagnosis: every run's signals, measured, nominal and extended, on one timeline, what each link leaves, the causes
+in words, and the rig as it moved in the run that the nominal model misses most."""
 
 from __future__ import annotations
 
@@ -11,12 +12,16 @@ import rerun.blueprint as rrb
 
 from hiltestbed.diagnosis.report.closed_loop import Played
 from hiltestbed.diagnosis.report.evidence import in_sigma
+from hiltestbed.diagnosis.report.extend import in_words
 from hiltestbed.diagnosis.report.pictures import worst_channels, worst_run
-from hiltestbed.diagnosis.report.sentence import gain_sentence, verdict_sentence
+from hiltestbed.diagnosis.report.sentence import TITLES, gain_sentence, verdict_sentence
 from hiltestbed.diagnosis.result import Diagnosis
 from hiltestbed.frames import Array
 from hiltestbed.measured import MeasuredRun
 from hiltestbed.viewer import colors
+from hiltestbed.viewer.blueprint import rig_view
+from hiltestbed.viewer.forces import force_scale, send_force
+from hiltestbed.viewer.rig import CONTACT_FORCE, RigScene
 
 MEASURED, NOMINAL, EXTENDED = colors.MEASURED, colors.PHYSICAL, colors.USED
 SIGNALS = {  # entity: group, part, factor to the unit shown, title
@@ -28,6 +33,7 @@ SIGNALS = {  # entity: group, part, factor to the unit shown, title
 }
 IN_VIEW = ("pose_cmd_z", "pose_act_z", "force_z")
 RESIDUAL = "residual"
+FRAMES = 120.0  # [Hz] of the rig's poses
 DATA = "data"  # the measured curve: entities are drawn in the order of their names, and this one lies broad underneath
 
 
@@ -42,13 +48,61 @@ def write_diagnosis_recording(path: Path, diagnosis: Diagnosis) -> None:
         with rr.RecordingStream("hiltestbed", recording_id=f"diagnosis-{diagnosis.name}", send_properties=False) as rec:
             rec.save(path, default_blueprint=_layout(diagnosis, channels))
             rec.send_recording_name(f"diagnosis of {diagnosis.name}")
-            text = f"# {diagnosis.verdict}\n\n{verdict_sentence(diagnosis)}\n\n{gain_sentence(diagnosis.heldout, diagnosis.finding.names)}"
-            rec.log("verdict", rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), static=True)
+            rec.log("verdict", rr.TextDocument(_words(diagnosis), media_type=rr.MediaType.MARKDOWN), static=True)
             for i, (run, played) in enumerate(zip(diagnosis.dataset.runs, diagnosis.played, strict=True)):
                 _signals(rec, i, run, played, diagnosis.finding.extends)
             _residuals(rec, diagnosis, channels)
+            _rig(rec, diagnosis.dataset.runs[_first(diagnosis, channels)])
     except RuntimeError as error:  # how rerun reports that its writer has failed
         raise OSError(errno.EIO, f"the recording could not be written ({error}); is the disk full?", str(path)) from error
+
+
+def _words(diagnosis: Diagnosis) -> str:
+    """Verdict, causes, gain, next experiment: Markdown."""
+    lines = [f"# {TITLES[diagnosis.verdict].capitalize()}", "", verdict_sentence(diagnosis), ""]
+    rows = [
+        f"| {cause.effect} | {name} | {in_words(p)} | {cause.probability:.2f} |"
+        for cause in diagnosis.causes
+        for name, p in cause.parameters.items()
+    ]
+    if rows:
+        lines += ["## Causes", "", "| effect | parameter | estimate (95 %) | probability |", "|---|---|---|---:|", *rows, ""]
+    lines += ["## Gain", "", gain_sentence(diagnosis.heldout, diagnosis.finding.names), ""]
+    return "\n".join([*lines, "## Next experiment", "", diagnosis.next_experiment or "Nothing is open that another run would settle."])
+
+
+def _first(diagnosis: Diagnosis, channels: list[str]) -> int:
+    """The run that the nominal simulation misses most."""
+    return worst_run(diagnosis.finding.series, channels[0]) if channels else 0
+
+
+def _rig(rec: rr.RecordingStream, run: MeasuredRun) -> None:
+    """The rig in a run, where it was measured to be, or commanded where that was not measured; the force that was measured as an arrow."""
+    pose, force = _motion(run)
+    if pose is None:
+        return
+    t = run.record.t
+    rows = np.unique(np.round(np.arange(0.0, len(t), max(run.scenario.rate / FRAMES, 1.0))).astype(np.intp).clip(max=len(t) - 1))
+    scene, time = RigScene(run.scenario), rr.TimeColumn("time", duration=t[rows])
+    scene.draw(rec)
+    scene.move(rec, time, pose[rows], scene.port_poses(run.scenario, rows, pose, pose[rows]))
+    touching = np.zeros(len(t), dtype=bool)
+    for c in run.survey.contacts:
+        touching[c.start : c.end] = True
+    send_force(rec, CONTACT_FORCE, time, force[rows], pose[rows], touching[rows], _scale(force))
+
+
+def _motion(run: MeasuredRun) -> tuple[Array | None, Array]:
+    """``(ticks, 7)`` pose of A in P, None where none was measured, and ``(ticks, 6)`` wrench, zero where none was."""
+    record = run.record
+    group = next((g for g in ("pose_act", "pose_cmd") if record.has(g)), None)
+    force = record.filled("wrench_meas") if record.has("wrench_meas") else np.zeros((record.ticks, 6))
+    return (record.filled(group) if group else None), force
+
+
+def _scale(force: Array) -> float:
+    """[m/N] of the arrow."""
+    return force_scale(float(np.linalg.norm(force[:, :3], axis=1).max(initial=0.0)))
 
 
 def _signals(rec: rr.RecordingStream, i: int, run: MeasuredRun, played: Played, extends: bool) -> None:
@@ -92,13 +146,18 @@ def _entity(channel: str) -> str:
 
 
 def _layout(diagnosis: Diagnosis, channels: list[str]) -> rrb.Blueprint:
-    """A tab for each run; it opens on the run that the nominal simulation misses most."""
-    series = diagnosis.finding.series
-    tabs = [_run_tab(i, run, channels) for i, run in enumerate(diagnosis.dataset.runs)]
-    first = worst_run(series, channels[0]) if channels else 0
-    verdict = rrb.TextDocumentView(name="Verdict", origin="verdict")
+    """A tab for each run, open on the run that the nominal simulation misses most; beside it the rig in that run, and what was found."""
+    first = _first(diagnosis, channels)
+    tabs = rrb.Tabs(*(_run_tab(i, run, channels) for i, run in enumerate(diagnosis.dataset.runs)), active_tab=first)
+    words = rrb.TextDocumentView(name="What was found", origin="verdict")
+    run = diagnosis.dataset.runs[first]
+    pose, force = _motion(run)
+    if pose is None:
+        beside = words
+    else:
+        beside = rrb.Vertical(rig_view(run.scenario, f"The rig in run {first}, as measured", _scale(force)), words, row_shares=[1.2, 1.0])
     return rrb.Blueprint(
-        rrb.Horizontal(rrb.Tabs(*tabs, active_tab=first), verdict, column_shares=[3.0, 1.0]),
+        rrb.Horizontal(tabs, beside, column_shares=[1.5, 1.0]),
         rrb.TimePanel(timeline="time", state="collapsed"),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),

@@ -12,6 +12,14 @@ if TYPE_CHECKING:
     from hiltestbed.diagnosis.learned_law import Learned
     from hiltestbed.diagnosis.result import Cause, Diagnosis, Heldout
 
+TITLES = {
+    "no_discrepancy": "the simulation holds",
+    "named": "the cause is named",
+    "ambiguous": "one of a few causes",
+    "named_in_part": "a departure that is named in part",
+    "unknown": "a departure without a name",
+    "inconclusive": "not all of the loop could be judged",
+}
 WHERE = {
     "platform": "the motion platform (pose commanded to pose reached)",
     "contact": "the contact (pose reached to force measured)",

@@ -61,7 +61,7 @@ class PlatformFriction(Effect):
     @classmethod
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:
         few = list(np.geomspace(5e-6, 8e-4, 6))
-        for instants in dict.fromkeys((scales.substeps, FINE)):
+        for instants in scales.sticks or dict.fromkeys((scales.substeps, FINE)):
             yield candidate(cls, {"stick": list(scales.sticks.get(instants, few))}, variant={"instants": instants})
 
 

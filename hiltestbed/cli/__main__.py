@@ -1,0 +1,5 @@
+"""`python -m hiltestbed.cli`."""
+
+from hiltestbed.cli.program import main
+
+main()

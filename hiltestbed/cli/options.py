@@ -1,0 +1,61 @@
+"""What the commands share: their options, and how a scenario is read."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from hiltestbed.errors import InputError
+
+if TYPE_CHECKING:
+    from hiltestbed.scenario import Scenario
+
+Out = Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Folder to write; left out: runs/NAME.")]
+Sets = Annotated[
+    list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Override a key: approach.velocity.2=0.05 (repeatable).")
+]
+Json = Annotated[bool, typer.Option("--json", help="One JSON object on standard output, and nothing else there.")]
+
+
+def complete(incomplete: str) -> list[str]:
+    """Shipped scenarios and campaigns, and files, that begin like that: for a shell."""
+    from hiltestbed.gallery import campaign_names, scenario_names
+
+    files = [str(path) for path in Path().glob("*.yaml")]
+    return [name for name in (*files, *scenario_names(), *campaign_names()) if name.startswith(incomplete)]
+
+
+def overrides(sets: list[str] | None) -> dict[str, Any]:
+    """`["a.b=1"]` as `{"a.b": "1"}`. Raises InputError for what has no `=`."""
+    result = {}
+    for item in sets or []:
+        key, sign, value = item.partition("=")
+        if not sign or not key.strip():
+            raise InputError(f"--set {item}: is not KEY=VALUE (got {item!r}); write for example --set sensor.delay=0.005")
+        result[key.strip()] = value
+    return result
+
+
+def read_scenario(file: Path, sets: list[str] | None, case: int | None = None) -> Scenario:
+    """The scenario in a file, or of one case of the campaign in it; another kind of file is named, not taken for a faulty scenario."""
+    from hiltestbed.check import file_kind
+    from hiltestbed.gallery import campaign_names, find_scenario, refuse_unknown, scenario_names
+    from hiltestbed.scenario import scenario_from
+    from hiltestbed.yaml_source import read_source
+
+    refuse_unknown(file, scenario_names() if case is None else campaign_names())
+    source = read_source(find_scenario(file))
+    kind = file_kind(source)
+    if kind == "campaign" and case is not None:
+        from hiltestbed.campaign.schema import campaign_from
+        from hiltestbed.campaign.sweep import case_scenario
+
+        return case_scenario(campaign_from(source), case, overrides(sets))
+    if case is not None:
+        raise InputError(source.fault((), f"is a {kind} (got its keys); --case is for campaigns"))
+    if kind != "scenario":
+        other = {"campaign": "sweep FILE` or `hiltestbed run FILE --case N", "dataset": "diagnose FILE"}[kind]
+        raise InputError(source.fault((), f"is a {kind} (got its keys); a scenario is expected here; for a {kind}: `hiltestbed {other}`"))
+    return scenario_from(source, overrides(sets))

@@ -1,0 +1,114 @@
+"""The program: its commands together, what holds for all of them, and what becomes of errors."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import sys
+from typing import Annotated
+
+import typer
+
+from hiltestbed import interrupt
+from hiltestbed.cli import devices, scenarios, studies
+from hiltestbed.errors import HiltestbedError, InputError, printable
+
+app = typer.Typer(
+    help="A hardware-in-the-loop contact simulator for spacecraft docking, in software.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+)
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        from importlib.metadata import version
+
+        typer.echo(f"hiltestbed {version('hiltestbed')}")
+        raise typer.Exit
+
+
+@app.callback()
+def _root(
+    version: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version.")] = False,
+    plugin: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--plugin",
+            metavar="MODULE",
+            help="Load effects, methods, mechanisms or platforms of your own: a module, or a .py file (repeatable, with every command).",
+        ),
+    ] = None,
+) -> None:
+    if plugin and not {"--help", "-h"} & set(sys.argv):
+        from hiltestbed import plugins
+
+        plugins.load(plugin)
+
+
+for group in (scenarios, studies, devices):
+    app.add_typer(group.app)
+
+
+def _fail(error: BaseException, text: str, status: int) -> int:
+    """Says what went wrong on standard error; with --json on standard output too, as the one object there."""
+    if "--json" in sys.argv:
+        faults = [vars(fault) for fault in error.faults] if isinstance(error, InputError) else []
+        print(json.dumps({"status": "error", "exit_status": status, "error": text, "faults": faults}))
+    print(printable(text), file=sys.stderr)
+    return status
+
+
+def main() -> None:
+    """Entry point: runs a command and turns what goes wrong into a message and an exit status."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # a terminal without UTF-8 gets a mark in place of what it cannot show
+            stream.reconfigure(errors="replace")
+    try:
+        status = _run()
+        sys.stdout.flush()
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # the interpreter flushes once more at exit
+        status = 1
+    sys.exit(status)
+
+
+def _plugins_first(arguments: list[str]) -> list[str]:
+    """The arguments with every ``--plugin MODULE`` at their head, where the program takes it: it may stand behind any command."""
+    ahead, rest = [], []
+    waiting = iter(arguments)
+    for argument in waiting:
+        if argument == "--":
+            rest += [argument, *waiting]
+        elif argument == "--plugin":
+            ahead += [argument, *([following] if (following := next(waiting, None)) is not None else [])]
+        elif argument.startswith("--plugin="):
+            ahead.append(argument)
+        else:
+            rest.append(argument)
+    return [*ahead, *rest]
+
+
+def _run() -> int:
+    interrupt.install()
+    try:
+        app(_plugins_first(sys.argv[1:]))
+    except SystemExit as ended:  # what typer ends with: 2 for a wrong call, 130 after Ctrl-C
+        return ended.code if ended.code in (0, 1, 2, 3) else int(ended.code is not None)  # type: ignore[return-value]
+    except HiltestbedError as error:
+        return _fail(error, str(error), error.exit_status)
+    except KeyboardInterrupt as error:
+        return _fail(error, "interrupted", 1)
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        where = f"{error.filename}: " if error.filename else ""
+        return _fail(error, f"{where}{error.strerror or error}", 1)
+    except (ImportError, RuntimeError, SystemError) as error:
+        if not interrupt.asked():
+            raise
+        return _fail(error, "interrupted", 1)
+    except MemoryError as error:
+        return _fail(error, "out of memory; a shorter duration or a lower rate needs less", 1)
+    return 0

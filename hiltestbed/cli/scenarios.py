@@ -1,0 +1,206 @@
+"""The commands on one scenario, its files and its run: `hiltestbed run | check | rig | view | compare | new | doctor | schema`."""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from hiltestbed.cli.options import Json, Out, Sets, complete, read_scenario
+from hiltestbed.errors import InputError, printable
+from hiltestbed.folders import free_folder, safe_name
+
+app = typer.Typer()
+
+
+@app.command()
+def run(
+    scenario: Annotated[
+        Path, typer.Argument(metavar="SCENARIO", help="Scenario file, or the name of a shipped one.", autocompletion=complete)
+    ],
+    out: Out = None,
+    sets: Sets = None,
+    no_rerun: Annotated[bool, typer.Option("--no-rerun", help="Leave recording.rrd out.")] = False,
+    as_json: Json = False,
+    case: Annotated[int | None, typer.Option("--case", metavar="N", help="Run case N of a campaign in full.")] = None,
+) -> None:
+    """Run one scenario, or one case of a campaign, and write its run folder.
+
+    hiltestbed run 04-bumper-delay-compensated
+
+    hiltestbed run my-rig.yaml --set sensor.delay=0.010 --out runs/late
+    """
+    start = time.monotonic()
+    from hiltestbed.progress import progress_bar
+
+    spec = read_scenario(scenario, sets, case)
+    label = spec.name if case is None else f"{scenario.stem}-case-{case}"
+    folder = out if out is not None else free_folder(Path("runs") / safe_name(label))
+
+    from hiltestbed.recording import refuse_foreign, write_run
+    from hiltestbed.simulation import run as simulate
+
+    refuse_foreign(folder)
+    from hiltestbed.budget import refuse_beyond, run_budget
+    from hiltestbed.sense import warnings
+
+    refuse_beyond(run_budget([spec]), spec.name, "a shorter duration, a lower rate or shorter delays need less", folder)
+    for warning in warnings(spec):
+        print(printable(f"{spec.name}: warning: {warning}"), file=sys.stderr)
+
+    from hiltestbed.kernels import compiled
+
+    if not compiled():
+        print("compiling the inner loops: once after the install, half a minute or so", file=sys.stderr)
+    with progress_bar(spec.name, spec.duration) as progress:
+        result = simulate(spec, progress=progress)
+    write_run(result, folder, rerun=not no_rerun)
+    if as_json:
+        print(json.dumps(result.summary | {"folder": str(folder)}, allow_nan=False))
+    else:
+        from hiltestbed.table import print_run
+
+        print_run(result.summary, folder, not no_rerun, time.monotonic() - start)
+    if result.summary["status"] != "completed":
+        print(
+            printable(f"{spec.name}: {result.summary['status']}: {result.summary['stop_reason']}; its state lies in {folder}"),
+            file=sys.stderr,
+        )
+        raise typer.Exit(3)
+
+
+@app.command()
+def check(
+    files: Annotated[list[Path], typer.Argument(metavar="FILE ...", help="Scenarios, campaigns and datasets.")], as_json: Json = False
+) -> None:
+    """Validate files: every fault at once, with file, line and column; the data of a dataset are opened and checked, too."""
+    from hiltestbed.check import look_at
+    from hiltestbed.gallery import find_scenario
+    from hiltestbed.stability import stability_of_file
+
+    paths = [find_scenario(file) for file in files]
+    found = [(file, look_at(path)) for file, path in zip(files, paths, strict=True)]
+    stable = [
+        stability_of_file(path) if one.kind == "scenario" and not one.faults else None
+        for path, (_, one) in zip(paths, found, strict=True)
+    ]  # fmt: skip
+    if as_json:
+        rows = [
+            {
+                "file": str(file), "kind": one.kind, "faults": [vars(fault) for fault in one.faults], "remarks": list(one.remarks),
+                "budget": vars(one.budget) if one.budget else None,
+            } | ({"stability": judged} if judged else {})
+            for (file, one), judged in zip(found, stable, strict=True)
+        ]  # fmt: skip
+        print(json.dumps({"valid": not any(one.faults for _, one in found), "files": rows}))
+    else:
+        for (file, one), judged in zip(found, stable, strict=True):
+            print("\n".join(str(fault) for fault in one.faults) if one.faults else f"{file}: {one.kind}: no faults")
+            print(printable("".join(f"{file}: {remark}\n" for remark in one.remarks)), end="")
+            print(f"{file}: needs {one.budget}\n" if one.budget else "", end="")
+            print(f"{file}: {judged['verdict']}\n" if judged else "", end="")
+    if any(one.faults for _, one in found):
+        raise typer.Exit(2)
+
+
+@app.command()
+def rig(
+    scenario: Annotated[Path, typer.Argument(metavar="SCENARIO", help="Scenario file, or the name of a shipped one.")],
+    out: Out = None,
+    sets: Sets = None,
+    as_json: Json = False,
+) -> None:
+    """Measure the rig of a scenario: workspace, bandwidth and delay in six axes, modes, dynamic stiffness; in pictures and a JSON file."""
+    from hiltestbed.platform.rig_report import RIG, measure_rig, write_rig
+    from hiltestbed.progress import count_bar
+    from hiltestbed.recording import refuse_foreign
+
+    spec = read_scenario(scenario, sets)
+    folder = out if out is not None else free_folder(Path("runs") / f"rig-{safe_name(spec.name)}")
+    refuse_foreign(folder, RIG)
+    with count_bar(f"rig {spec.name}") as progress:
+        figures = measure_rig(spec, progress)
+    write_rig(figures, folder)
+    if as_json:
+        print(json.dumps(figures.to_json() | {"folder": str(folder)}, allow_nan=False))
+    else:
+        from hiltestbed.table import print_lines
+
+        print_lines(f"rig of {spec.name}", figures.lines(), folder)
+
+
+@app.command()
+def view(run: Annotated[Path, typer.Argument(metavar="RUN", help="A run folder, or a recording.")]) -> None:
+    """Open a run in the rerun viewer."""
+    from hiltestbed.viewer import view as show
+
+    show(run)
+
+
+@app.command()
+def compare(
+    runs: Annotated[list[Path], typer.Argument(metavar="RUN RUN ...", help="Run folders.")],
+    out: Annotated[Path | None, typer.Option("--out", metavar="FILE", help="Write the comparison as an HTML page, too.")] = None,
+    as_json: Json = False,
+) -> None:
+    """Put runs side by side: what differs in their scenarios, and what that did to the figures.
+
+    hiltestbed compare runs/late runs/right --out both.html
+    """
+    from hiltestbed.comparison import compare as side_by_side
+    from hiltestbed.comparison import write_comparison
+
+    result = side_by_side(list(runs))
+    if out is not None:
+        write_comparison(result, out)
+    if as_json:
+        print(json.dumps({"runs": list(result.names), "differences": result.differences, "figures": result.figures}, allow_nan=False))
+    else:
+        from hiltestbed.table import print_comparison
+
+        print_comparison(result.names, result.rows(), out)
+
+
+@app.command()
+def new(
+    name: Annotated[str, typer.Argument(metavar="NAME", help="Name of the scenario; NAME.yaml is written.")],
+    as_json: Json = False,
+) -> None:
+    """Write a commented scenario to start from."""
+    from hiltestbed.template import write_template
+
+    path = write_template(name)
+    if as_json:
+        print(json.dumps({"file": str(path)}))
+    else:
+        print(f"{path}: written; next: hiltestbed check {path} && hiltestbed run {path}")
+
+
+@app.command()
+def doctor(as_json: Json = False) -> None:
+    """Say what this installation has: versions, extras, cores, viewer, compiled kernels. Status 1 where something needed is missing."""
+    from hiltestbed.doctor import examine
+
+    found = examine()
+    if as_json:
+        print(json.dumps({"healthy": all(f.good for f in found if f.needed), "findings": [vars(f) for f in found]}))
+    else:
+        from hiltestbed.table import print_doctor
+
+        print_doctor(found)
+    if not all(f.good for f in found if f.needed):
+        raise typer.Exit(1)
+
+
+@app.command()
+def schema(kind: Annotated[str, typer.Argument(metavar="[scenario|campaign|dataset]", help="Which kind of file.")] = "scenario") -> None:
+    """Print the JSON Schema of a kind of file."""
+    from hiltestbed.check import KINDS, json_schema
+
+    if kind not in KINDS:
+        raise InputError(f"schema: unknown kind of file (got {kind!r}); allowed: {', '.join(KINDS)}")
+    print(json.dumps(json_schema(kind), indent=2))

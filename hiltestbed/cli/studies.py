@@ -1,0 +1,148 @@
+"""The commands that take many runs: `hiltestbed bench | sweep | diagnose`."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from hiltestbed.cli.options import Json, Out, Sets, overrides
+from hiltestbed.errors import HiltestbedError, InputError
+from hiltestbed.folders import free_folder, safe_name
+
+app = typer.Typer()
+
+BENCHES = {  # name to the module whose function of that name measures
+    "cor": "hiltestbed.bench.cor",
+    "diagnosis": "hiltestbed.bench.diagnosis",
+    "facilities": "hiltestbed.bench.facilities",
+    "identification": "hiltestbed.bench.identification",
+    "realtime": "hiltestbed.bench.realtime",
+    "robustness": "hiltestbed.bench.robustness.run",
+    "throughput": "hiltestbed.bench.throughput",
+}
+
+
+@app.command()
+def bench(
+    name: Annotated[str, typer.Argument(metavar="|".join(BENCHES), help="Which benchmark.")],
+    out: Out = None,
+    quick: Annotated[bool, typer.Option("--quick", help="A smaller grid.")] = False,
+    noise: Annotated[bool, typer.Option("--noise", help="diagnosis: healthy rigs under every kind of noise alone.")] = False,
+    docking: Annotated[bool, typer.Option("--docking", help="diagnosis: the docking sets alone.")] = False,
+    minutes: Annotated[float | None, typer.Option("--for", metavar="MINUTES", min=0.01, help="robustness: how long to go on.")] = None,
+    workers: Annotated[int | None, typer.Option("--workers", min=1, help="robustness: processes, else one a core.")] = None,
+    as_json: Json = False,
+) -> None:
+    """Run a benchmark and write its bench.json and report.html.
+
+    hiltestbed bench cor --quick --plugin my_method.py
+    """
+    from importlib import import_module
+
+    if name not in BENCHES:
+        raise InputError(f"bench: unknown benchmark (got {name!r}); allowed: {', '.join(BENCHES)}")
+    chosen = {option: True for option, given in (("noise", noise), ("docking", docking)) if given}
+    if chosen and name != "diagnosis":
+        raise InputError(f"bench {name}: --{next(iter(chosen))} is an option of bench diagnosis alone; leave it out")
+    if (minutes is not None or workers is not None) and name != "robustness":
+        raise InputError(f"bench {name}: --for and --workers are options of bench robustness alone; leave them out")
+    from hiltestbed.bench.result import BENCH, write_bench
+    from hiltestbed.progress import count_bar
+    from hiltestbed.recording import refuse_foreign
+
+    folder = out if out is not None else free_folder(Path("runs") / f"bench-{name}")
+    refuse_foreign(folder, BENCH)
+    with count_bar(f"bench {name}") as progress:
+        more: dict[str, Any] = {k: v for k, v in (("minutes", minutes), ("workers", workers)) if v is not None}
+        result = getattr(import_module(BENCHES[name]), name)(quick=quick, progress=progress, **chosen, **more)
+    write_bench(result, folder)
+    if as_json:
+        print(json.dumps({"name": name, "folder": str(folder), "summary": result.summary}, allow_nan=False))
+    else:
+        from hiltestbed.table import print_lines
+
+        print_lines(f"bench {name}", result.lines, folder)
+
+
+@app.command()
+def sweep(
+    campaign: Annotated[Path, typer.Argument(metavar="CAMPAIGN", help="Campaign file.")],
+    out: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Folder of the results; left out: results/NAME.")] = None,
+    sets: Sets = None,
+    workers: Annotated[int | None, typer.Option("--workers", metavar="N", help="Processes on this machine; left out: one a core.")] = None,
+    scheduler: Annotated[str | None, typer.Option("--scheduler", metavar="ADDRESS", help="Dask scheduler, tcp://host:8786.")] = None,
+    chunk: Annotated[int, typer.Option("--chunk", metavar="N", help="Cases in lockstep, and on disk, at a time.")] = 64,
+    as_json: Json = False,
+) -> None:
+    """Run a campaign; run again with the same --out, it goes on where it stopped.
+
+    hiltestbed sweep delay-stiffness --out results/map
+
+    hiltestbed sweep mine.yaml --set design.cases=256 --workers 4
+    """
+    from hiltestbed.campaign.schema import load_campaign
+    from hiltestbed.campaign.sweep import default_folder
+    from hiltestbed.campaign.sweep import sweep as run_sweep
+    from hiltestbed.gallery import campaign_names, find_scenario, refuse_unknown
+    from hiltestbed.kernels import cores
+    from hiltestbed.progress import case_bar
+
+    if workers is not None and scheduler is not None:
+        raise InputError("--workers is for this machine and --scheduler for a cluster; allowed is one of the two")
+    refuse_unknown(campaign, campaign_names())
+    spec = load_campaign(find_scenario(campaign), overrides(sets))
+    folder = out if out is not None else default_folder(spec)
+    workers = workers if workers is not None else cores()
+    from hiltestbed.budget import campaign_budget, refuse_beyond
+
+    budget = campaign_budget(spec, max(workers, 1), max(chunk, 1))
+    refuse_beyond(budget, str(campaign), "fewer cases, keep: summary, fewer --workers or a smaller --chunk need less", folder)
+    try:
+        with case_bar() as progress:
+            result = run_sweep(spec, folder, workers=workers, scheduler=scheduler, chunk=chunk, progress=progress)
+    except KeyboardInterrupt:
+        raise HiltestbedError(f"interrupted; what is finished lies in {folder}, the same command goes on from there") from None
+    if as_json:
+        print(json.dumps(result.about | {"folder": str(folder)}, allow_nan=False))
+    else:
+        from hiltestbed.table import print_sweep
+
+        print_sweep(result.about, folder)
+
+
+@app.command()
+def diagnose(
+    dataset: Annotated[Path, typer.Argument(metavar="DATASET", help="Dataset file: a scenario and the measured runs.")],
+    out: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Folder to write; left out: runs/diagnosis-NAME.")] = None,
+    as_json: Json = False,
+) -> None:
+    """Measured data against the simulation: what departs, why, and what is gained.
+
+    hiltestbed check dataset.yaml && hiltestbed diagnose dataset.yaml --out results/mine
+    """
+    from hiltestbed.diagnosis.diagnose import diagnose as run_diagnosis
+    from hiltestbed.diagnosis.report.folder import DIAGNOSIS
+    from hiltestbed.progress import step_line
+    from hiltestbed.recording import refuse_foreign
+
+    label = dataset.stem if dataset.stem != "dataset" else dataset.resolve().parent.name
+    folder = out if out is not None else free_folder(Path("runs") / f"diagnosis-{safe_name(label)}")
+    refuse_foreign(folder, DIAGNOSIS)
+    from hiltestbed.budget import dataset_budget, refuse_beyond
+    from hiltestbed.dataset import load_dataset as load_specification
+
+    loaded = load_specification(dataset)
+    refuse_beyond(dataset_budget(loaded), str(dataset), "fewer or shorter runs need less", folder)
+    with step_line(label) as progress:
+        result = run_diagnosis(loaded, progress)
+        progress("report and recording")
+        result.write(folder)
+    if as_json:
+        print(json.dumps(result.to_json() | {"folder": str(folder)}, allow_nan=False))
+    else:
+        from hiltestbed.table import print_diagnosis
+
+        print_diagnosis(result.to_json(), folder)

@@ -1,0 +1,46 @@
+"""What was found in fewer rows, on all rows: the estimates and what can be told apart are those of the whole record.
+
+A mean over a block of rows rounds off the instants at which a contact begins and ends, by which a late reading is told from one that was
+stamped late, and a late force from a smooth one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from hiltestbed.diagnosis.adequacy import JITTER, contact_leftovers
+from hiltestbed.diagnosis.fit import fit, inflation, nothing, refit
+from hiltestbed.diagnosis.heldout import placebo_of
+from hiltestbed.diagnosis.links import WrenchLink
+from hiltestbed.diagnosis.residual import Residual
+from hiltestbed.diagnosis.search import Explanation, first_of_each, with_rivals
+from hiltestbed.diagnosis.settings import CLOSE_BY, PARTNERS
+
+
+def on_all_rows(found: Explanation, link: WrenchLink) -> Explanation:
+    """``found`` and what came near it, fitted again on ``link``; itself where it does not explain all rows."""
+    chosen = found.chosen
+    if not (found.departs and found.adequate and chosen.causes) or JITTER in chosen.kinds:
+        return found
+    residual = Residual(link).wary(chosen.effects())
+    pool = sorted((f for f in (*found.singles, *found.more) if len(f.causes) == len(chosen.causes)), key=lambda f: f.score)
+    near = [f for f in first_of_each(pool, "kinds") if f.score - chosen.score < CLOSE_BY * inflation(chosen) and JITTER not in f.kinds]
+    fits = sorted((refit(residual, f) for f in near[:PARTNERS]), key=lambda f: f.score) or [refit(residual, chosen)]
+    best = fits[0]
+    leftovers = contact_leftovers(residual, best.effects())
+    if not all(left.noise for left in leftovers.values()):
+        return found
+    fewer = [fit(residual, causes, [theta], tries=1) for causes, theta in map(best.without, range(len(best.causes))) if causes]
+    placebo = placebo_of(found.singles, best)
+    result = replace(
+        found,
+        residual=residual,
+        null=nothing(residual),
+        chosen=best,
+        leftovers=leftovers,
+        before=contact_leftovers(residual, ()),
+        singles=tuple(refit(residual, f) for f in [placebo] if f is not None),
+        more=(*fits, *fewer),
+        rivals=(),
+    )
+    return with_rivals(result, contact_leftovers)

@@ -1,0 +1,50 @@
+"""Results of a diagnosis as plain data and short words."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from hiltestbed.diagnosis.result import Cause, Parameter
+
+LINK_NAMES = {"platform": "platform", "wrench": "contact and sensor", "compensation": "compensation", "dynamics": "numerical model"}
+
+
+def cause_json(cause: Cause) -> dict[str, Any]:
+    """A cause as it stands in diagnosis.json."""
+    return {
+        "effect": cause.effect,
+        "parameters": {name: vars(p) for name, p in cause.parameters.items()},
+        "probability": cause.probability,
+        "indistinguishable_from": list(cause.indistinguishable_from),
+    }
+
+
+def finite(value: Any) -> Any:
+    """Plain data for JSON: tuples and arrays as lists, numbers of NumPy as Python's, what is not finite as None."""
+    if isinstance(value, Mapping):
+        return {str(k): finite(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple, np.ndarray)):
+        return [finite(v) for v in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def plain(value: Any) -> Any:
+    """A vector as a list, as YAML takes it."""
+    return list(value) if isinstance(value, tuple) else value
+
+
+def told(parameter: Parameter) -> str:
+    """An estimate with its interval, where it is one number."""
+    estimate, interval = parameter.estimate, parameter.ci95
+    if not isinstance(estimate, float) or not interval or isinstance(interval[0], tuple) or isinstance(interval[1], tuple):
+        return str(estimate)
+    return f"{estimate:.4g} ({', '.join('open' if end is None else f'{end:.4g}' for end in interval)})"

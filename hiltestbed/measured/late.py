@@ -1,0 +1,81 @@
+"""Poses and forces that are late in the record alone: what no late platform and no late sensor shows.
+
+A platform that is late takes the contact with it: the force comes when the pose that is on record makes it. A pose that was stamped late
+has the force before it, which nothing between contact and sensor can make. A sensor that is late delays what the loop answers to; a force
+that was stamped late is answered before it is on record: bodies that float freely have moved by then.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.signal import savgol_filter
+
+from hiltestbed.contact.latch import latch_limits
+from hiltestbed.contact.mount_dynamics import MountDynamics
+from hiltestbed.contact.parameters import believed_contacts, contact_rows
+from hiltestbed.contact.sides import sides_of
+from hiltestbed.frames import Array, pose_step
+from hiltestbed.log import log_parameters
+from hiltestbed.measured.record import Record
+from hiltestbed.measured.survey import Survey
+from hiltestbed.numerical_model.bodies import approach_state
+from hiltestbed.replay import Felt, creep_of, replay_wrench
+from hiltestbed.replay.wrench import Lane
+from hiltestbed.scenario import Scenario
+from hiltestbed.sensor.parameters import SensorParameters
+
+FURTHEST = 40  # rows that a shift is looked for
+LEFT = 0.1  # part of the misfit that may be left once the shift is taken back
+CLEAR = 20.0  # noise floors of the force, that the misfit has to be worth, all rows together
+SMOOTHING = 11  # rows, of pose and force alike: a contact is fitted that both show in the same way
+
+
+def force_leads(record: Record, found: Survey, scenario: Scenario) -> int:
+    """Whole rows by which wrench_meas shows the contact earlier than the pose on record makes it; 0 where it does not, or none can tell.
+
+    Stiffness and damping are free: more damping leads as well, but not before the touch.
+    """
+    if not (found.contacts and record.has("pose_act") and record.has("wrench_meas.fz") and record.valid["pose_act"].all()):
+        return 0
+    if not sides_of(scenario.mechanism).rigid or record.ticks < 4 * FURTHEST:
+        return 0
+    spring, both = _felt(record, scenario)
+    names = [i for i, part in enumerate(("fx", "fy", "fz")) if f"wrench_meas.{part}" in record.columns()]
+    shown = _smooth(np.nan_to_num(record.data["wrench_meas"][:, names]))
+    shown = shown - np.median(shown[: max(found.free, 1)], axis=0)
+    columns = np.stack([_smooth(spring[:, names]), _smooth((both - spring)[:, names])])
+    inner = slice(0, record.ticks - FURTHEST)
+    left = []
+    for rows in range(FURTHEST):
+        basis = columns[:, rows : rows + record.ticks - FURTHEST].reshape(2, -1).T
+        rest = shown[inner].ravel()
+        left.append(float(np.sum((rest - basis @ np.linalg.lstsq(basis, rest, rcond=None)[0]) ** 2)))
+    best = int(np.argmin(left))
+    noise = max(found.noise["wrench_meas.fz"].white, 1e-9)
+    worth = left[0] - left[best] > (CLEAR * noise) ** 2
+    return best if worth and left[best] < LEFT * left[0] and best < FURTHEST - 1 else 0
+
+
+def _smooth(values: Array) -> Array:
+    return np.asarray(savgol_filter(values, SMOOTHING, 2, axis=0))
+
+
+def _felt(record: Record, scenario: Scenario) -> tuple[Array, Array]:
+    """(ticks, 6) twice what the believed sensor reads on the pose on record: without the damping of the contact, and with it."""
+    mechanism, path = scenario.mechanism, record.filled("pose_act")
+    path[:, :3] = _smooth(path[:, :3])
+    before = np.empty(7)
+    pose_step(path[0], approach_state(scenario)[7:], -scenario.tick, before)
+    felt = Felt(
+        path[None], before[None], scenario.tick, sides_of(mechanism).geometry, np.array([mechanism.captured]), latch_limits([scenario]),
+        MountDynamics.of([scenario]), scenario.substeps, least_creep=creep_of(scenario),
+    )  # fmt: skip
+    contacts = [replace(c, damping=c.damping or c.stiffness * scenario.tick) for c in believed_contacts(mechanism)]
+    lanes = []
+    for given in ([replace(c, damping=0.0) for c in contacts], contacts):
+        rows = contact_rows(given, sides_of(mechanism).rules, mechanism.captured)
+        lanes.append(Lane(0, rows, SensorParameters.believed(scenario.sensor, scenario.tick), log_parameters(())))
+    spring, both = replay_wrench(felt, lanes)
+    return spring, both

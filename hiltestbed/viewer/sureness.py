@@ -1,0 +1,34 @@
+"""Where a running estimate can be trusted, told from how it has moved.
+
+An estimate from n samples and that from the first n/2 of them differ with the variance of the estimate itself: nested efficient
+estimates have Var(a_(n/2) - a_n) = Var(a_(n/2)) - Var(a_n), which is Var(a_n) where the variance falls as 1/n. What it has moved over the
+second half of its samples is therefore as large as its error.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hiltestbed.assessment import UNSURE
+from hiltestbed.frames import Array
+
+CHECKED = 300  # places at which an estimate is held against its past
+
+
+def unsure(values: Array, counted: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """``(rows,)`` where an estimate ``values`` ``(rows,)`` has moved by more than a tenth of itself over the second half of its samples.
+
+    ``counted`` ``(rows,)``: rows that gave a sample. Between them it stays as it was; rows without an estimate are unsure.
+    """
+    known = np.isfinite(values)
+    rows = np.flatnonzero(counted & known)
+    out = np.ones(len(values), dtype=bool)
+    if not len(rows):
+        return out
+    places = np.unique(np.linspace(0, len(rows) - 1, CHECKED).astype(int))
+    samples = values[rows]
+    doubt = np.array([np.ptp(samples[p // 2 : p + 1]) > UNSURE * abs(samples[p]) or p == 0 for p in places])
+    at = np.searchsorted(rows[places], np.arange(len(values)), side="right") - 1
+    out[at >= 0] = doubt[at[at >= 0]]
+    return out | ~known

@@ -1,0 +1,51 @@
+"""The notebooks of the gallery: each runs, ends in a picture, and is kept without what it showed."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+from types import ModuleType
+
+import nbformat
+import pytest
+
+ROOT = Path(__file__).parents[2]
+GALLERY = ROOT / "examples" / "gallery"
+NOTEBOOKS = sorted(GALLERY.glob("*.ipynb"))
+BLANK = 5e3  # [bytes] that a picture with nothing in it takes at most
+
+
+def module(path: Path) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    assert spec is not None
+    assert spec.loader is not None
+    found = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(found)
+    return found
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
+def test_a_notebook_runs_and_ends_in_a_picture(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("MPLBACKEND", raising=False)  # the kernel's own shows the picture in the notebook
+    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+    pictures = module(GALLERY / "pictures.py")
+    picture = pictures.picture(pictures.executed(path, tmp_path))
+    assert picture.startswith(b"\x89PNG")
+    assert len(picture) > BLANK
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
+def test_a_notebook_is_kept_without_outputs_and_with_its_picture_beside_it(path: Path) -> None:
+    cells = nbformat.read(path, as_version=4).cells
+    assert all(not c.get("outputs") and c.get("execution_count") is None for c in cells)
+    assert cells[0].source.startswith("# ")
+    assert path.with_suffix(".png").stat().st_size > BLANK
+
+
+def test_every_notebook_is_a_page_of_the_site() -> None:
+    pages = module(ROOT / "docs" / "gallery_pages.py")
+    assert sorted(pages.ORDER) == [path.stem for path in NOTEBOOKS]
+    listed = (ROOT / "mkdocs.yml").read_text()
+    for name, text in pages.pages().items():
+        assert f"- {name}" in listed
+        assert name == "gallery/index.md" or text.count("```python") >= 1

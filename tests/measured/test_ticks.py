@@ -1,0 +1,70 @@
+"""Stamps that miss the loop's ticks, rows that a logger held, digits that were not written."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hiltestbed.measured.clock import Clock
+from hiltestbed.measured.held import without_held
+from hiltestbed.measured.noise import digits_of, last_digit
+from hiltestbed.measured.ticks import as_ticks
+
+TICK, ROWS = 1e-3, 800
+NOISE = 2e-6  # [m]
+
+
+def _motion(t: np.ndarray, seed: int = 1) -> np.ndarray:
+    return 0.05 * t + 0.002 * np.sin(20.0 * t) + NOISE * np.random.default_rng(seed).standard_normal(len(t))
+
+
+def _read(stamps: np.ndarray, motion: np.ndarray) -> Clock:
+    clock = Clock(stamps, np.arange(len(stamps)), float(np.median(np.diff(stamps))))
+    found, _ = as_ticks(0, [(clock, {"pose_act.pz": motion})], TICK)
+    return found[id(clock)]
+
+
+def test_stamps_that_jitter_about_ticks_are_ticks() -> None:
+    at = np.arange(ROWS) * TICK
+    stamps = at + 0.1 * TICK * np.clip(np.random.default_rng(2).standard_normal(ROWS), -2.0, 2.0)
+    np.testing.assert_allclose(_read(stamps, _motion(at)).t, at, atol=1e-12)
+
+
+def test_a_clock_that_runs_fast_and_lost_rows_leave_each_row_on_its_tick() -> None:
+    at = np.delete(np.arange(ROWS), [100, 101, 400]) * TICK
+    np.testing.assert_allclose(_read(at * (1.0 + 5e-4), _motion(at)).t, at, atol=1e-12)
+
+
+def test_samples_that_were_taken_between_ticks_stay_there() -> None:
+    stamps = np.arange(ROWS) * TICK + 0.2 * TICK * np.random.default_rng(3).uniform(-1.0, 1.0, ROWS)
+    smooth = 0.3 * stamps + 1e-9 * np.random.default_rng(4).standard_normal(ROWS)
+    np.testing.assert_array_equal(_read(stamps, smooth).t, stamps)
+    later = np.arange(ROWS) * TICK + 0.3 * TICK
+    np.testing.assert_array_equal(_read(later, _motion(later)).t, later)
+
+
+def test_a_log_at_another_rate_is_left_as_it_is() -> None:
+    stamps = np.arange(ROWS) / 997.0
+    np.testing.assert_array_equal(_read(stamps, _motion(stamps)).t, stamps)
+
+
+def test_rows_that_are_held_are_lost_and_a_force_at_rest_is_not() -> None:
+    force = {f"wrench_meas.{a}": np.random.default_rng(5).standard_normal(ROWS) for a in ("fx", "fy", "fz", "tx")}
+    for column in force.values():
+        column[51:54] = column[50]
+        column[600:700] = column[600]
+    kept, remarks = without_held(0, force)
+    lost = np.flatnonzero(np.isnan(kept["wrench_meas.fz"]))
+    np.testing.assert_array_equal(lost, [51, 52, 53])
+    assert len(remarks) == 1
+    plain, none = without_held(0, {n: np.zeros(ROWS) for n in force})
+    assert not none
+    assert not np.isnan(plain["wrench_meas.fz"]).any()
+
+
+@pytest.mark.parametrize("count", [3, 5])
+def test_significant_digits_are_counted(count: int) -> None:
+    values = np.array([float(f"{v:.{count}g}") for v in np.random.default_rng(6).standard_normal(500)])
+    assert digits_of(values) == count
+    assert digits_of(np.random.default_rng(7).standard_normal(500)) is None
+    assert last_digit(np.array([123.45]), 5)[0] == pytest.approx(0.01)
