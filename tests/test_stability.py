@@ -10,6 +10,8 @@ import pytest
 from scipy.optimize import fsolve
 
 from hiltestbed import load_scenario, run
+from hiltestbed.contact.directions import directions, first_touch
+from hiltestbed.errors import InputError
 from hiltestbed.loop import Loop
 from hiltestbed.numerical_model.bodies import effective_mass
 from hiltestbed.platform.pss33.settings import Pss33
@@ -107,6 +109,20 @@ def test_what_is_said_before_the_run_is_what_the_run_does(kind) -> None:
     assert said["largest_delay"] < 0.005
 
 
+def test_a_slower_controller_of_the_sliders_is_as_late_as_its_cycles() -> None:
+    """500 Hz in a loop of 2 kHz, one cycle held back: 4 (1 + 1) - 1 ticks at low frequency. A cycle that is not whole is refused."""
+    command = {"controller_rate": 500.0, "delay_cycles": 1}
+    keys = {"rig.platform": {"kind": "pss33", "command": command}, "rate": 2000.0, "physics_rate": 4000.0}
+    s = load_scenario(SCENARIOS / "03-bumper-delay-uncompensated.yaml", set=keys)
+    direct = load_scenario(SCENARIOS / "03-bumper-delay-uncompensated.yaml", set=keys | {"rig.platform": {"kind": "pss33"}})
+    found, none = measured_response(s), measured_response(direct)
+    low = (found.frequency > 0.0) & (found.frequency <= 4.0)
+    late = -np.angle(found.follows[low] / none.follows[low]) / (2.0 * math.pi * found.frequency[low])
+    assert late == pytest.approx(7 / 2000.0, rel=0.02)
+    with pytest.raises(InputError, match=r"controller_rate: does not divide the loop's rate"):
+        load_scenario(SCENARIOS / "03-bumper-delay-uncompensated.yaml", set=keys | {"rig.platform.command.controller_rate": 900.0})
+
+
 def test_stiffer_or_later_than_the_limit_is_unstable() -> None:
     s = load_scenario(SCENARIOS / "18-stewart.yaml", set={"sensor.delay": 0.001, "compensation.force.kind": "none"})
     said = stability(s)
@@ -121,6 +137,58 @@ def test_stiffer_or_later_than_the_limit_is_unstable() -> None:
             )
             assert again is not None
             assert again["stable"] is stable, (key, factor)
+
+
+def slow_across(damping: float):
+    """A latch behind a platform that is slow along x alone, ports at the centres of mass: each axis for itself."""
+    answer = {"bandwidth": [4.0, 30.0, 30.0, 30.0, 30.0, 30.0], "damping_ratio": 0.7, "delay": 0.002}
+    still = {"spacecraft.chaser.port.position": [0.0, 0.0, 0.0], "spacecraft.target.port.position": [0.0, 0.0, 0.0]}
+    return load_scenario(
+        SCENARIOS / "02-bumper.yaml",
+        set={
+            "mechanism": {"kind": "latched", "contact": {"stiffness": K, "damping": damping}}, "sensor": {}, "duration": 3.0,
+            "rig.platform": {"kind": "pss33", "tracking": "response", "response": answer}, "rate": 1000.0, "physics_rate": 2000.0,
+            "approach": {"gap": 0.0, "velocity": [0.004, 0.0, 0.004], "offset": [0.0, 0.0]}, "identification.kind": "none",
+            "compensation": {"force": {"kind": "none"}, "motion": {"kind": "none"}},
+        } | still,
+    )  # fmt: skip
+
+
+def test_the_worst_axis_is_what_the_verdict_says() -> None:
+    """Along x the loop diverges, along z it does not, each as fast as its net damping says: growth -c_net/(2 m)."""
+    s = slow_across(700.0)
+    said = stability(s)
+    assert said is not None
+    assert said["verdict"].startswith("unstable along x: net damping -")
+    by = {d["direction"]: d for d in said["directions"]}
+    assert by["along z"]["stable"]
+    assert set(by) == {"along x", "along y", "along z", "about x", "about y", "about z"}
+    loop, trace = Loop([s]), Trace(3000, 1, s.rate)
+    for _ in range(3000):
+        loop.step(trace)
+    t, mass = trace.t, effective_mass(s)
+    for axis, name in ((0, "along x"), (2, "along z")):
+        z = np.abs(trace["pose_cmd"][:, 0, axis])
+        peaks = 1 + np.flatnonzero((z[1:-1] > z[:-2]) & (z[1:-1] >= z[2:]) & (t[1:-1] > 0.3))
+        growth = np.polyfit(t[peaks], np.log(z[peaks]), 1)[0]
+        assert growth == pytest.approx(-by[name]["net_damping"] / (2.0 * mass), rel=0.15, abs=0.02), name
+
+
+def test_a_probe_that_meets_the_cone_off_the_axis_turns_both_bodies() -> None:
+    """J of the ball's contact is the cone's normal and its moment about A, 30 mm before the centre; its mass has both bodies' levers."""
+    s = load_scenario(SCENARIOS / "09-docking.yaml", set={"approach.offset": [0.06, 0.0], "approach.attitude_deg": [0.0, 0.0, 0.0]})
+    touch = first_touch(s)
+    assert touch is not None
+    row, half = touch[0], math.sqrt(0.5)  # the cone has half an angle of 45 degrees
+    expected = np.concatenate([[half, 0.0, half], np.cross([0.0, 0.0, -0.03], [half, 0.0, half])])
+    np.testing.assert_allclose(row, expected, atol=1e-6)
+    way = next(d for d in directions(s) if d.name == "along the normal of the first touch")
+    total = 0.0
+    for body, sense in ((s.spacecraft.chaser, 1.0), (s.spacecraft.target, 1.0)):
+        arm = np.array(body.port.position) + sense * np.array([0.0, 0.0, -0.03])
+        moment = np.cross(arm, row[:3])
+        total += 1.0 / body.mass + float(moment @ (moment / np.array(body.inertia)))
+    assert way.mass == pytest.approx(1.0 / total, rel=1e-6)
 
 
 def test_what_adds_a_force_of_its_own_is_not_judged() -> None:

@@ -127,14 +127,13 @@ class Engagement:
         """Make MuJoCo's contacts those of the state: pose (n, 7) and twist (n, 6) of A in W, and those of S; once an instant."""
         b, p = self._bodies, self._pairs
         b.observe(pose, twist, place, motion)
-        self.pull[:] = 0.0
         if self._facets:
             _touch_facets(
                 *self._geometry, p.ids, self._dt, self._least_creep, self.parameters, self._linear, self._live, p.gain, b.frames, b.motions,
                 b.carry, self.state, self.met, p.geom_pos, p.geom_quat, p.solref, p.friction, self.wrench, self.pull, self.touching,
             )  # fmt: skip
         else:
-            self.wrench[:] = 0.0
+            self.wrench[:] = self.pull[:] = 0.0
             self.touching[:] = False
         if self._reading.shape[1]:
             _touch_natively(
@@ -216,8 +215,7 @@ class _Bodies:
 
     def observe(self, pose: Array, twist: Array, place: Array, motion: Array) -> None:
         """Move on to the state: A, S and the parts that move."""
-        self.frames[:, A], self.motions[:, A] = pose, twist
-        self.frames[:, S], self.motions[:, S] = place, motion
+        _stand(pose, twist, place, motion, self.frames, self.motions)
         if len(self._ids):
             _parts(self._ids, self._root, self._xpos, self._xquat, self._cvel, self._com, self.frames, self.motions)
 
@@ -248,6 +246,16 @@ class _Pairs:
         reading = batch.bind("sensordata")
         first = int(m.sensor("native_0").adr[0]) if sides.native else 0
         self.reading = reading[:, first : first + READ * len(sides.native)]
+
+
+@njit(cache=True)
+def _stand(pose, twist, place, motion, frames, motions):
+    """A and S in their places."""
+    for i in range(pose.shape[0]):
+        for j in range(7):
+            frames[i, A, j], frames[i, S, j] = pose[i, j], place[i, j]
+        for j in range(6):
+            motions[i, A, j], motions[i, S, j] = twist[i, j], motion[i, j]
 
 
 @njit(cache=True)

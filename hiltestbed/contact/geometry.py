@@ -16,7 +16,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from hiltestbed.contact.surfaces.mesh import Tree
-from hiltestbed.contact.surfaces.profile import COLUMNS
+from hiltestbed.contact.surfaces.profile import COLUMNS, TURNED, beyond, profile_distance
 from hiltestbed.contact.surfaces.surface import Surface, bounds, segment_distance, signed_distance
 from hiltestbed.frames import Array, rotate, rotate_back
 
@@ -88,11 +88,17 @@ def packed(candidates: Sequence[tuple[Round, Placed]]) -> Geometry:
 
 
 @njit(cache=True)
+def _profile(index, values, c):
+    first, rows = index[c * ROW + PROFILE], index[c * ROW + PROFILE_ROWS]
+    return values[first : first + rows * COLUMNS].reshape((rows, COLUMNS))
+
+
+@njit(cache=True)
 def _surface(index, values, c):
     row = index[c * ROW : (c + 1) * ROW]
     faces, nodes = row[FACES], row[NODES]
     sizes = values[c * VALUES + SIZES : c * VALUES + SIZES + 3]
-    profile = values[row[PROFILE] : row[PROFILE] + row[PROFILE_ROWS] * COLUMNS].reshape((row[PROFILE_ROWS], COLUMNS))
+    profile = _profile(index, values, c)
     corners = values[row[CORNERS] : row[CORNERS] + 9 * faces].reshape((faces, 3, 3))
     normals = values[row[NORMALS] : row[NORMALS] + 21 * faces].reshape((faces, 7, 3))
     boxes = values[row[BOXES] : row[BOXES] + 15 * nodes].reshape((nodes, 15))
@@ -138,13 +144,21 @@ def meet(index, values, c, pose, twist, lever, blunt, ahead, work, point, normal
         rotate_back(attitude, end, end)
     near = _beyond(row, start, end, ball) - radius
     if near > ahead:
-        return -near, 0.0
-    surface = _surface(index, values, c)
+        return _apart(-near, point, normal, slip)
+    turned = index[c * ROW + KIND] == TURNED
     if ball:
-        distance = signed_distance(surface, start, radius + DEEPEST, free)
-        nearest[:] = start
+        if turned:  # no tree to hand over, which costs as much again
+            distance = profile_distance(_profile(index, values, c), start, free)
+        else:
+            distance = signed_distance(_surface(index, values, c), start, radius + DEEPEST, free)
+        for j in range(3):
+            nearest[j] = start[j]
     else:
-        distance = segment_distance(surface, start, end, radius + ahead, free, nearest)
+        distance = beyond(_profile(index, values, c), start, end, radius + ahead) if turned else -math.inf
+        if distance < radius + ahead:
+            distance = segment_distance(_surface(index, values, c), start, end, radius + ahead, free, nearest)
+        if distance >= radius + ahead:
+            return _apart(radius - distance, point, normal, slip)
     x = radius - distance
     rotate(attitude, free, free)
     rotate(attitude, nearest, nearest)
@@ -160,6 +174,14 @@ def meet(index, values, c, pose, twist, lever, blunt, ahead, work, point, normal
     for j in range(3):
         slip[j] = v[j] + into * free[j]
     return x, into
+
+
+@njit(cache=True, inline="always")
+def _apart(bound, point, normal, slip):
+    """Nothing is known but a bound of the penetration: that of another run is not left standing."""
+    for j in range(3):
+        point[j] = normal[j] = slip[j] = 0.0
+    return bound, 0.0
 
 
 @njit(cache=True)

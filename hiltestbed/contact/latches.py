@@ -127,17 +127,16 @@ class Latches:
 
     def update(self, dt: float, frames: Array, motions: Array, carry: Array) -> None:
         """Where the sites are in each other, and the anchors of what is closed; once an instant."""
-        if self._closing.any():
-            self._active[:, self._ids] = self.closed
-            self._closing[:] = False
         _hold(
             dt, self._rows, self._spring, self._law, self._turns, self._frames, self._places, self._ids, frames, motions, carry,
-            self.closed, self.hold, self.state, self.pose, self.twist, self._data,
+            self.closed, self._closing, self._active, self.hold, self.state, self.pose, self.twist, self._data,
         )  # fmt: skip
 
 
 @njit(cache=True)
-def _hold(dt, rows, spring, law, turns, pairs, places, ids, frames, motions, carry, closed, hold, state, pose, twist, data):
+def _hold(
+    dt, rows, spring, law, turns, pairs, places, ids, frames, motions, carry, closed, closing, active, hold, state, pose, twist, data
+):
     """Relative pose and twist of the sites of each closure, and the anchors of those that are closed."""
     site = np.empty((2, 7))
     velocity = np.empty((2, 6))
@@ -147,6 +146,8 @@ def _hold(dt, rows, spring, law, turns, pairs, places, ids, frames, motions, car
             for side in range(2):
                 site_state(frames[i, pairs[k, side]], motions[i, pairs[k, side]], places[k, side], site[side], velocity[side])
             at, rate = pose[i, k], twist[i, k]
+            if closing[i, k]:
+                active[i, ids[k]], closing[i, k] = True, False
             relate_one(site[0], velocity[0], site[1], velocity[1], at, rate, work)
             if not closed[i, k]:
                 continue
@@ -155,15 +156,15 @@ def _hold(dt, rows, spring, law, turns, pairs, places, ids, frames, motions, car
                 f[j] = stiffness * (at[j] - hold[i, k, j])
             if law[k]:
                 f[2] = contact_force(at[2] - hold[i, k, 2], rate[2], dt, rows[i], state[i], True) - damping * rate[2]
-            active, passive = carry[i, pairs[k, 0]], carry[i, pairs[k, 1]]
+            carrier, passive = carry[i, pairs[k, 0]], carry[i, pairs[k, 1]]
             first, second = (0, 3) if turns[k] else (3, 0)  # where the anchors of the active and of the passive body stand
-            _anchor(active, places[k, 0], 0.0 * f, out[first : first + 3], r)
+            _anchor(carrier, places[k, 0], 0.0 * f, out[first : first + 3], r)
             for j in range(3):
                 f[j] = at[j] - f[j] / (STIFFER * stiffness)
             _anchor(passive, places[k, 1], f, out[second : second + 3], r)
             if turns[k]:
                 _less(at[3:7], hold[i, k, 3:7], turn, q)
-                _attitude(active, passive, places[k], q, r, out[6:10])
+                _attitude(carrier, passive, places[k], q, r, out[6:10])
 
 
 @njit(cache=True)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from hiltestbed import load_scenario
 from hiltestbed.bench.contacts import Contact, bounce
@@ -14,6 +15,7 @@ from hiltestbed.bench.contenders import CONTENDERS
 from hiltestbed.compensation.force_methods.cor_designed import bounce as design_bounce
 from hiltestbed.compensation.force_methods.phase_lead import PhaseLeadBlock
 from hiltestbed.compensation.force_methods.polynomial import PolynomialBlock
+from hiltestbed.compensation.force_methods.reconstruction import ReconstructionBlock
 from hiltestbed.compensation.force_methods.second_order_lead import SecondOrderLeadBlock
 from hiltestbed.compensation.measurement import Measurement
 from hiltestbed.scenario import Scenario
@@ -170,3 +172,31 @@ def test_reconstruction_halves_the_error_of_the_bare_delay() -> None:
         assert error is not None
         assert bare_error is not None
         assert abs(error) < 0.5 * abs(bare_error)
+
+
+def test_after_a_capture_the_reconstruction_is_exact_about_the_latch() -> None:
+    """Springs and dampers on six axes of a latch 150 mm behind A, felt 2 ms late: the wrench that acts now, in P at P's origin."""
+    keys = {"compensation.force": {"kind": "reconstruction"}, "sensor": {"delay": 0.002}}
+    scenario = load_scenario(HEAD_ON.parent / "09-docking.yaml", set=keys)
+    block, late = ReconstructionBlock([scenario]), 4
+    stiffness, damping = np.array([5e4, 4e4, 6e4, 900.0, 800.0, 700.0]), np.array([300.0, 200.0, 400.0, 5.0, 6.0, 7.0])
+    lever, spin = np.array([0.02, -0.01, -0.15]), 0.05
+
+    def state(t: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Pose and twist of A, and the wrench at P's origin."""
+        shift, rate = np.array([2e-3, -1e-3, 3e-3]) * math.sin(20.0 * t), 20.0 * np.array([2e-3, -1e-3, 3e-3]) * math.cos(20.0 * t)
+        turn, omega = np.array([0.0, spin * math.sin(9.0 * t), 0.0]), np.array([0.0, 9.0 * spin * math.cos(9.0 * t), 0.0])
+        attitude = Rotation.from_rotvec(turn)
+        arm = attitude.apply(lever)
+        place, velocity = shift + arm, rate + np.cross(omega, arm)
+        force = stiffness[:3] * (place - lever) + damping[:3] * velocity
+        torque = stiffness[3:] * turn + damping[3:] * omega + np.cross(place, force)
+        return np.concatenate([shift, attitude.as_quat()]), np.concatenate([rate, omega]), np.concatenate([force, torque])
+
+    known = {"stiffness": stiffness[None], "damping": damping[None], "captured": np.array([True]), "lever": lever[None]}
+    for k in range(40):
+        pose, twist, wrench = state(k / scenario.rate)
+        felt = state((k - late) / scenario.rate)[2]
+        out = block.compensate(Measurement(felt[None], pose[None], twist[None], **known))
+        if k > late:
+            np.testing.assert_allclose(out[0], wrench, rtol=0.0, atol=1e-9 * np.abs(wrench).max())

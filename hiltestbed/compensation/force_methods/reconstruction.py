@@ -21,7 +21,7 @@ from pydantic import Field
 from hiltestbed.compensation.force_methods.phase_lead import PhaseLeadBlock
 from hiltestbed.compensation.history import History
 from hiltestbed.compensation.measurement import Measurement
-from hiltestbed.compensation.resynchronised.captured import observe
+from hiltestbed.compensation.resynchronised.captured import CapturedContact, observe
 from hiltestbed.compensation.settings import ForceMethod, Input, force_of
 from hiltestbed.frames import Array
 from hiltestbed.plugins import register
@@ -86,18 +86,22 @@ class ReconstructionBlock:
     def __init__(self, scenarios: Sequence[Scenario]) -> None:
         n = len(scenarios)
         self._lead = PhaseLeadBlock(scenarios)
+        latches = scenarios[0].mechanism.captured or scenarios[0].mechanism.latch is not None or bool(scenarios[0].mechanism.phases())
+        self._captured = CapturedContact(scenarios) if latches else None
         self._ticks = np.array([s.sensor.delay * s.rate for s in scenarios])
         self._states = History(12, self._ticks)
         self._state, self._late = np.zeros((n, 12)), np.zeros((n, 12))
         self.output = np.zeros((n, 6))
 
     def compensate(self, measurement: Measurement) -> Array:
-        """``(n, 6)`` the reconstructed wrench; an axis without an estimate passes the lead."""
+        """``(n, 6)`` the reconstructed wrench; an axis without an estimate passes the lead. What is latched moves about its place."""
         led = self._lead.compensate(measurement)
         observe(measurement.pose, measurement.twist, self._state)
         self._states.remember(self._state)
         self._states.before(self._ticks, self._late)
         _reconstruct(measurement.wrench, led, self._state, self._late, measurement.stiffness, measurement.damping, self.output)
+        if self._captured is not None:
+            self._captured.take_over(measurement, self.output)
         return self.output
 
 

@@ -26,6 +26,7 @@ SEGMENT, ARC = 0.0, 1.0
 KIND, A, B, U, V, SIZE, COS_HALF, SIDE, NORMAL_A, NORMAL_B = 0, 1, 3, 5, 7, 9, 10, 11, 12, 14
 COLUMNS = 16
 TURNED = 100  # number of this kind of surface beside MuJoCo's
+SAMPLES = 12  # of a rod at most, to tell that it is apart
 TOUCHING = 1e-13  # of the distance at which a direction to a corner has no meaning, [m]
 
 
@@ -134,44 +135,96 @@ def profile_distance(profile, point, normal):
     return distance
 
 
+@njit(cache=True, inline="always")
+def between(first, second, length):
+    """The least that the distance can be on a stretch of a ``length`` [m] at whose ends it is ``first`` and ``second`` [m].
+
+    The distance changes no faster than the place (Piyavskii, USSR Comput. Math. 12(4), 1972): it is no less than the mean of both less
+    half of the length. Outside, the surface is in neither of the balls round both ends: it comes no nearer to what is between them than
+    the circle in which the balls cut each other.
+    """
+    least = 0.5 * (first + second - length)
+    if first > 0.0 and second > 0.0 and length < first + second:
+        cut = 0.5 * (length * length + first * first - second * second) / length if length > 0.0 else 0.0
+        if cut <= 0.0:
+            least = max(least, first)
+        elif cut >= length:
+            least = max(least, second)
+        else:
+            least = max(least, math.sqrt(max(first * first - cut * cut, 0.0)))
+    return least
+
+
+@njit(cache=True)
+def beyond(profile, start, end, reach):
+    """A bound from below of the distance [m] of a segment from ``start`` (3,) to ``end`` (3,); less than ``reach`` where it is nearer.
+
+    In the half plane of a point the segment is a hyperbola: rho^2 of it is quadratic.
+    """
+    head = profile[0]
+    hx, hy, hz = head[3], head[4], head[5]
+    x, y, z = start[0] - head[0], start[1] - head[1], start[2] - head[2]
+    dx, dy, dz = end[0] - start[0], end[1] - start[1], end[2] - start[2]
+    h, dh = x * hx + y * hy + z * hz, dx * hx + dy * hy + dz * hz
+    x, y, z = x - h * hx, y - h * hy, z - h * hz
+    dx, dy, dz = dx - dh * hx, dy - dh * hy, dz - dh * hz
+    c, b, a = x * x + y * y + z * z, 2.0 * (x * dx + y * dy + z * dz), dx * dx + dy * dy + dz * dz
+    length = math.sqrt(a + dh * dh)
+    last, _, _ = _in_plane(profile, math.sqrt(max(a + b + c, 0.0)), h + dh)
+    first, _, _ = _in_plane(profile, math.sqrt(c), h)
+    bound, t0, t1, there = min(first, last), 0.0, 1.0, last
+    for _ in range(SAMPLES):
+        if bound < reach:
+            break
+        least = between(first, there, (t1 - t0) * length)
+        if least >= reach:
+            if t1 == 1.0:
+                return min(bound, least)
+            bound, t0, first, t1, there = min(bound, least), t1, there, 1.0, last
+            continue
+        t1 = 0.5 * (t0 + t1)
+        there, _, _ = _in_plane(profile, math.sqrt(max(c + t1 * (b + t1 * a), 0.0)), h + t1 * dh)
+        bound = min(bound, there)
+    return -math.inf
+
+
 @njit(cache=True)
 def _in_plane(profile, rho, z):
     best, distance, nr, nz = math.inf, math.inf, 0.0, 0.0
     for i in range(1, profile.shape[0]):
-        e = profile[i]
-        if e[KIND] == SEGMENT:
-            dr, dz = rho - e[A], z - e[A + 1]
-            along = dr * e[U] + dz * e[U + 1]
-            if 0.0 < along < e[SIZE]:
-                d = dr * e[V] + dz * e[V + 1]
+        if profile[i, KIND] == SEGMENT:
+            dr, dz = rho - profile[i, A], z - profile[i, A + 1]
+            along = dr * profile[i, U] + dz * profile[i, U + 1]
+            if 0.0 < along < profile[i, SIZE]:
+                d = dr * profile[i, V] + dz * profile[i, V + 1]
                 if abs(d) < best:
-                    best, distance, nr, nz = abs(d), d, e[V], e[V + 1]
+                    best, distance, nr, nz = abs(d), d, profile[i, V], profile[i, V + 1]
                 continue
             first = along <= 0.0
         else:
-            dr, dz = rho - e[U], z - e[U + 1]
+            dr, dz = rho - profile[i, U], z - profile[i, U + 1]
             away = math.sqrt(dr * dr + dz * dz)
-            middle = dr * e[V] + dz * e[V + 1]
-            if middle >= away * e[COS_HALF]:
-                d = e[SIDE] * (away - e[SIZE])
+            middle = dr * profile[i, V] + dz * profile[i, V + 1]
+            if middle >= away * profile[i, COS_HALF]:
+                d = profile[i, SIDE] * (away - profile[i, SIZE])
                 if abs(d) < best:
                     best, distance = abs(d), d
                     if away > TOUCHING:
-                        nr, nz = e[SIDE] * dr / away, e[SIDE] * dz / away
+                        nr, nz = profile[i, SIDE] * dr / away, profile[i, SIDE] * dz / away
                     else:  # at the centre of an arc every direction is as near
-                        nr, nz = e[SIDE] * e[V], e[SIDE] * e[V + 1]
+                        nr, nz = profile[i, SIDE] * profile[i, V], profile[i, SIDE] * profile[i, V + 1]
                 continue
-            first = (rho - e[A]) ** 2 + (z - e[A + 1]) ** 2 <= (rho - e[B]) ** 2 + (z - e[B + 1]) ** 2
+            first = (rho - profile[i, A]) ** 2 + (z - profile[i, A + 1]) ** 2 <= (rho - profile[i, B]) ** 2 + (z - profile[i, B + 1]) ** 2
         at, by = (A, NORMAL_A) if first else (B, NORMAL_B)
-        dr, dz = rho - e[at], z - e[at + 1]
+        dr, dz = rho - profile[i, at], z - profile[i, at + 1]
         away = math.sqrt(dr * dr + dz * dz)
         if away < best:
             best = away
-            outside = dr * e[by] + dz * e[by + 1] >= 0.0
+            outside = dr * profile[i, by] + dz * profile[i, by + 1] >= 0.0
             distance = away if outside else -away
             if away > TOUCHING:
                 sign = 1.0 if outside else -1.0
                 nr, nz = sign * dr / away, sign * dz / away
             else:
-                nr, nz = e[by], e[by + 1]
+                nr, nz = profile[i, by], profile[i, by + 1]
     return distance, nr, nz

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from hiltestbed.contact.surfaces import mesh, profile, shapes
 from hiltestbed.contact.surfaces.mesh import Tree, mesh_distance
-from hiltestbed.contact.surfaces.profile import COLUMNS, TURNED, profile_distance
+from hiltestbed.contact.surfaces.profile import COLUMNS, TURNED, between, profile_distance
 from hiltestbed.contact.surfaces.revolution import recognise
 from hiltestbed.contact.surfaces.shapes import shape_distance
 from hiltestbed.contact.surfaces.soundness import Finding, examine
@@ -89,10 +89,9 @@ def segment_distance(surface, start, end, reach, normal, nearest):
     """Least signed distance [m] of the points of a segment from ``start`` (3,) to ``end`` (3,).
 
     ``normal`` (3,) becomes the surface's outward normal at that point, which is written to ``nearest`` (3,). Only a distance below
-    ``reach`` is searched for; where there is none a bound from below is returned, not less than ``reach``. The distance changes no
-    faster than the place (Piyavskii, USSR Comput. Math. 12(4), 1972): between two points it is no less than the mean of both distances
-    less half of what lies between them. An interval that may hold less than what is known is halved, down to a part in PARTS of the
-    segment, in which a minimum lies where the slope along the segment changes sign.
+    ``reach`` is searched for; where there is none a bound from below is returned, not less than ``reach``. An interval that may hold
+    less than what is known (:func:`hiltestbed.contact.surfaces.profile.between`) is halved, down to a part in PARTS of the segment, in
+    which a minimum lies where the slope along the segment changes sign.
     """
     length = math.sqrt((end[0] - start[0]) ** 2 + (end[1] - start[1]) ** 2 + (end[2] - start[2]) ** 2)
     d1, g1 = _along(surface, start, end, 1.0, reach, normal, nearest)
@@ -103,7 +102,7 @@ def segment_distance(surface, start, end, reach, normal, nearest):
     count, t0 = 1, 0.0
     while count > 0:
         t1, d1, g1 = ends[count - 1, 0], ends[count - 1, 1], ends[count - 1, 2]
-        least = 0.5 * (d0 + d1 - (t1 - t0) * length)
+        least = between(d0, d1, (t1 - t0) * length)
         if least < min(best, reach):
             if t1 - t0 > 1.0 / PARTS:
                 t = 0.5 * (t0 + t1)

@@ -131,7 +131,7 @@ class FacilityRig:
         if self.watch is None or self._drives is None:
             return False
         d = self._drives
-        return self.watch.passed(d.joints, d.joint_rates, self._forces[:, d.kinematics.v], d.missed)
+        return self.watch.passed(d.joints, d.joint_rates, self._forces, d.missed, d.kinematics.v)
 
 
 class FacilityFollower:

@@ -21,7 +21,9 @@ def _workspace(scenario: Scenario) -> tuple[float, float]:
 
 
 def start_problems(scenario: Scenario) -> Iterator[Problem]:
-    """The platform reaches as far as its workspace around the nominal first touch, and no further."""
+    """The platform reaches as far as its workspace around the nominal first touch, and no further; its controller's cycle is whole."""
+    for path, message in pss33_of(scenario).command.problems(scenario.rate):
+        yield ("rig", "platform", "command", *path), message
     approach, (reach, turn) = scenario.approach, _workspace(scenario)
     if scenario.rig.upper.kind == "prs3":
         yield from _nine_axis_problems(scenario)

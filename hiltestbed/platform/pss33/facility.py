@@ -31,8 +31,8 @@ class SliderDrives(Drives):
         feed: NDArray[np.bool_],
         tool: str,
     ) -> None:
-        n = len(settings)
-        super().__init__(model, kinematics, tick, substeps, [1] * n, [0] * n, feed)
+        cycles, lates = [s.command.cycle(1.0 / tick) for s in settings], [s.command.delay_cycles for s in settings]
+        super().__init__(model, kinematics, tick, substeps, cycles, lates, feed)
         self.servo = Servo(model, settings, tick, substeps, feed, tool)
 
     def settle(self, pose: Array, twist: Array, qpos: Array, qvel: Array) -> None:
@@ -50,7 +50,7 @@ class SliderDrives(Drives):
         self.reference[:] = self.servo.target
 
     def state(self) -> dict[str, NDArray[Any]]:
-        return super().state() | {"sliders": self.servo.target, "speed": self.servo.speed, "slope": self.servo.velocity}
+        return super().state() | self.servo.state()
 
 
 class Pss33Facility(Facility):
@@ -78,4 +78,4 @@ class Pss33Facility(Facility):
 
     def response(self, rate: float, feed: bool) -> Response:
         s = self.settings
-        return Response((s.bandwidth,) * 6, (s.damping_ratio,) * 6, 0.0, followed=feed)
+        return Response((s.bandwidth,) * 6, (s.damping_ratio,) * 6, s.command.lag(rate), followed=feed)

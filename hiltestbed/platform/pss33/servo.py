@@ -2,7 +2,8 @@
 
 Over a tick each slider's reference runs along the cubic that starts from the last reference with its velocity, reaches the commanded
 pose at t_(k+1), and leaves it with the velocity that the numerical model will have there: that of the tick plus half a tick of its
-acceleration, since a semi-implicit velocity belongs to the middle of its tick. A drive pushes
+acceleration, since a semi-implicit velocity belongs to the middle of its tick. A controller with a cycle of several ticks, or one that
+holds commands back, interpolates as :mod:`hiltestbed.platform.facilities.reference` says. A drive pushes
 
     f = kp (s_ref - s) + kv (s_ref' - s') + f_ff,   f_ff what the motion and gravity need (:mod:`hiltestbed.platform.pss33.dynamics`)
 
@@ -14,14 +15,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from hiltestbed.frames import Array, rotate, rotate_back
+from hiltestbed.frames import Array, pose_step, rotate, rotate_back
+from hiltestbed.platform.facilities.reference import LEAVE, START, cubic, sample
 from hiltestbed.platform.friction import DriveFriction
 from hiltestbed.platform.pss33.dynamics import drive_forces, invert, load_constants
 from hiltestbed.platform.pss33.kinematics import Platform, jacobian, joints
@@ -36,18 +38,11 @@ MOVED_PER_DRIVE = 214.0  # [kg]
 
 
 @njit(cache=True)
-def _hermite(t, s0, v0, s1, v1, h):
-    """The cubic at the fraction ``t`` of a tick ``h`` [s] between two positions and velocities."""
-    a = s1 - s0
-    return s0 + t * (h * v0 + t * ((3.0 * a - h * (2.0 * v0 + v1)) + t * (h * (v0 + v1) - 2.0 * a)))
+def _aim(limbs, load, feed, k, cycles, lates, h, pose_cmd, twist_cmd, accel_cmd, target, ring, span, velocity, plan, ahead):
+    """Write ``plan`` (n, m, 3, 6), position, velocity and force at the start of each substep of tick ``k``, and its end ``ahead`` (n, 6).
 
-
-@njit(cache=True)
-def _aim(limbs, load, feed, h, pose_cmd, twist_cmd, accel_cmd, target, speed, velocity, plan, ahead):
-    """Write ``plan`` (n, m, 3, 6), position, velocity and force at the start of each substep of a tick, and its end ``ahead``.
-
-    target: (n, 6) slider references [m]; speed: their velocity, that of the cubic; velocity: the difference at the last substep, moved
-    on. ahead: (2, n, 6) target and speed at the end of the tick.
+    cycles, lates: (n,) of the controllers. target: (n, 6) slider references [m]; velocity: the difference at the last substep, moved on.
+    ring, span: see :func:`hiltestbed.platform.facilities.reference.sample`.
     Without ``feed`` (n,) the drives are told the position alone, on a straight line.
     """
     n, m = plan.shape[0], plan.shape[1]
@@ -57,21 +52,26 @@ def _aim(limbs, load, feed, h, pose_cmd, twist_cmd, accel_cmd, target, speed, ve
     rate, accel, force = np.empty(6), np.empty(6), np.empty(6)
     for i in range(n):
         jacobian(limbs, pose_cmd[i], goal, jac)
-        for j in range(6):
-            leave[j] = 0.0
-            for k in range(6):
-                leave[j] += jac[j, k] * (twist_cmd[i, k] + 0.5 * h * accel_cmd[i, k])
-            before[j] = target[i, j]
-        invert(jac, inverse)
-        for s in range(m):
-            t = (s + 1.0) / m
+        part = k % cycles[i]
+        if part == 0:
             for j in range(6):
+                leave[j] = 0.0
+                for c in range(6):
+                    leave[j] += jac[j, c] * (twist_cmd[i, c] + 0.5 * h * accel_cmd[i, c])
+            sample(k, cycles[i], lates[i], ring, span, i, goal, leave)
+        invert(jac, inverse)
+        for j in range(6):
+            before[j] = target[i, j]
+        for s in range(m):
+            t = (part * m + s + 1.0) / (cycles[i] * m)
+            for j in range(6):
+                s0, s1 = span[i, START, 0, j], span[i, LEAVE, 0, j]
                 if feed[i]:
-                    now[j] = _hermite(t, target[i, j], speed[i, j], goal[j], leave[j], h)
+                    now[j] = cubic(t, s0, span[i, START, 1, j], s1, span[i, LEAVE, 1, j], cycles[i] * h)
                     rate[j] = (now[j] - before[j]) / dt
                     accel[j] = (rate[j] - velocity[i, j]) / dt
                 else:
-                    now[j] = target[i, j] + t * (goal[j] - target[i, j])
+                    now[j] = s0 + t * (s1 - s0)
                     rate[j] = accel[j] = velocity[i, j] = 0.0
             drive_forces(limbs, load, pose_cmd[i], inverse, accel, force)
             for j in range(6):
@@ -80,8 +80,8 @@ def _aim(limbs, load, feed, h, pose_cmd, twist_cmd, accel_cmd, target, speed, ve
                 plan[i, s, 2, j] = force[j]
                 velocity[i, j] = rate[j]
                 before[j] = now[j]
-        ahead[0, i] = goal
-        ahead[1, i] = leave
+        for j in range(6):
+            ahead[i, j] = span[i, LEAVE, 0, j] if part == cycles[i] - 1 else now[j]
 
 
 @njit(cache=True)
@@ -178,7 +178,11 @@ class Servo:
         self._adr = np.array([[s.qposadr[0] for s in sliders], [s.dofadr[0] for s in sliders]])
         self._free = np.array([free.qposadr[0], free.dofadr[0]])
         self.target, self.speed, self.velocity = np.zeros((n, 6)), np.zeros((n, 6)), np.zeros((n, 6))
-        self._plan, self._ahead = np.zeros((n, substeps, 3, 6)), np.zeros((2, n, 6))
+        self._cycles = np.array([p.command.cycle(1.0 / tick) for p in platforms], dtype=np.int64)
+        self._lates = np.array([p.command.delay_cycles for p in platforms], dtype=np.int64)
+        self._ring, self._span = np.zeros((n, int(self._lates.max(initial=0)) + 1, 2, 6)), np.zeros((n, 2, 2, 6))
+        self._start, self._ticks = np.zeros((n, 7)), np.zeros(1, dtype=np.int64)
+        self._plan, self._ahead = np.zeros((n, substeps, 3, 6)), np.zeros((n, 6))
         self._step, self._least = tick / substeps, float(self._load[14] + self._load[15])
         self._friction: DriveFriction | None = None
         self._applied = np.zeros((n, model.nv))
@@ -190,25 +194,40 @@ class Servo:
             self._friction, self._applied = friction, applied
 
     def settle(self, pose: Array, twist: Array, qpos: Array, qvel: Array) -> None:
-        """Put the joints where a rig is that moves uniformly with ``twist`` (n, 6) through ``pose`` (n, 7), and the references."""
+        """Put the joints and the references where they are in the uniform motion with ``twist`` (n, 6) that is commanded to be at
+        ``pose`` (n, 7): behind it by what the controller is late."""
+        lag = self.tick * (self._cycles * (self._lates + 1) - 1)
+        self._start[:] = pose
+        for i in np.flatnonzero(lag):
+            pose_step(pose[i], twist[i], -lag[i], self._start[i])
         _settle(
-            self.platform.limbs, pose, twist, self.target, self.speed, self.velocity,
+            self.platform.limbs, self._start, twist, self.target, self.speed, self.velocity,
             qpos, qvel, self._adr, self._free, self.platform.centre,
         )  # fmt: skip
+        self._ticks[0] = 0
+        self._span[:, :, 0], self._span[:, :, 1] = self.target[:, None], self.speed[:, None]
+        for back in range(1, self._ring.shape[1]):  # commands that are still held back
+            ahead = self.tick * self._cycles * (self._lates + 1 - back)
+            self._ring[:, -back % self._ring.shape[1], 0] = self.target + self.speed * ahead[:, None]
+            self._ring[:, -back % self._ring.shape[1], 1] = self.speed
         if self._friction:
             self._friction.settle(qvel)
 
     def aim(self, pose_cmd: Array, twist_cmd: Array, accel_cmd: Array) -> None:
-        """Plan one tick, at whose end ``pose_cmd`` (n, 7) is to be reached."""
+        """Plan one tick, for whose end ``pose_cmd`` (n, 7) is meant."""
         _aim(
-            self.platform.limbs, self._load, self._feed, self.tick, pose_cmd, twist_cmd, accel_cmd,
-            self.target, self.speed, self.velocity, self._plan, self._ahead,
+            self.platform.limbs, self._load, self._feed, int(self._ticks[0]), self._cycles, self._lates, self.tick, pose_cmd, twist_cmd,
+            accel_cmd, self.target, self._ring, self._span, self.velocity, self._plan, self._ahead,
         )  # fmt: skip
+        self._ticks[0] += 1
 
     def arrive(self) -> None:
         """The tick is over: its end is where the next one starts."""
-        self.target[:] = self._ahead[0]
-        self.speed[:] = self._ahead[1]
+        self.target[:] = self._ahead
+
+    def state(self) -> dict[str, NDArray[Any]]:
+        """The arrays that make up the state between two ticks; written back, the drives go on from there."""
+        return {"sliders": self.target, "slope": self.velocity, "held": self._ring, "between": self._span, "cycle": self._ticks}
 
     def push(self, sub: int, qpos: Array, qvel: Array, force: Array) -> None:
         """``force`` (n, 6) [N] of the drives for substep ``sub`` of the tick, from the joints as they stand."""

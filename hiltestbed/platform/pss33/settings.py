@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
-from hiltestbed.platform.facilities.settings import ResponseSettings
+from hiltestbed.platform.facilities.settings import CommandPath, ResponseSettings
 from hiltestbed.platform.kinds import Platform
 from hiltestbed.plugins import register
 from hiltestbed.validation import NotNegative, Positive, Problem, Strictly, refuse
@@ -92,6 +92,7 @@ class Pss33(Platform):
     encoder_resolution: NotNegative = Field(
         default=0.0, description="Resolution of a slider's encoder [m]; 0: as fine as can be; linear scales have 1e-8 to 1e-6"
     )
+    command: CommandPath = Field(default=CommandPath(), description="Controller of the drives: its rate, and the cycles it holds back")
     limits: Limits = Field(default=Limits(), description="What a drive can do")
     workspace: Workspace = Field(default=Workspace(), description="How far from home a start may be")
     actuator: Actuator = Field(default=Actuator(), description="Motors and friction of the drives; with tracking servo alone")
