@@ -31,12 +31,13 @@ MEMORY_PART, DISK_PART = 0.8, 0.9
 WEEK = 168.0  # [h]
 COLUMNS = sum(len(group.parts) for group in GROUPS.values()) + 2
 COPIES = 3  # of a trace that are held while it is written
-BASE = 0.35 * GB  # an interpreter with its packages and compiled blocks
+BASE = 0.47 * GB  # an interpreter with its packages and compiled blocks
 STATES = 4  # copies of the delay lines: the loop's own and those that a failure is replayed from
 TICK, INSTANT = 6e-5, 6e-6  # [s] of one core a tick and an instant of the physics of a single run; of each further run in its batch
 BATCHED = 0.25  # part of that
-BEGIN = 3.0  # [s] to start, with warm kernels
+BEGIN = 6.0  # [s] to start with warm kernels, and to write report and recording
 ROW = 700.0  # [byte] a row of trace.parquet and recording.rrd on disk, both together
+SHAPES = 2.5e6  # [byte] of a recording and a report, however short the run is
 DIAGNOSED = 6e-3  # [s] a row of a dataset: 6 runs of 900 rows take 10 to 60 s
 FIT = 3.0e4  # [byte] a row of a dataset while links are replayed for many hypotheses
 FILTER_MEMORY = 10.0  # time constants of the sensor's low-pass that the identification remembers
@@ -132,7 +133,7 @@ def run_budget(scenarios: Sequence[Scenario], rows: bool = True) -> Budget:
     trace = ticks * n * COLUMNS * 8.0
     lines = sum(delay_line(s) for s in scenarios)
     core = ticks * (TICK + INSTANT * first.substeps) * (1 + BATCHED * (n - 1)) * (1 + REFERENCE)
-    disk = ticks * n * ROW if rows else 2e3 * n
+    disk = n * (ticks * ROW + SHAPES) if rows else 2e3 * n
     return Budget(BASE + (COPIES * trace if rows else 0.0) + STATES * lines, BEGIN + core, disk)
 
 

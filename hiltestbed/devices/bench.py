@@ -146,7 +146,7 @@ class _Echo:
         options = f"rate={rate:.6f}&clock=host&connect={PATIENCE:g}"
         command = [sys.executable, "-m", "hiltestbed.devices.bench", f"{url}?peer={LOOPBACK}:{here}", str(os.getpid())]
         command += [str(priority)] if priority else []
-        self._process = subprocess.Popen(command, stdin=subprocess.DEVNULL)
+        self._process = subprocess.Popen(command, stdin=subprocess.DEVNULL, start_new_session=True)
         self.client = platform_client(f"{url}?listen={LOOPBACK}:{here}&{options}")
         try:
             self.client.open()

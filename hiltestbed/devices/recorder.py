@@ -42,8 +42,16 @@ class Recorder:
         self.path = path
         self.ring = Ring(columns, rows)
         command = [sys.executable, "-m", "hiltestbed.devices.recorder", self.ring.name, str(path), str(os.getpid())]
-        self._process = subprocess.Popen(command, stdout=subprocess.PIPE, stdin=subprocess.DEVNULL, text=True)
-        line = self._process.stdout.readline() if self._process.stdout else ""
+        self._process = subprocess.Popen(  # Ctrl-C is for the loop alone: what it has pushed is still to be written
+            command, stdout=subprocess.PIPE, stdin=subprocess.DEVNULL, text=True, start_new_session=True
+        )
+        try:
+            line = self._process.stdout.readline() if self._process.stdout else ""
+        except BaseException:
+            self._process.kill()
+            self._process.wait()
+            self.ring.close()
+            raise
         if line.strip() != READY:
             self._process.wait(PATIENCE)
             self.ring.close()

@@ -14,10 +14,8 @@ from pydantic import Field
 
 from hiltestbed.devices.interface import (
     Array,
-    Clock,
     DeviceError,
     Event,
-    Keeper,
     PlatformClient,
     PlatformServer,
     Protocol,
@@ -26,13 +24,13 @@ from hiltestbed.devices.interface import (
     SensorServer,
 )
 from hiltestbed.devices.mailbox import Mailbox, attach, make
+from hiltestbed.devices.numbered import NumberedClient, NumberedKeeper, NumberedServer
 from hiltestbed.devices.sequence import Sequence
 from hiltestbed.devices.url import DeviceSettings
 from hiltestbed.errors import InputError
 from hiltestbed.validation import Positive
 
 NAP = 20e-6  # [s] between two polls while waiting
-STOP = 1
 Part = Literal["wrench", "state", "command"]
 
 
@@ -138,26 +136,20 @@ class ShmSensorClient(SensorClient):
         return _wait(self, timeout)
 
 
-class ShmPlatformClient(PlatformClient):
+class ShmPlatformClient(NumberedClient):
     """Writes the commanded pose for another process and reads the pose reached."""
 
     def __init__(self, settings: ShmSettings) -> None:
-        super().__init__(settings.where)
+        super().__init__(settings)
         self.settings = settings
-        self.clock = Clock(settings.clock)
-        self.period = 1.0 / settings.rate
         self._inbox = _Inbox(self.counts)
         self._outbox: Mailbox | None = None
-        self._pose: Array = self.state.pose.copy()
-        self._sent = 0
 
     def open(self) -> None:
         self._inbox.open(_awaited(self.settings, "state"))
         self._outbox = _awaited(self.settings, "command")
-        self._sent = 0
         _first(self, self.settings)
-        self._pose[:] = self.state.pose
-        self.hold()
+        self._begin()
 
     def close(self) -> None:
         self._inbox.close()
@@ -174,22 +166,9 @@ class ShmPlatformClient(PlatformClient):
     def wait(self, timeout: float, expected: float = math.inf) -> bool:
         return _wait(self, timeout)
 
-    def command(self, pose: Array) -> None:
-        self._check(pose)
-        self._pose[:] = pose
-        self.hold()
-
-    def hold(self) -> None:
-        self._send(0)
-
-    def stop(self) -> None:
-        self._send(STOP)
-
-    def _send(self, stop: int) -> None:
-        self._sent += 1
-        self.held[:7], self.held[7] = self._pose, self._sent
+    def _post(self, pose: Array, number: int, now: float, stop: int) -> None:
         if self._outbox is not None:
-            self._outbox.write(self._pose, self._sent, time.monotonic_ns() * 1e-9, stop)
+            self._outbox.write(pose, number, now, stop)
 
 
 def _first(client: ShmSensorClient | ShmPlatformClient, settings: ShmSettings) -> None:
@@ -226,16 +205,14 @@ class ShmSensorServer(SensorServer):
             self._outbox.write(wrench, self._number, device_time, status)
 
 
-class ShmPlatformServer(PlatformServer):
+class ShmPlatformServer(NumberedServer):
     """A platform in another process."""
 
     def __init__(self, settings: ShmSettings) -> None:
-        super().__init__(settings.where)
+        super().__init__(settings)
         self.settings = settings
-        self.period = 1.0 / settings.rate
         self._inbox = _Inbox(self.counts)
         self._outbox: Mailbox | None = None
-        self._number = 0
 
     def open(self) -> None:
         self._outbox = _made(self.settings, "state")
@@ -252,47 +229,27 @@ class ShmPlatformServer(PlatformServer):
             self._outbox = None
 
     def poll(self) -> bool:
-        if not self._inbox.poll() or self._inbox.box is None:
-            return False
-        if self._inbox.box.flag:
-            self.stopped = "the client asked for a stop"
-        if self.stopped is not None:
-            return False
-        self.counts[Event.RECEIVED] += 1
-        self.command[:] = self._inbox.box.values
-        self.commanded = True
-        return True
+        box = self._inbox.box
+        return box is not None and self._inbox.poll() and self._commanded(box.values, box.flag)
 
     def wait(self, timeout: float, expected: float = math.inf) -> bool:
         return _wait(self, timeout)
 
-    def publish(self, pose: Array, device_time: float, status: int = 0) -> None:
-        if self._number == 0:
-            self.command[:] = pose
-        self._number += 1
-        self.poll()
+    def _report(self, pose: Array, number: int, device_time: float, status: int) -> None:
         if self._outbox is not None:
-            self._outbox.write(pose, self._number, device_time, status)
+            self._outbox.write(pose, number, device_time, status)
 
 
-class ShmKeeper(Keeper):
-    """Writes the last pose, or the stop flag, into the command mailbox."""
+class ShmKeeper(NumberedKeeper):
+    """Writes into the command mailbox."""
 
     def __init__(self, settings: ShmSettings, fileno: int) -> None:
         super().__init__(settings, fileno)
         self._outbox = attach(mailbox_name(settings, "command"))
-        self._sent = 0
 
-    def hold(self, held: Array) -> None:
-        self._send(held, 0)
-
-    def stop(self, held: Array) -> None:
-        self._send(held, STOP)
-
-    def _send(self, held: Array, stop: int) -> None:
-        self._sent += 1
-        if self._outbox is not None and math.isfinite(float(held.sum())):
-            self._outbox.write(held[:7], int(held[7]) + self._sent, time.monotonic_ns() * 1e-9, stop)
+    def _post(self, pose: Array, number: int, now: float, stop: int) -> None:
+        if self._outbox is not None:
+            self._outbox.write(pose, number, now, stop)
 
 
 PROTOCOL = Protocol(

@@ -8,15 +8,13 @@ where the records arrive; an emulated device has ``peer`` instead, the controlle
 
 from __future__ import annotations
 
-import math
-import time
+from contextlib import suppress
 
 from hiltestbed.devices import sockets
-from hiltestbed.devices.interface import Array, Clock, DeviceError, Event, Keeper, PlatformClient, Protocol, SensorClient
+from hiltestbed.devices.interface import Array, DeviceError, Event, Protocol, SensorClient
+from hiltestbed.devices.numbered import NumberedClient, NumberedKeeper
 from hiltestbed.devices.udp_device import UdpPlatformServer, UdpSensorServer
 from hiltestbed.devices.udp_receiver import Receiver, UdpSettings, end_of, record_of
-
-STOP = 1  # in the stop field of a command
 
 
 class UdpSensorClient(SensorClient):
@@ -47,26 +45,20 @@ class UdpSensorClient(SensorClient):
         return True
 
 
-class UdpPlatformClient(PlatformClient):
+class UdpPlatformClient(NumberedClient):
     """A platform that receives one pose a datagram and sends the pose reached."""
 
     def __init__(self, settings: UdpSettings) -> None:
-        super().__init__(settings.where)
+        super().__init__(settings)
         self.settings = settings
-        self.clock = Clock(settings.clock)
-        self.period = 1.0 / settings.rate
         self._receiver = Receiver(record_of(settings, "state"), self.counts, self._take)
         self._command = record_of(settings, "command")
         self._towards: sockets.Address = (settings.host, settings.port)
-        self._pose: Array = self.state.pose.copy()
-        self._sent = 0
 
     def open(self) -> None:
         self._towards = sockets.resolve(self.settings.host, self.settings.port, self.where)
-        self._sent = 0
         _open(self, self._receiver)
-        self._pose[:] = self.state.pose
-        self.hold()
+        self._begin()
 
     def close(self) -> None:
         self._receiver.close()
@@ -83,23 +75,8 @@ class UdpPlatformClient(PlatformClient):
         self.state.pose[:] = self._receiver.record.values
         return True
 
-    def command(self, pose: Array) -> None:
-        self._check(pose)
-        self._pose[:] = pose
-        self.hold()
-
-    def hold(self) -> None:
-        self._send(0)
-
-    def stop(self) -> None:
-        """Send the stop flag; a layout without one holds."""
-        self._send(STOP)
-
-    def _send(self, stop: int) -> None:
-        self._sent += 1
-        self.held[:7], self.held[7] = self._pose, self._sent
-        data = self._command.pack(self._pose, self._sent, time.monotonic_ns() * 1e-9, stop)
-        self._receiver.send(data, self._towards)
+    def _post(self, pose: Array, number: int, now: float, stop: int) -> None:
+        self._receiver.send(self._command.pack(pose, number, now, stop), self._towards)
 
 
 def _open(client: UdpSensorClient | UdpPlatformClient, receiver: Receiver) -> None:
@@ -115,31 +92,18 @@ def _open(client: UdpSensorClient | UdpPlatformClient, receiver: Receiver) -> No
         )
 
 
-class UdpKeeper(Keeper):
-    """Repeats the last pose, or sends the stop flag, from a duplicate of the loop's socket."""
+class UdpKeeper(NumberedKeeper):
+    """Sends from a duplicate of the loop's socket."""
 
     def __init__(self, settings: UdpSettings, fileno: int) -> None:
         super().__init__(settings, fileno)
         self._command = record_of(settings, "command")
         self._towards = sockets.resolve(settings.host, settings.port, settings.where)
         self._socket = sockets.adopted(fileno)
-        self._sent = 0
 
-    def hold(self, held: Array) -> None:
-        self._send(held, 0)
-
-    def stop(self, held: Array) -> None:
-        self._send(held, STOP)
-
-    def _send(self, held: Array, stop: int) -> None:
-        self._sent += 1
-        if not math.isfinite(float(held.sum())):
-            return
-        data = self._command.pack(held[:7], int(held[7]) + self._sent, time.monotonic_ns() * 1e-9, stop)
-        try:
-            self._socket.sendto(data, self._towards)
-        except OSError:
-            return
+    def _post(self, pose: Array, number: int, now: float, stop: int) -> None:
+        with suppress(OSError):
+            self._socket.sendto(self._command.pack(pose, number, now, stop), self._towards)
 
 
 PROTOCOL = Protocol(

@@ -5,7 +5,8 @@ from __future__ import annotations
 import socket
 
 from hiltestbed.devices import sockets
-from hiltestbed.devices.interface import Array, Event, PlatformServer, SensorServer
+from hiltestbed.devices.interface import Array, Event, SensorServer
+from hiltestbed.devices.numbered import NumberedServer
 from hiltestbed.devices.udp_receiver import Receiver, UdpSettings, end_of, record_of
 
 
@@ -44,17 +45,15 @@ class UdpSensorServer(SensorServer):
             self.counts[Event.GONE] += 1
 
 
-class UdpPlatformServer(PlatformServer):
+class UdpPlatformServer(NumberedServer):
     """An emulated platform."""
 
     def __init__(self, settings: UdpSettings) -> None:
-        super().__init__(settings.where)
+        super().__init__(settings)
         self.settings = settings
-        self.period = 1.0 / settings.rate
         self._receiver = Receiver(record_of(settings, "command"), self.counts, self._take)
         self._state = record_of(settings, "state")
         self._peer = end_of(settings, "peer", "the controller's end")
-        self._number = 0
 
     def open(self) -> None:
         own = sockets.resolve(self.settings.host, self.settings.port, self.where)
@@ -70,18 +69,7 @@ class UdpPlatformServer(PlatformServer):
         return self._receiver.poll()
 
     def _take(self) -> bool:
-        if self._receiver.record.flag:
-            self.stopped = "the client asked for a stop"
-        if self.stopped is not None:
-            return False
-        self.counts[Event.RECEIVED] += 1
-        self.command[:] = self._receiver.record.values
-        self.commanded = True
-        return True
+        return self._commanded(self._receiver.record.values, self._receiver.record.flag)
 
-    def publish(self, pose: Array, device_time: float, status: int = 0) -> None:
-        if self._number == 0:
-            self.command[:] = pose
-        self._number += 1
-        self.poll()
-        self._receiver.send(self._state.pack(pose, self._number, device_time, status), self._peer)
+    def _report(self, pose: Array, number: int, device_time: float, status: int) -> None:
+        self._receiver.send(self._state.pack(pose, number, device_time, status), self._peer)

@@ -59,9 +59,10 @@ class Watchdog:
         fileno = platform.fileno()
         command = [sys.executable, "-m", "hiltestbed.devices.watchdog", self._ring.name, self._answer.name, url, action, repr(timeout)]
         command += [repr(lasting), repr(platform.period if math.isfinite(platform.period) else timeout), str(fileno), str(os.getpid())]
-        self._process = subprocess.Popen(
-            command, stdout=subprocess.PIPE, stdin=subprocess.DEVNULL, text=True, pass_fds=(fileno,) if fileno >= 0 else ()
-        )
+        self._process = subprocess.Popen(  # in a session of its own: Ctrl-C in the loop's terminal must not end it
+            command, stdout=subprocess.PIPE, stdin=subprocess.DEVNULL, text=True, pass_fds=(fileno,) if fileno >= 0 else (),
+            start_new_session=True,
+        )  # fmt: skip
         self._ready = False
         if wait and not self._heard():
             self.close()

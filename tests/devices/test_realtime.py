@@ -119,19 +119,23 @@ def test_a_recording_holds_every_row(tmp_path: Path) -> None:
     np.testing.assert_array_equal(recorder.finish(), rows)
 
 
-def test_a_recording_survives_the_loop(tmp_path: Path) -> None:
-    """The loop's process ends at once, without a word: what it had pushed is in the file."""
+@pytest.mark.parametrize("interrupted", [False, True])
+def test_a_recording_survives_the_loop(tmp_path: Path, interrupted: bool) -> None:
+    """The loop's process ends at once, without a word, Ctrl-C in its terminal before or not: what it had pushed is in the file."""
     path = tmp_path / "rows.f64"
     program = f"""
-import os, numpy as np
+import os, signal, numpy as np
 from pathlib import Path
 from hiltestbed.devices.recorder import Recorder
+signal.signal(signal.SIGINT, lambda *_: None)
 recorder = Recorder(2, 100, Path({str(path)!r}))
+if {interrupted}:
+    os.killpg(0, signal.SIGINT)
 for k in range(50):
     recorder.push(np.array([k, -k], dtype=float))
 os._exit(9)
 """
-    died = subprocess.run([sys.executable, "-c", program], stderr=subprocess.DEVNULL, check=False)
+    died = subprocess.run([sys.executable, "-c", program], stderr=subprocess.DEVNULL, check=False, start_new_session=True)
     assert died.returncode == 9
     until(lambda: path.stat().st_size == 50 * 2 * 8)
     np.testing.assert_array_equal(np.fromfile(path).reshape(-1, 2)[:, 0], np.arange(50.0))

@@ -96,7 +96,7 @@ def test_before_the_first_beat_and_after_it_is_disarmed_it_does_nothing() -> Non
 
 
 LOOP = """
-import os, sys
+import os, signal, sys
 from hiltestbed.devices.table import platform_client
 from hiltestbed.devices.watchdog import Watchdog
 client = platform_client(sys.argv[1])
@@ -106,15 +106,21 @@ for _ in range(50):
     client.wait(1.0)
     client.hold()
     watchdog.beat()
+if sys.argv[2:]:
+    signal.signal(signal.SIGINT, lambda *_: None)
+    os.killpg(0, signal.SIGINT)
 os.kill(os.getpid(), 9)
 """
 
 
-def test_a_loop_that_is_killed_stops_the_platform() -> None:
+@pytest.mark.parametrize("interrupted", [[], ["interrupted"]])
+def test_a_loop_that_is_killed_stops_the_platform(interrupted: list[str]) -> None:
+    """Also where Ctrl-C in its terminal went to all of its processes before."""
     url, device_url = _urls("udp")
     device = Device(platform_server(device_url))
     with device.server, going(device.step, 0.001):
-        loop = subprocess.run([sys.executable, "-c", LOOP, url], stderr=subprocess.DEVNULL, check=False)
+        order = [sys.executable, "-c", LOOP, url, *interrupted]
+        loop = subprocess.run(order, stderr=subprocess.DEVNULL, check=False, start_new_session=True)
         assert loop.returncode == -9
         until(lambda: device.server.stopped)
 

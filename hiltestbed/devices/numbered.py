@@ -1,0 +1,113 @@
+"""What protocols have in common that send one numbered pose a cycle: plain records over UDP, and shared memory."""
+
+from __future__ import annotations
+
+import math
+import time
+from abc import abstractmethod
+from typing import Literal, Protocol
+
+from hiltestbed.devices.interface import Array, Clock, Event, Keeper, PlatformClient, PlatformServer
+from hiltestbed.devices.url import DeviceSettings
+
+STOP = 1  # in the stop field of a command
+
+
+class Paced(Protocol):
+    """Settings of such a protocol."""
+
+    where: str
+    rate: float
+    clock: Literal["device", "host"]
+
+
+class NumberedClient(PlatformClient):
+    """Sends a pose a cycle, numbered from 1 after :meth:`open`; a hold is the last pose again, a stop the last pose with a flag."""
+
+    def __init__(self, settings: Paced) -> None:
+        super().__init__(settings.where)
+        self.clock = Clock(settings.clock)
+        self.period = 1.0 / settings.rate
+        self._pose: Array = self.state.pose.copy()
+        self._sent = 0
+
+    @abstractmethod
+    def _post(self, pose: Array, number: int, now: float, stop: int) -> None:
+        """Send a command; ``now`` [s] by the monotonic clock."""
+
+    def _begin(self) -> None:
+        """Command the pose that the platform reports."""
+        self._sent = 0
+        self._pose[:] = self.state.pose
+        self.hold()
+
+    def command(self, pose: Array) -> None:
+        self._check(pose)
+        self._pose[:] = pose
+        self.hold()
+
+    def hold(self) -> None:
+        self._send(0)
+
+    def stop(self) -> None:
+        """Send the stop flag; a layout without one holds."""
+        self._send(STOP)
+
+    def _send(self, stop: int) -> None:
+        self._sent += 1
+        self.held[:7], self.held[7] = self._pose, self._sent
+        self._post(self._pose, self._sent, time.monotonic_ns() * 1e-9, stop)
+
+
+class NumberedServer(PlatformServer):
+    """Takes such poses in until the stop flag comes, and numbers the poses that it reports from 1."""
+
+    def __init__(self, settings: Paced) -> None:
+        super().__init__(settings.where)
+        self.period = 1.0 / settings.rate
+        self._number = 0
+
+    @abstractmethod
+    def _report(self, pose: Array, number: int, device_time: float, status: int) -> None:
+        """Send the pose reached."""
+
+    def _commanded(self, pose: Array, stop: int) -> bool:
+        """Take in a command; whether it is obeyed."""
+        if stop:
+            self.stopped = "the client asked for a stop"
+        if self.stopped is not None:
+            return False
+        self.counts[Event.RECEIVED] += 1
+        self.command[:] = pose
+        self.commanded = True
+        return True
+
+    def publish(self, pose: Array, device_time: float, status: int = 0) -> None:
+        if self._number == 0:
+            self.command[:] = pose
+        self._number += 1
+        self.poll()
+        self._report(pose, self._number, device_time, status)
+
+
+class NumberedKeeper(Keeper):
+    """Repeats the last pose, or sends it with the stop flag, numbered on from the last command."""
+
+    def __init__(self, settings: DeviceSettings, fileno: int) -> None:
+        super().__init__(settings, fileno)
+        self._sent = 0
+
+    @abstractmethod
+    def _post(self, pose: Array, number: int, now: float, stop: int) -> None:
+        """Send a command; ``now`` [s] by the monotonic clock."""
+
+    def hold(self, held: Array) -> None:
+        self._send(held, 0)
+
+    def stop(self, held: Array) -> None:
+        self._send(held, STOP)
+
+    def _send(self, held: Array, stop: int) -> None:
+        self._sent += 1
+        if math.isfinite(float(held.sum())):
+            self._post(held[:7], int(held[7]) + self._sent, time.monotonic_ns() * 1e-9, stop)

@@ -1,0 +1,41 @@
+"""Commands that are killed or interrupted: every folder complete or absent, and the same command then does it."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hiltestbed.bench.robustness import kills
+from hiltestbed.bench.robustness.kills import COMMANDS, Command, KillError, kill
+
+SLOW = pytest.mark.skipif("HILTESTBED_SLOW_TESTS" not in os.environ, reason="takes minutes; set HILTESTBED_SLOW_TESTS")
+KILLED, INTERRUPTED = 2, 0  # seeds of a trial that ends a command so, and gives it again
+
+
+def test_the_seeds_do_what_they_are_named_for() -> None:
+    for seed, hard in ((KILLED, True), (INTERRUPTED, False)):
+        rng = np.random.default_rng(seed)
+        assert (rng.random() < 0.5) is hard
+        rng.uniform(size=2)
+        assert rng.random() < kills.AGAIN
+
+
+@pytest.mark.parametrize("seed", [KILLED, pytest.param(INTERRUPTED, marks=SLOW)])
+@pytest.mark.parametrize("name", ["live", *(pytest.param(n, marks=SLOW) for n in COMMANDS if n != "live")])
+def test_a_command_that_is_ended_leaves_a_whole_folder_or_none(name: str, seed: int, tmp_path: Path) -> None:
+    (tmp_path / "trials").mkdir()
+    assert kill(np.random.default_rng(seed), tmp_path / "trials", name) == "survived"
+
+
+def test_half_a_folder_is_a_fault(tmp_path: Path) -> None:
+    """The check of the trials sees what it is there for."""
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "summary.json").write_text("{}")
+    with pytest.raises(KillError, match="holds"):
+        kills._complete_or_absent(tmp_path / "out", COMMANDS["run"], "half")
+    (tmp_path / "out" / "summary.json").write_text('{"half')
+    with pytest.raises(ValueError, match="Unterminated"):
+        kills._complete_or_absent(tmp_path / "out", Command(lambda a, b: [], frozenset()), "half")
