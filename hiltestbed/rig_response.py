@@ -80,8 +80,8 @@ def measured_response(scenario: Scenario) -> RigResponse:
 def six_axis_response(scenario: Scenario) -> SixAxisResponse:
     """The response of a scenario's rig on all axes; the same rig is measured once a process."""
     if _exact(scenario):
-        one = np.ones(len(EXACT.frequency), dtype=complex)[:, None, None]
-        return SixAxisResponse(EXACT.frequency, one * np.eye(6), 0.0 * one * np.eye(6))
+        follows = np.tile(np.eye(6, dtype=complex), (len(EXACT.frequency), 1, 1))
+        return SixAxisResponse(EXACT.frequency, follows, np.zeros_like(follows))
     found = _measured(_quiet(scenario), tuple(range(6)))
     return SixAxisResponse(found.frequency, np.swapaxes(found.follows, 1, 2), np.swapaxes(found.yields, 1, 2))
 

@@ -60,7 +60,7 @@ def test_a_map_shows_the_cases_of_one_choice_alone(swept: Sweep, campaign: Loade
     picture, _ = heat_maps(campaign, keys, places, figures, "cor_log_error", choices)
     for axes, choice in zip(picture.axes, choices, strict=False):
         assert axes.get_title() == choice.label
-        shown = axes.collections[0].get_array().reshape(4, 3)
+        shown = np.reshape(np.asarray(axes.collections[0].get_array()), (4, 3))
         here = choice.cases & (places[0] == 0.008) & (places[1] == places[1].max())
         assert here.sum() == 3
         assert shown[3, 2] == pytest.approx(figures["cor_log_error"][here].mean())
