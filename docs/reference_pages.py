@@ -182,7 +182,12 @@ def commands() -> str:
     from hiltestbed.cli import app
 
     group = typer.main.get_command(app)
-    lines = ["# Commands", "", "`--plugin MODULE` may stand with every command.", ""]
+    lines = [
+        "# Commands",
+        "",
+        "`--plugin MODULE` and `--figures` (figures of reports as PNG and SVG, too) may stand with every command.",
+        "",
+    ]
     for name, command in sorted(group.commands.items()):  # type: ignore[attr-defined]
         lines += [f"## `hiltestbed {name}`", "", inspect.cleandoc(command.help or ""), "", "| | |", "|---|---|"]
         for parameter in command.params:

@@ -1,8 +1,11 @@
-"""Names of result folders."""
+"""Names of result folders, and what else is written into them."""
 
 from __future__ import annotations
 
+from contextvars import ContextVar
 from pathlib import Path
+
+FIGURES_APART: ContextVar[bool] = ContextVar("figures_apart", default=False)  # figures of a report beside it as well, as PNG and SVG
 
 
 def free_folder(path: Path) -> Path:

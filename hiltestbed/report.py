@@ -11,8 +11,12 @@ from typing import TYPE_CHECKING
 from jinja2 import Environment
 from markupsafe import Markup, escape
 
+from hiltestbed.folders import FIGURES_APART, safe_name
+
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+LONGEST_NAME = 48  # characters of a caption, that a figure's file is called by
 
 _PAGE = Environment(autoescape=True).from_string("""<!doctype html>
 <html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
@@ -42,6 +46,7 @@ class Report:
     def __init__(self, title: str) -> None:
         self.title = title
         self._parts: list[Markup] = []
+        self._apart: list[tuple[str, bytes, bytes]] = []
 
     def lead(self, text: str) -> None:
         """The finding, in a sentence."""
@@ -81,12 +86,31 @@ class Report:
         source = Markup("data:image/png;base64," + base64.b64encode(data.getvalue()).decode())
         image = Markup('<div class="scroll"><img alt="{}" style="--wide: {}" src="{}"></div>').format(caption, wide, source)
         self._parts.append(Markup("<figure>{}<figcaption>{}</figcaption></figure>").format(image, caption))
+        if FIGURES_APART.get():
+            name = f"{len(self._apart) + 1:02d}-{safe_name(caption)[:LONGEST_NAME].strip('-')}"
+            self._apart.append((name, data.getvalue(), _as_svg(figure)))
 
     def html(self) -> str:
         return _PAGE.render(title=self.title, parts=self._parts)
 
     def write(self, path: Path) -> None:
+        """Write the page, and beside it the folder ``figures`` where they are asked for, see :data:`hiltestbed.folders.FIGURES_APART`."""
         path.write_text(self.html(), encoding="utf-8")
+        for name, png, svg in self._apart:
+            folder = path.parent / "figures"
+            folder.mkdir(exist_ok=True)
+            (folder / f"{name}.png").write_bytes(png)
+            (folder / f"{name}.svg").write_bytes(svg)
+
+
+def _as_svg(figure: Figure) -> bytes:
+    """The same bytes for the same figure."""
+    from matplotlib import rc_context
+
+    data = io.BytesIO()
+    with rc_context({"svg.hashsalt": "hiltestbed"}):
+        figure.savefig(data, format="svg", bbox_inches="tight", metadata={"Date": None, "Creator": None})
+    return data.getvalue()
 
 
 def _cell(cell: object) -> Markup:

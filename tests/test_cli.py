@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from xml.etree import ElementTree
 
 import pytest
 
@@ -220,6 +221,19 @@ def test_schema_refuses_unknown_keys(folder: Path, call, kind: str) -> None:
     status, out, _ = call("schema", kind)
     assert status == 0
     assert json.loads(out)["additionalProperties"] is False
+
+
+def test_figures_are_written_beside_the_report_when_asked_for(folder: Path, call) -> None:
+    assert call("run", "s.yaml", "--out", "plain", "--no-rerun")[0] == 0
+    assert not Path("plain/figures").exists()
+    assert call("run", "s.yaml", "--out", "r", "--no-rerun", "--figures")[0] == 0
+    drawn = Path("r/report.html").read_text().count("<img ")
+    png, svg = (sorted(f.stem for f in Path("r/figures").glob(f"*.{kind}")) for kind in ("png", "svg"))
+    assert png == svg
+    assert len(png) == drawn > 0
+    for name in png:
+        assert Path(f"r/figures/{name}.png").read_bytes().startswith(b"\x89PNG")
+        assert ElementTree.parse(f"r/figures/{name}.svg").getroot().tag.endswith("svg")
 
 
 def command(*arguments: str, **options) -> subprocess.Popen:

@@ -13,6 +13,7 @@ import typer
 from hiltestbed import interrupt
 from hiltestbed.cli import devices, scenarios, studies
 from hiltestbed.errors import HiltestbedError, InputError, printable
+from hiltestbed.folders import FIGURES_APART
 
 app = typer.Typer(
     help="A hardware-in-the-loop contact simulator for spacecraft docking, in software.",
@@ -40,7 +41,11 @@ def _root(
             help="Load effects, methods, mechanisms or platforms of your own: a module, or a .py file (repeatable, with every command).",
         ),
     ] = None,
+    figures: Annotated[
+        bool, typer.Option("--figures", help="Write the figures of reports beside them as well, as PNG and SVG (with every command).")
+    ] = False,
 ) -> None:
+    FIGURES_APART.set(figures)
     if plugin and not {"--help", "-h"} & set(sys.argv):
         from hiltestbed import plugins
 
@@ -74,8 +79,8 @@ def main() -> None:
     sys.exit(status)
 
 
-def _plugins_first(arguments: list[str]) -> list[str]:
-    """The arguments with every ``--plugin MODULE`` at their head, where the program takes it: it may stand behind any command."""
+def _common_first(arguments: list[str]) -> list[str]:
+    """The arguments with ``--figures`` and every ``--plugin MODULE`` at their head, where the program takes them, wherever they stand."""
     ahead, rest = [], []
     waiting = iter(arguments)
     for argument in waiting:
@@ -83,7 +88,7 @@ def _plugins_first(arguments: list[str]) -> list[str]:
             rest += [argument, *waiting]
         elif argument == "--plugin":
             ahead += [argument, *([following] if (following := next(waiting, None)) is not None else [])]
-        elif argument.startswith("--plugin="):
+        elif argument == "--figures" or argument.startswith("--plugin="):
             ahead.append(argument)
         else:
             rest.append(argument)
@@ -93,7 +98,7 @@ def _plugins_first(arguments: list[str]) -> list[str]:
 def _run() -> int:
     interrupt.install()
     try:
-        app(_plugins_first(sys.argv[1:]))
+        app(_common_first(sys.argv[1:]))
     except SystemExit as ended:  # what typer ends with: 2 for a wrong call, 130 after Ctrl-C
         return ended.code if ended.code in (0, 1, 2, 3) else int(ended.code is not None)  # type: ignore[return-value]
     except HiltestbedError as error:
