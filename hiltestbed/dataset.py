@@ -46,7 +46,9 @@ class Dataset(Strictly):
 
     name: str = Field(default="", description="Name of the data")
     description: str = Field(default="", description="Where the data come from, in a sentence or two")
-    scenario: Annotated[str, Field(min_length=1)] = Field(description="file of the facility's scenario, from the dataset's folder")
+    scenario: Annotated[str, Field(min_length=1)] = Field(
+        description="file of the facility's scenario, from the dataset's folder, or a shipped name"
+    )
     runs: Annotated[tuple[MeasuredRun, ...], Field(strict=False, min_length=1)] = Field(description="the measured runs, one file each")
     channels: dict[str, Channel] | None = Field(
         default=None, description="signal of the trace to its column; a signal left out is looked for under the trace's own name and unit"

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from hiltestbed.errors import Fault, InputError
+from hiltestbed.gallery import find_scenario, scenario_names
 
 SIZE_LIMIT = 500_000  # [byte] a scenario is a page or two; a hundred times that is some other file
 VALUE_LIMIT = 100_000  # values after aliases are expanded: aliases of aliases grow without bound
@@ -141,11 +142,15 @@ def read_source(path: str | Path) -> Source:
 
 
 def referenced_source(source: Source, key: str = "scenario") -> Source:
-    """The file that a file names under `key`, looked for from the folder of the file that names it. Raises InputError."""
-    target = source.folder / str(source.data[key])
-    if not is_file(target):
-        raise InputError(source.fault((key,), f"names no file (got {describe(source.data[key])}); looked for {target}"))
-    return read_source(target)
+    """The file that a file names under `key`, from the folder of the file that names it, or a shipped scenario. Raises InputError."""
+    name = str(source.data[key])
+    target = source.folder / name
+    if is_file(target):
+        return read_source(target)
+    if name in scenario_names():
+        return read_source(find_scenario(name))
+    text = f"names no file and no shipped scenario (got {describe(source.data[key])}); looked for {target}"
+    raise InputError(source.fault((key,), text))
 
 
 def is_file(path: Path) -> bool:

@@ -110,7 +110,7 @@ class Campaign(Strictly):
 
     name: str = Field(default="", description="Name of the campaign, of which the folder of its results is made; left out: the file's")
     description: str = Field(default="", description="What the campaign asks, in a sentence or two")
-    scenario: Annotated[str, Field(min_length=1)] = Field(description="scenario file, from the campaign's folder")
+    scenario: Annotated[str, Field(min_length=1)] = Field(description="scenario file, from the campaign's folder, or a shipped name")
     set: dict[str, Any] = Field(default={}, description="keys of the scenario that every case has set: dotted key to value")
     vary: Annotated[dict[str, Variation], Field(min_length=1)] = Field(description="dotted scenario key to how it varies")
     design: Annotated[Grid | Sobol | Random, Field(discriminator="kind")] = Field(description="How the cases are laid out")

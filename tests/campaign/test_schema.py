@@ -59,3 +59,9 @@ def test_a_scenario_that_is_missing_or_faulty_is_named(file: Path) -> None:
 def test_a_campaign_may_set_what_its_values_stand_on(file: Path) -> None:
     loaded = load_campaign(file, {"set": {"duration": 0.1}})
     assert loaded.nominal.duration == 0.1
+
+
+def test_the_scenario_may_be_a_shipped_one_by_its_name(tmp_path: Path) -> None:
+    file = tmp_path / "c.yaml"
+    file.write_text("scenario: 02-bumper\nvary: {sensor.delay: {values: [0.001]}}\ndesign: {kind: grid}\n")
+    assert load_campaign(file).nominal.name == "bumper"
