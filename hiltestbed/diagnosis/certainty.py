@@ -12,6 +12,7 @@ from hiltestbed.diagnosis.fit import Fit, bounds_of, effects_at, scales
 from hiltestbed.diagnosis.intervals import Spread, intervals
 from hiltestbed.diagnosis.residual import Residual, square
 from hiltestbed.diagnosis.search import Explanation
+from hiltestbed.effects.search import Candidate
 from hiltestbed.frames import Array
 
 REACH = 2.0  # ends of the 95 % interval, as far as a profile goes to each side
@@ -108,9 +109,14 @@ def certainty(link: str, residual: Residual, found: Fit) -> Certainty:
         values, costs = _profile(residual, found, spread, j)
         ends, bounds = (float(spread.ends[j, 0]), float(spread.ends[j, 1])), (float(low[j]), float(high[j]))
         rise = (costs - base) / spread.misfit
-        unit, of = c.effect.unit(name.partition(".")[0]), ", ".join(str(v) for v in c.fixed.values() if isinstance(v, str))
+        unit, of = _unit(c, name.partition(".")[0]), ", ".join(str(v) for v in c.fixed.values() if isinstance(v, str))
         profiles.append(Profile(c.kind, name, unit, of, at, ends, bounds, met, values, rise))
     return Certainty(link, tuple(profiles), spread.correlation, spread.ends)
+
+
+def _unit(c: Candidate, name: str) -> str:
+    """The unit of a parameter; what is fitted beside those of the effect is how late the log stamps its rows."""
+    return c.effect.unit(name) if name in c.effect.model_fields else "s"
 
 
 def _profile(residual: Residual, found: Fit, spread: Spread, j: int) -> tuple[Array, Array]:

@@ -78,7 +78,7 @@ def finest_noise(values: Array) -> float:
 
 
 def step_of(values: Array) -> float | None:
-    """The step that all of ``values`` are multiples of, or None when they come in no steps."""
+    """The step that all of ``values`` are multiples of, or None when they come in no steps; a uniform motion makes one a sample."""
     distinct = np.unique(values)
     if len(distinct) < 3:
         return None
@@ -88,6 +88,8 @@ def step_of(values: Array) -> float | None:
     if step < ROUND_OFF * np.abs(distinct[[0, -1]]).max():
         return None
     multiples = gaps / step
+    if len(distinct) == len(values) and multiples.max() < 1.5:
+        return None
     return step if np.abs(multiples - np.round(multiples)).max() < 0.05 else None
 
 

@@ -30,7 +30,7 @@ Step = Annotated[Curve, Field(min_length=2), AfterValidator(_after_the_step)]
 
 @register
 class LearnedResponse(Effect):
-    """A linear response of the platform, the same on all three axes, as the answer to a step of its command."""
+    """A linear response of the platform, one for all three axes, as the answer to a step of its command."""
 
     kind: Literal["platform.response"] = "platform.response"
     step: Step = quantity(

@@ -60,14 +60,14 @@ class Watch:
         self._limits = np.array([[a.low, a.high, a.speed, a.acceleration, a.force] for a in axes]).T.copy()
         self.shares, self.which = np.zeros((n, 5)), np.zeros((n, 5), dtype=np.int64)
         self._before, self._ticks = np.zeros((n, len(self._axes))), np.zeros(n, dtype=np.int64)
-        self._seen, self._columns = (np.zeros((n, len(self._axes))), np.zeros(n)), np.arange(len(self._axes))
+        self._stood, self._missed, self._columns = np.zeros((n, len(self._axes))), np.zeros(n), np.arange(len(self._axes))
 
     def passed(self, joints: Array, rates: Array, forces: Array, missed: Array, columns: NDArray[np.int64] | None = None) -> bool:
         """Whether a run has passed a limit: ``joints`` from home, ``rates`` and drive ``forces`` (n, J), what the command missed (n,).
 
-        ``columns``: (J,) where the drives' forces stand in ``forces``; else as they come. :meth:`reason` speaks of these arrays.
+        ``columns``: (J,) where the drives' forces stand in ``forces``; else as they come.
         """
-        self._seen = joints, missed
+        self._stood[:], self._missed[:] = joints, missed
         return _watch(
             self._tick, self._limits, self._home, joints, rates, forces, self._columns if columns is None else columns, missed,
             self._before, self._ticks, self._watched, self.shares, self.which,
@@ -79,13 +79,13 @@ class Watch:
         if not self.shares[i, worst] > 1.0:
             return None
         if worst == REACH:
-            return f"the command is {self._seen[1][i]:.3g} m or rad out of the facility's reach"
+            return f"the command is {self._missed[i]:.3g} m or rad out of the facility's reach"
         axis, j = self._axes[int(self.which[i, worst])], int(self.which[i, worst])
         turn = math.degrees(1.0) if axis.unit == "rad" else 1.0
         unit = "deg" if axis.unit == "rad" else axis.unit
         share = self.shares[i, worst]
         if worst == TRAVEL:
-            value = (self._seen[0][i, j] + self._home[j]) * turn
+            value = (self._stood[i, j] + self._home[j]) * turn
             return f"joint {axis.joint} stands at {value:.4g} {unit}; its travel is {axis.low * turn:.4g} to {axis.high * turn:.4g} {unit}"
         if worst == SPEED:
             return f"joint {axis.joint} moves at {share * axis.speed * turn:.4g} {unit}/s; its limit is {axis.speed * turn:.4g} {unit}/s"
