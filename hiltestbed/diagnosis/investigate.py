@@ -18,8 +18,9 @@ from hiltestbed.diagnosis.jitter import JITTER, jitter_beside
 from hiltestbed.diagnosis.layout import Layout, compensation_link, dynamics_link, lay_out, platform_link
 from hiltestbed.diagnosis.lines import hum_beside, lines
 from hiltestbed.diagnosis.links import AxisLink, CompensationLink, Link, LinkRun, PlatformLink, WrenchLink
+from hiltestbed.diagnosis.links.base import Effects
 from hiltestbed.diagnosis.paths import BestPath, best_path, make_wrench_link
-from hiltestbed.diagnosis.residual import Residual
+from hiltestbed.diagnosis.residual import Residual, square
 from hiltestbed.diagnosis.search import Explanation, Progress, Search
 from hiltestbed.diagnosis.settings import DETECTION, MOST_NOISE, ONE_OF_TWO, RECORD_LEFT
 from hiltestbed.diagnosis.stiction import stick_starts
@@ -128,6 +129,8 @@ def _investigate_wrench(layout: Layout, found: dict[str, Explanation], whole: di
         candidates = tuple(c for c in candidates if c.kind != "sensor.delay")
     search = Search(candidates, special=(jitter_beside, hum_beside), progress=_told(progress, "contact and sensor"))
     explanation = search.explain(residual, given[0] if given else None)
+    if not given and (levered := _another_lever(explanation)):
+        explanation = search.explain(Residual(levered))
     if not given and (pointed := _at_a_point(explanation)):
         explanation = search.explain(Residual(pointed))
     if given and not explanation.adequate and _other_reading_betters(explanation, given[1]):
@@ -251,16 +254,26 @@ def _without_end(run: LinkRun, ticks: int) -> LinkRun:
     return replace(run, sigma=sigma)
 
 
-def _choose_lever(link: WrenchLink) -> WrenchLink:
-    """Where between tip and surface the force acts: the reading of the geometry that the torques bear out."""
+def _choose_lever(link: WrenchLink, effects: Effects = ()) -> WrenchLink:
+    """Where between tip and surface the force acts: the reading of the geometry that the torques bear out, under ``effects``."""
     if all(r.scenario.mechanism.contact.friction == 0.0 for r in link.runs):
         return link
 
     def cost(lever: float) -> float:
-        r = Residual(link.reading(lever))(())
+        r = Residual(link.reading(lever))(effects)
         return float(np.sum(np.minimum(r * r, 100.0)))
 
     costs = {lever: cost(lever) for lever in (0.5, 0.0, 1.0)}
     best = min(costs, key=lambda key: costs[key])
     found: Any = minimize_scalar(cost, bounds=(max(best - 0.5, 0.0), min(best + 0.5, 1.0)), method="bounded", options={"xatol": 0.01})
     return link.reading(float(found.x) if found.fun < costs[best] - ONE_OF_TWO else best)
+
+
+def _another_lever(explanation: Explanation) -> WrenchLink | None:
+    """The reading of the lever that the best cause bears out, where it leaves clearly less: it was chosen while nothing was known."""
+    if explanation.adequate or not explanation.singles:
+        return None
+    best = explanation.singles[0]
+    other = _choose_lever(_wrench(explanation), best.effects())
+    chi2 = square(explanation.residual.through(other)(best.effects()))
+    return other if chi2 < best.chi2 - DETECTION * inflation(best) else None

@@ -16,6 +16,7 @@ UNIFORM = 2.0  # rms over white, above which a pose does not move uniformly and 
 ROUND_OFF = 1e-12  # of the largest value: such steps are those of the number format
 SPARSE = 0.7  # part of the ticks that hold a sample, below which they are the samples of a slower log
 FEW_DIGITS = 6  # of a text file, up to which its rounding may show
+SMALLEST = 1e-290  # below which a last digit is none of the number format's
 SAME = 1e-9  # of the range: values this close are one value
 
 
@@ -100,7 +101,8 @@ def last_digit(size: Array, count: int) -> Array:
 
 def digits_of(values: Array) -> int | None:
     """How many significant digits ``values`` have where they are few, :data:`FEW_DIGITS` at most; None where they have more."""
-    size = np.abs(values[np.isfinite(values) & (values != 0.0)])
+    size = np.abs(values[np.isfinite(values)])
+    size = size[size > SMALLEST]
     if len(np.unique(size)) < 10:
         return None
     for count in range(2, FEW_DIGITS + 1):
