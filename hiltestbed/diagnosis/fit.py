@@ -24,6 +24,7 @@ SETTLED = 1e-4  # change of chi-square below which a fit has settled
 SCANNED = 21  # places within a tenth of a parameter in which chi-square has jumps
 FINEST = 1e-3  # of such a parameter: the last step of the search for the lowest jump
 DAMPINGS = 4  # of the descent, tried together
+AT_BOUND = 1e-3  # of the range of a search
 PATIENCE = 4  # steps of a descent, after which it is given up where steps like the last two would not bring it to the best that is known
 
 Run = Callable[[Sequence[Array] | Array], Array]  # thetas to residuals (H, M)
@@ -94,6 +95,14 @@ def bounds_of(causes: Sequence[Candidate]) -> tuple[Array, Array, np.ndarray]:
     if not causes:
         return np.zeros(0), np.zeros(0), np.zeros(0, bool)
     return np.concatenate([c.low for c in causes]), np.concatenate([c.high for c in causes]), np.concatenate([c.log for c in causes])
+
+
+def at_bound(cause: Candidate, theta: Array) -> bool:
+    """Whether a parameter ends where its search does."""
+    width = np.where(np.isfinite(cause.high - cause.low), cause.high - cause.low, np.inf)
+    near = AT_BOUND * np.where(cause.log, np.abs(theta), width)
+    near = np.where(np.isfinite(near), near, 0.0)
+    return bool(np.any((theta <= cause.low + near) | (theta >= cause.high - near)))
 
 
 def fit(

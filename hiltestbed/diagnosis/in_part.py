@@ -11,16 +11,14 @@ import math
 import numpy as np
 
 from hiltestbed.diagnosis.adequacy import JITTER
-from hiltestbed.diagnosis.fit import Fit, fit, inflation
+from hiltestbed.diagnosis.fit import Fit, at_bound, fit, inflation
 from hiltestbed.diagnosis.grow import carried
 from hiltestbed.diagnosis.residual import Residual
 from hiltestbed.diagnosis.search import Explanation, Search
 from hiltestbed.diagnosis.settings import AMBIGUITY, AS_GOOD, CARRIED, INVARIANT, MOST_RUNS, PARTNERS, WORTH_IN_PART
-from hiltestbed.effects.search import Candidate
 
 LEAST_RUNS = 3
 LEAST_LONG_RUNS = 2  # of which each holds many witnesses
-AT_BOUND = 1e-3  # of the range of a search
 
 
 def holding(found: Explanation) -> tuple[int, ...]:
@@ -41,14 +39,6 @@ def explained(found: Explanation) -> float:
     """Share of the departure, in mean square beyond the noise, that the chosen fit carries on runs that were left out."""
     before, after = (math.exp(2.0 * carried(found.residual, f)) - 1.0 for f in (found.null, found.chosen))
     return 1.0 - max(after, 0.0) / before if before > 0.0 else 0.0
-
-
-def at_bound(cause: Candidate, theta: np.ndarray) -> bool:
-    """Whether a parameter ends where its search does."""
-    width = np.where(np.isfinite(cause.high - cause.low), cause.high - cause.low, np.inf)
-    near = AT_BOUND * np.where(cause.log, np.abs(theta), width)
-    near = np.where(np.isfinite(near), near, 0.0)
-    return bool(np.any((theta <= cause.low + near) | (theta >= cause.high - near)))
 
 
 def same_in_each(chosen: Fit, alone: list[Fit], index: int) -> bool:

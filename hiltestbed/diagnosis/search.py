@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hiltestbed.diagnosis.adequacy import JITTER, Leftover, contact_leftovers
-from hiltestbed.diagnosis.fit import Fit, bounds_of, differences, effects_at, fit, inflation, nothing, refit, scales
+from hiltestbed.diagnosis.fit import Fit, at_bound, bounds_of, differences, effects_at, fit, inflation, nothing, refit, scales
 from hiltestbed.diagnosis.jitter import again
 from hiltestbed.diagnosis.links.base import Effects
 from hiltestbed.diagnosis.residual import Residual, square
@@ -253,6 +253,13 @@ def first_of_each(fits: Sequence[Fit], by: str) -> list[Fit]:
     return out
 
 
+def _limit_of(chosen: Fit, index: int, other: Fit) -> bool:
+    """Whether ``other`` has, in place of a cause, one of more parameters at the end of its range, where it is nothing but that cause."""
+    own = next(i for i, kind in enumerate(other.kinds) if kind not in chosen.kinds)
+    more = len(other.causes[own].names) > len(chosen.causes[index].names)
+    return more and at_bound(other.causes[own], other.part(own))
+
+
 def with_rivals(found: Explanation, judge: Judge) -> Explanation:
     """With the fits that differ from the chosen one in one cause and cannot be told from it."""
     chosen = found.chosen
@@ -261,7 +268,7 @@ def with_rivals(found: Explanation, judge: Judge) -> Explanation:
     rivals: list[list[Fit]] = [[] for _ in chosen.causes]
     for f in first_of_each(close, "kinds"):
         shared = [kind in f.kinds for kind in chosen.kinds]
-        if sum(shared) != len(shared) - 1:
+        if sum(shared) != len(shared) - 1 or _limit_of(chosen, shared.index(False), f):
             continue
         if all(left.noise for left in judge(found.residual, f.effects()).values()):
             rivals[shared.index(False)].append(f)

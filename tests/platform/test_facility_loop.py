@@ -179,8 +179,8 @@ def test_a_fault_in_a_rig_of_the_users_own_is_named(gantry, tmp_path) -> None:
         lines.append(f"  - {{file: run{i}.parquet, set: {{approach.velocity.2: {speed}}}}}")
     (tmp_path / "dataset.yaml").write_text("\n".join(lines) + "\n")
     found = diagnose(tmp_path / "dataset.yaml").to_json()
-    assert found["verdict"] in ("named", "ambiguous")  # four short bounces do not tell it from all that resembles it
-    assert found["causes"][0]["effect"] == "contact.stiffness"
+    assert found["verdict"] == "named"
+    assert [c["effect"] for c in found["causes"]] == ["contact.stiffness"]
     assert found["causes"][0]["parameters"]["factor"]["estimate"] == pytest.approx(1.15, abs=0.01)
 
 
