@@ -7,6 +7,8 @@ way (a delayed copy of it, a prediction) is a drive of its own.
 
 from __future__ import annotations
 
+import math
+import traceback
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
@@ -15,6 +17,7 @@ import numpy as np
 from hiltestbed.compensation.measurement import Measurement
 from hiltestbed.compensation.motion_methods.contact_correction import correct_for_platform
 from hiltestbed.compensation.settings import FORCE_METHODS, MOTION_METHODS
+from hiltestbed.errors import HiltestbedError, InputError
 from hiltestbed.frames import Array
 
 if TYPE_CHECKING:
@@ -79,9 +82,30 @@ class ForceDrive:
         self.pose = model.pose
         self.twist = model.twist
         self.wrench = np.zeros_like(model.twist)
+        self._name = f"compensation.force: {type(method).__name__}"
+
+    def _compensated(self, measurement: Measurement) -> Array:
+        """What the method makes of a measurement; an error in one of a plugin is told with its place.
+
+        Raises:
+            InputError: a method from outside this package failed.
+        """
+        try:
+            return self.method.compensate(measurement)
+        except Exception as error:
+            if isinstance(error, HiltestbedError) or type(self.method).__module__.startswith("hiltestbed."):
+                raise
+            last = traceback.extract_tb(error.__traceback__)[-1]
+            raise InputError(f"{self._name}.compensate: {last.filename}:{last.lineno}: {type(error).__name__}: {error}") from error
 
     def advance(self, measurement: Measurement) -> None:
-        self.wrench[:] = self.method.compensate(measurement)
+        given = self._compensated(measurement)
+        if getattr(given, "shape", None) != self.wrench.shape:
+            what = f"an array {given.shape}" if isinstance(given, np.ndarray) else type(given).__name__
+            raise InputError(f"{self._name}.compensate: gave {what}; allowed is an array {self.wrench.shape}, a wrench a run; return it")
+        self.wrench[:] = given
+        if not math.isfinite(np.vdot(given, given)) and np.isfinite(measurement.wrench).all() and np.isfinite(self.pose).all():
+            raise InputError(f"{self._name}.compensate: gave NaN or infinity for readings that are finite; look for 0/0 in it")
         if self._corrects:
             correct_for_platform(measurement, self.pose, self.twist, self.wrench)
         self.model.advance(self.wrench)
