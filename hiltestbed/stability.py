@@ -66,7 +66,14 @@ class Stability:
         damping, stiffness = ("N m s/rad", "N m/rad") if self.turns else ("N s/m", "N/m")
         parts = [f"{head}: net damping {self.net_damping:+.4g} {damping} of {self.damping:.4g}"]
         if self.largest_delay is not None:
-            parts.append(f"largest delay {1e3 * self.largest_delay:.3g} ms (now {1e3 * round(self.delay, 9):.3g} ms)")
+            now = f"now {1e3 * round(self.delay, 9):.3g} ms" + (", what the compensation leaves" if self.compensated else "")
+            bears = f"largest delay {1e3 * self.largest_delay:.3g} ms"
+            bears = (
+                bears
+                if self.largest_delay >= 0.0
+                else f"no delay at all, the platform alone is {-1e3 * self.largest_delay:.3g} ms too late"
+            )
+            parts.append(f"{bears} ({now})")
         if self.largest_stiffness is not None:
             parts.append(f"largest stiffness {self.largest_stiffness:.3g} {stiffness} (now {self.stiffness:.3g} {stiffness})")
         return "; ".join(parts)

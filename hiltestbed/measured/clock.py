@@ -123,7 +123,8 @@ def _sampling(run: int, t: Array, interval: float, tick: float) -> list[Remark]:
     if abs(interval - tick) > 0.01 * tick:
         text = f"is sampled at {1 / interval:.6g} Hz, the loop runs at {1 / tick:.6g} Hz; resampled to the ticks"
         text += ", of which most hold no sample" if interval > 1.5 * tick else ""
-        remarks.append(Remark("note", run, "t", text, "", {"sample_rate": 1 / interval, "rate": 1 / tick}))
+        fix = f"if the facility's loop runs at that rate, give rate: {1 / interval:.6g} in its scenario: else its delays are misread"
+        remarks.append(Remark("note", run, "t", text, fix, {"sample_rate": 1 / interval, "rate": 1 / tick}))
     gaps = np.flatnonzero(steps > GAP * interval)
     if len(gaps):
         longest, missing = float(steps.max()), float((steps[gaps] / interval - 1).sum())
