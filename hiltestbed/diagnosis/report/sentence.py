@@ -123,7 +123,8 @@ def gain_sentence(heldout: Heldout | None, extends: bool) -> str:
     low, high = heldout.ci95
     text = (
         f"On {len(heldout.runs)} runs, each left out of the fit in turn, the residual falls from {heldout.rms_before:.3g} to "
-        f"{heldout.rms_after:.3g} times the noise floor: {100 * heldout.reduction:.1f} % less (95 % interval {100 * low:.1f} to {100 * high:.1f} %); "
+        f"{heldout.rms_after:.3g} times the noise floor: {100 * heldout.reduction:.1f} % less (95 % interval {100 * low:.1f} to "
+        f"{100 * high:.1f} %); "
         f"a wrong effect of equal size gives {100 * heldout.placebo_reduction:.1f} %."
     )
     return text if heldout.significant else text + " That is not significant: no gain is claimed and the model is not extended."
