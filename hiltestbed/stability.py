@@ -66,14 +66,8 @@ class Stability:
         damping, stiffness = ("N m s/rad", "N m/rad") if self.turns else ("N s/m", "N/m")
         parts = [f"{head}: net damping {self.net_damping:+.4g} {damping} of {self.damping:.4g}"]
         if self.largest_delay is not None:
-            now = f"now {1e3 * round(self.delay, 9):.3g} ms" + (", what the compensation leaves" if self.compensated else "")
-            bears = f"largest delay {1e3 * self.largest_delay:.3g} ms"
-            bears = (
-                bears
-                if self.largest_delay >= 0.0
-                else f"no delay at all, the platform alone is {-1e3 * self.largest_delay:.3g} ms too late"
-            )
-            parts.append(f"{bears} ({now})")
+            size, left = f"{1e3 * abs(self.largest_delay):.3g} ms", f"now left: {1e3 * round(self.delay, 9):.3g} ms"
+            parts.append(f"largest delay {size} ({left})" if self.largest_delay >= 0.0 else f"without any delay {size} too late ({left})")
         if self.largest_stiffness is not None:
             parts.append(f"largest stiffness {self.largest_stiffness:.3g} {stiffness} (now {self.stiffness:.3g} {stiffness})")
         return "; ".join(parts)
