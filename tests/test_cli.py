@@ -263,7 +263,7 @@ def test_a_reader_that_hangs_up_gets_no_traceback(folder: Path) -> None:
 
 
 def test_interrupted_leaves_no_folder_and_no_traceback(folder: Path) -> None:
-    process = command("run", "s.yaml", "--set", "duration=2000", "--set", "approach.velocity=[0,0,0]", "--no-rerun", "--out", "r")
+    process = command("run", "s.yaml", "--set", "duration=200", "--set", "approach.velocity=[0,0,0]", "--no-rerun", "--out", "r")
     end = time.monotonic() + 60.0
     while "libmujoco" not in Path(f"/proc/{process.pid}/maps").read_text():  # past the command's own imports
         assert time.monotonic() < end
