@@ -11,7 +11,7 @@ import pytest
 from hiltestbed.bench.robustness import kills
 from hiltestbed.bench.robustness.kills import COMMANDS, Command, KillError, kill
 
-SLOW = pytest.mark.skipif("HILTESTBED_SLOW_TESTS" not in os.environ, reason="takes minutes; set HILTESTBED_SLOW_TESTS")
+SLOW = pytest.mark.skipif("HILTESTBED_SLOW" not in os.environ, reason="takes minutes; ./check --all")
 KILLED, INTERRUPTED = 2, 0  # seeds of a trial that ends a command so, and gives it again
 
 
