@@ -7,10 +7,11 @@ once a row, in compiled loops over the rows where the calls themselves would cos
 
 from hiltestbed.replay.axis import replay_axis
 from hiltestbed.replay.compensation import replay_compensation
+from hiltestbed.replay.felt import Felt
 from hiltestbed.replay.numerical_model import Departing, replay_model
 from hiltestbed.replay.platform import replay_platform
 from hiltestbed.replay.rig import creep_of, follows_exactly, moves_linearly, replay_rig
-from hiltestbed.replay.wrench import Felt, replay_wrench
+from hiltestbed.replay.wrench import replay_wrench
 
 __all__ = [
     "Departing", "Felt", "creep_of", "follows_exactly", "moves_linearly", "replay_axis", "replay_compensation", "replay_model",
