@@ -9,7 +9,7 @@ import numpy as np
 
 from hiltestbed.contact.mount_dynamics import borne
 from hiltestbed.diagnosis.links import flat_pose
-from hiltestbed.diagnosis.settings import BLOCK, NO_POSE_NOISE
+from hiltestbed.diagnosis.settings import BLOCK
 from hiltestbed.frames import Array
 from hiltestbed.identification.samples import GATE_SIGMA
 from hiltestbed.measured import MeasuredRun
@@ -20,6 +20,7 @@ from hiltestbed.scenario import Scenario
 
 KNOWN = 0.25  # of the deflection that a wrong reading of the force may falsify: the largest gain error that goes unnoticed here
 OFF = 5e-3  # [s] that the reading may be later than believed, or earlier
+AS_TOLD = 1e-8  # [m] noise of a reached pose, up to which the record holds what a method was told: a servo's own jitter reads as 1e-9
 UNFOLLOWED = 0.01  # of a departure: what the drives leave of a jump is not replayed
 CONSTANTS = 10.0  # time constants of the drives, within which where they start from is forgotten
 
@@ -80,7 +81,7 @@ def _as_told(run: MeasuredRun) -> Array | None:
     if "pose" not in run.scenario.compensation.motion.reads or not record.has("pose_act") or not record.valid["pose_act"].all():
         return None
     noisy = max(run.survey.noise[f"pose_act.{axis}"].white for axis in ("px", "py", "pz") if f"pose_act.{axis}" in run.survey.noise)
-    return record.filled("pose_act") if noisy <= 10.0 * NO_POSE_NOISE else None
+    return record.filled("pose_act") if noisy <= AS_TOLD else None
 
 
 def _memory(scenario: Scenario) -> float:
