@@ -7,7 +7,6 @@ way (a delayed copy of it, a prediction) is a drive of its own.
 
 from __future__ import annotations
 
-import math
 import traceback
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
@@ -82,30 +81,31 @@ class ForceDrive:
         self.pose = model.pose
         self.twist = model.twist
         self.wrench = np.zeros_like(model.twist)
-        self._name = f"compensation.force: {type(method).__name__}"
+        self._foreign = not type(method).__module__.startswith("hiltestbed.")
 
-    def _compensated(self, measurement: Measurement) -> Array:
-        """What the method makes of a measurement; an error in one of a plugin is told with its place.
+    def _looked_at(self, measurement: Measurement) -> Array:
+        """``(n, 6)`` what a method from outside this package makes of a measurement.
 
         Raises:
-            InputError: a method from outside this package failed.
+            InputError: it failed, told with its place, or gave what is no finite wrench a run.
         """
+        name = f"compensation.force: {type(self.method).__name__}.compensate"
         try:
-            return self.method.compensate(measurement)
+            given = self.method.compensate(measurement)
+        except HiltestbedError:
+            raise
         except Exception as error:
-            if isinstance(error, HiltestbedError) or type(self.method).__module__.startswith("hiltestbed."):
-                raise
             last = traceback.extract_tb(error.__traceback__)[-1]
-            raise InputError(f"{self._name}.compensate: {last.filename}:{last.lineno}: {type(error).__name__}: {error}") from error
-
-    def advance(self, measurement: Measurement) -> None:
-        given = self._compensated(measurement)
+            raise InputError(f"{name}: {last.filename}:{last.lineno}: {type(error).__name__}: {error}") from error
         if getattr(given, "shape", None) != self.wrench.shape:
             what = f"an array {given.shape}" if isinstance(given, np.ndarray) else type(given).__name__
-            raise InputError(f"{self._name}.compensate: gave {what}; allowed is an array {self.wrench.shape}, a wrench a run; return it")
-        self.wrench[:] = given
-        if not math.isfinite(np.vdot(given, given)) and np.isfinite(measurement.wrench).all() and np.isfinite(self.pose).all():
-            raise InputError(f"{self._name}.compensate: gave NaN or infinity for readings that are finite; look for 0/0 in it")
+            raise InputError(f"{name}: gave {what}; allowed is an array {self.wrench.shape}, a wrench a run; return it")
+        if not np.isfinite(given).all() and np.isfinite(measurement.wrench).all() and np.isfinite(self.pose).all():
+            raise InputError(f"{name}: gave NaN or infinity for readings that are finite; look for 0/0 in it")
+        return given
+
+    def advance(self, measurement: Measurement) -> None:
+        self.wrench[:] = self._looked_at(measurement) if self._foreign else self.method.compensate(measurement)
         if self._corrects:
             correct_for_platform(measurement, self.pose, self.twist, self.wrench)
         self.model.advance(self.wrench)
