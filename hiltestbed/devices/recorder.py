@@ -16,17 +16,17 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 
 from hiltestbed.devices.realtime import ordinary
-from hiltestbed.devices.ring import Array, Ring
+from hiltestbed.devices.ring import READY, Array, Ring, attached
 from hiltestbed.errors import HiltestbedError
 from hiltestbed.signals import Trace, groups
 
 NAP = 0.005  # [s] between two reads of the ring
 PATIENCE = 20.0  # [s] to wait for the process to start, and to write the remaining rows
-READY = "ready"
 BEHIND = 4000  # rows that the recording may be behind: two seconds at 2 kHz
 
 
@@ -130,22 +130,25 @@ def main() -> int:
         file = open(arguments.path, "wb")  # noqa: SIM115 (closed below: the ring is announced in between)
     except OSError:
         return 1
-    ring = Ring.attach(arguments.ring)
-    sys.stdout.write(READY + "\n")
-    sys.stdout.flush()
-    with file:
-        while True:
-            finished = ring.finished or os.getppid() != arguments.parent
-            rows = ring.take()
-            if len(rows):
-                file.write(rows.tobytes())
-                file.flush()
-            elif finished:
-                break
-            else:
-                time.sleep(NAP)
-    ring.close()
+    with file, attached(arguments.ring) as rings:
+        if not rings:
+            return 1
+        _record(rings[0], file, arguments.parent)
     return 0
+
+
+def _record(ring: Ring, file: BinaryIO, parent: int) -> None:
+    """Write the rows until the ring is finished and empty, or the parent has died."""
+    while True:
+        finished = ring.finished or os.getppid() != parent
+        rows = ring.take()
+        if len(rows):
+            file.write(rows.tobytes())
+            file.flush()
+        elif finished:
+            return
+        else:
+            time.sleep(NAP)
 
 
 if __name__ == "__main__":

@@ -7,7 +7,9 @@ match. A full ring drops the row and counts it.
 
 from __future__ import annotations
 
+import contextlib
 import sys
+from collections.abc import Iterator
 from multiprocessing import resource_tracker, shared_memory
 
 import numpy as np
@@ -18,6 +20,7 @@ from hiltestbed.errors import InputError
 LINE = 64  # [byte] of a cache line: the two counts are on separate lines
 HEAD = 3 * LINE  # pushed, taken, dimensions
 LARGEST = 1 << 30  # [byte]
+READY = "ready"  # what a process says once it has attached
 
 Array = NDArray[np.float64]
 
@@ -107,3 +110,26 @@ class Ring:
         self._memory.close()
         if self._owner:
             self._memory.unlink()
+
+
+@contextlib.contextmanager
+def attached(*names: str) -> Iterator[list[Ring]]:
+    """The rings that the parent has created, after telling it on standard output that this process is :data:`READY`.
+
+    Empty where the parent has died while this process started: its rings, or its end of the pipe, have gone with it.
+    """
+    rings: list[Ring] = []
+    try:
+        rings += [Ring.attach(name) for name in names]
+        sys.stdout.write(READY + "\n")
+        sys.stdout.flush()
+    except (FileNotFoundError, BrokenPipeError):
+        sys.stdout = None  # closing it at the exit would write the rest again
+        gone = True
+    else:
+        gone = False
+    try:
+        yield [] if gone else rings
+    finally:
+        for ring in rings:
+            ring.close()

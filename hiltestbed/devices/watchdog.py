@@ -22,13 +22,12 @@ import numpy as np
 
 from hiltestbed.devices.interface import DeviceError, Keeper, PlatformClient
 from hiltestbed.devices.realtime import PRIORITY, ordinary, prepared
-from hiltestbed.devices.ring import Array, Ring
+from hiltestbed.devices.ring import READY, Array, Ring, attached
 from hiltestbed.errors import InputError
 
 Action = Literal["hold", "stop"]
 ACTIONS: tuple[Action, ...] = ("hold", "stop")
 PATIENCE = 20.0  # [s] to wait for the process to start and to end
-READY = "ready"
 BEATS = 512  # rows of the ring: unread heartbeats
 COLUMNS = 10  # time [s], armed, held (8,)
 LASTING = 2.0  # [s]
@@ -163,14 +162,12 @@ def main() -> int:
     if kind is None:
         return 1
     keeper = kind(settings_of(a.url, "--platform"), a.fileno)
-    beats, answer = Ring.attach(a.beats), Ring.attach(a.answer)
-    sys.stdout.write(READY + "\n")
-    sys.stdout.flush()
-    ordinary()
-    with prepared(priority=PRIORITY + 1):  # above the loop, which may be stuck at its own priority
-        watch(beats, answer, keeper, a.action, a.timeout, a.lasting, a.period, a.parent)
-    beats.close()
-    answer.close()
+    with attached(a.beats, a.answer) as rings:
+        if not rings:
+            return 1
+        ordinary()
+        with prepared(priority=PRIORITY + 1):  # above the loop, which may be stuck at its own priority
+            watch(rings[0], rings[1], keeper, a.action, a.timeout, a.lasting, a.period, a.parent)
     return 0
 
 

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import os
+import socket
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from hiltestbed.devices.interface import DeviceError, Event, PlatformServer
+from hiltestbed.devices.ring import Ring
 from hiltestbed.devices.table import platform_client, platform_server
 from hiltestbed.devices.watchdog import Watchdog
 from hiltestbed.errors import InputError
@@ -132,3 +135,30 @@ def test_what_cannot_be_set_is_said() -> None:
         Watchdog(url, client, timeout=0.0)
     with platform_server(device_url), pytest.raises(DeviceError, match="the watchdog did not start"):
         Watchdog("udp://127.0.0.1:1?layout=/no/such/file.yaml", client, timeout=1.0)
+
+
+@pytest.mark.parametrize("gone", ["rings", "pipe"])
+@pytest.mark.parametrize("part", ["watchdog", "recorder"])
+def test_a_process_whose_loop_was_killed_while_it_started_ends_without_a_word(part: str, gone: str, tmp_path: Path) -> None:
+    rings, udp = [Ring(10, 8), Ring(1, 4)], socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    names = [ring.name for ring in rings]
+    of = {
+        "watchdog": [*names, "udp://127.0.0.1:49152", "hold", "0.1", "1", "0.1", str(udp.fileno()), str(os.getpid())],
+        "recorder": [names[0], str(tmp_path / "rows"), str(os.getpid())],
+    }
+    if gone == "rings":
+        for ring in rings:
+            ring.close()
+    reading, writing = os.pipe()
+    os.close(reading)
+    with subprocess.Popen(
+        [sys.executable, "-m", f"hiltestbed.devices.{part}", *of[part]], pass_fds=(udp.fileno(),),
+        stdout=writing if gone == "pipe" else subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
+    ) as process:  # fmt: skip
+        said = process.communicate(timeout=60)[1]
+    os.close(writing)
+    udp.close()
+    if gone == "pipe":
+        for ring in rings:
+            ring.close()
+    assert (process.returncode, said) == (1, "")
