@@ -157,7 +157,7 @@ def reference_scenario(scenario: Scenario) -> Scenario:
 
 def _identified(loop: Loop, i: int) -> dict[str, Any]:
     """Per axis: stiffness and damping identified, None where the axis gave no estimate, and the truth where there is one."""
-    truth = axis_truth(loop.scenarios[i], bool(loop.plant.captured[i]))
+    truth = _truth(loop, i)
     estimate = loop.identification
     out = {}
     told = _axes_told(loop, i)
@@ -171,6 +171,14 @@ def _identified(loop: Loop, i: int) -> dict[str, Any]:
             "samples": int(estimate.samples[i, j]) if estimate else 0,
         }
     return out
+
+
+def _truth(loop: Loop, i: int) -> list[tuple[float, float] | None]:
+    """Stiffness and damping of each axis: by the mechanism's numbers, or once it is held in phases, by the Jacobians of the model."""
+    held = loop.plant.held_pair(i)
+    if held is None:
+        return axis_truth(loop.scenarios[i], bool(loop.plant.captured[i]))
+    return [(float(held[0][j, j]), float(held[1][j, j])) for j in range(len(AXES))]
 
 
 def _axes_told(loop: Loop, i: int) -> int:
