@@ -32,7 +32,8 @@ class Direction:
 
     Attributes:
         name: in words. row: (6,) J. mass: [kg], [kg m^2]. stiffness, damping: along it [N/m, N m/rad], [N s/m, N m s/rad].
-        turns: whether it is a turn.
+        turns: whether it is a turn. pulls: whether the contact pulls as well as pushes. slant: whether it is the normal of a surface that
+        lies askew to the insertion.
     """
 
     name: str
@@ -41,12 +42,14 @@ class Direction:
     stiffness: float
     damping: float
     turns: bool = False
+    pulls: bool = False
+    slant: bool = False
 
 
 def insertion(scenario: Scenario) -> Direction:
     """Along z at P's origin."""
     contact = scenario.mechanism.contact
-    return Direction("along z", INSERTION, effective_mass(scenario), contact.stiffness, contact.damping)
+    return Direction("along z", INSERTION, effective_mass(scenario), contact.stiffness, contact.damping, pulls=scenario.mechanism.captured)
 
 
 def directions(scenario: Scenario) -> list[Direction]:
@@ -62,7 +65,8 @@ def directions(scenario: Scenario) -> list[Direction]:
     touch = first_touch(scenario)
     if touch is not None and np.abs(touch[0] - INSERTION).max() > ALIKE:
         row, stiffness, damping = touch
-        found.append(Direction("along the normal of the first touch", row, 1.0 / float(row @ inverse @ row), stiffness, damping))
+        mass, slant = 1.0 / float(row @ inverse @ row), bool(np.abs(row[:2]).max() > ALIKE)
+        found.append(Direction("along the normal of the first touch", row, mass, stiffness, damping, slant=slant))
     return found + (_modes(scenario, inverse, ", latched") if mechanism.latch is not None else [])
 
 
@@ -81,7 +85,7 @@ def _modes(scenario: Scenario, inverse: Array, when: str) -> list[Direction]:
         stiffness = float(phi @ (springs * phi))
         name = f"{'along' if axis < 3 else 'about'} {AXES[axis][-1]}{when}"
         damping = stiffness * latch.damping / latch.stiffness
-        found.append(Direction(name, springs * phi / stiffness, stiffness / float(square), stiffness, damping, turns=axis >= 3))
+        found.append(Direction(name, springs * phi / stiffness, stiffness / float(square), stiffness, damping, axis >= 3, pulls=True))
     return found
 
 
