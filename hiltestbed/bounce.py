@@ -23,6 +23,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hiltestbed.frames import Array
 
@@ -87,7 +88,7 @@ def _yielded(response: RigResponse, t: Array) -> Array:
     return np.zeros(len(t)) if not np.any(response.yields) else _summed(response, response.yields[1:], t)
 
 
-def _summed(response: RigResponse, lines: np.ndarray, t: Array) -> Array:
+def _summed(response: RigResponse, lines: NDArray[np.complex128], t: Array) -> Array:
     """The inverse transform of what was measured at the lines above 0, for what has died out within half a period of them."""
     spacing = float(response.frequency[1] - response.frequency[0])
     turns = np.outer(t, 2.0 * math.pi * response.frequency[1:])

@@ -22,6 +22,7 @@ and the platform's lag in full until that is known.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -127,9 +128,9 @@ def worst_of(scenario: Scenario, delay: float, compensated: bool, exact: bool = 
     return sorted((j for j in judged if j is not None), key=_left) or None
 
 
-def stability_of_file(path: str | Path) -> dict[str, Any] | None:
-    """The same of a scenario's file, which holds."""
-    return stability(load_scenario(path))
+def stability_of_file(path: str | Path, set: Mapping[str, Any] | None = None) -> dict[str, Any] | None:
+    """The same of a scenario's file, which holds, with dotted keys overridden."""
+    return stability(load_scenario(path, set))
 
 
 def _left(judged: Stability) -> float:
