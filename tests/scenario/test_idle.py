@@ -97,6 +97,15 @@ def test_a_key_that_acts_is_not_named() -> None:
     assert not list(given_in_vain(load_scenario(BUMPER)))
 
 
+def test_what_a_mechanism_that_holds_leaves_aside() -> None:
+    keys = {"mechanism": {"kind": "latched", "contact": {"stiffness": 2e4, "damping": 200.0, "friction": 0.2}}, "approach.gap": 0.0}
+    keys |= {"compensation.force": {"kind": "resynchronised", "blending": 0.004}}
+    plain = keys | {"mechanism.contact.friction": 0.0, "compensation.force.blending": 0.002}
+    first, second = (load_scenario(BUMPER, SHORT | {"approach.gap": 0.0} | changes) for changes in (keys, plain))
+    assert {keys for keys, _ in given_in_vain(first)} == {("mechanism.contact.friction",), ("compensation.force.blending",)}
+    np.testing.assert_array_equal(traced(first)["pose_act"], traced(second)["pose_act"])
+
+
 @pytest.mark.parametrize(("tracking", "named"), [("ideal", True), ("servo", False)])
 def test_a_campaign_that_varies_such_a_key(tmp_path: Path, tracking, named) -> None:
     file = tmp_path / "campaign.yaml"
