@@ -35,7 +35,7 @@ def cor(quick: bool = False, progress: Progress | None = None) -> BenchResult:
     methods = contenders()
     jobs = [(t, k, m) for t, k in _conditions(quick) for m in methods if _takes_part(m, t, k, quick)]
     rigs, points = random_rigs(8 if quick else 64, seed=11), 6 if quick else 12
-    random_methods = [m for m in CONTENDERS if m.name in RANDOM_METHODS and m.contact == "first"]
+    random_methods = [m for m in methods if m.own or (m.name in RANDOM_METHODS and m.contact == "first")]
     work = (len(jobs) + 1) * len(contacts) + 2 * len(random_methods) * len(rigs) + 3 * points**2 + len(methods) * COST_RUNS
     step = _counter(progress, work)  # in bounces
     reference = bounce([reference_scenario(c.scenario({"kind": "none"})) for c in contacts], THREADS)
@@ -71,8 +71,9 @@ def _conditions(quick: bool) -> list[tuple[str, str]]:
 
 
 def _takes_part(contender: Contender, tracking: str, knowledge: str, quick: bool) -> bool:
-    """A quick run takes every method under ideal conditions, and the leading ones elsewhere."""
-    return not quick or (tracking, knowledge) == ("ideal", "exact") or contender.name.startswith((BEST, "phase_lead"))
+    """A quick run takes every method under ideal conditions, and the leading ones and the user's elsewhere."""
+    leads = contender.own or contender.name.startswith((BEST, "phase_lead"))
+    return not quick or leads or (tracking, knowledge) == ("ideal", "exact")
 
 
 def _under(contact: Contact, tracking: str, knowledge: str) -> Contact:
