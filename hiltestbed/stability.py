@@ -30,9 +30,10 @@ from typing import Any
 import numpy as np
 
 from hiltestbed.bounce import Bounce, bounce, lag_of
-from hiltestbed.contact.directions import Direction, directions, insertion, mobility
+from hiltestbed.contact.directions import Direction, directions, insertion
 from hiltestbed.frames import Array
 from hiltestbed.ledger import force_path_delay
+from hiltestbed.numerical_model.bodies import mobility
 from hiltestbed.rig_response import EXACT, Complex, RigResponse, measured_response, six_axis_response
 from hiltestbed.scenario import Scenario, load_scenario
 

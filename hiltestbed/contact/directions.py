@@ -14,12 +14,11 @@ import numpy as np
 from hiltestbed.contact.parameters import LEVER, OFFSET, PARAMETERS, believed_contacts
 from hiltestbed.contact.sides import sides_of
 from hiltestbed.contact.wrench import LATCH_RADIUS, meet_all
-from hiltestbed.frames import Array, rotation_matrix
-from hiltestbed.numerical_model.bodies import approach_state, effective_mass, inertia_matrix, port_pose
+from hiltestbed.frames import Array
+from hiltestbed.numerical_model.bodies import approach_state, effective_mass, mobility
 
 if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario
-    from hiltestbed.scenario.spacecraft import Body
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 INSERTION = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
@@ -87,21 +86,6 @@ def _modes(scenario: Scenario, inverse: Array, when: str) -> list[Direction]:
         damping = stiffness * latch.damping / latch.stiffness
         found.append(Direction(name, springs * phi / stiffness, stiffness / float(square), stiffness, damping, axis >= 3, pulls=True))
     return found
-
-
-def mobility(scenario: Scenario) -> Array:
-    """``(6, 6)`` M^-1: relative acceleration of A's origin for a unit wrench there between both bodies, in P, at the nominal touch."""
-    return _mobility(scenario.spacecraft.chaser) + _mobility(scenario.spacecraft.target)
-
-
-def _mobility(body: Body) -> Array:
-    """Of one body at its port, in the port's axes: r its place, ``[1/m - [r] I^-1 [r], -[r] I^-1; I^-1 [r], I^-1]``."""
-    port = port_pose(body)
-    turn = rotation_matrix(port[3:])
-    inverse = turn.T @ np.linalg.inv(inertia_matrix(body.inertia)) @ turn
-    x, y, z = turn.T @ port[:3]
-    arm = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.block([[np.eye(3) / body.mass - arm @ inverse @ arm, -arm @ inverse], [inverse @ arm, inverse]])
 
 
 def first_touch(scenario: Scenario) -> tuple[Array, float, float] | None:
