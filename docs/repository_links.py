@@ -21,10 +21,10 @@ PAGES = {  # in the repository, to the page of the site
 
 def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
     """MkDocs' hook."""
-    return on_site(markdown, page.file.src_uri)
+    return for_the_site(markdown, page.file.src_uri)
 
 
-def on_site(markdown: str, page: str) -> str:
+def for_the_site(markdown: str, page: str) -> str:
     """The text of a page below docs, with the links that leave it led to the site's pages."""
     folder = posixpath.dirname(page)
 

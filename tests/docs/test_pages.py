@@ -117,7 +117,7 @@ def test_links_lead_somewhere_on_the_site(pages: dict[str, str]) -> None:
     links = module("repository_links")
     for page in DOCS.rglob("*.md"):
         here = page.relative_to(DOCS)
-        for target in LINK.findall(links.on_site(page.read_text(), here.as_posix())):
+        for target in LINK.findall(links.for_the_site(page.read_text(), here.as_posix())):
             path = (page.parent / target).resolve()
             assert path.is_relative_to(DOCS.resolve()), f"{here}: {target} leaves the site"
             assert path.exists() or str(path.relative_to(DOCS.resolve())) in pages, f"{here}: {target}"
