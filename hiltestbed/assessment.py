@@ -146,6 +146,12 @@ def largest_delay(summary: dict[str, Any]) -> dict[str, Any] | None:
     return max(entries, key=lambda entry: entry["delay"], default=None)
 
 
+def _lags_later(summary: dict[str, Any]) -> bool:
+    """Whether the rig makes energy in a touch on which a compensation of the platform does not know the line in advance."""
+    ways = (summary.get("stability") or {}).get("directions", ())
+    return any(way["direction"].endswith("later touch") and (way.get("rig_energy") or 0.0) > NEUTRAL for way in ways)
+
+
 def _advice(summary: dict[str, Any]) -> list[str]:
     if summary["status"] != "completed":
         return [
@@ -162,6 +168,11 @@ def _advice(summary: dict[str, Any]) -> list[str]:
             out.append(
                 f"The delays that are left add up to {1e3 * total['delay']:.3g} ms, the largest is {largest['source']} "
                 f"({1e3 * largest['delay']:.3g} ms): compensate it, for example with --set 'compensation.force={{kind: resynchronised}}'."
+            )
+        if is_active(summary) and _lags_later(summary):
+            out.append(
+                "On a later touch, elsewhere on the surface, the compensation does not know the line of the force yet, and the platform's lag "
+                "counts: take it out with --set 'compensation.motion={kind: feedforward}'."
             )
         out.append("Map where this rig diverges with a campaign over sensor.delay and mechanism.contact.stiffness (hiltestbed sweep).")
     if not out and summary["outcome"] in ("rebound", "captured"):

@@ -98,7 +98,7 @@ def test_the_page_of_a_cone_says_what_was_identified_along_the_normal(glancing: 
     assert any("along its impulse" in warning for warning in assess(glancing.summary).warnings)
 
 
-def _made(share: float, **figures: float) -> dict:
+def _made(share: float, **figures: object) -> dict:
     """The summary of a run in which the rig made that part of the energy, with nothing else to warn of."""
     run = {"status": "completed", "outcome": "rebound", "cor": 0.9, "cor_reference": 0.9, "cor_log_error": 0.0, "contact_duration": 0.1}
     run |= {"identification": {}, "delay_ledger": [], "energy_reference": 2.0, "energy_generated": 2.0 * share, "energy_resolution": 0.0}
@@ -119,6 +119,14 @@ def test_activity_is_warned_of_from_where_it_shows_in_the_rebound() -> None:
         assert is_active(summary) is warned
         assert any("active" in warning for warning in assess(summary).warnings) is warned
     assert "active" in assess(_made(0.99 * limit)).energy
+
+
+@pytest.mark.parametrize(("made", "advised"), [(0.2, True), (0.001, False)])
+def test_a_lag_that_counts_on_later_touches_is_advised_on(made, advised) -> None:
+    ways = [{"direction": "along the normal of a later touch", "rig_energy": made}]
+    total = {"source": "total", "delay": 0.0, "equivalent_damping": 0.0}
+    run = _made(0.1, stability={"stable": True, "verdict": "stable", "directions": ways}, delay_ledger=[total])
+    assert any("feedforward" in advice for advice in assess(run).advice) is advised
 
 
 def test_what_holds_from_the_start_is_measured_by_what_its_spring_stores() -> None:
