@@ -171,8 +171,8 @@ def _advice(summary: dict[str, Any]) -> list[str]:
             )
         if is_active(summary) and _lags_later(summary):
             out.append(
-                "On a later touch, elsewhere on the surface, the compensation does not know the line of the force yet, and the platform's lag "
-                "counts: take it out with --set 'compensation.motion={kind: feedforward}'."
+                "On a later touch, elsewhere on the surface, the compensation does not know the line of the force yet, and the platform's "
+                "lag counts: take it out with --set 'compensation.motion={kind: feedforward}'."
             )
         out.append("Map where this rig diverges with a campaign over sensor.delay and mechanism.contact.stiffness (hiltestbed sweep).")
     if not out and summary["outcome"] in ("rebound", "captured"):
