@@ -22,6 +22,8 @@ _FIGURES = (
     "approach_energy",
     "rebound_speed",
     "energy_generated",
+    "energy_reference",
+    "energy_resolution",
     "peak_force",
     "contact_duration",
     "first_contact",
