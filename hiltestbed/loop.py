@@ -8,12 +8,14 @@ the order of the signal, on arrays whose leading axis is the run in the batch.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from operator import is_
 from typing import Any, Protocol
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from hiltestbed.bound import GIVEN, Call, bound
 from hiltestbed.compensation.blocks import Drive, make_drive
 from hiltestbed.compensation.input import InputDeadZone
 from hiltestbed.compensation.measurement import Measurement
@@ -31,6 +33,10 @@ from hiltestbed.scenario import Scenario
 from hiltestbed.sensor.sensor import Sensor
 from hiltestbed.signals import Trace
 
+ROW = (
+    "pose_cmd", "pose_act", "twist_cmd", "twist_act", "wrench_true", "wrench_meas", "wrench_comp", "slider_cmd", "slider_act", "upper_cmd",
+    "upper_act", "stiffness_est", "damping_est",
+)  # fmt: skip
 POSE_LIMIT = 10.0  # [m] a commanded position beyond it is a divergence: forty times the platform's reach
 
 
@@ -115,6 +121,10 @@ class Loop:
         self.alive = np.ones(n, dtype=bool)
         self.trouble: dict[int, tuple[int, str, str]] = {}
         self._pose_before = self.drive.pose.copy()
+        self._wrench = self.plant.wrench_sub[:, -1]
+        self._traced: Trace | None = None
+        self._shown: tuple[Any, ...] = ()
+        self._off = Call(_lost, GIVEN, POSE_LIMIT, self.alive, GIVEN)
         self.plant.reset(self.drive.pose, self.drive.twist)
         self.motion.start(self.drive.twist)
         self.tally.start(self.drive.twist)
@@ -144,35 +154,29 @@ class Loop:
         drive.advance(self.measurement)
         self.motion.update(drive.pose, drive.twist, self.measurement)
         plant.begin(self.motion.pose, self.motion.twist, self.motion.acceleration)
-        wrench = plant.wrench_sub[:, -1]
+        wrench = self._wrench
         self.sensor.feel(k, wrench)
         self.tally.update(k, (wrench, plant.pose_act, plant.twist_act, plant.contact), self._pose_before, (drive.wrench, drive.twist))
         self.outcomes.update(k, wrench, plant.contact, plant.captured)
         if trace is not None:
             self.write(trace)
         passed = self.safety.passed(plant, self._pose_before, self.tally.energy)
-        if passed or _lost(drive.pose, POSE_LIMIT, self.alive, plant.diverged):
+        if passed or self._off.on(drive.pose, plant.diverged)():
             self._end_runs()
         plant.finish()
         self.k = k + 1
 
     def write(self, trace: Trace) -> None:
         """Row k: what was read at t_k and what was commanded from it."""
-        k, data = self.k, trace.data
-        data["pose_cmd"][k] = self.drive.pose
-        data["pose_act"][k] = self.plant.pose_act
-        data["twist_cmd"][k] = self.drive.twist
-        data["twist_act"][k] = self.plant.twist_act
-        data["wrench_true"][k] = self.plant.wrench_sub[:, -1]
-        data["wrench_meas"][k] = self.sensor.reading
-        data["wrench_comp"][k] = self.drive.wrench
-        data["slider_cmd"][k] = self.plant.slider_cmd
-        data["slider_act"][k] = self.plant.slider_act
-        data["upper_cmd"][k] = self.plant.upper_cmd
-        data["upper_act"][k] = self.plant.upper_act
-        data["stiffness_est"][k] = self.measurement.stiffness
-        data["damping_est"][k] = self.measurement.damping
-        trace.contact[k] = self.plant.contact
+        plant, known = self.plant, self.measurement
+        now = (
+            self.drive.pose, plant.pose_act, self.drive.twist, plant.twist_act, self._wrench, self.sensor.reading, self.drive.wrench,
+            plant.slider_cmd, plant.slider_act, plant.upper_cmd, plant.upper_act, known.stiffness, known.damping, plant.contact,
+        )  # fmt: skip
+        if trace is not self._traced or not all(map(is_, now, self._shown)):
+            self._row = bound(_write, ..., *now[:-1], *(trace.data[name] for name in ROW), now[-1], trace.contact)
+            self._traced, self._shown = trace, now
+        self._row(self.k)
 
     @property
     def blocks(self) -> dict[str, Any]:
@@ -194,6 +198,28 @@ class Loop:
             else:
                 continue
             self.alive[i] = False
+
+
+@njit(cache=True)
+def _write(
+    k, a0, a1, a2, a3, a4, a5, a6, a7, a8, a9, a10, a11, a12, b0, b1, b2, b3, b4, b5, b6, b7, b8, b9, b10, b11, b12, touching, touched
+):  # fmt: skip
+    """Row ``k`` of each ``b`` (ticks, n, parts) becomes the ``a`` (n, parts)."""
+    b0[k][:] = a0
+    b1[k][:] = a1
+    b2[k][:] = a2
+    b3[k][:] = a3
+    b4[k][:] = a4
+    b5[k][:] = a5
+    b6[k][:] = a6
+    b7[k][:] = a7
+    b8[k][:] = a8
+    b9[k][:] = a9
+    b10[k][:] = a10
+    b11[k][:] = a11
+    b12[k][:] = a12
+    for i in range(touching.shape[0]):
+        touched[k, i] = touching[i]
 
 
 @njit(cache=True)

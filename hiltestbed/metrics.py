@@ -13,6 +13,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from hiltestbed.bound import GIVEN, Call
 from hiltestbed.frames import Array, twist_between
 from hiltestbed.scenario import Scenario
 
@@ -65,6 +66,11 @@ class Tally:
         self._twist = np.zeros((n, 6))
         self._started = np.zeros(n, dtype=bool)
         self._tracking = np.zeros((n, 5))  # vv, vF, FF, ev, eF along z, in contact
+        self._update = Call(
+            _update, ..., self.tick, *(GIVEN,) * 7, self._settle, self.energy, self.peak_force, self.peak_error, self.impulse,
+            self.contact_ticks, self.contacts, self.first_tick, self._last_tick, self._speeds, self._wrench, self._pose, self._twist,
+            self._tracking,
+        )  # fmt: skip
 
     def start(self, twist: Array) -> None:
         """The numerical model's twist ``(n, 6)`` before the first tick."""
@@ -78,31 +84,7 @@ class Tally:
             pose_before: ``(n, 7)`` pose that had been commanded for t_k.
             drive: wrench used and new twist of the numerical model, ``(n, 6)`` each.
         """
-        wrench, pose, twist, contact = rig
-        _update(
-            k,
-            self.tick,
-            wrench,
-            pose,
-            twist,
-            contact,
-            pose_before,
-            *drive,
-            self._settle,
-            self.energy,
-            self.peak_force,
-            self.peak_error,
-            self.impulse,
-            self.contact_ticks,
-            self.contacts,
-            self.first_tick,
-            self._last_tick,
-            self._speeds,
-            self._wrench,
-            self._pose,
-            self._twist,
-            self._tracking,
-        )
+        self._update.on(*rig, pose_before, *drive)(k)
 
     def parted(self, alive: NDArray[np.bool_]) -> bool:
         """Whether the rebound speed of every run in ``alive`` ``(n,)`` is known."""

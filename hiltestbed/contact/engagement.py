@@ -24,6 +24,7 @@ from mujoco.batch import Batch
 from numba import njit
 from numpy.typing import NDArray
 
+from hiltestbed.bound import GIVEN, Call, bound
 from hiltestbed.contact.composition import (
     ACTIVE,
     AWAY,
@@ -56,6 +57,7 @@ from hiltestbed.contact.parameters import (
 )  # fmt: skip
 from hiltestbed.contact.solref import NO_DAMPING
 from hiltestbed.contact.wrench import add_at, add_contact, law_of, meet_all, tilts
+from hiltestbed.errors import InputError
 from hiltestbed.frames import Array, quat_mul, rotate_back
 
 if TYPE_CHECKING:
@@ -101,7 +103,18 @@ class Engagement:
         self.latches = Latches(batch, structure, self.parameters[:, -1], yields)
         self._captured = scenarios[0].mechanism.captured
         self.latched = np.zeros(n, dtype=bool)
-        self._reading = self._pairs.reading
+        b, p = self._bodies, self._pairs
+        self._touch = bound(
+            _touch_facets, *self._geometry, p.ids, dt, least_creep, self.parameters, self._linear, self._live, p.gain, b.frames, b.motions,
+            b.carry, self.state, self.met, p.geom_pos, p.geom_quat, p.solref, p.friction, self.wrench, self.pull, self.touching,
+        )  # fmt: skip
+        self._native = p.reading.shape[1] > 0
+        self._touch_natively = bound(
+            _touch_natively, self._facets, p.ids, dt, least_creep, self.parameters, self._linear, self._live, p.gain, self.state,
+            p.reading, self.met, p.solref, p.friction, self.wrench, self.pull, self.touching,
+        )  # fmt: skip
+        k = self.latches.number(LATCH) if structure.latched else None
+        self._relative = None if k is None else (self.latches.pose[:, k], self.latches.twist[:, k])
         moves = bool(sides.native or sides.frames)
         self.stage = int(mujoco.mjtStage.mjSTAGE_VEL if moves else mujoco.mjtStage.mjSTAGE_NONE)
         self.reset()
@@ -125,24 +138,18 @@ class Engagement:
 
     def update(self, pose: Array, twist: Array, place: Array, motion: Array) -> None:
         """Make MuJoCo's contacts those of the state: pose (n, 7) and twist (n, 6) of A in W, and those of S; once an instant."""
-        b, p = self._bodies, self._pairs
+        b = self._bodies
         b.observe(pose, twist, place, motion)
         if self._facets:
-            _touch_facets(
-                *self._geometry, p.ids, self._dt, self._least_creep, self.parameters, self._linear, self._live, p.gain, b.frames, b.motions,
-                b.carry, self.state, self.met, p.geom_pos, p.geom_quat, p.solref, p.friction, self.wrench, self.pull, self.touching,
-            )  # fmt: skip
+            self._touch()
         else:
             self.wrench[:] = self.pull[:] = 0.0
             self.touching[:] = False
-        if self._reading.shape[1]:
-            _touch_natively(
-                self._facets, p.ids, self._dt, self._least_creep, self.parameters, self._linear, self._live, p.gain, self.state,
-                self._reading, self.met, p.solref, p.friction, self.wrench, self.pull, self.touching,
-            )  # fmt: skip
+        if self._native:
+            self._touch_natively()
         if self.latches.closures:
             self.latches.update(self._dt, b.frames, b.motions, b.carry)
-            self.touching |= self.latched
+            np.logical_or(self.touching, self.latched, out=self.touching)
 
     def capture(self, which: NDArray[np.bool_]) -> None:
         """Latch the runs ``which`` (n,) where they are, under the force that they bear, from the next instant on; what touched lets go."""
@@ -167,8 +174,9 @@ class Engagement:
 
     def relative(self) -> tuple[Array, Array]:
         """Pose (n, 7) and twist (n, 6) of A in S at the last update, of a mechanism with a latch."""
-        k = self.latches.number(LATCH)
-        return self.latches.pose[:, k], self.latches.twist[:, k]
+        if self._relative is None:
+            raise InputError("this mechanism has no latch; allowed are those that close where A is in S")
+        return self._relative
 
 
 def _rows(scenario: Scenario, rules: Sequence[int]) -> Array:
@@ -207,17 +215,20 @@ class _Bodies:
             self.carry[i, S, 3:7] = q
         prefixes = {"A": ACTIVE, "P": PASSIVE}
         self._ids = np.array([m.body(prefixes[side] + body).id for side, body in names], dtype=np.int64)
+        self._stood = Call(_stand, GIVEN, GIVEN, GIVEN, GIVEN, self.frames, self.motions)
+        self._moved = None
         if names:
             self._root = m.body_rootid[self._ids].astype(np.int64)
             bind = batch.bind
             self._xpos, self._xquat = bind("xpos").reshape(n, -1, 3), bind("xquat").reshape(n, -1, 4)
             self._cvel, self._com = bind("cvel").reshape(n, -1, 6), bind("subtree_com").reshape(n, -1, 3)
+            self._moved = bound(_parts, self._ids, self._root, self._xpos, self._xquat, self._cvel, self._com, self.frames, self.motions)
 
     def observe(self, pose: Array, twist: Array, place: Array, motion: Array) -> None:
         """Move on to the state: A, S and the parts that move."""
-        _stand(pose, twist, place, motion, self.frames, self.motions)
-        if len(self._ids):
-            _parts(self._ids, self._root, self._xpos, self._xquat, self._cvel, self._com, self.frames, self.motions)
+        self._stood.on(pose, twist, place, motion)()
+        if self._moved is not None:
+            self._moved()
 
 
 class _Pairs:

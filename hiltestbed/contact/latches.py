@@ -15,6 +15,7 @@ from mujoco.batch import Batch
 from numba import njit
 from numpy.typing import NDArray
 
+from hiltestbed.bound import GIVEN, Call
 from hiltestbed.contact.composition import LATCH, Structure, inverse_mass
 from hiltestbed.contact.geometry import ACTIVE, PASSIVE
 from hiltestbed.contact.law import STATES, contact_force
@@ -102,6 +103,10 @@ class Latches:
         self.closed, self.hold = np.zeros((n, count), dtype=bool), np.zeros((n, count, 7))
         self._closing = np.zeros((n, count), dtype=bool)
         self.pose, self.twist = np.zeros((n, count, 7)), np.zeros((n, count, 6))
+        self._held = Call(
+            _hold, ..., self._rows, self._spring, self._law, self._turns, self._frames, self._places, self._ids, GIVEN, GIVEN, GIVEN,
+            self.closed, self._closing, self._active, self.hold, self.state, self.pose, self.twist, self._data,
+        )  # fmt: skip
 
     def open(self, captured: bool) -> None:
         """Hold nothing; or A at P, where the mechanism is ``captured`` from the start."""
@@ -127,10 +132,7 @@ class Latches:
 
     def update(self, dt: float, frames: Array, motions: Array, carry: Array) -> None:
         """Where the sites are in each other, and the anchors of what is closed; once an instant."""
-        _hold(
-            dt, self._rows, self._spring, self._law, self._turns, self._frames, self._places, self._ids, frames, motions, carry,
-            self.closed, self._closing, self._active, self.hold, self.state, self.pose, self.twist, self._data,
-        )  # fmt: skip
+        self._held.on(frames, motions, carry)(dt)
 
 
 @njit(cache=True)

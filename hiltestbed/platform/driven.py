@@ -11,6 +11,7 @@ import numpy as np
 from mujoco.batch import Batch
 from numpy.typing import NDArray
 
+from hiltestbed.bound import GIVEN, Call
 from hiltestbed.contact.composition import Structure
 from hiltestbed.contact.contacts import Contacts
 from hiltestbed.frames import Array
@@ -72,15 +73,17 @@ class ServoTracking:
         columns = sensor_columns(self.model)
         self._reading = self._sensordata[:, columns]
         self._tare, self._all = np.zeros((n, 6)), np.arange(n)
-        self.pose_act, self.twist_act = np.zeros((n, 7)), np.zeros((n, 6))
+        self.pose_act, self.twist_act, self.slider_act = servo.shown()
         self.wrench_sub = np.zeros((n, m, 6))
         self.contact_now = self.contacts.touching
         self.slider_cmd = servo.target
-        self.slider_act = np.zeros_like(servo.target)
         self.diverged = np.zeros(n, dtype=bool)
         self.causes = [""] * n
         self._late = np.zeros(n, dtype=bool) if late is None else late
         self._going: NDArray[np.intp] | None = None  # the runs that are stepped; None: all
+        self._lost = False  # a run has just diverged
+        self._read_between, self._read_late = (Call(read_wrench, self._reading, self._tare, GIVEN, self.wrench_sub, ...) for _ in range(2))
+        self._read_history = Call(read_history, self._history, self._tare, self.wrench_sub)
         self._tare[:] = servo.tare(self.contacts, self._reading, columns)
 
     def reset(self, pose: Array, twist: Array) -> None:
@@ -137,7 +140,7 @@ class ServoTracking:
     def _run(self) -> None:
         for s in range(1, self.substeps):
             self._step(s)
-        read_history(self._history, self._tare, self.wrench_sub)
+        self._read_history.on()()
         if self._prompt.size:
             self._read(self._prompt, self.substeps - 1)
 
@@ -157,14 +160,14 @@ class ServoTracking:
         if self.servo.load is not None:
             self.servo.load.read(self._sensordata, self.servo.mover.place_P, runs, self.wrench_sub, sub)
         else:
-            read_wrench(self._reading, self._tare, runs, self.wrench_sub, sub)
+            (self._read_late if sub == self.substeps - 1 else self._read_between).on(runs)(sub)
 
     def _meet(self) -> None:
         """Let the sides touch as they stand."""
         servo = self.servo
         if not self._watched:
             return
-        self._say()
+        self._lost |= self._say()
         if not self.contacts.written:
             return
         if servo.moves_passive:
@@ -183,9 +186,10 @@ class ServoTracking:
         return self.servo.observe(self._qpos, self._qvel, SPEED_LIMIT, self.pose_act, self.twist_act, self.slider_act, self.diverged)
 
     def _observe(self) -> None:
-        lost = bool(self.diverged.any()) if self._watched else self._say()
+        lost = self._lost if self._watched else self._say()
         self.contacts.look()
         if lost:
+            self._lost = False
             self._leave_out()
         if self._going is not None:
             self.wrench_sub[self.diverged] = 0.0

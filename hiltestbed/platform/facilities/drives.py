@@ -11,7 +11,8 @@ both sides overrides :meth:`Drives.allocate`.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import cached_property
 from typing import Any
 
 import mujoco
@@ -19,6 +20,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from hiltestbed.bound import GIVEN, Call, bound
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array, pose_between, pose_step, rotate_back
 from hiltestbed.platform.facilities.friction import Rubbing
@@ -36,15 +38,16 @@ UPRIGHT = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 
 @njit(cache=True)
 def _aim(
-    flat, k, h, cycles, lates, feed, axes, gravity, poses, held, twists, speeds, qs, rate, goal, leave, load, missed, ring, span,
-    reference, velocity, plan,
+    integers, numbers, room, k, h, cycles, lates, feed, axes, gravity, poses, held, twists, speeds, qs, rate, goal, leave, load, missed,
+    ring, span, reference, velocity, plan,
 ):  # fmt: skip
     """Joints, rates and weights where a cycle begins, for tools at ``poses`` (n, nt, 7), left with ``twists`` (n, nt, 6), in W; the plan.
 
-    flat: the tree (:func:`hiltestbed.platform.facilities.motion.packed`). k: the tick; below 0: solve for all, plan nothing.
+    integers, numbers, room: the tree (:func:`hiltestbed.platform.facilities.motion.packed`). k: the tick; below 0: solve for all,
+    plan nothing.
     qs, rate: (n, nq), (n, nv) the last solution and how it left, moved on. goal, leave, load: (n, J). missed: (n,) residual [m, rad].
     """
-    tree, w = unpack(flat[0], flat[1], flat[2])
+    tree, w = unpack(integers, numbers, room)
     joints, nv = goal.shape[1], tree.armature.shape[0]
     every, forces = np.empty((6 * poses.shape[1] + held.shape[1], nv)), np.empty(nv)
     square, right = np.empty((joints, joints)), np.empty(joints)
@@ -77,8 +80,17 @@ def _follow(pose, twist, accel, half, poses, twists):
 
 
 @njit(cache=True)
-def _observe(flat, axes, home, two, qpos, qvel, limit, place_A, motion_A, place_P, motion_P, pose, twist, joints, rate, diverged):
-    tree, w = unpack(flat[0], flat[1], flat[2])
+def _less(a, b, out):
+    for i in range(a.shape[0]):
+        for j in range(a.shape[1]):
+            out[i, j] = a[i, j] - b[j]
+
+
+@njit(cache=True)
+def _observe(
+    integers, numbers, room, axes, home, two, qpos, qvel, limit, place_A, motion_A, place_P, motion_P, pose, twist, joints, rate, diverged
+):  # fmt: skip
+    tree, w = unpack(integers, numbers, room)
     lost = False
     r, arm = np.empty(3), np.empty(3)
     for i in range(qpos.shape[0]):
@@ -179,10 +191,14 @@ class Drives:
 
     # What a facility that moves both sides, or drives in another way, has of its own.
 
+    @cached_property
+    def _allocated(self) -> Call:
+        return Call(_follow, GIVEN, GIVEN, GIVEN, ..., self.poses, self.twists)
+
     def allocate(self, pose: Array, twist: Array, accel: Array, half: float) -> None:
         """Write ``poses`` and ``twists`` of the tools in W (and of what is prescribed) for the relative ``pose`` (n, 7) and the velocity
         ``half`` [s] after ``twist`` (n, 6), with ``accel`` (n, 6)."""
-        _follow(pose, twist, accel, half, self.poses, self.twists)
+        self._allocated.on(pose, twist, accel)(half)
 
     def push(self, sub: int, qpos: Array, qvel: Array, ctrl: Array) -> None:
         """Write the drives' inputs into ``ctrl`` (n, nu) for step ``sub`` of the tick, from the joints as they stand."""
@@ -231,11 +247,12 @@ class Drives:
         """(n,) how late the controller makes each run [s]: its cycle less the tick in which a pose is due, and the cycles held back."""
         return np.asarray(self.tick * (self._cycles * (self._lates + 1) - 1), dtype=float)
 
-    def _solve(self, k: int) -> None:
-        _aim(
-            self._flat, k, self.tick, self._cycles, self._lates, self._feed, self._axes, self._gravity, self.poses, self.held, self.twists,
-            self.held_rates, self._qs, self._rates, self._goal, self._leave, self.load, self.missed, self._ring, self._span, self._target,
-            self._velocity, self._plan,
+    @cached_property
+    def _solve(self) -> Callable[[int], None]:
+        return bound(
+            _aim, *self._flat, ..., self.tick, self._cycles, self._lates, self._feed, self._axes, self._gravity, self.poses, self.held,
+            self.twists, self.held_rates, self._qs, self._rates, self._goal, self._leave, self.load, self.missed, self._ring, self._span,
+            self._target, self._velocity, self._plan,
         )  # fmt: skip
 
     def aim(self, pose_cmd: Array, twist_cmd: Array, accel_cmd: Array) -> None:
@@ -257,14 +274,22 @@ class Drives:
 
     def arrive(self) -> None:
         """The tick is over."""
-        np.subtract(self._target, self._home, out=self.reference)
+        self._arrived()
+
+    @cached_property
+    def _arrived(self) -> Callable[[], None]:
+        return bound(_less, self._target, self._home, self.reference)
+
+    @cached_property
+    def _seen(self) -> Call:
+        return Call(
+            _observe, *packed(self.kinematics.tree.towards_tools()), self._axes, self._home, self._two, GIVEN, GIVEN, ..., self.place_A,
+            self.motion_A, self.place_P, self.motion_P, self.pose, self.twist, self.joints, self.joint_rates, GIVEN,
+        )  # fmt: skip
 
     def observe(self, qpos: Array, qvel: Array, limit: float, diverged: NDArray[np.bool_]) -> bool:
         """Read poses, twists and joints; True where a run has just left ``limit`` [m/s, rad/s], which ``diverged`` (n,) then names."""
-        return _observe(
-            self._flat, self._axes, self._home, self._two, qpos, qvel, limit, self.place_A, self.motion_A,
-            self.place_P, self.motion_P, self.pose, self.twist, self.joints, self.joint_rates, diverged,
-        )  # fmt: skip
+        return self._seen.on(qpos, qvel, diverged)(limit)
 
     def release(self) -> None:
         """Leave the drives' friction and the steps of their encoders out from now on: what is measured is then linear."""

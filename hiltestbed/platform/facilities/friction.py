@@ -12,6 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from hiltestbed.bound import GIVEN, Call
 from hiltestbed.frames import Array
 from hiltestbed.platform.friction import BRISTLE, STEPS, drag, stribeck
 
@@ -60,6 +61,7 @@ class Rubbing:
         )
         self._axes, self._inputs, self._dt = np.asarray(axes), np.asarray(inputs), dt
         self.bristles = np.zeros((*coulomb.shape, 1))
+        self._act = Call(_act, self._numbers, dt, self._axes, self._inputs, GIVEN, self.bristles, GIVEN)
 
     def settle(self, qvel: Array) -> None:
         """Start from drives that have long been moving at ``qvel`` (n, nv)."""
@@ -67,7 +69,7 @@ class Rubbing:
 
     def act(self, qvel: Array, ctrl: Array) -> None:
         """Take the friction of one step off the drives' inputs ``ctrl`` (n, nu)."""
-        _act(self._numbers, self._dt, self._axes, self._inputs, qvel, self.bristles, ctrl)
+        self._act.on(qvel, ctrl)()
 
     def state(self) -> dict[str, NDArray]:
         return {"bristles": self.bristles}

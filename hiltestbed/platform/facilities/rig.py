@@ -121,10 +121,16 @@ class FacilityRig:
     ) -> bool:
         """Read relative pose and twist, and the driven joints; True where a run has just left ``limit``, which ``diverged`` names."""
         lost = self.mover.observe(qpos, qvel, limit, diverged)
-        pose[:], twist[:] = self.mover.pose, self.mover.twist
-        if self._drives is not None:
+        if self.mover.pose is not pose:
+            pose[:], twist[:] = self.mover.pose, self.mover.twist
+        if self._drives is not None and self._drives.joints is not joints:
             joints[:] = self._drives.joints
         return lost
+
+    def shown(self) -> tuple[Array, Array, Array]:
+        """The arrays that :meth:`observe` is given: poses (n, 7), twists (n, 6) and driven joints (n, J) where they are read anyway."""
+        joints = self.target[:, :0] if self._drives is None else self._drives.joints
+        return self.mover.pose, self.mover.twist, joints
 
     def passed(self) -> bool:
         """Whether a run has passed a limit of its joints at this tick."""

@@ -49,6 +49,11 @@ class Pss33Rig(Servo):
         self.batch.forward()
         return reading.copy()
 
+    def shown(self) -> tuple[Array, Array, Array]:
+        """The arrays that :meth:`observe` is given: poses (n, 7), twists (n, 6) and sliders (n, 6)."""
+        n = len(self.target)
+        return np.zeros((n, 7)), np.zeros((n, 6)), np.zeros((n, 6))
+
     def passed(self) -> bool:
         """The limits of this platform are keys of the scenario's safety section."""
         return False
