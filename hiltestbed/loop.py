@@ -8,7 +8,6 @@ the order of the signal, on arrays whose leading axis is the run in the batch.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from operator import is_
 from typing import Any, Protocol
 
 import numpy as np
@@ -122,8 +121,7 @@ class Loop:
         self.trouble: dict[int, tuple[int, str, str]] = {}
         self._pose_before = self.drive.pose.copy()
         self._wrench = self.plant.wrench_sub[:, -1]
-        self._traced: Trace | None = None
-        self._shown: tuple[Any, ...] = ()
+        self._written: tuple[Trace | None, Array, Array, Array] = (None, self.drive.pose, self.drive.twist, self.drive.wrench)
         self._off = Call(_lost, GIVEN, POSE_LIMIT, self.alive, GIVEN)
         self.plant.reset(self.drive.pose, self.drive.twist)
         self.motion.start(self.drive.twist)
@@ -168,15 +166,19 @@ class Loop:
 
     def write(self, trace: Trace) -> None:
         """Row k: what was read at t_k and what was commanded from it."""
+        drive, (traced, pose, twist, wrench) = self.drive, self._written
+        if trace is not traced or drive.pose is not pose or drive.twist is not twist or drive.wrench is not wrench:
+            self._row, self._written = self._rows_of(trace), (trace, drive.pose, drive.twist, drive.wrench)
+        self._row(self.k)
+
+    def _rows_of(self, trace: Trace) -> Callable[[int], None]:
+        """What writes the rows of a trace."""
         plant, known = self.plant, self.measurement
         now = (
             self.drive.pose, plant.pose_act, self.drive.twist, plant.twist_act, self._wrench, self.sensor.reading, self.drive.wrench,
-            plant.slider_cmd, plant.slider_act, plant.upper_cmd, plant.upper_act, known.stiffness, known.damping, plant.contact,
+            plant.slider_cmd, plant.slider_act, plant.upper_cmd, plant.upper_act, known.stiffness, known.damping,
         )  # fmt: skip
-        if trace is not self._traced or not all(map(is_, now, self._shown)):
-            self._row = bound(_write, ..., *now[:-1], *(trace.data[name] for name in ROW), now[-1], trace.contact)
-            self._traced, self._shown = trace, now
-        self._row(self.k)
+        return bound(_write, ..., *now, *(trace.data[name] for name in ROW), plant.contact, trace.contact)
 
     @property
     def blocks(self) -> dict[str, Any]:

@@ -10,6 +10,7 @@ import numpy as np
 from mujoco.batch import Batch
 from numba import njit
 
+from hiltestbed.bound import bound
 from hiltestbed.contact import solref
 from hiltestbed.contact.composition import ACTIVE, IMPEDANCE, Structure
 from hiltestbed.contact.engagement import Engagement
@@ -65,6 +66,7 @@ class Contacts:
         self._arm = np.zeros(3)
         rotate_back(site.quat[[1, 2, 3, 0]], model.body_ipos[self._active] - site.pos, self._arm)
         self._centre, self._load = np.zeros((n, 3)), np.zeros((n, 6))
+        self._count = bound(_count, self._ncon, self.touching)
 
     @property
     def engagement(self) -> Engagement:
@@ -112,7 +114,13 @@ class Contacts:
     def look(self) -> None:
         """Set ``touching`` where MuJoCo does it all by itself."""
         if self._engagement is None and self._force is None:
-            np.greater(self._ncon, 0, out=self.touching)
+            self._count()
+
+
+@njit(cache=True)
+def _count(contacts, touching):
+    for i in range(contacts.shape[0]):
+        touching[i] = contacts[i] > 0
 
 
 @njit(cache=True)

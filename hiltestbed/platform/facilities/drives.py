@@ -47,27 +47,37 @@ def _aim(
     plan nothing.
     qs, rate: (n, nq), (n, nv) the last solution and how it left, moved on. goal, leave, load: (n, J). missed: (n,) residual [m, rad].
     """
-    tree, w = unpack(integers, numbers, room)
-    joints, nv = goal.shape[1], tree.armature.shape[0]
-    every, forces = np.empty((6 * poses.shape[1] + held.shape[1], nv)), np.empty(nv)
-    square, right = np.empty((joints, joints)), np.empty(joints)
     for i in range(poses.shape[0]):
         if k < 0 or k % cycles[i] == 0:
-            if k >= 0:
-                shift(tree, qs[i], rate[i], h * cycles[i])
-            missed[i] = newton(tree, qs[i], poses[i], held[i], w, SOLVED, PER_TICK)
-            rates(tree, w, twists[i], speeds[i], rate[i])
-            for j in range(joints):
-                goal[i, j] = qs[i, axes[0, j]]
-                leave[i, j] = rate[i, axes[1, j]]
-            if k < 0 or (k // cycles[i]) % WEIGHED == 0:
-                ways(tree, w, every)
-                weights(tree, gravity, w, forces)
-                drive_forces(every, axes[1], forces, square, right, load[i])
+            _solve(
+                integers, numbers, room, k, h, cycles[i], axes, gravity, poses[i], held[i], twists[i], speeds[i], qs[i], rate[i], goal[i],
+                leave[i], load[i], missed[i : i + 1],
+            )  # fmt: skip
             if k >= 0:
                 sample(k, cycles[i], lates[i], ring, span, i, goal[i], leave[i])
         if k >= 0:
             plan_tick(k, cycles[i], feed[i], h, span, i, reference, velocity, plan)
+
+
+@njit(cache=True)
+def _solve(
+    integers, numbers, room, k, h, cycle, axes, gravity, poses, held, twists, speeds, q, rate, goal, leave, load, missed
+):  # fmt: skip
+    """One run at the begin of a cycle: joints, how they leave, and now and then the weight."""
+    tree, w = unpack(integers, numbers, room)
+    if k >= 0:
+        shift(tree, q, rate, h * cycle)
+    missed[0] = newton(tree, q, poses, held, w, SOLVED, PER_TICK)
+    rates(tree, w, twists, speeds, rate)
+    for j in range(goal.shape[0]):
+        goal[j] = q[axes[0, j]]
+        leave[j] = rate[axes[1, j]]
+    if k < 0 or (k // cycle) % WEIGHED == 0:
+        joints, nv = goal.shape[0], tree.armature.shape[0]
+        every, forces = np.empty((6 * poses.shape[0] + held.shape[0], nv)), np.empty(nv)
+        ways(tree, w, every)
+        weights(tree, gravity, w, forces)
+        drive_forces(every, axes[1], forces, np.empty((joints, joints)), np.empty(joints), load)
 
 
 @njit(cache=True)
