@@ -60,6 +60,21 @@ def bound(kernel: Any, *given: Any) -> Callable[..., Any]:
     return out
 
 
+def together(*calls: Callable[..., Any]) -> Callable[..., Any]:
+    """Several of what :func:`bound` gives, in this order, as one call; it returns what the last one returns.
+
+    Each takes as many of the numbers that the call is given as it takes by itself.
+    """
+    parts = [call for call in calls if isinstance(call, Bound)]
+    table = np.array([part.args[0] for part in parts], dtype=np.int64)
+    key = (together, *(part.func for part in parts))
+    if key not in _calls:
+        _calls[key] = _joined([part.func for part in parts])
+    out = Bound(_calls[key], int(table.ctypes.data))
+    out.kept = (table, parts)
+    return out
+
+
 class Call:
     """A kernel some of whose arrays are the caller's, the same few at almost every call; it is bound anew where one is another."""
 
@@ -111,6 +126,21 @@ def _compiled(kernel: Any, kinds: list[Any]) -> Any:
     name = f"{function.__name__}_bound_{mark}"
     text = f"def {name}({', '.join(['table', *brought])}):\n    return kernel({', '.join(passed)})\n"
     exec(compile(text, function.__code__.co_filename, "exec"), space)
+    return njit(cache=True)(space[name])
+
+
+def _joined(calls: list[Any]) -> Any:
+    """A function of the address of a table of tables, kept on disk beside the last of the ``calls``."""
+    takes = [call.py_func.__code__.co_argcount - 1 for call in calls]
+    brought = [f"given_{i}" for i in range(max(takes))]
+    last = calls[-1].py_func
+    space: dict[str, Any] = {"number": _number, "word": types.int64, "__name__": last.__module__}
+    space |= {f"call_{i}": call for i, call in enumerate(calls)}
+    lines = [f"call_{i}({', '.join([f'number(table, {i}, word)', *brought[:count]])})" for i, count in enumerate(takes)]
+    names = "".join(f"{call.py_func.__module__}.{call.py_func.__name__}" for call in calls)
+    name = f"{last.__name__}_after_{hashlib.sha256(names.encode()).hexdigest()[:16]}"
+    text = "\n    ".join([f"def {name}({', '.join(['table', *brought])}):", *lines[:-1], f"return {lines[-1]}"]) + "\n"
+    exec(compile(text, last.__code__.co_filename, "exec"), space)
     return njit(cache=True)(space[name])
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from hiltestbed.bound import GIVEN, Call, bound
+from hiltestbed.bound import bound, together
 from hiltestbed.compensation.blocks import Drive, make_drive
 from hiltestbed.compensation.input import InputDeadZone
 from hiltestbed.compensation.measurement import Measurement
@@ -121,8 +121,7 @@ class Loop:
         self.trouble: dict[int, tuple[int, str, str]] = {}
         self._pose_before = self.drive.pose.copy()
         self._wrench = self.plant.wrench_sub[:, -1]
-        self._written: tuple[Trace | None, Array, Array, Array] = (None, self.drive.pose, self.drive.twist, self.drive.wrench)
-        self._off = Call(_lost, GIVEN, POSE_LIMIT, self.alive, GIVEN)
+        self._keeping: tuple[Any, ...] = (None,) * 4  # the arrays that what is kept of a tick comes from
         self.plant.reset(self.drive.pose, self.drive.twist)
         self.motion.start(self.drive.twist)
         self.tally.start(self.drive.twist)
@@ -152,31 +151,33 @@ class Loop:
         drive.advance(self.measurement)
         self.motion.update(drive.pose, drive.twist, self.measurement)
         plant.begin(self.motion.pose, self.motion.twist, self.motion.acceleration)
-        wrench = self._wrench
-        self.sensor.feel(k, wrench)
-        self.tally.update(k, (wrench, plant.pose_act, plant.twist_act, plant.contact), self._pose_before, (drive.wrench, drive.twist))
-        self.outcomes.update(k, wrench, plant.contact, plant.captured)
-        if trace is not None:
-            self.write(trace)
+        self.sensor.feel(k, self._wrench)
+        lost = self._kept(trace)(k)
         passed = self.safety.passed(plant, self._pose_before, self.tally.energy)
-        if passed or self._off.on(drive.pose, plant.diverged)():
+        if passed or lost:
             self._end_runs()
         plant.finish()
         self.k = k + 1
 
-    def write(self, trace: Trace) -> None:
-        """Row k: what was read at t_k and what was commanded from it."""
-        drive, (traced, pose, twist, wrench) = self.drive, self._written
+    def _kept(self, trace: Trace | None) -> Callable[[int], bool]:
+        """What keeps figures, contacts and the row of a tick, and tells whether a run is lost."""
+        drive, (traced, pose, twist, wrench) = self.drive, self._keeping
         if trace is not traced or drive.pose is not pose or drive.twist is not twist or drive.wrench is not wrench:
-            self._row, self._written = self._rows_of(trace), (trace, drive.pose, drive.twist, drive.wrench)
-        self._row(self.k)
+            plant, wrench = self.plant, self._wrench
+            rig = (wrench, plant.pose_act, plant.twist_act, plant.contact)
+            figures = self.tally.taking(rig, self._pose_before, (drive.wrench, drive.twist))
+            contacts = self.outcomes.taking(wrench, plant.contact, plant.captured)
+            row = () if trace is None else (self.row_of(trace),)
+            lost = bound(_lost, drive.pose, POSE_LIMIT, self.alive, plant.diverged)
+            self._keep, self._keeping = together(figures, contacts, *row, lost), (trace, drive.pose, drive.twist, drive.wrench)
+        return self._keep
 
-    def _rows_of(self, trace: Trace) -> Callable[[int], None]:
-        """What writes the rows of a trace."""
-        plant, known = self.plant, self.measurement
+    def row_of(self, trace: Trace) -> Callable[[int], None]:
+        """What writes row k of a trace: what was read at t_k and what was commanded from it."""
+        drive, plant, known = self.drive, self.plant, self.measurement
         now = (
-            self.drive.pose, plant.pose_act, self.drive.twist, plant.twist_act, self._wrench, self.sensor.reading, self.drive.wrench,
-            plant.slider_cmd, plant.slider_act, plant.upper_cmd, plant.upper_act, known.stiffness, known.damping,
+            drive.pose, plant.pose_act, drive.twist, plant.twist_act, self._wrench, self.sensor.reading, drive.wrench, plant.slider_cmd,
+            plant.slider_act, plant.upper_cmd, plant.upper_act, known.stiffness, known.damping,
         )  # fmt: skip
         return bound(_write, ..., *now, *(trace.data[name] for name in ROW), plant.contact, trace.contact)
 

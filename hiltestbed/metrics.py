@@ -6,7 +6,7 @@ Running sums instead of a pass over the trace, so that a campaign needs no trace
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -84,7 +84,13 @@ class Tally:
             pose_before: ``(n, 7)`` pose that had been commanded for t_k.
             drive: wrench used and new twist of the numerical model, ``(n, 6)`` each.
         """
-        self._update.on(*rig, pose_before, *drive)(k)
+        self.taking(rig, pose_before, drive)(k)
+
+    def taking(
+        self, rig: tuple[Array, Array, Array, NDArray[np.bool_]], pose_before: Array, drive: tuple[Array, Array]
+    ) -> Callable[[int], None]:
+        """What takes in tick k of arrays that stay; see :meth:`update`."""
+        return self._update.on(*rig, pose_before, *drive)
 
     def parted(self, alive: NDArray[np.bool_]) -> bool:
         """Whether the rebound speed of every run in ``alive`` ``(n,)`` is known."""

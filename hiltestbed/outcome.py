@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -37,7 +37,11 @@ class Outcomes:
 
     def update(self, k: int, wrench: Array, contact: NDArray[np.bool_], captured: NDArray[np.bool_]) -> None:
         """Take in tick k: physical wrench ``(n, 6)``, whether the mechanisms touch and are latched, ``(n,)`` each."""
-        self._update.on(wrench, contact, captured)(k)
+        self.taking(wrench, contact, captured)(k)
+
+    def taking(self, wrench: Array, contact: NDArray[np.bool_], captured: NDArray[np.bool_]) -> Callable[[int], None]:
+        """What takes in tick k of arrays that stay; see :meth:`update`."""
+        return self._update.on(wrench, contact, captured)
 
     def summary(self, i: int) -> dict[str, Any]:
         """Outcome of run ``i``, with the time of capture [s] and its contacts: start and end [s], impulse [N s], peak force [N]."""

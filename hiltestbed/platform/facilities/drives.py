@@ -20,7 +20,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from hiltestbed.bound import GIVEN, Call, bound
+from hiltestbed.bound import GIVEN, Call, bound, together
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array, pose_between, pose_step, rotate_back
 from hiltestbed.platform.facilities.friction import Rubbing
@@ -87,6 +87,15 @@ def _follow(pose, twist, accel, half, poses, twists):
             poses[i, 0, c] = pose[i, c]
         for c in range(6):
             twists[i, 0, c] = twist[i, c] + half * accel[i, c]
+
+
+@njit(cache=True)
+def _follow_and_aim(
+    pose, twist, accel, half, ticks, integers, numbers, room, h, cycles, lates, feed, axes, gravity, poses, held, twists, *others
+):  # fmt: skip
+    _follow(pose, twist, accel, half, poses, twists)
+    _aim(integers, numbers, room, ticks[0], h, cycles, lates, feed, axes, gravity, poses, held, twists, *others)
+    ticks[0] += 1
 
 
 @njit(cache=True)
@@ -192,6 +201,8 @@ class Drives:
         self.place_P, self.motion_P = np.tile(UPRIGHT, (n, 1)), np.zeros((n, 6))
         self.joints, self.joint_rates, self.reference = np.zeros((n, joints)), np.zeros((n, joints)), np.zeros((n, joints))
         self._rubbing: Rubbing | None = None
+        self._on: tuple[Any, ...] = (None,) * 4  # what the drives last pushed on
+        self._together: Any = None
         self._inputs = drive_inputs(model, [axis.joint for axis in kinematics.axes])
 
     @property
@@ -213,6 +224,15 @@ class Drives:
     def push(self, sub: int, qpos: Array, qvel: Array, ctrl: Array) -> None:
         """Write the drives' inputs into ``ctrl`` (n, nu) for step ``sub`` of the tick, from the joints as they stand."""
         raise NotImplementedError
+
+    def pushing(self, push: Call, qpos: Array, qvel: Array, ctrl: Array) -> Callable[[int], None]:
+        """What ``push`` makes of a state in arrays that stay, and the friction of the drives with it, in one call of the step's number."""
+        at, rates, into, rubbing = self._on
+        if at is not qpos or rates is not qvel or into is not ctrl or rubbing is not self._rubbing:
+            self._on = (qpos, qvel, ctrl, self._rubbing)
+            alone = push.on(qpos, qvel, ctrl)
+            self._together = together(alone, self._rubbing.acting(qvel, ctrl)) if self._rubbing else alone
+        return self._together
 
     def rest(self, qpos: Array, qvel: Array) -> None:
         """Put the drives' own state where it is in uniform motion; ``qpos`` (n, nq) may yield to the weight."""
@@ -259,8 +279,13 @@ class Drives:
 
     @cached_property
     def _solve(self) -> Callable[[int], None]:
-        return bound(
-            _aim, *self._flat, ..., self.tick, self._cycles, self._lates, self._feed, self._axes, self._gravity, self.poses, self.held,
+        return bound(_aim, *self._planning)
+
+    @property
+    def _planning(self) -> tuple[Any, ...]:
+        """What :func:`_aim` is given, the tick at each call."""
+        return (
+            *self._flat, ..., self.tick, self._cycles, self._lates, self._feed, self._axes, self._gravity, self.poses, self.held,
             self.twists, self.held_rates, self._qs, self._rates, self._goal, self._leave, self.load, self.missed, self._ring, self._span,
             self._target, self._velocity, self._plan,
         )  # fmt: skip
@@ -271,9 +296,17 @@ class Drives:
         The command is left with the velocity of the tick plus half a tick of its acceleration: a semi-implicit velocity belongs to the
         middle of its tick.
         """
-        self.allocate(pose_cmd, twist_cmd, accel_cmd, 0.5 * self.tick)
-        self._solve(int(self._ticks[0]))
-        self._ticks[0] += 1
+        if type(self).allocate is Drives.allocate:
+            self._followed.on(pose_cmd, twist_cmd, accel_cmd)()
+        else:
+            self.allocate(pose_cmd, twist_cmd, accel_cmd, 0.5 * self.tick)
+            self._solve(int(self._ticks[0]))
+            self._ticks[0] += 1
+
+    @cached_property
+    def _followed(self) -> Call:
+        """A tick of one tool that follows the command."""
+        return Call(_follow_and_aim, GIVEN, GIVEN, GIVEN, 0.5 * self.tick, self._ticks, *self._planning[:3], *self._planning[4:])
 
     def follow(self, pose: Array, twist: Array) -> None:
         """Joints and their rates where A is at ``pose`` (n, 7) with ``twist`` (n, 6), of a rig that follows exactly: no drive acts."""

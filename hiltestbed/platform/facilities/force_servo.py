@@ -94,9 +94,7 @@ class ForceServo(Drives):
         )  # fmt: skip
 
     def push(self, sub: int, qpos: Array, qvel: Array, ctrl: Array) -> None:
-        self._pushed.on(qpos, qvel, ctrl)(sub)
-        if self._rubbing:
-            self._rubbing.act(qvel, ctrl)
+        self.pushing(self._pushed, qpos, qvel, ctrl)(sub)
 
     def state(self) -> dict[str, NDArray[Any]]:
         return super().state() | {"bent": self.bent}

@@ -7,6 +7,7 @@ holds while a joint stands, and a viscous part. Units are N and m for cylinders,
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 from numba import njit
@@ -67,9 +68,9 @@ class Rubbing:
         """Start from drives that have long been moving at ``qvel`` (n, nv)."""
         _settle(self._numbers, self._axes, qvel, self.bristles)
 
-    def act(self, qvel: Array, ctrl: Array) -> None:
-        """Take the friction of one step off the drives' inputs ``ctrl`` (n, nu)."""
-        self._act.on(qvel, ctrl)()
+    def acting(self, qvel: Array, ctrl: Array) -> Callable[[], None]:
+        """What takes the friction of one step off the drives' inputs ``ctrl`` (n, nu), of arrays that stay."""
+        return self._act.on(qvel, ctrl)
 
     def state(self) -> dict[str, NDArray]:
         return {"bristles": self.bristles}

@@ -145,9 +145,7 @@ class Hydraulic(Drives):
         )  # fmt: skip
 
     def push(self, sub: int, qpos: Array, qvel: Array, ctrl: Array) -> None:
-        self._pushed.on(qpos, qvel, ctrl)(sub)
-        if self._rubbing:
-            self._rubbing.act(qvel, ctrl)
+        self.pushing(self._pushed, qpos, qvel, ctrl)(sub)
 
     def feedback(self) -> Array:
         return self.cylinders.reshape(len(self.cylinders), -1)
