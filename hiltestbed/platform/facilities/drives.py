@@ -155,6 +155,16 @@ def relative(place_A, motion_A, place_P, motion_P, r, arm, pose, twist):
     rotate_back(place_P[3:7], twist[3:6], twist[3:6])
 
 
+class _Pushed:
+    """On what the drives pushed last, and the call that did it."""
+
+    __slots__ = ("call", "ctrl", "qpos", "qvel", "rubbing")
+
+    def __init__(self) -> None:
+        self.qpos = self.qvel = self.ctrl = self.rubbing = None
+        self.call: Any = None
+
+
 class Drives:
     """References and inputs of the drives of `n` runs, and what the joints say; all arrays are updated in place.
 
@@ -201,8 +211,7 @@ class Drives:
         self.place_P, self.motion_P = np.tile(UPRIGHT, (n, 1)), np.zeros((n, 6))
         self.joints, self.joint_rates, self.reference = np.zeros((n, joints)), np.zeros((n, joints)), np.zeros((n, joints))
         self._rubbing: Rubbing | None = None
-        self._on: tuple[Any, ...] = (None,) * 4  # what the drives last pushed on
-        self._together: Any = None
+        self._last = _Pushed()
         self._inputs = drive_inputs(model, [axis.joint for axis in kinematics.axes])
 
     @property
@@ -227,12 +236,12 @@ class Drives:
 
     def pushing(self, push: Call, qpos: Array, qvel: Array, ctrl: Array) -> Callable[[int], None]:
         """What ``push`` makes of a state in arrays that stay, and the friction of the drives with it, in one call of the step's number."""
-        at, rates, into, rubbing = self._on
-        if at is not qpos or rates is not qvel or into is not ctrl or rubbing is not self._rubbing:
-            self._on = (qpos, qvel, ctrl, self._rubbing)
+        last = self._last
+        if last.qpos is not qpos or last.qvel is not qvel or last.ctrl is not ctrl or last.rubbing is not self._rubbing:
+            last.qpos, last.qvel, last.ctrl, last.rubbing = qpos, qvel, ctrl, self._rubbing
             alone = push.on(qpos, qvel, ctrl)
-            self._together = together(alone, self._rubbing.acting(qvel, ctrl)) if self._rubbing else alone
-        return self._together
+            last.call = together(alone, self._rubbing.acting(qvel, ctrl)) if self._rubbing else alone
+        return last.call
 
     def rest(self, qpos: Array, qvel: Array) -> None:
         """Put the drives' own state where it is in uniform motion; ``qpos`` (n, nq) may yield to the weight."""
