@@ -11,6 +11,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable
 from functools import partial
+from operator import is_
 from typing import Any
 
 import numpy as np
@@ -28,10 +29,18 @@ _calls: dict[tuple[Any, ...], Any] = {}  # by kernel and what it is bound to: as
 
 
 class Bound(partial):
-    """A kernel with its arrays; ``kept`` holds them and their table for as long as it can be called."""
+    """A kernel with its arrays; ``kept`` holds them and their table for as long as it can be called.
+
+    An attribute besides keeps ``partial`` from taking one apart that it is given, and from losing what is kept.
+    """
 
     __slots__ = ("kept",)
     kept: tuple[Any, ...]
+
+    def __new__(cls, call: Any, table: Any, *kept: Any) -> Bound:
+        self = super().__new__(cls, call, int(table.ctypes.data))
+        self.kept, self.whole = (table, *kept), True
+        return self
 
 
 def bound(kernel: Any, *given: Any) -> Callable[..., Any]:
@@ -55,24 +64,21 @@ def bound(kernel: Any, *given: Any) -> Callable[..., Any]:
     key = (kernel, *kinds)
     if key not in _calls:
         _calls[key] = _compiled(kernel, kinds)
-    out = Bound(_calls[key], int(table.ctypes.data))
-    out.kept = (table, given)
-    return out
+    return Bound(_calls[key], table, given)
 
 
-def together(*calls: Callable[..., Any]) -> Callable[..., Any]:
-    """Several of what :func:`bound` gives, in this order, as one call; it returns what the last one returns.
+def together(*calls: Callable[..., Any], telling: int = -1) -> Callable[..., Any]:
+    """Several of what :func:`bound` gives, in this order, as one call; it returns what the one at ``telling``, the last one, returns.
 
     Each takes as many of the numbers that the call is given as it takes by itself.
     """
     parts = [call for call in calls if isinstance(call, Bound)]
     table = np.array([part.args[0] for part in parts], dtype=np.int64)
-    key = (together, *(part.func for part in parts))
+    telling %= len(parts)
+    key = (together, telling, *(part.func for part in parts))
     if key not in _calls:
-        _calls[key] = _joined([part.func for part in parts])
-    out = Bound(_calls[key], int(table.ctypes.data))
-    out.kept = (table, parts)
-    return out
+        _calls[key] = _joined([part.func for part in parts], telling)
+    return Bound(_calls[key], table, parts)
 
 
 class Call:
@@ -81,7 +87,7 @@ class Call:
     __slots__ = ("_a", "_b", "_bound", "_c", "_d", "_e", "_f", "_g", "_given", "_kernel", "_known")
 
     def __init__(self, kernel: Any, *given: Any) -> None:
-        """``given``: as of :func:`bound`, and :data:`GIVEN` for each of the caller's arrays, of which there are at most seven."""
+        """``given``: as of :func:`bound`, and :data:`GIVEN` for each array or number of the caller's that stays: at most seven."""
         self._kernel, self._given = kernel, given
         self._a: Any = self  # no array: the first call binds
         self._b = self._c = self._d = self._e = self._f = self._g = None
@@ -103,6 +109,24 @@ class Call:
             self._known[key] = arrays, bound(self._kernel, *(next(rest) if value is GIVEN else value for value in self._given))
         self._bound = self._known[key][1]
         return self._bound
+
+
+class Joined:
+    """Several kernels on the caller's arrays as one call, joined anew where an array is another one."""
+
+    __slots__ = ("_call", "_last", "_parts")
+
+    def __init__(self, parts: Callable[..., list[Callable[..., Any]]]) -> None:
+        """``parts``: what :func:`together` is to join, made from the caller's arrays."""
+        self._parts = parts
+        self._last: tuple[Any, ...] = (self,)  # no array: the first call joins
+        self._call: Any = None
+
+    def on(self, *arrays: Any) -> Callable[..., Any]:
+        """The one call on the caller's ``arrays``."""
+        if len(arrays) != len(self._last) or not all(map(is_, arrays, self._last)):
+            self._call, self._last = together(*self._parts(*arrays)), arrays
+        return self._call
 
 
 def _integer(value: Any) -> Any:
@@ -129,7 +153,7 @@ def _compiled(kernel: Any, kinds: list[Any]) -> Any:
     return njit(cache=True)(space[name])
 
 
-def _joined(calls: list[Any]) -> Any:
+def _joined(calls: list[Any], telling: int) -> Any:
     """A function of the address of a table of tables, kept on disk beside the last of the ``calls``."""
     takes = [call.py_func.__code__.co_argcount - 1 for call in calls]
     brought = [f"given_{i}" for i in range(max(takes))]
@@ -137,9 +161,10 @@ def _joined(calls: list[Any]) -> Any:
     space: dict[str, Any] = {"number": _number, "word": types.int64, "__name__": last.__module__}
     space |= {f"call_{i}": call for i, call in enumerate(calls)}
     lines = [f"call_{i}({', '.join([f'number(table, {i}, word)', *brought[:count]])})" for i, count in enumerate(takes)]
-    names = "".join(f"{call.py_func.__module__}.{call.py_func.__name__}" for call in calls)
+    lines[telling] = f"told = {lines[telling]}"
+    names = str(telling).join(f"{call.py_func.__module__}.{call.py_func.__name__}" for call in calls)
     name = f"{last.__name__}_after_{hashlib.sha256(names.encode()).hexdigest()[:16]}"
-    text = "\n    ".join([f"def {name}({', '.join(['table', *brought])}):", *lines[:-1], f"return {lines[-1]}"]) + "\n"
+    text = "\n    ".join([f"def {name}({', '.join(['table', *brought])}):", *lines, "return told"]) + "\n"
     exec(compile(text, last.__code__.co_filename, "exec"), space)
     return njit(cache=True)(space[name])
 

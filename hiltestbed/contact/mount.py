@@ -8,7 +8,7 @@ that sag, and a weight whose lever arm at the sensor swings, would otherwise sta
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import mujoco
@@ -74,7 +74,11 @@ class Mount:
 
     def ride(self, place: Array, motion: Array) -> None:
         """Take over where the passive side is: P at ``place`` (n, 7), moving with ``motion`` (n, 6), on a rigid mount."""
-        self._ridden.on(place, motion)()
+        self.riding(place, motion)()
+
+    def riding(self, place: Array, motion: Array) -> Callable[[], None]:
+        """:meth:`ride` of arrays that stay."""
+        return self._ridden.on(place, motion)
 
 
 @njit(cache=True)

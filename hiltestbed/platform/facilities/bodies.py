@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -90,7 +90,7 @@ class Bodies:
         self.place_A, self.motion_A = np.tile(UPRIGHT, (n, 1)), np.zeros((n, 6))
         self.place_P, self.motion_P = np.tile(UPRIGHT, (n, 1)), np.zeros((n, 6))
         self._seen = Call(
-            _read, *packed(kinematics.tree.towards_tools()), GIVEN, GIVEN, ..., self.place_A, self.motion_A, self.place_P, self.motion_P,
+            _read, *packed(kinematics.tree.towards_tools()), GIVEN, GIVEN, GIVEN, self.place_A, self.motion_A, self.place_P, self.motion_P,
             self.pose, self.twist, GIVEN,
         )  # fmt: skip
 
@@ -122,7 +122,11 @@ class Bodies:
 
     def observe(self, qpos: Array, qvel: Array, limit: float, diverged: NDArray[np.bool_]) -> bool:
         """Read poses and twists; True where a run has just left ``limit`` [m/s, rad/s], which ``diverged`` (n,) then names."""
-        return self._seen.on(qpos, qvel, diverged)(limit)
+        return self.observing(qpos, qvel, limit, diverged)()
+
+    def observing(self, qpos: Array, qvel: Array, limit: float, diverged: NDArray[np.bool_]) -> Callable[[], bool]:
+        """:meth:`observe` of arrays that stay."""
+        return self._seen.on(qpos, qvel, limit, diverged)
 
     def momentum(self, qpos: Array, qvel: Array, run: int = 0) -> Array:
         """``(6,)`` linear momentum [kg m/s] and moment of momentum about W's origin [kg m^2/s] of all that moves."""

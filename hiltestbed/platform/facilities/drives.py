@@ -335,13 +335,17 @@ class Drives:
     @cached_property
     def _seen(self) -> Call:
         return Call(
-            _observe, *packed(self.kinematics.tree.towards_tools()), self._axes, self._home, self._two, GIVEN, GIVEN, ..., self.place_A,
+            _observe, *packed(self.kinematics.tree.towards_tools()), self._axes, self._home, self._two, GIVEN, GIVEN, GIVEN, self.place_A,
             self.motion_A, self.place_P, self.motion_P, self.pose, self.twist, self.joints, self.joint_rates, GIVEN,
         )  # fmt: skip
 
     def observe(self, qpos: Array, qvel: Array, limit: float, diverged: NDArray[np.bool_]) -> bool:
         """Read poses, twists and joints; True where a run has just left ``limit`` [m/s, rad/s], which ``diverged`` (n,) then names."""
-        return self._seen.on(qpos, qvel, diverged)(limit)
+        return self.observing(qpos, qvel, limit, diverged)()
+
+    def observing(self, qpos: Array, qvel: Array, limit: float, diverged: NDArray[np.bool_]) -> Callable[[], bool]:
+        """:meth:`observe` of arrays that stay."""
+        return self._seen.on(qpos, qvel, limit, diverged)
 
     def release(self) -> None:
         """Leave the drives' friction and the steps of their encoders out from now on: what is measured is then linear."""

@@ -192,7 +192,7 @@ class Servo:
             self._ring, self._span, self.velocity, self._plan, self._ahead,
         )  # fmt: skip
         self._pushed = Call(_push, self._plan, ..., self.kp, self.kv, self._encoder, self._adr, GIVEN, GIVEN, GIVEN)
-        self._seen = Call(_observe, GIVEN, GIVEN, self._adr, self._free, self.platform.centre, ..., *(GIVEN,) * 4)
+        self._seen = Call(_observe, GIVEN, GIVEN, self._adr, self._free, self.platform.centre, *(GIVEN,) * 5)
 
     def add_friction(self, scenarios: Sequence[Scenario], applied: Array) -> None:
         """Let the scenarios' actuators rub: into the generalised forces ``applied`` (n, nv), where one has friction at all."""
@@ -241,4 +241,4 @@ class Servo:
 
     def observe(self, qpos: Array, qvel: Array, limit: float, pose: Array, twist: Array, sliders: Array, diverged: Array) -> bool:
         """Read pose, twist and sliders; True where a run has just left ``limit`` [m/s, rad/s], which ``diverged`` then names."""
-        return self._seen.on(qpos, qvel, pose, twist, sliders, diverged)(limit)
+        return self._seen.on(qpos, qvel, limit, pose, twist, sliders, diverged)()
