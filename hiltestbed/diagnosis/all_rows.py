@@ -14,7 +14,7 @@ from hiltestbed.diagnosis.heldout import placebo_of
 from hiltestbed.diagnosis.links import WrenchLink
 from hiltestbed.diagnosis.residual import Residual
 from hiltestbed.diagnosis.search import Explanation, first_of_each, with_rivals
-from hiltestbed.diagnosis.settings import CLOSE_BY, PARTNERS
+from hiltestbed.diagnosis.settings import CLOSE_BY, PARTNERS, ROUNDED_OFF
 
 
 def on_all_rows(found: Explanation, link: WrenchLink) -> Explanation:
@@ -24,7 +24,8 @@ def on_all_rows(found: Explanation, link: WrenchLink) -> Explanation:
         return found
     residual = Residual(link).wary(chosen.effects())
     pool = sorted((f for f in (*found.singles, *found.more) if len(f.causes) == len(chosen.causes)), key=lambda f: f.score)
-    near = [f for f in first_of_each(pool, "kinds") if f.score - chosen.score < CLOSE_BY * inflation(chosen) and JITTER not in f.kinds]
+    within = CLOSE_BY * inflation(chosen) + ROUNDED_OFF * (found.null.chi2 - chosen.chi2)
+    near = [f for f in first_of_each(pool, "key") if f.score - chosen.score < within and JITTER not in f.kinds]
     fits = sorted((refit(residual, f) for f in near[:PARTNERS]), key=lambda f: f.score) or [refit(residual, chosen)]
     best = fits[0]
     leftovers = contact_leftovers(residual, best.effects())

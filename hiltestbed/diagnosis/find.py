@@ -18,7 +18,7 @@ from hiltestbed.diagnosis.investigate import Findings
 from hiltestbed.diagnosis.isolability import isolability
 from hiltestbed.diagnosis.learned.finding import learned_on
 from hiltestbed.diagnosis.learned_law import Learned
-from hiltestbed.diagnosis.plain import LINK_NAMES
+from hiltestbed.diagnosis.plain import LINK_NAMES, plain
 from hiltestbed.diagnosis.report.evidence import link_series
 from hiltestbed.diagnosis.result import Cause, Finding, Heldout, Interval, Isolable, Parameter, Ranked
 from hiltestbed.diagnosis.search import Explanation, Progress, Search
@@ -41,7 +41,7 @@ def find(findings: Findings, progress: Progress | None = None) -> Finding:
     verdict, share = _in_part(findings, verdict, nearest)
     verdict, share, learned, law = _learned(findings, verdict, share, progress)
     certain = Certainties(findings.explanations)
-    causes = tuple(cause_of(findings, c, certain) for c in verdict.causes)
+    causes = tuple(cause_of(findings, c, certain, verdict.causes) for c in verdict.causes)
     once = {c.effect: c for c in [*nearest, *verdict.causes]}  # a record stamped late shows on two links
     once = {c.effect: c for c in verdict.causes} if law else once
     effects = [*(c.fit.effects()[c.index] for c in once.values()), *law]  # as the links take them, variants included
@@ -135,8 +135,11 @@ def _grown(e: Explanation, progress: Progress | None) -> Explanation:
     return replace(e, chosen=best, leftovers=contact_leftovers(e.residual, best.effects()))
 
 
-def cause_of(findings: Findings, c: Named, certain: Certainties | None = None) -> Cause:
-    """A cause with the 95 % intervals of its parameters; `certain` keeps what was worked out of its fit."""
+def cause_of(findings: Findings, c: Named, certain: Certainties | None = None, beside: tuple[Named, ...] = ()) -> Cause:
+    """A cause with the 95 % intervals of its parameters; `certain` keeps what was worked out of its fit.
+
+    beside: all that is named, for the explanations that have a rival in place of this cause.
+    """
     ends = certain.of(c.link, c.fit).ends if certain else intervals(findings.explanations[c.link].residual, c.fit).ends
     start = sum(len(x.names) for x in c.fit.causes[: c.index])
     names = c.fit.causes[c.index].names
@@ -153,7 +156,14 @@ def cause_of(findings: Findings, c: Named, certain: Certainties | None = None) -
             found[name] = Parameter(tuple(float(v) for v in value), ci, unit)
         else:
             found[name] = Parameter(value, _interval(ends, names, start, name, value), unit)
-    return Cause(c.effect, found, c.probability, tuple(c.indistinguishable_from))
+    elsewhere = [o.fit.effects()[o.index] for o in beside if o.link != c.link]
+    alternatives = tuple(tuple(_entry(e) for e in (*rival.effects(), *elsewhere)) for rival in c.rivals)
+    return Cause(c.effect, found, c.probability, tuple(c.indistinguishable_from), alternatives)
+
+
+def _entry(effect: Effect) -> dict[str, Any]:
+    """As it would stand under `effects:` in a scenario."""
+    return {"kind": effect.kind} | {name: plain(value) for name, value in effect.parameters().items() if value is not None}
 
 
 def _interval(ends: Any, names: tuple[str, ...], start: int, name: str, value: float) -> Interval:

@@ -21,6 +21,7 @@ def cause_json(cause: Cause) -> dict[str, Any]:
         "parameters": {name: vars(p) for name, p in cause.parameters.items()},
         "probability": cause.probability,
         "indistinguishable_from": list(cause.indistinguishable_from),
+        "alternatives": finite(cause.alternatives),
     }
 
 

@@ -46,12 +46,15 @@ class Cause:
     Attributes:
         effect: id in the vocabulary. parameters: all of them, so that the effect can go into a scenario.
         probability: that it is this effect and not one of `indistinguishable_from`.
+        alternatives: for each of these the whole explanation with it in place of this effect, as under `effects:` in a scenario: the
+            numbers of the other causes may differ in it.
     """
 
     effect: str
     parameters: Mapping[str, Parameter]
     probability: float
     indistinguishable_from: tuple[str, ...] = ()
+    alternatives: tuple[tuple[Mapping[str, Any], ...], ...] = ()
 
     def entry(self) -> dict[str, Any]:
         """As it stands under `effects:` in a scenario."""

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hiltestbed.diagnosis.adequacy import JITTER, Leftover, contact_leftovers
-from hiltestbed.diagnosis.fit import Fit, at_bound, bounds_of, differences, effects_at, fit, inflation, nothing, refit, scales
+from hiltestbed.diagnosis.fit import Fit, bounds_of, differences, effects_at, fit, inflation, nothing, refit, scales
 from hiltestbed.diagnosis.jitter import again
 from hiltestbed.diagnosis.links.base import Effects
 from hiltestbed.diagnosis.residual import Residual, square
@@ -19,6 +19,7 @@ from hiltestbed.diagnosis.settings import (
     CLOSE_BY,
     DETECTION,
     MOST_CAUSES,
+    NEAR_AN_END,
     PARTNERS,
     SELECTION,
     SELECTION_INADEQUATE,
@@ -253,11 +254,24 @@ def first_of_each(fits: Sequence[Fit], by: str) -> list[Fit]:
     return out
 
 
-def _limit_of(chosen: Fit, index: int, other: Fit) -> bool:
-    """Whether ``other`` has, in place of a cause, one of more parameters at the end of its range, where it is nothing but that cause."""
+def _limit_of(residual: Residual, chosen: Fit, index: int, other: Fit) -> bool:
+    """Whether ``other`` has, in place of a cause, one of more parameters at the end of its range, where it is nothing but that cause.
+
+    An estimate that the noise has moved off the end is at the end all the same: held there, the others fit as well.
+    """
     own = next(i for i, kind in enumerate(other.kinds) if kind not in chosen.kinds)
-    more = len(other.causes[own].names) > len(chosen.causes[index].names)
-    return more and at_bound(other.causes[own], other.part(own))
+    richer, theta = other.causes[own], other.part(own)
+    if len(richer.names) <= len(chosen.causes[index].names) or richer.vector:
+        return False
+    ends = np.where(theta - richer.low < richer.high - theta, richer.low, richer.high)
+    close = np.flatnonzero(np.abs(theta - ends) < NEAR_AN_END * (richer.high - richer.low))
+    for j in close:
+        rest = np.delete(np.arange(len(theta)), j)
+        causes = (*other.causes[:own], richer.held(int(j), float(ends[j])), *other.causes[own + 1 :])
+        start = np.concatenate([*(other.part(i) for i in range(own)), theta[rest], *(other.part(i) for i in range(own + 1, len(causes)))])
+        if fit(residual, causes, [start], tries=1).chi2 - other.chi2 < AMBIGUITY * inflation(other):
+            return True
+    return False
 
 
 def with_rivals(found: Explanation, judge: Judge) -> Explanation:
@@ -268,7 +282,7 @@ def with_rivals(found: Explanation, judge: Judge) -> Explanation:
     rivals: list[list[Fit]] = [[] for _ in chosen.causes]
     for f in first_of_each(close, "kinds"):
         shared = [kind in f.kinds for kind in chosen.kinds]
-        if sum(shared) != len(shared) - 1 or _limit_of(chosen, shared.index(False), f):
+        if sum(shared) != len(shared) - 1 or _limit_of(found.residual, chosen, shared.index(False), f):
             continue
         if all(left.noise for left in judge(found.residual, f.effects()).values()):
             rivals[shared.index(False)].append(f)

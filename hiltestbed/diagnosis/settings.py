@@ -26,6 +26,8 @@ SIMILAR = 3  # hypotheses of one effect (axes, variants) that are fitted
 SINGLES = 40  # first causes that are fitted
 VARIANT = 0.3  # of what the best takes off chi-square: where one reading of an effect takes less, the others are not fitted
 CLOSE_BY = 60.0  # of chi-square: hypotheses this near to the best are fitted to the end, others as long as they may come so near
+NEAR_AN_END = 0.1  # of the range of a parameter: nearer to its end it is tried whether the end itself does as well
+ROUNDED_OFF = 1e-4  # of what the causes take off chi-square: what blocks of rows may shift it by; ten times what was seen (1.2e-5)
 FAR = 1e6  # sigma: a prediction that left the finite numbers
 
 # Noise

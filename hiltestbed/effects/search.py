@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -107,6 +107,15 @@ class Candidate:
     def key(self) -> tuple:
         """What tells candidates apart."""
         return (self.kind, *self.names, *sorted((k, str(v)) for k, v in {**self.fixed, **self.variant}.items()))
+
+    def held(self, index: int, value: float) -> Candidate:
+        """The same effect with one of its free parameters, a number, held at ``value``."""
+        rest = np.delete(np.arange(len(self.names)), index)
+        names = tuple(self.names[i] for i in rest)
+        grid = tuple(tuple(start[i] for i in rest) for start in self.grid)
+        where = "fixed" if self.names[index] in self.effect.model_fields else "variant"
+        told = {where: {**getattr(self, where), self.names[index]: value}}
+        return replace(self, names=names, low=self.low[rest], high=self.high[rest], log=self.log[rest], grid=grid, **told)
 
     def at(self, theta: Array) -> Effect:
         """The effect with the free parameters at theta, unchecked: a search may leave what a scenario allows."""

@@ -11,12 +11,14 @@ import numpy as np
 import pytest
 
 from hiltestbed.diagnosis.adequacy import leftover
+from hiltestbed.diagnosis.find import cause_of
 from hiltestbed.diagnosis.heldout import heldout, placebo_of
 from hiltestbed.diagnosis.intervals import intervals
 from hiltestbed.diagnosis.investigate import Findings
 from hiltestbed.diagnosis.residual import Residual
 from hiltestbed.diagnosis.search import Explanation, Search
-from hiltestbed.diagnosis.verdict import decide
+from hiltestbed.diagnosis.settings import AMBIGUITY
+from hiltestbed.diagnosis.verdict import Named, decide
 from hiltestbed.effects import EFFECTS
 from hiltestbed.effects.search import Candidate, Scales
 from hiltestbed.frames import Array
@@ -87,6 +89,20 @@ def test_two_causes_that_do_the_same_are_both_said() -> None:
     assert verdict.verdict == "ambiguous"
     assert verdict.causes[0].indistinguishable_from == ["contact.stiffness"]
     assert 0.5 < verdict.causes[0].probability <= 1.0
+    other = effect("sensor.delay", delay=2e-3)
+    both = Named("sensor.delay", "dynamics", explained(other, kinds=("sensor.delay",)).chosen, 0)
+    (told,) = cause_of(findings(wrench=twin), verdict.causes[0], None, (*verdict.causes, both)).alternatives
+    assert [entry["kind"] for entry in told] == ["contact.stiffness", "sensor.delay"]  # all of it, with what is named elsewhere
+    assert told[0]["factor"] == e.singles[1].theta[0]
+    assert told[1]["delay"] == pytest.approx(2e-3, rel=1e-3)
+
+
+def test_a_second_spring_that_acts_from_the_touch_on_is_no_rival_of_a_stiffness() -> None:
+    e = explained(effect("contact.stiffness", factor=1.08), kinds=("contact.stiffness", "contact.hard_stop"))
+    assert len(e.singles) == 2  # it was tried, and fits: noise lets its position be anything near nought
+    assert e.singles[1].chi2 < e.chosen.chi2 + AMBIGUITY
+    assert decide(findings(wrench=e)).verdict == "named"
+    assert e.rivals == ((),)
 
 
 def test_what_no_cause_explains_is_unknown_and_what_is_known_elsewhere_is_kept() -> None:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 from hiltestbed.diagnosis.plain import LINK_NAMES
 from hiltestbed.diagnosis.report import pictures
@@ -88,6 +89,17 @@ def _cause_table(report: Report, causes: Sequence[Cause], title: str, rivals: bo
     if rows:
         shown = len(header) if rivals else 3
         report.table(header[:shown], [row[:shown] for row in rows])
+    if rivals and (others := [(c.effect, told) for c in causes for told in c.alternatives]):
+        report.text("What fits as well, with the numbers that go with it:")
+        report.table(("in place of", "explanation"), [(effect, _in_words(told)) for effect, told in others])
+
+
+def _in_words(explanation: Sequence[Mapping[str, Any]]) -> str:
+    """Effects with their parameters."""
+    return " and ".join(
+        f"{entry['kind']} [{', '.join(f'{k} {v:.5g}' if isinstance(v, float) else f'{k} {v}' for k, v in entry.items() if k != 'kind')}]"
+        for entry in explanation
+    )
 
 
 def _evidence(report: Report, d: Diagnosis) -> None:
