@@ -13,7 +13,7 @@ site on a part that moves on the active side is taken where the latch closed on 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -69,7 +69,11 @@ class HeldPlace:
 
     def update(self, pose: Array, captured: NDArray[np.bool_], steps: NDArray[np.int64]) -> None:
         """Take in the pose ``(n, 7)`` of A in P, whether latches hold ``(n,)``, and how many phases have begun ``(n,)``; once a tick."""
-        self._update.on(pose, captured, steps)()
+        self.updating(pose, captured, steps)()
+
+    def updating(self, pose: Array, captured: NDArray[np.bool_], steps: NDArray[np.int64]) -> Callable[[], None]:
+        """:meth:`update` of arrays that stay."""
+        return self._update.on(pose, captured, steps)
 
 
 @njit(cache=True)

@@ -18,13 +18,13 @@ more than its noise within a tick; the standard deviation that is reported grows
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numba import njit
 
-from hiltestbed.bound import GIVEN, Call
+from hiltestbed.bound import GIVEN, Call, Joined
 from hiltestbed.contact.geometry import ROW, SIDE
 from hiltestbed.contact.parameters import LEVER, PARAMETERS
 from hiltestbed.contact.sides import sides_of
@@ -105,6 +105,7 @@ class ContactSamples:
         self.whole = np.zeros((n, 7, 4))
         self.sample = self.whole[:, :NORMAL]
         self.steps = np.zeros(n, dtype=np.int64)
+        self._taken = Joined(self._taking)
         self._remembered = Call(_remember, ..., GIVEN, GIVEN, self.held.lever, self.held.reference, self._x, self._v)
         self._met = Call(_meet, ..., *self._geometry, GIVEN, GIVEN, self._x, self._v, self._normal)
         self._gate = Call(_gate, GIVEN, self.threshold, GIVEN, self.delay, h, self._felt, self._peak, self._gated)
@@ -117,6 +118,10 @@ class ContactSamples:
     def take(self, wrench: Array, pose: Array, twist: Array, led: Array | None = None) -> None:
         """Take in what was measured at t_k: wrench ``(n, 6)``, pose ``(n, 7)``, twist ``(n, 6)``; ``led``: the wrench to be explained."""
         k = int(self._clock[0])
+        if led is None and not self._estimate:
+            self._taken.on(wrench, pose, twist, self.captured, self.steps)(k)
+            self._clock[0] = k + 1
+            return
         self.held.update(pose, self.captured, self.steps)
         self._remembered.on(pose, twist)(k)
         if self._known:
@@ -126,6 +131,12 @@ class ContactSamples:
             _find_delay(k, self.tick, self._longest, wrench, self._x, self._v, self._gated, self.delay, self._onset)
         self._sampled.on(wrench if led is None else led, self.captured)(k)
         self._clock[0] = k + 1
+
+    def _taking(self, wrench: Array, pose: Array, twist: Array, captured: Array, steps: Array) -> list[Callable[..., None]]:
+        """The parts of :meth:`take` where the delay is known and nothing led."""
+        met = [self._met.on(pose, twist)] if self._known else []
+        held, gate = self.held.updating(pose, captured, steps), self._gate.on(wrench, captured)
+        return [held, self._remembered.on(pose, twist), *met, gate, self._sampled.on(wrench, captured)]
 
     def delay_sd(self, stiffness: Array) -> Array:
         """``(n,)`` [s] standard deviation of the estimated delay, given the axial stiffness ``(n,)``; NaN before a touch.
