@@ -36,6 +36,7 @@ class Bound(partial):
 
     __slots__ = ("kept",)
     kept: tuple[Any, ...]
+    whole: bool
 
     def __new__(cls, call: Any, table: Any, *kept: Any) -> Bound:
         self = super().__new__(cls, call, int(table.ctypes.data))

@@ -149,7 +149,8 @@ class Loop:
             self.dead_zone.update(self.sensor.reading)
         self._pose_before[:] = drive.pose
         drive.advance(self.measurement)
-        self.motion.update(drive.pose, drive.twist, self.measurement)
+        if not plant.physical:  # bodies that move by themselves are told nothing
+            self.motion.update(drive.pose, drive.twist, self.measurement)
         plant.begin(self.motion.pose, self.motion.twist, self.motion.acceleration)
         self.sensor.feel(k, self._wrench)
         lost = self._kept(trace)(k)

@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from hiltestbed.bound import GIVEN, Call, Joined
 from hiltestbed.contact.geometry import ROW, SIDE
@@ -132,7 +133,9 @@ class ContactSamples:
         self._sampled.on(wrench if led is None else led, self.captured)(k)
         self._clock[0] = k + 1
 
-    def _taking(self, wrench: Array, pose: Array, twist: Array, captured: Array, steps: Array) -> list[Callable[..., None]]:
+    def _taking(
+        self, wrench: Array, pose: Array, twist: Array, captured: NDArray[np.bool_], steps: NDArray[np.int64]
+    ) -> list[Callable[..., None]]:
         """The parts of :meth:`take` where the delay is known and nothing led."""
         met = [self._met.on(pose, twist)] if self._known else []
         held, gate = self.held.updating(pose, captured, steps), self._gate.on(wrench, captured)

@@ -176,7 +176,7 @@ class ServoTracking:
         if seen is None:
             return self._say_so, self._meet_so, self._settle_so
         met = self.contacts.meeting(*self._sides) if self.contacts.written else []
-        meet = together(seen, *met, telling=0) if met else self._meet_so
+        meet = together(seen, *met, telling=0) if met else self._meet_so if self.contacts.written else seen
         return seen, meet, together(seen, *self.contacts.looking, telling=0)
 
     @property

@@ -161,7 +161,10 @@ class _Pushed:
     __slots__ = ("call", "ctrl", "qpos", "qvel", "rubbing")
 
     def __init__(self) -> None:
-        self.qpos = self.qvel = self.ctrl = self.rubbing = None
+        self.qpos: Array | None = None
+        self.qvel: Array | None = None
+        self.ctrl: Array | None = None
+        self.rubbing: Rubbing | None = None
         self.call: Any = None
 
 
