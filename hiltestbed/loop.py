@@ -14,6 +14,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from hiltestbed.bound import bound, together
 from hiltestbed.compensation.blocks import Drive, make_drive
 from hiltestbed.compensation.input import InputDeadZone
 from hiltestbed.compensation.measurement import Measurement
@@ -31,6 +32,10 @@ from hiltestbed.scenario import Scenario
 from hiltestbed.sensor.sensor import Sensor
 from hiltestbed.signals import Trace
 
+ROW = (
+    "pose_cmd", "pose_act", "twist_cmd", "twist_act", "wrench_true", "wrench_meas", "wrench_comp", "slider_cmd", "slider_act", "upper_cmd",
+    "upper_act", "stiffness_est", "damping_est",
+)  # fmt: skip
 POSE_LIMIT = 10.0  # [m] a commanded position beyond it is a divergence: forty times the platform's reach
 
 
@@ -116,6 +121,8 @@ class Loop:
         self.alive = np.ones(n, dtype=bool)
         self.trouble: dict[int, tuple[int, str, str]] = {}
         self._pose_before = self.drive.pose.copy()
+        self._wrench = self.plant.wrench_sub[:, -1]
+        self._keeping: tuple[Any, ...] = (None,) * 4  # the arrays that what is kept of a tick comes from
         self.plant.reset(self.drive.pose, self.drive.twist)
         self.motion.start(self.drive.twist)
         self.tally.start(self.drive.twist)
@@ -143,37 +150,38 @@ class Loop:
             self.dead_zone.update(self.sensor.reading)
         self._pose_before[:] = drive.pose
         drive.advance(self.measurement)
-        self.motion.update(drive.pose, drive.twist, self.measurement)
+        if not plant.physical:  # bodies that move by themselves are told nothing
+            self.motion.update(drive.pose, drive.twist, self.measurement)
         plant.begin(self.motion.pose, self.motion.twist, self.motion.acceleration)
-        wrench = plant.wrench_sub[:, -1]
-        self.sensor.feel(k, wrench)
-        self.tally.update(k, (wrench, plant.pose_act, plant.twist_act, plant.contact), self._pose_before, (drive.wrench, drive.twist))
-        self.outcomes.update(k, wrench, plant.contact, plant.captured)
-        if trace is not None:
-            self.write(trace)
+        self.sensor.feel(k, self._wrench)
+        lost = self._kept(trace)(k)
         passed = self.safety.passed(plant, self._pose_before, self.tally.energy)
-        if passed or _lost(drive.pose, POSE_LIMIT, self.alive, plant.diverged):
+        if passed or lost:
             self._end_runs()
         plant.finish()
         self.k = k + 1
 
-    def write(self, trace: Trace) -> None:
-        """Row k: what was read at t_k and what was commanded from it."""
-        k, data = self.k, trace.data
-        data["pose_cmd"][k] = self.drive.pose
-        data["pose_act"][k] = self.plant.pose_act
-        data["twist_cmd"][k] = self.drive.twist
-        data["twist_act"][k] = self.plant.twist_act
-        data["wrench_true"][k] = self.plant.wrench_sub[:, -1]
-        data["wrench_meas"][k] = self.sensor.reading
-        data["wrench_comp"][k] = self.drive.wrench
-        data["slider_cmd"][k] = self.plant.slider_cmd
-        data["slider_act"][k] = self.plant.slider_act
-        data["upper_cmd"][k] = self.plant.upper_cmd
-        data["upper_act"][k] = self.plant.upper_act
-        data["stiffness_est"][k] = self.measurement.stiffness
-        data["damping_est"][k] = self.measurement.damping
-        trace.contact[k] = self.plant.contact
+    def _kept(self, trace: Trace | None) -> Callable[[int], bool]:
+        """What keeps figures, contacts and the row of a tick, and tells whether a run is lost."""
+        drive, (traced, pose, twist, wrench) = self.drive, self._keeping
+        if trace is not traced or drive.pose is not pose or drive.twist is not twist or drive.wrench is not wrench:
+            plant, wrench = self.plant, self._wrench
+            rig = (wrench, plant.pose_act, plant.twist_act, plant.contact)
+            figures = self.tally.taking(rig, self._pose_before, (drive.wrench, drive.twist))
+            contacts = self.outcomes.taking(wrench, plant.contact, plant.captured)
+            row = () if trace is None else (self.row_of(trace),)
+            lost = bound(_lost, drive.pose, POSE_LIMIT, self.alive, plant.diverged)
+            self._keep, self._keeping = together(figures, contacts, *row, lost), (trace, drive.pose, drive.twist, drive.wrench)
+        return self._keep
+
+    def row_of(self, trace: Trace) -> Callable[[int], None]:
+        """What writes row k of a trace: what was read at t_k and what was commanded from it."""
+        drive, plant, known = self.drive, self.plant, self.measurement
+        now = (
+            drive.pose, plant.pose_act, drive.twist, plant.twist_act, self._wrench, self.sensor.reading, drive.wrench, plant.slider_cmd,
+            plant.slider_act, plant.upper_cmd, plant.upper_act, known.stiffness, known.damping,
+        )  # fmt: skip
+        return bound(_write, ..., *now, *(trace.data[name] for name in ROW), plant.contact, trace.contact)
 
     @property
     def blocks(self) -> dict[str, Any]:
@@ -195,6 +203,28 @@ class Loop:
             else:
                 continue
             self.alive[i] = False
+
+
+@njit(cache=True)
+def _write(
+    k, a0, a1, a2, a3, a4, a5, a6, a7, a8, a9, a10, a11, a12, b0, b1, b2, b3, b4, b5, b6, b7, b8, b9, b10, b11, b12, touching, touched
+):  # fmt: skip
+    """Row ``k`` of each ``b`` (ticks, n, parts) becomes the ``a`` (n, parts)."""
+    b0[k][:] = a0
+    b1[k][:] = a1
+    b2[k][:] = a2
+    b3[k][:] = a3
+    b4[k][:] = a4
+    b5[k][:] = a5
+    b6[k][:] = a6
+    b7[k][:] = a7
+    b8[k][:] = a8
+    b9[k][:] = a9
+    b10[k][:] = a10
+    b11[k][:] = a11
+    b12[k][:] = a12
+    for i in range(touching.shape[0]):
+        touched[k, i] = touching[i]
 
 
 @njit(cache=True)

@@ -6,13 +6,14 @@ Running sums instead of a pass over the trace, so that a campaign needs no trace
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from hiltestbed.bound import GIVEN, Call
 from hiltestbed.frames import Array, twist_between
 from hiltestbed.scenario import Scenario
 
@@ -74,6 +75,11 @@ class Tally:
         self._twist = np.zeros((n, 6))
         self._started = np.zeros(n, dtype=bool)
         self._tracking = np.zeros((n, 5))  # vv, vF, FF, ev, eF along z, in contact
+        self._update = Call(
+            _update, ..., self.tick, *(GIVEN,) * 7, self._settle, self.energy, self.peak_force, self.peak_error, self.impulse,
+            self.contact_ticks, self.contacts, self.first_tick, self._last_tick, self._speeds, self._first_impulse, self._wrench,
+            self._pose, self._twist, self._tracking,
+        )  # fmt: skip
 
     def start(self, twist: Array) -> None:
         """The numerical model's twist ``(n, 6)`` before the first tick."""
@@ -87,32 +93,13 @@ class Tally:
             pose_before: ``(n, 7)`` pose that had been commanded for t_k.
             drive: wrench used and new twist of the numerical model, ``(n, 6)`` each.
         """
-        wrench, pose, twist, contact = rig
-        _update(
-            k,
-            self.tick,
-            wrench,
-            pose,
-            twist,
-            contact,
-            pose_before,
-            *drive,
-            self._settle,
-            self.energy,
-            self.peak_force,
-            self.peak_error,
-            self.impulse,
-            self.contact_ticks,
-            self.contacts,
-            self.first_tick,
-            self._last_tick,
-            self._speeds,
-            self._first_impulse,
-            self._wrench,
-            self._pose,
-            self._twist,
-            self._tracking,
-        )
+        self.taking(rig, pose_before, drive)(k)
+
+    def taking(
+        self, rig: tuple[Array, Array, Array, NDArray[np.bool_]], pose_before: Array, drive: tuple[Array, Array]
+    ) -> Callable[[int], None]:
+        """What takes in tick k of arrays that stay; see :meth:`update`."""
+        return self._update.on(*rig, pose_before, *drive)
 
     def parted(self, alive: NDArray[np.bool_]) -> bool:
         """Whether the rebound speed of every run in ``alive`` ``(n,)`` is known."""

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from hiltestbed.bound import GIVEN, Call
 from hiltestbed.frames import Array
 from hiltestbed.scenario import Scenario
 
@@ -32,10 +33,15 @@ class Outcomes:
         self.count = np.zeros(n, dtype=np.int64)
         self.captured_tick = np.full(n, -1, dtype=np.int64)
         self.touching = np.zeros(n, dtype=bool)
+        self._update = Call(_update, ..., self.tick, GIVEN, GIVEN, GIVEN, self.events, self.count, self.captured_tick, self.touching)
 
     def update(self, k: int, wrench: Array, contact: NDArray[np.bool_], captured: NDArray[np.bool_]) -> None:
         """Take in tick k: physical wrench ``(n, 6)``, whether the mechanisms touch and are latched, ``(n,)`` each."""
-        _update(k, self.tick, wrench, contact, captured, self.events, self.count, self.captured_tick, self.touching)
+        self.taking(wrench, contact, captured)(k)
+
+    def taking(self, wrench: Array, contact: NDArray[np.bool_], captured: NDArray[np.bool_]) -> Callable[[int], None]:
+        """What takes in tick k of arrays that stay; see :meth:`update`."""
+        return self._update.on(wrench, contact, captured)
 
     def summary(self, i: int) -> dict[str, Any]:
         """Outcome of run ``i``, with the time of capture [s] and its contacts: start and end [s], impulse [N s], peak force [N]."""

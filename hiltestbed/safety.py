@@ -14,6 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 from numba import njit
 
+from hiltestbed.bound import GIVEN, Call
 from hiltestbed.frames import Array
 from hiltestbed.platform.plant import Plant
 from hiltestbed.platform.pss33.kinematics import Platform, slider
@@ -52,6 +53,7 @@ class Safety:
         self.quantities = np.zeros((n, len(LIMITS)))
         self._sliders = np.zeros((n, 2, 6))  # positions and speeds at the tick before
         self._ticks = np.zeros(n, dtype=np.int64)
+        self._watch = Call(_watch, self._tick, self._limbs, *(GIVEN,) * 6, self._ticks, self._sliders, self.quantities, self._limits)
 
     def passed(self, plant: Plant, pose_before: Array, energy: Array) -> bool:
         """Whether a run has passed a limit at this tick.
@@ -61,10 +63,8 @@ class Safety:
         """
         self._plant = plant
         passed = plant.joint_limit_passed()
-        return passed | _watch(
-            self._tick, self._limbs, plant.slider_act, plant.pose_W, plant.pose_act, pose_before, plant.wrench_sub, energy,
-            self._ticks, self._sliders, self.quantities, self._limits,
-        )  # fmt: skip
+        look = self._watch.on(plant.slider_act, plant.pose_W, plant.pose_act, pose_before, plant.wrench_sub, energy)
+        return look() or passed
 
     def reason(self, i: int) -> str | None:
         """Which limit run ``i`` has passed, by how much; None when it has passed none."""

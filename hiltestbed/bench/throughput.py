@@ -128,7 +128,7 @@ def per_block(scenario: Scenario, n: int) -> dict[str, float]:
     trace = Trace(scenario.ticks, n, scenario.rate, loop.plant.units)
     for _ in range(int(0.4 * scenario.rate)):
         loop.step(trace)
-    plant, drive, repeats = loop.plant, loop.drive, 200
+    plant, drive, repeats, row = loop.plant, loop.drive, 200, loop.row_of(trace)
     assert isinstance(plant, Plant)  # the simulated side
     wrench = plant.wrench_sub[:, -1]
     rig = (wrench, plant.pose_act, plant.twist_act, plant.contact)
@@ -136,7 +136,7 @@ def per_block(scenario: Scenario, n: int) -> dict[str, float]:
         "sensor": lambda: loop.sensor.read(loop.k, plant.wrench_sub),
         "compensation and numerical model": lambda: drive.advance(loop.measurement),
         "figures": lambda: loop.tally.update(loop.k, rig, drive.pose, (drive.wrench, drive.twist)),
-        "trace": lambda: loop.write(trace),
+        "trace": lambda: row(loop.k),
         "platform, mechanisms, contact": lambda: plant.advance(drive.pose, loop.motion.twist, loop.motion.acceleration),
     }
     if loop.identification:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numba import njit
 
+from hiltestbed.bound import GIVEN, Call
 from hiltestbed.compensation.measurement import Measurement
 from hiltestbed.compensation.settings import MOTION_METHODS
 from hiltestbed.frames import Array
@@ -40,6 +41,11 @@ class MotionCommand:
         self._rate_before, self._still = np.zeros((n, 6)), np.zeros((n, 6))
         self._velocity, self._accel, self._jerk = np.zeros((n, 6)), np.zeros((n, 6)), np.zeros((n, 6))
 
+        self._tell = Call(
+            _tell, GIVEN, GIVEN, self.pose, self._still, self._rate, self._feed, self._previous, self._rate_before, self.twist,
+            self.acceleration,
+        )  # fmt: skip
+
     def start(self, twist: Array) -> None:
         """The twist ``(n, 6)`` before the first tick."""
         self._previous[:] = twist
@@ -47,14 +53,22 @@ class MotionCommand:
     def update(self, pose: Array, twist: Array, measurement: Measurement) -> None:
         """Set the references from the pose ``(n, 7)`` and twist ``(n, 6)`` commanded for the coming tick."""
         if self._method is None:
-            self.pose[:] = pose
-        else:
-            derivatives = (self._velocity, self._accel, self._jerk)
-            _differentiate(twist, self._previous, self._rate, *derivatives)
-            self._method.command(pose, derivatives, measurement, self.pose)
-        rate = self._method.rate if self._method is not None else None
-        yielding = self._still if rate is None else rate
+            self._tell.on(pose, twist)()
+            return
+        derivatives = (self._velocity, self._accel, self._jerk)
+        _differentiate(twist, self._previous, self._rate, *derivatives)
+        self._method.command(pose, derivatives, measurement, self.pose)
+        yielding = self._still if self._method.rate is None else self._method.rate
         _refer(twist, yielding, self._rate, self._feed, self._previous, self._rate_before, self.twist, self.acceleration)
+
+
+@njit(cache=True)
+def _tell(pose, twist, told, *references):
+    """The pose as it is, with its references."""
+    for i in range(pose.shape[0]):
+        for j in range(7):
+            told[i, j] = pose[i, j]
+    _refer(twist, *references)
 
 
 @njit(cache=True)

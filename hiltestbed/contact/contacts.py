@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import mujoco
@@ -10,6 +10,7 @@ import numpy as np
 from mujoco.batch import Batch
 from numba import njit
 
+from hiltestbed.bound import bound
 from hiltestbed.contact import solref
 from hiltestbed.contact.composition import ACTIVE, IMPEDANCE, Structure
 from hiltestbed.contact.engagement import Engagement
@@ -29,6 +30,7 @@ class Contacts:
     Attributes:
         written: whether :meth:`meet` must be called at every instant; else MuJoCo does it all by itself.
         stage: up to which MuJoCo has to be forward before that.
+        looking: the parts of :meth:`look`.
         touching: (n,) bool, whether they touch; latched: (n,) bool. mount: of the passive side.
     """
 
@@ -65,6 +67,8 @@ class Contacts:
         self._arm = np.zeros(3)
         rotate_back(site.quat[[1, 2, 3, 0]], model.body_ipos[self._active] - site.pos, self._arm)
         self._centre, self._load = np.zeros((n, 3)), np.zeros((n, 6))
+        itself = engagement is None and force is None
+        self.looking: list[Callable[[], None]] = [bound(_count, self._ncon, self.touching)] if itself else []
 
     @property
     def engagement(self) -> Engagement:
@@ -109,10 +113,24 @@ class Contacts:
             np.add(self._pull, mount.balance, out=self._load)
             load_body(1.0, self._load, mount.body, mount.centre, self._applied)
 
+    def meeting(self, pose: Array, twist: Array, place: Array | None = None, motion: Array | None = None) -> list[Callable[[], None]]:
+        """The parts of :meth:`meet`, in order, of arrays that stay; none where they are not compiled."""
+        mount = self.mount
+        if self._engagement is None or self._pulls or mount.moves:
+            return []
+        ride = [] if place is None or motion is None else [mount.riding(place, motion)]
+        return ride + self._engagement.updating(pose, twist, mount.place, mount.motion)
+
     def look(self) -> None:
         """Set ``touching`` where MuJoCo does it all by itself."""
-        if self._engagement is None and self._force is None:
-            np.greater(self._ncon, 0, out=self.touching)
+        for count in self.looking:
+            count()
+
+
+@njit(cache=True)
+def _count(contacts, touching):
+    for i in range(contacts.shape[0]):
+        touching[i] = contacts[i] > 0
 
 
 @njit(cache=True)

@@ -15,7 +15,7 @@ applied from outside.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import mujoco
@@ -24,6 +24,7 @@ from mujoco.batch import Batch
 from numba import njit
 from numpy.typing import NDArray
 
+from hiltestbed.bound import Joined, bound
 from hiltestbed.contact.composition import (
     ACTIVE,
     AWAY,
@@ -56,6 +57,7 @@ from hiltestbed.contact.parameters import (
 )  # fmt: skip
 from hiltestbed.contact.solref import NO_DAMPING
 from hiltestbed.contact.wrench import add_at, add_contact, law_of, meet_all, tilts
+from hiltestbed.errors import InputError
 from hiltestbed.frames import Array, quat_mul, rotate_back
 
 if TYPE_CHECKING:
@@ -86,7 +88,6 @@ class Engagement:
         v_0 >= least_creep mu |F|; ``yields``: (n,) acceleration per newton of the body that carries A [1/kg], 0 where it is put in
         place."""
         n, sides = len(scenarios), structure.sides
-        self._dt, self._least_creep = dt, least_creep
         self._geometry, self._facets = sides.geometry, len(sides.facets)
         pairs = (*sides.facets, *sides.native)
         self.parameters = np.array([_rows(s, sides.rules) for s in scenarios])
@@ -102,7 +103,10 @@ class Engagement:
         self.latches = Latches(batch, structure, self.parameters[:, -1], yields)
         self._captured = scenarios[0].mechanism.captured
         self.latched = np.zeros(n, dtype=bool)
-        self._reading = self._pairs.reading
+        self._touching = self._touches(dt, least_creep)
+        self._updated = Joined(self.updating)
+        k = self.latches.number(LATCH) if structure.latched else None
+        self._relative = None if k is None else (self.latches.pose[:, k], self.latches.twist[:, k])
         moves = bool(sides.native or sides.frames)
         self.stage = int(mujoco.mjtStage.mjSTAGE_VEL if moves else mujoco.mjtStage.mjSTAGE_NONE)
         self.reset()
@@ -113,6 +117,25 @@ class Engagement:
         self.latched[:] = self._captured
         self._live[:] = True
         self.latches.open(captured=self._captured)
+
+    def _touches(self, dt: float, least_creep: float) -> list[Callable[[], None]]:
+        """What makes contacts of where the bodies are."""
+        b, p = self._bodies, self._pairs
+        found = [bound(_none, self.wrench, self.pull, self.touching)]
+        rows = (self.parameters, self.linear, self._live, p.gain)
+        felt = (self.met, p.solref, p.friction, self.wrench, self.pull, self.touching)
+        if self._facets:
+            found = [
+                bound(
+                    _touch_facets, *self._geometry, p.ids, dt, least_creep, *rows, b.frames, b.motions, b.carry, self.state, self.met,
+                    p.geom_pos, p.geom_quat, *felt[1:],
+                )
+            ]  # fmt: skip
+        if p.reading.shape[1]:
+            found.append(bound(_touch_natively, self._facets, p.ids, dt, least_creep, *rows, self.state, p.reading, *felt))
+        if self.latches.closures:
+            found += [self.latches.holding(dt, b.frames, b.motions, b.carry), bound(_or, self.touching, self.latched)]
+        return found
 
     @property
     def frames(self) -> Array:
@@ -126,24 +149,11 @@ class Engagement:
 
     def update(self, pose: Array, twist: Array, place: Array, motion: Array) -> None:
         """Make MuJoCo's contacts those of the state: pose (n, 7) and twist (n, 6) of A in W, and those of S; once an instant."""
-        b, p = self._bodies, self._pairs
-        b.observe(pose, twist, place, motion)
-        if self._facets:
-            _touch_facets(
-                *self._geometry, p.ids, self._dt, self._least_creep, self.parameters, self.linear, self._live, p.gain, b.frames, b.motions,
-                b.carry, self.state, self.met, p.geom_pos, p.geom_quat, p.solref, p.friction, self.wrench, self.pull, self.touching,
-            )  # fmt: skip
-        else:
-            self.wrench[:] = self.pull[:] = 0.0
-            self.touching[:] = False
-        if self._reading.shape[1]:
-            _touch_natively(
-                self._facets, p.ids, self._dt, self._least_creep, self.parameters, self.linear, self._live, p.gain, self.state,
-                self._reading, self.met, p.solref, p.friction, self.wrench, self.pull, self.touching,
-            )  # fmt: skip
-        if self.latches.closures:
-            self.latches.update(self._dt, b.frames, b.motions, b.carry)
-            self.touching |= self.latched
+        self._updated.on(pose, twist, place, motion)()
+
+    def updating(self, pose: Array, twist: Array, place: Array, motion: Array) -> list[Callable[[], None]]:
+        """The parts of :meth:`update`, in order, of arrays that stay."""
+        return [self._bodies.standing(pose, twist, place, motion), *self._bodies.moving, *self._touching]
 
     def capture(self, which: NDArray[np.bool_]) -> None:
         """Latch the runs ``which`` (n,) where they are, under the force that they bear, from the next instant on; what touched lets go."""
@@ -168,8 +178,9 @@ class Engagement:
 
     def relative(self) -> tuple[Array, Array]:
         """Pose (n, 7) and twist (n, 6) of A in S at the last update, of a mechanism with a latch."""
-        k = self.latches.number(LATCH)
-        return self.latches.pose[:, k], self.latches.twist[:, k]
+        if self._relative is None:
+            raise InputError("this mechanism has no latch; allowed are those that close where A is in S")
+        return self._relative
 
 
 def _rows(scenario: Scenario, rules: Sequence[int]) -> Array:
@@ -208,17 +219,19 @@ class _Bodies:
             self.carry[i, S, 3:7] = q
         prefixes = {"A": ACTIVE, "P": PASSIVE}
         self._ids = np.array([m.body(prefixes[side] + body).id for side, body in names], dtype=np.int64)
+        self.moving: list[Callable[[], None]] = []
         if names:
             self._root = m.body_rootid[self._ids].astype(np.int64)
             bind = batch.bind
             self._xpos, self._xquat = bind("xpos").reshape(n, -1, 3), bind("xquat").reshape(n, -1, 4)
             self._cvel, self._com = bind("cvel").reshape(n, -1, 6), bind("subtree_com").reshape(n, -1, 3)
+            self.moving.append(
+                bound(_parts, self._ids, self._root, self._xpos, self._xquat, self._cvel, self._com, self.frames, self.motions)
+            )
 
-    def observe(self, pose: Array, twist: Array, place: Array, motion: Array) -> None:
-        """Move on to the state: A, S and the parts that move."""
-        _stand(pose, twist, place, motion, self.frames, self.motions)
-        if len(self._ids):
-            _parts(self._ids, self._root, self._xpos, self._xquat, self._cvel, self._com, self.frames, self.motions)
+    def standing(self, pose: Array, twist: Array, place: Array, motion: Array) -> Callable[[], None]:
+        """What moves A and S on to the state; ``moving``: what moves the parts that move."""
+        return bound(_stand, pose, twist, place, motion, self.frames, self.motions)
 
 
 class _Pairs:
@@ -247,6 +260,20 @@ class _Pairs:
         reading = batch.bind("sensordata")
         first = int(m.sensor("native_0").adr[0]) if sides.native else 0
         self.reading = reading[:, first : first + READ * len(sides.native)]
+
+
+@njit(cache=True)
+def _none(wrench, pull, touching):
+    """Nothing touches yet."""
+    wrench[:] = 0.0
+    pull[:] = 0.0
+    touching[:] = False
+
+
+@njit(cache=True)
+def _or(touching, latched):
+    for i in range(touching.shape[0]):
+        touching[i] |= latched[i]
 
 
 @njit(cache=True)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numba import njit
 
+from hiltestbed.bound import GIVEN, Call
 from hiltestbed.contact.engagement import Engagement
 from hiltestbed.frames import Array
 
@@ -28,11 +29,11 @@ class LatchCondition:
     def __init__(self, scenarios: Sequence[Scenario]) -> None:
         self._limits = latch_limits(scenarios)
         self._closing = np.zeros(len(scenarios), dtype=bool)
+        self._due = Call(_due, GIVEN, GIVEN, self._limits, GIVEN, self._closing)
 
     def close(self, engagement: Engagement) -> None:
         """Latch the runs whose condition holds at the state of the last update."""
-        pose, twist = engagement.relative()
-        if _due(pose, twist, self._limits, engagement.latched, self._closing):
+        if self._due.on(*engagement.relative(), engagement.latched)():
             engagement.capture(self._closing)
 
 

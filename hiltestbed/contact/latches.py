@@ -8,6 +8,7 @@ STIFFER-th of the deflection apart, so that force and reaction act along one lin
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +16,7 @@ from mujoco.batch import Batch
 from numba import njit
 from numpy.typing import NDArray
 
+from hiltestbed.bound import bound
 from hiltestbed.contact.composition import LATCH, Structure, inverse_mass
 from hiltestbed.contact.geometry import ACTIVE, PASSIVE
 from hiltestbed.contact.law import STATES, contact_force
@@ -126,10 +128,10 @@ class Latches:
             self.hold[which, k, :3] -= force[which] / self.springs[which, k, :1]
         self.closed[which, k] = self._closing[which, k] = True
 
-    def update(self, dt: float, frames: Array, motions: Array, carry: Array) -> None:
-        """Where the sites are in each other, and the anchors of what is closed; once an instant."""
-        _hold(
-            dt, self._rows, self.springs, self._law, self._turns, self._frames, self._places, self._ids, frames, motions, carry,
+    def holding(self, dt: float, frames: Array, motions: Array, carry: Array) -> Callable[[], None]:
+        """What finds, once an instant, where the sites are in each other and sets the anchors of what is closed, of arrays that stay."""
+        return bound(
+            _hold, dt, self._rows, self.springs, self._law, self._turns, self._frames, self._places, self._ids, frames, motions, carry,
             self.closed, self._closing, self._active, self.hold, self.state, self.pose, self.twist, self._data,
         )  # fmt: skip
 

@@ -8,7 +8,7 @@ that sag, and a weight whose lever arm at the sensor swings, would otherwise sta
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import mujoco
@@ -16,6 +16,7 @@ import numpy as np
 from mujoco.batch import Batch
 from numba import njit
 
+from hiltestbed.bound import GIVEN, Call
 from hiltestbed.frames import Array, quat_mul, rotate
 
 if TYPE_CHECKING:
@@ -50,12 +51,16 @@ class Mount:
         self.body = model.body("passive_mount" if self.moves else "passive_carrier").id
         self._offset = np.array(model.body_ipos[self.body])
         self.centre, self.balance = np.tile(self._offset, (n, 1)), np.zeros((n, 6))
+        self._ridden = Call(_ride, GIVEN, GIVEN, tilt, self._offset, self.place, self.motion, self.centre)
         if not self.moves:
             return
         self._middle, mass = centre_of(model, self.body)
         self.balance[:, :3] = -np.array(model.opt.gravity) * mass
         joints = [model.joint(f"mount_{axis}") for axis in AXES]
         self._adr = np.array([joints[0].qposadr[0], joints[0].dofadr[0]])
+        self._seen = Call(
+            _observe, GIVEN, GIVEN, self._adr, tilt, self._offset, self._middle, self.place, self.motion, self.centre, self.balance
+        )
         stiffness, damping = batch.expand("jnt_stiffness"), batch.expand("dof_damping")
         for i, s in enumerate(scenarios):
             assert s.mechanism.mount is not None  # one structure
@@ -63,15 +68,17 @@ class Mount:
             damping[i, self._adr[1] : self._adr[1] + 6] = s.mechanism.mount.damping
 
     def observe(self, qpos: Array, qvel: Array) -> None:
-        """Set ``place`` and ``motion`` from the joints of the model."""
+        """Set ``place`` and ``motion`` from the joints of the model; a rigid mount stays where it is."""
         if self.moves:
-            _observe(qpos, qvel, self._adr, self.tilt, self._offset, self._middle, self.place, self.motion, self.centre, self.balance)
-        else:
-            self.place[:] = self.tilt
+            self._seen.on(qpos, qvel)()
 
     def ride(self, place: Array, motion: Array) -> None:
         """Take over where the passive side is: P at ``place`` (n, 7), moving with ``motion`` (n, 6), on a rigid mount."""
-        _ride(place, motion, self.tilt, self._offset, self.place, self.motion, self.centre)
+        self.riding(place, motion)()
+
+    def riding(self, place: Array, motion: Array) -> Callable[[], None]:
+        """:meth:`ride` of arrays that stay."""
+        return self._ridden.on(place, motion)
 
 
 @njit(cache=True)

@@ -13,13 +13,14 @@ site on a part that moves on the active side is taken where the latch closed on 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from hiltestbed.bound import GIVEN, Call
 from hiltestbed.contact.geometry import ACTIVE, PASSIVE
 from hiltestbed.contact.sides import sides_of
 from hiltestbed.frames import Array, quat_mul_conj, rotate, rotate_back, rotation_vector
@@ -61,13 +62,18 @@ class HeldPlace:
         self.since, self.changes = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64)
         self._held = np.array([s.mechanism.captured for s in scenarios])
         self._steps = np.zeros(n, dtype=np.int64)
+        self._update = Call(
+            _update, GIVEN, GIVEN, GIVEN, self._acts, self._places, self._kinds, self._together, self._held, self._steps, self.lever,
+            self.origin, self.reference, self.since, self.changes,
+        )  # fmt: skip
 
     def update(self, pose: Array, captured: NDArray[np.bool_], steps: NDArray[np.int64]) -> None:
         """Take in the pose ``(n, 7)`` of A in P, whether latches hold ``(n,)``, and how many phases have begun ``(n,)``; once a tick."""
-        _update(
-            pose, captured, steps, self._acts, self._places, self._kinds, self._together, self._held, self._steps, self.lever,
-            self.origin, self.reference, self.since, self.changes,
-        )  # fmt: skip
+        self.updating(pose, captured, steps)()
+
+    def updating(self, pose: Array, captured: NDArray[np.bool_], steps: NDArray[np.int64]) -> Callable[[], None]:
+        """:meth:`update` of arrays that stay."""
+        return self._update.on(pose, captured, steps)
 
 
 @njit(cache=True)

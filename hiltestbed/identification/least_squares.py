@@ -21,6 +21,7 @@ from collections.abc import Sequence
 import numpy as np
 from numba import njit
 
+from hiltestbed.bound import GIVEN, Call
 from hiltestbed.compensation.force_methods.phase_lead import PhaseLeadBlock
 from hiltestbed.frames import Array
 from hiltestbed.identification.samples import NORMAL, ContactSamples
@@ -57,6 +58,10 @@ class RecursiveLeastSquares:
         self.samples = self._used[:, :NORMAL]
         self._changes = np.zeros(n, dtype=np.int64)
         self._noise = source.noise**2
+        self._estimated = Call(
+            _estimate, source.held.changes, self._changes, source.ready, source.ready_normal, source.whole, self.forgetting, GIVEN,
+            source.place, self._noise, self._sums, self._found, self._used,
+        )  # fmt: skip
 
     @property
     def along_normal(self) -> Array:
@@ -67,9 +72,14 @@ class RecursiveLeastSquares:
         """Take in what was measured at t_k: wrench ``(n, 6)``, pose ``(n, 7)``, twist ``(n, 6)``."""
         source = self.source
         source.take(wrench, pose, twist, self._lead.lead_wrench(wrench) if self._lead else None)
-        _begin_anew(source.held.changes, self._changes, self._sums, self._found, self._used)
-        _accumulate(source.ready, source.ready_normal, source.whole, self.forgetting, self._sums, self._used)
-        _solve(source.ready, source.ready_normal, source.captured, source.place, self._noise, self._sums, self._found)
+        self._estimated.on(source.captured)()
+
+
+@njit(cache=True)
+def _estimate(changes, seen, ready, ready_normal, sample, forgetting, captured, place, noise, sums, found, used):
+    _begin_anew(changes, seen, sums, found, used)
+    _accumulate(ready, ready_normal, sample, forgetting, sums, used)
+    _solve(ready, ready_normal, captured, place, noise, sums, found)
 
 
 @njit(cache=True)

@@ -18,12 +18,14 @@ more than its noise within a tick; the standard deviation that is reported grows
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
+from hiltestbed.bound import GIVEN, Call, Joined
 from hiltestbed.contact.geometry import ROW, SIDE
 from hiltestbed.contact.parameters import LEVER, PARAMETERS
 from hiltestbed.contact.sides import sides_of
@@ -104,24 +106,40 @@ class ContactSamples:
         self.whole = np.zeros((n, 7, 4))
         self.sample = self.whole[:, :NORMAL]
         self.steps = np.zeros(n, dtype=np.int64)
+        self._taken = Joined(self._taking)
+        self._remembered = Call(_remember, ..., GIVEN, GIVEN, self.held.lever, self.held.reference, self._x, self._v)
+        self._met = Call(_meet, ..., *self._geometry, GIVEN, GIVEN, self._x, self._v, self._normal)
+        self._gate = Call(_gate, GIVEN, self.threshold, GIVEN, self.delay, h, self._felt, self._peak, self._gated)
+        self._sampled = Call(
+            _sample_and_choose, ..., h, self._gated, self.delay, self._pending, GIVEN, self._x, self._v, self._normal, self._held_rate,
+            GIVEN, self.held.origin, self.place, self._smooth, self._leak, self._filter, self._margin, self._felt, self.held.changes,
+            self.held.since, self._flat, self._known, self.ready, self.ready_normal, self.whole,
+        )  # fmt: skip
 
     def take(self, wrench: Array, pose: Array, twist: Array, led: Array | None = None) -> None:
         """Take in what was measured at t_k: wrench ``(n, 6)``, pose ``(n, 7)``, twist ``(n, 6)``; ``led``: the wrench to be explained."""
         k = int(self._clock[0])
+        if led is None and not self._estimate:
+            self._taken.on(wrench, pose, twist, self.captured, self.steps)(k)
+            self._clock[0] = k + 1
+            return
         self.held.update(pose, self.captured, self.steps)
-        _remember(k, pose, twist, self.held.lever, self.held.reference, self._x, self._v)
+        self._remembered.on(pose, twist)(k)
         if self._known:
-            _meet(k, *self._geometry, pose, twist, self._x, self._v, self._normal)
-        _gate(wrench, self.threshold, self.captured, self.delay, self.tick, self._felt, self._peak, self._gated)
+            self._met.on(pose, twist)(k)
+        self._gate.on(wrench, self.captured)()
         if self._estimate:
             _find_delay(k, self.tick, self._longest, wrench, self._x, self._v, self._gated, self.delay, self._onset)
-        late = (self._x, self._v, self._normal, self.delay, self.tick, self._held_rate, self._gated, self.captured, self.held.origin)
-        _sample(k, wrench if led is None else led, *late, self.place, self._smooth, self._leak, self._filter, self._pending)
-        _choose(
-            k, self.tick, self.delay, self._margin, self._gated, self._felt, self.held.changes, self.held.since, self._flat, self._known,
-            self._pending, self.ready, self.ready_normal, self.whole,
-        )  # fmt: skip
+        self._sampled.on(wrench if led is None else led, self.captured)(k)
         self._clock[0] = k + 1
+
+    def _taking(
+        self, wrench: Array, pose: Array, twist: Array, captured: NDArray[np.bool_], steps: NDArray[np.int64]
+    ) -> list[Callable[..., None]]:
+        """The parts of :meth:`take` where the delay is known and nothing led."""
+        met = [self._met.on(pose, twist)] if self._known else []
+        held, gate = self.held.updating(pose, captured, steps), self._gate.on(wrench, captured)
+        return [held, self._remembered.on(pose, twist), *met, gate, self._sampled.on(wrench, captured)]
 
     def delay_sd(self, stiffness: Array) -> Array:
         """``(n,)`` [s] standard deviation of the estimated delay, given the axial stiffness ``(n,)``; NaN before a touch.
@@ -166,6 +184,16 @@ def _meet(k, index, values, pose, twist, x, v, normal):
         if k == 0:
             for s in range(length):
                 x[i, s, NORMAL], v[i, s, NORMAL], normal[i, s] = x[i, slot, NORMAL], v[i, slot, NORMAL], normal[i, slot]
+
+
+@njit(cache=True)
+def _sample_and_choose(
+    k, h, gated, delay, pending, wrench, x, v, normal, held_rate, captured, origin, place, smooth, leak, memory, margin, held, changes,
+    since, flat, known, ready, ready_normal, sample,
+):  # fmt: skip
+    """The sample of now into ``pending``, and of those there the one that counts."""
+    _sample(k, wrench, x, v, normal, delay, h, held_rate, gated, captured, origin, place, smooth, leak, memory, pending)
+    _choose(k, h, delay, margin, gated, held, changes, since, flat, known, pending, ready, ready_normal, sample)
 
 
 @njit(cache=True)

@@ -21,25 +21,33 @@ RUNS_PER_MODEL = (
 
 
 class FreeFlyers:
-    """The Pinocchio models of bodies of ``mass`` ``(n, 2)`` [kg] and ``inertia`` ``(n, 2, 3, 3)`` [kg m^2]."""
+    """The Pinocchio models of bodies of ``mass`` ``(n, 2)`` [kg] and ``inertia`` ``(n, 2, 3, 3)`` [kg m^2].
+
+    Attributes:
+        seen: poses (n, 2, 7), velocities and forces (n, 2, 6) as :func:`as_seen` writes them. acceleration: (n, 2, 6) in body axes.
+    """
 
     def __init__(self, mass: Array, inertia: Array) -> None:
         n = len(mass)
         self._q, self._v, self._tau = np.zeros((n, 2, 7)), np.zeros((n, 2, 6)), np.zeros((n, 2, 6))
-        self._acceleration = np.zeros((n, 2, 6))
+        self.seen, self.acceleration = (self._q, self._v, self._tau), np.zeros((n, 2, 6))
         self._models = []
         for start in range(0, n, RUNS_PER_MODEL):
             runs = slice(start, start + RUNS_PER_MODEL)
             model = _model(mass[runs], inertia[runs])
-            views = [array[runs].reshape(-1) for array in (self._q, self._v, self._tau, self._acceleration)]
+            views = [array[runs].reshape(-1) for array in (*self.seen, self.acceleration)]
             self._models.append((model, model.createData(), *views))
 
     def accelerate(self, q: Array, v: Array, tau: Array, tick: float) -> None:
         """Add what ``tau`` ``(n, 2, 6)``, force in the inertial frame and torque in the body's, changes in a tick to ``v``."""
-        _as_seen(q, v, tau, self._q, self._v, self._tau)
+        as_seen(q, v, tau, *self.seen)
+        self.solve()
+        gain_speed(q, self.acceleration, tick, v)
+
+    def solve(self) -> None:
+        """Write the ``acceleration`` of the bodies as they are ``seen``."""
         for model, data, q_, v_, tau_, out in self._models:
             out[:] = pin.aba(model, data, q_, v_, tau_)
-        _gain_speed(q, self._acceleration, tick, v)
 
 
 def _model(mass: Array, inertia: Array) -> pin.Model:
@@ -54,7 +62,7 @@ def _model(mass: Array, inertia: Array) -> pin.Model:
 
 
 @njit(cache=True)
-def _as_seen(q, v, tau, q_seen, v_seen, tau_seen):
+def as_seen(q, v, tau, q_seen, v_seen, tau_seen):
     """Poses, velocities and forces in body axes, for an observer who moves along with each body."""
     for i in range(q.shape[0]):
         for b in range(2):
@@ -65,7 +73,8 @@ def _as_seen(q, v, tau, q_seen, v_seen, tau_seen):
 
 
 @njit(cache=True)
-def _gain_speed(q, acceleration, tick, v):
+def gain_speed(q, acceleration, tick, v):
+    """Add to the velocities ``v`` (n, 2, 6) what the ``acceleration`` (n, 2, 6) in body axes makes of them in a tick [s]."""
     linear = np.empty(3)
     for i in range(q.shape[0]):
         for b in range(2):

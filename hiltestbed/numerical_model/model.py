@@ -7,7 +7,7 @@ nominal one.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -15,10 +15,11 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from hiltestbed.bound import GIVEN, Call, bound
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array, cross, pose_step, rotate, rotate_back
 from hiltestbed.numerical_model.bodies import approach_state, inertia_matrix, port_pose, rest_inertia
-from hiltestbed.numerical_model.free_flyers import FreeFlyers
+from hiltestbed.numerical_model.free_flyers import FreeFlyers, as_seen, gain_speed
 from hiltestbed.numerical_model.kernels import load_wrench, move, place_at_start, relative_states
 from hiltestbed.numerical_model.parameters import BODIES, DAMPING, PLACE, RATIO, STIFFNESS, Departures, DynamicsParameters, stack
 from hiltestbed.numerical_model.resistance import resist_between, resist_bodies
@@ -73,6 +74,7 @@ class NumericalModel:
         self._late = d.late if d.late.any() else None
         self._handed = np.zeros((self.n, int(d.late.max()) + 1, 13))
         self._clock = np.zeros(1, dtype=np.int64)
+        self._departs = self._resisted is not None or self._swings or self._explicit is not None or self._late is not None
 
     @cached_property
     def flyers(self) -> FreeFlyers:
@@ -102,8 +104,21 @@ class NumericalModel:
         leave_rest(self._rest, out)
         return out
 
+    @cached_property
+    def _nominal(self) -> tuple[Call, Callable[[], None]]:
+        """A step in which nothing departs, before and after the bodies accelerate."""
+        flyers = self.flyers
+        seen = Call(_load, self.q, self.v, self._port, GIVEN, self._tau, *flyers.seen)
+        return seen, bound(_go_on, self.q, flyers.acceleration, self.tick, self.v, self._port, self.pose, self.twist)
+
     def advance(self, wrench: Array) -> None:
         """One step under ``wrench`` ``(n, 6)``, active on passive, in P at P's origin: twists, then poses."""
+        if not self._departs:
+            load, go_on = self._nominal
+            load.on(wrench)()
+            self.flyers.solve()
+            go_on()
+            return
         if self._resisted is not None:
             self._resisted[:] = wrench
             wrench = self._resisted
@@ -123,6 +138,21 @@ class NumericalModel:
         if self._late is not None:
             self._clock[0] += 1
             hand_on(int(self._clock[0]), self._late, self._handed, self.pose, self.twist)
+
+
+@njit(cache=True)
+def _load(q, v, port, wrench, tau, *seen):
+    """What acts on the bodies, as Pinocchio sees it."""
+    load_wrench(q, port, wrench, tau)
+    as_seen(q, v, tau, *seen)
+
+
+@njit(cache=True)
+def _go_on(q, acceleration, tick, v, port, pose, twist):
+    """The step of bodies that accelerate: twists, then poses, then what the ports make of it."""
+    gain_speed(q, acceleration, tick, v)
+    move(q, v, tick)
+    relative_states(q, v, port, pose, twist)
 
 
 @njit(cache=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import mujoco
@@ -11,6 +11,7 @@ import numpy as np
 from mujoco.batch import Batch
 from numpy.typing import NDArray
 
+from hiltestbed.bound import GIVEN, Call, together
 from hiltestbed.contact.composition import Structure
 from hiltestbed.contact.contacts import Contacts
 from hiltestbed.frames import Array
@@ -72,16 +73,19 @@ class ServoTracking:
         columns = sensor_columns(self.model)
         self._reading = self._sensordata[:, columns]
         self._tare, self._all = np.zeros((n, 6)), np.arange(n)
-        self.pose_act, self.twist_act = np.zeros((n, 7)), np.zeros((n, 6))
+        self.pose_act, self.twist_act, self.slider_act = servo.shown()
         self.wrench_sub = np.zeros((n, m, 6))
         self.contact_now = self.contacts.touching
         self.slider_cmd = servo.target
-        self.slider_act = np.zeros_like(servo.target)
         self.diverged = np.zeros(n, dtype=bool)
         self.causes = [""] * n
         self._late = np.zeros(n, dtype=bool) if late is None else late
         self._going: NDArray[np.intp] | None = None  # the runs that are stepped; None: all
+        self._lost = False  # a run has just diverged
+        self._read_between, self._read_late = (Call(read_wrench, self._reading, self._tare, GIVEN, self.wrench_sub, ...) for _ in range(2))
+        self._read_history = Call(read_history, self._history, self._tare, self.wrench_sub)
         self._tare[:] = servo.tare(self.contacts, self._reading, columns)
+        self._say, self._meet, self._settled = self._looks()
 
     def reset(self, pose: Array, twist: Array) -> None:
         """Start at ``pose`` (n, 7), moving with ``twist`` (n, 6); forces start from zero."""
@@ -137,17 +141,20 @@ class ServoTracking:
     def _run(self) -> None:
         for s in range(1, self.substeps):
             self._step(s)
-        read_history(self._history, self._tare, self.wrench_sub)
+        self._read_history.on()()
         if self._prompt.size:
             self._read(self._prompt, self.substeps - 1)
 
     def _run_stepwise(self) -> None:
         """A step's reading is that of its start; the last instant takes a forward pass of its own."""
-        self._meet()
+        watched = self._watched
+        if watched:
+            self._lost |= self._meet()
         for s in range(1, self.substeps):
             self._step(s)
             self._read(self._all, s - 1)
-            self._meet()
+            if watched:
+                self._lost |= self._meet()
         if self._prompt.size:
             self.batch.forward(self._groups[0][0])
             self._read(self._prompt, self.substeps - 1)
@@ -157,35 +164,56 @@ class ServoTracking:
         if self.servo.load is not None:
             self.servo.load.read(self._sensordata, self.servo.mover.place_P, runs, self.wrench_sub, sub)
         else:
-            read_wrench(self._reading, self._tare, runs, self.wrench_sub, sub)
+            (self._read_late if sub == self.substeps - 1 else self._read_between).on(runs)(sub)
 
-    def _meet(self) -> None:
-        """Let the sides touch as they stand."""
-        servo = self.servo
-        if not self._watched:
-            return
-        self._say()
-        if not self.contacts.written:
-            return
-        if servo.moves_passive:
-            mover = servo.mover
-            self.contacts.meet(mover.place_A, mover.motion_A, mover.place_P, mover.motion_P)
-        else:
-            self.contacts.meet(self.pose_act, self.twist_act)
+    def _looks(self) -> tuple[Callable[[], bool], Callable[[], bool], Callable[[], bool]]:
+        """Pose, twist and joints as they stand; the same, and the sides touch; the same, and what MuJoCo says of its own contacts.
+
+        Each tells whether a run has just diverged.
+        """
+        shown = self.pose_act, self.twist_act, self.slider_act
+        seen = self.servo.observing(self._qpos, self._qvel, SPEED_LIMIT, shown, self.diverged)
+        if seen is None:
+            return self._say_so, self._meet_so, self._settle_so
+        met = self.contacts.meeting(*self._sides) if self.contacts.written else []
+        meet = together(seen, *met, telling=0) if met else self._meet_so if self.contacts.written else seen
+        return seen, meet, together(seen, *self.contacts.looking, telling=0)
+
+    @property
+    def _sides(self) -> tuple[Array, ...]:
+        """Pose and twist of A in W, and of P where it moves."""
+        mover = self.servo.mover
+        if self.servo.moves_passive:
+            return mover.place_A, mover.motion_A, mover.place_P, mover.motion_P
+        return self.pose_act, self.twist_act
+
+    def _say_so(self) -> bool:
+        return self.servo.observe(self._qpos, self._qvel, SPEED_LIMIT, self.pose_act, self.twist_act, self.slider_act, self.diverged)
+
+    def _meet_so(self) -> bool:
+        lost = self._say()
+        if self.contacts.written:
+            self.contacts.meet(*self._sides)
+        return lost
+
+    def _settle_so(self) -> bool:
+        lost = self._say()
+        self.contacts.look()
+        return lost
 
     def _look_ahead(self) -> None:
         """Have MuJoCo know what the contacts ask of it."""
         if self.contacts.stage != NONE:
             self.batch.forward(self._going, stage=self.contacts.stage)
 
-    def _say(self) -> bool:
-        """Pose, twist and joints as they stand; whether a run has just diverged."""
-        return self.servo.observe(self._qpos, self._qvel, SPEED_LIMIT, self.pose_act, self.twist_act, self.slider_act, self.diverged)
-
     def _observe(self) -> None:
-        lost = bool(self.diverged.any()) if self._watched else self._say()
-        self.contacts.look()
+        if self._watched:
+            lost = self._lost
+            self.contacts.look()
+        else:
+            lost = self._settled()
         if lost:
+            self._lost = False
             self._leave_out()
         if self._going is not None:
             self.wrench_sub[self.diverged] = 0.0

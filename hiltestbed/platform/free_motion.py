@@ -6,7 +6,9 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numba import njit
 
+from hiltestbed.bound import GIVEN, Call
 from hiltestbed.compensation.measurement import Measurement
 from hiltestbed.frames import Array
 from hiltestbed.numerical_model.bodies import approach_state
@@ -17,15 +19,25 @@ if TYPE_CHECKING:
 
 
 class FreeMotion:
-    """The motion of `n` pairs of bodies: the commanded pose of a row is the one that is there, the wrench used is the physical one."""
+    """The motion of `n` pairs of bodies: the commanded pose of a row is the one that is there, the wrench used is the physical one.
+
+    That wrench is looked at where the plant has it, for it may stand there only after the tick has begun."""
 
     def __init__(self, scenarios: Sequence[Scenario], plant: RigSide) -> None:
         start = np.array([approach_state(s) for s in scenarios])
         self.pose: Array = start[:, :7].copy()
         self.twist: Array = start[:, 7:].copy()
-        self.wrench: Array = np.zeros((len(scenarios), 6))
+        self.wrench: Array = plant.wrench_sub[:, -1]
+        self._take = Call(_take, GIVEN, GIVEN, self.pose, self.twist)
         self._plant = plant
 
     def advance(self, measurement: Measurement) -> None:
         """Take over what the bodies do at t_k."""
-        self.pose[:], self.twist[:], self.wrench[:] = self._plant.pose_act, self._plant.twist_act, self._plant.wrench_sub[:, -1]
+        self._take.on(self._plant.pose_act, self._plant.twist_act)()
+
+
+@njit(cache=True)
+def _take(pose_act, twist_act, pose, twist):
+    for i in range(pose.shape[0]):
+        pose[i] = pose_act[i]
+        twist[i] = twist_act[i]

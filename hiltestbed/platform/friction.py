@@ -25,6 +25,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from hiltestbed.bound import GIVEN, Call
 from hiltestbed.frames import Array
 
 if TYPE_CHECKING:
@@ -104,6 +105,7 @@ class DriveFriction:
         )
         self._dofs, self._dt = np.asarray(dofs), dt
         self.bristles = np.zeros((len(actuators), 6, 2))
+        self._act = Call(_act, self.kinds, self.numbers, dt, self._dofs, GIVEN, self.bristles, GIVEN)
 
     def settle(self, qvel: Array) -> None:
         """Start from drives that have long been moving at ``qvel`` (n, nv)."""
@@ -111,4 +113,4 @@ class DriveFriction:
 
     def act(self, qvel: Array, applied: Array) -> None:
         """Set the generalised forces ``applied`` (n, nv) of the sliders for one step from ``qvel`` (n, nv)."""
-        _act(self.kinds, self.numbers, self._dt, self._dofs, qvel, self.bristles, applied)
+        self._act.on(qvel, applied)()

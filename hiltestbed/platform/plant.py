@@ -91,7 +91,7 @@ class Plant:
         if scenarios[0].rig.platform.prescribed:
             lower = IdealTracking(scenarios, nthread, made_of, force)
         else:
-            lower = ServoTracking(scenarios, nthread, made_of, None if self.physical else late, force)
+            lower = ServoTracking(scenarios, nthread, made_of, late, force)
         self.units = lower.follower.units if isinstance(lower, IdealTracking) else lower.servo.units
         self._rig = None if isinstance(lower, IdealTracking) else lower.servo
         self._tracking = NineAxes(scenarios, lower, nthread) if above else lower

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numba import njit
 
+from hiltestbed.bound import GIVEN, Call
 from hiltestbed.frames import Array
 from hiltestbed.sensor.chain import condition_all
 from hiltestbed.sensor.parameters import SensorParameters, stack
@@ -30,7 +31,7 @@ class Chain:
     """The chains of `n` sensors behind the delay: transducer, electronics, converter.
 
     Attributes:
-        reading: (n, 6) the last reading [N, N m].
+        reading: (n, 6) the last reading [N, N m]. stages: what :func:`condition_all` needs of them.
     """
 
     def __init__(self, sensors: Sequence[SensorParameters]) -> None:
@@ -38,13 +39,13 @@ class Chain:
         self.numbers = stack(sensors)
         stages = max(self.numbers.lag.shape[1], self.numbers.leak.shape[1])
         self._low, self._high, self._before = np.zeros((n, stages, 6)), np.zeros((n, stages, 6)), np.zeros((n, stages, 6))
-        self._elements = self.numbers.elements()
         self.reading = np.zeros((n, 6))
+        self.stages = (*self.numbers.elements(), self._low, self._high, self._before, self.reading)
 
     def read(self, t: Array, late: Array, noise: Array) -> Array:
         """The reading (n, 6) at ``t`` (n,) [s] of the wrench ``late`` (n, 6) as it arrives, with ``noise`` (n, 6) added before the
         conversion; called once a tick."""
-        condition_all(t, late, noise, *self._elements, self._low, self._high, self._before, self.reading)
+        condition_all(t, late, noise, *self.stages)
         return self.reading
 
 
@@ -79,6 +80,11 @@ class Sensor:
         self._noisy = np.flatnonzero(self.noise_level.any(axis=1))
         self._jittery = np.flatnonzero(jitter)
         self._next_block = 0
+        self._read = Call(
+            _read, ..., self.tick, self.ring, GIVEN, self._delay_steps, self._jitter_steps, self._jitter, self._noise, self._arrived,
+            self._time, *self.chain.stages,
+        )  # fmt: skip
+        self._feel = Call(_feel, ..., self.substeps, self.ring, GIVEN)
 
     def read(self, k: int, wrench_sub: Array) -> Array:
         """The reading (n, 6) at t_k.
@@ -90,14 +96,12 @@ class Sensor:
         """
         while k >= self._next_block:  # a loop that starts from a saved state draws what lies before it
             self._draw()
-        row = k % BLOCK
-        _arrive(k, self.ring, wrench_sub, self._delay_steps, self._jitter_steps, self._jitter[:, row], self._arrived)
-        self._time[:] = k * self.tick
-        return self.chain.read(self._time, self._arrived, self._noise[:, row])
+        self._read.on(wrench_sub)(k)
+        return self.reading
 
     def feel(self, k: int, wrench: Array) -> None:
         """The wrench (n, 6) at t_k, where it was not known to :meth:`read`: of runs that are `late`."""
-        self.ring[:, k * self.substeps % self.ring.shape[1]] = wrench
+        self._feel.on(wrench)(k)
 
     def _draw(self) -> None:
         self._next_block += BLOCK
@@ -106,6 +110,23 @@ class Sensor:
             self._noise[i] *= self.noise_level[i]
         for i in self._jittery:
             self._streams[i][1].standard_normal(out=self._jitter[i])
+
+
+@njit(cache=True)
+def _read(k, h, ring, sub, delay, jitter, shake, noise, arrived, t, *stages):
+    """A tick of all sensors: what arrives, through the chain; ``shake`` (n, BLOCK) and ``noise`` (n, BLOCK, 6) of a block of ticks."""
+    row = k % BLOCK
+    _arrive(k, ring, sub, delay, jitter, shake[:, row], arrived)
+    t[:] = k * h
+    condition_all(t, arrived, noise[:, row], *stages)
+
+
+@njit(cache=True)
+def _feel(k, substeps, ring, wrench):
+    slot = k * substeps % ring.shape[1]
+    for i in range(ring.shape[0]):
+        for j in range(6):
+            ring[i, slot, j] = wrench[i, j]
 
 
 @njit(cache=True)

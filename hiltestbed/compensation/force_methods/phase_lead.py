@@ -18,6 +18,7 @@ import numpy as np
 from numba import njit
 from pydantic import Field
 
+from hiltestbed.bound import GIVEN, Call
 from hiltestbed.compensation.measurement import Measurement
 from hiltestbed.compensation.settings import ForceMethod, Input
 from hiltestbed.frames import Array
@@ -64,6 +65,7 @@ class PhaseLeadBlock:
         self.lag = np.array([lag for _, lag in time_constants])
         self.output = np.zeros((n, 6))
         self._previous = np.zeros((n, 6))
+        self._lead = Call(_lead, GIVEN, self.lead, self.lag, self.tick, self._previous, self.output)
 
     def compensate(self, measurement: Measurement) -> Array:
         """``(n, 6)`` the wrench led by ``T1 - T2``."""
@@ -71,7 +73,7 @@ class PhaseLeadBlock:
 
     def lead_wrench(self, wrench: Array) -> Array:
         """``(n, 6)`` a wrench ``(n, 6)`` led by ``T1 - T2``."""
-        _lead(wrench, self.lead, self.lag, self.tick, self._previous, self.output)
+        self._lead.on(wrench)()
         return self.output
 
 

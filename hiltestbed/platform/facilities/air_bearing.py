@@ -18,6 +18,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from hiltestbed.bound import GIVEN, Call
 from hiltestbed.frames import Array
 from hiltestbed.models import load
 from hiltestbed.platform.facilities.bodies import GRAVITY, SIDES, Bodies, PhysicalFacility
@@ -62,12 +63,13 @@ class Floats(Bodies):
             ]
         )
         self._origin = np.zeros((len(settings), len(moving), 2))
+        self._pushed = Call(_push, self._numbers, self._dofs, self._qadr, self._masses, self._origin, GIVEN, GIVEN, GIVEN)
 
     def rest(self, qpos: Array, qvel: Array) -> None:
         self._origin[:] = qpos[:, self._qadr[:, :2]]
 
     def push(self, qpos: Array, qvel: Array, applied: Array) -> None:
-        _push(self._numbers, self._dofs, self._qadr, self._masses, self._origin, qpos, qvel, applied)
+        self._pushed.on(qpos, qvel, applied)()
 
     def state(self) -> dict[str, NDArray[Any]]:
         return {"origin": self._origin}

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -21,6 +21,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from hiltestbed.bound import GIVEN, Call
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array, twist_between
 from hiltestbed.platform.facilities.drives import UPRIGHT, relative
@@ -50,8 +51,8 @@ class Article:
 
 
 @njit(cache=True)
-def _read(flat, qpos, qvel, limit, place_A, motion_A, place_P, motion_P, pose, twist, diverged):
-    tree, w = unpack(flat[0], flat[1], flat[2])
+def _read(integers, numbers, room, qpos, qvel, limit, place_A, motion_A, place_P, motion_P, pose, twist, diverged):
+    tree, w = unpack(integers, numbers, room)
     lost = False
     r, arm = np.empty(3), np.empty(3)
     for i in range(qpos.shape[0]):
@@ -85,10 +86,13 @@ class Bodies:
 
     def __init__(self, model: mujoco.MjModel, kinematics: Kinematics, n: int, step: float) -> None:
         self.model, self.kinematics, self.step = model, kinematics, step
-        self._flat = packed(kinematics.tree)
         self.pose, self.twist = np.tile(UPRIGHT, (n, 1)), np.zeros((n, 6))
         self.place_A, self.motion_A = np.tile(UPRIGHT, (n, 1)), np.zeros((n, 6))
         self.place_P, self.motion_P = np.tile(UPRIGHT, (n, 1)), np.zeros((n, 6))
+        self._seen = Call(
+            _read, *packed(kinematics.tree.towards_tools()), GIVEN, GIVEN, GIVEN, self.place_A, self.motion_A, self.place_P, self.motion_P,
+            self.pose, self.twist, GIVEN,
+        )  # fmt: skip
 
     def push(self, qpos: Array, qvel: Array, applied: Array) -> None:
         """Write what bearings and cables do to the articles into the generalised forces ``applied`` (n, nv), before a step."""
@@ -118,9 +122,11 @@ class Bodies:
 
     def observe(self, qpos: Array, qvel: Array, limit: float, diverged: NDArray[np.bool_]) -> bool:
         """Read poses and twists; True where a run has just left ``limit`` [m/s, rad/s], which ``diverged`` (n,) then names."""
-        return _read(
-            self._flat, qpos, qvel, limit, self.place_A, self.motion_A, self.place_P, self.motion_P, self.pose, self.twist, diverged
-        )
+        return self.observing(qpos, qvel, limit, diverged)()
+
+    def observing(self, qpos: Array, qvel: Array, limit: float, diverged: NDArray[np.bool_]) -> Callable[[], bool]:
+        """:meth:`observe` of arrays that stay."""
+        return self._seen.on(qpos, qvel, limit, diverged)
 
     def momentum(self, qpos: Array, qvel: Array, run: int = 0) -> Array:
         """``(6,)`` linear momentum [kg m/s] and moment of momentum about W's origin [kg m^2/s] of all that moves."""

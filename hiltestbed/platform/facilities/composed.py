@@ -9,6 +9,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from hiltestbed.bound import GIVEN, Call
 from hiltestbed.contact.composition import ACTIVE, PASSIVE, Structure, add_active, add_contact, add_passive
 from hiltestbed.frames import Array, cross, rotate_back
 from hiltestbed.platform.facilities.bodies import PhysicalFacility
@@ -91,10 +92,11 @@ class CarriedLoad:
         self.load = load_of(model, data, bodies, origin) if bodies else np.zeros(13)
         self._columns = np.array([int(model.sensor(name).adr[0]) for name, _ in LOAD_SENSORS])
         self._force = int(model.sensor("force").adr[0])
+        self._read = Call(_read_carried, GIVEN, self._force, self._columns, GIVEN, self.load, GIVEN, GIVEN, ...)
 
     def read(self, sensordata: Array, attitude: Array, runs: NDArray[np.intp], wrench_sub: Array, sub: int) -> None:
         """``wrench_sub[runs, sub]`` from ``sensordata`` (n, .) with P's ``attitude`` (n, 7 of its pose) in W."""
-        _read_carried(sensordata, self._force, self._columns, attitude, self.load, runs, wrench_sub, sub)
+        self._read.on(sensordata, attitude, runs, wrench_sub)(sub)
 
 
 def _under(model: mujoco.MjModel, body: int, top: int) -> bool:

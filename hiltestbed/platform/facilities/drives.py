@@ -11,7 +11,8 @@ both sides overrides :meth:`Drives.allocate`.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import cached_property
 from typing import Any
 
 import mujoco
@@ -19,6 +20,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from hiltestbed.bound import GIVEN, Call, bound, together
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array, pose_between, pose_step, rotate_back
 from hiltestbed.platform.facilities.friction import Rubbing
@@ -36,35 +38,46 @@ UPRIGHT = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 
 @njit(cache=True)
 def _aim(
-    flat, k, h, cycles, lates, feed, axes, gravity, poses, held, twists, speeds, qs, rate, goal, leave, load, missed, ring, span,
-    reference, velocity, plan,
+    integers, numbers, room, k, h, cycles, lates, feed, axes, gravity, poses, held, twists, speeds, qs, rate, goal, leave, load, missed,
+    ring, span, reference, velocity, plan,
 ):  # fmt: skip
     """Joints, rates and weights where a cycle begins, for tools at ``poses`` (n, nt, 7), left with ``twists`` (n, nt, 6), in W; the plan.
 
-    flat: the tree (:func:`hiltestbed.platform.facilities.motion.packed`). k: the tick; below 0: solve for all, plan nothing.
+    integers, numbers, room: the tree (:func:`hiltestbed.platform.facilities.motion.packed`). k: the tick; below 0: solve for all,
+    plan nothing.
     qs, rate: (n, nq), (n, nv) the last solution and how it left, moved on. goal, leave, load: (n, J). missed: (n,) residual [m, rad].
     """
-    tree, w = unpack(flat[0], flat[1], flat[2])
-    joints, nv = goal.shape[1], tree.armature.shape[0]
-    every, forces = np.empty((6 * poses.shape[1] + held.shape[1], nv)), np.empty(nv)
-    square, right = np.empty((joints, joints)), np.empty(joints)
     for i in range(poses.shape[0]):
         if k < 0 or k % cycles[i] == 0:
-            if k >= 0:
-                shift(tree, qs[i], rate[i], h * cycles[i])
-            missed[i] = newton(tree, qs[i], poses[i], held[i], w, SOLVED, PER_TICK)
-            rates(tree, w, twists[i], speeds[i], rate[i])
-            for j in range(joints):
-                goal[i, j] = qs[i, axes[0, j]]
-                leave[i, j] = rate[i, axes[1, j]]
-            if k < 0 or (k // cycles[i]) % WEIGHED == 0:
-                ways(tree, w, every)
-                weights(tree, gravity, w, forces)
-                drive_forces(every, axes[1], forces, square, right, load[i])
+            _solve(
+                integers, numbers, room, k, h, cycles[i], axes, gravity, poses[i], held[i], twists[i], speeds[i], qs[i], rate[i], goal[i],
+                leave[i], load[i], missed[i : i + 1],
+            )  # fmt: skip
             if k >= 0:
                 sample(k, cycles[i], lates[i], ring, span, i, goal[i], leave[i])
         if k >= 0:
             plan_tick(k, cycles[i], feed[i], h, span, i, reference, velocity, plan)
+
+
+@njit(cache=True)
+def _solve(
+    integers, numbers, room, k, h, cycle, axes, gravity, poses, held, twists, speeds, q, rate, goal, leave, load, missed
+):  # fmt: skip
+    """One run at the begin of a cycle: joints, how they leave, and now and then the weight."""
+    tree, w = unpack(integers, numbers, room)
+    if k >= 0:
+        shift(tree, q, rate, h * cycle)
+    missed[0] = newton(tree, q, poses, held, w, SOLVED, PER_TICK)
+    rates(tree, w, twists, speeds, rate)
+    for j in range(goal.shape[0]):
+        goal[j] = q[axes[0, j]]
+        leave[j] = rate[axes[1, j]]
+    if k < 0 or (k // cycle) % WEIGHED == 0:
+        joints, nv = goal.shape[0], tree.armature.shape[0]
+        every, forces = np.empty((6 * poses.shape[0] + held.shape[0], nv)), np.empty(nv)
+        ways(tree, w, every)
+        weights(tree, gravity, w, forces)
+        drive_forces(every, axes[1], forces, np.empty((joints, joints)), np.empty(joints), load)
 
 
 @njit(cache=True)
@@ -77,8 +90,26 @@ def _follow(pose, twist, accel, half, poses, twists):
 
 
 @njit(cache=True)
-def _observe(flat, axes, home, two, qpos, qvel, limit, place_A, motion_A, place_P, motion_P, pose, twist, joints, rate, diverged):
-    tree, w = unpack(flat[0], flat[1], flat[2])
+def _follow_and_aim(
+    pose, twist, accel, half, ticks, integers, numbers, room, h, cycles, lates, feed, axes, gravity, poses, held, twists, *others
+):  # fmt: skip
+    _follow(pose, twist, accel, half, poses, twists)
+    _aim(integers, numbers, room, ticks[0], h, cycles, lates, feed, axes, gravity, poses, held, twists, *others)
+    ticks[0] += 1
+
+
+@njit(cache=True)
+def _less(a, b, out):
+    for i in range(a.shape[0]):
+        for j in range(a.shape[1]):
+            out[i, j] = a[i, j] - b[j]
+
+
+@njit(cache=True)
+def _observe(
+    integers, numbers, room, axes, home, two, qpos, qvel, limit, place_A, motion_A, place_P, motion_P, pose, twist, joints, rate, diverged
+):  # fmt: skip
+    tree, w = unpack(integers, numbers, room)
     lost = False
     r, arm = np.empty(3), np.empty(3)
     for i in range(qpos.shape[0]):
@@ -122,6 +153,19 @@ def relative(place_A, motion_A, place_P, motion_P, r, arm, pose, twist):
         twist[3 + c] = motion_A[3 + c] - motion_P[3 + c]
     rotate_back(place_P[3:7], arm, twist)
     rotate_back(place_P[3:7], twist[3:6], twist[3:6])
+
+
+class _Pushed:
+    """On what the drives pushed last, and the call that did it."""
+
+    __slots__ = ("call", "ctrl", "qpos", "qvel", "rubbing")
+
+    def __init__(self) -> None:
+        self.qpos: Array | None = None
+        self.qvel: Array | None = None
+        self.ctrl: Array | None = None
+        self.rubbing: Rubbing | None = None
+        self.call: Any = None
 
 
 class Drives:
@@ -170,6 +214,7 @@ class Drives:
         self.place_P, self.motion_P = np.tile(UPRIGHT, (n, 1)), np.zeros((n, 6))
         self.joints, self.joint_rates, self.reference = np.zeros((n, joints)), np.zeros((n, joints)), np.zeros((n, joints))
         self._rubbing: Rubbing | None = None
+        self._last = _Pushed()
         self._inputs = drive_inputs(model, [axis.joint for axis in kinematics.axes])
 
     @property
@@ -179,14 +224,27 @@ class Drives:
 
     # What a facility that moves both sides, or drives in another way, has of its own.
 
+    @cached_property
+    def _allocated(self) -> Call:
+        return Call(_follow, GIVEN, GIVEN, GIVEN, ..., self.poses, self.twists)
+
     def allocate(self, pose: Array, twist: Array, accel: Array, half: float) -> None:
         """Write ``poses`` and ``twists`` of the tools in W (and of what is prescribed) for the relative ``pose`` (n, 7) and the velocity
         ``half`` [s] after ``twist`` (n, 6), with ``accel`` (n, 6)."""
-        _follow(pose, twist, accel, half, self.poses, self.twists)
+        self._allocated.on(pose, twist, accel)(half)
 
     def push(self, sub: int, qpos: Array, qvel: Array, ctrl: Array) -> None:
         """Write the drives' inputs into ``ctrl`` (n, nu) for step ``sub`` of the tick, from the joints as they stand."""
         raise NotImplementedError
+
+    def pushing(self, push: Call, qpos: Array, qvel: Array, ctrl: Array) -> Callable[[int], None]:
+        """What ``push`` makes of a state in arrays that stay, and the friction of the drives with it, in one call of the step's number."""
+        last = self._last
+        if last.qpos is not qpos or last.qvel is not qvel or last.ctrl is not ctrl or last.rubbing is not self._rubbing:
+            last.qpos, last.qvel, last.ctrl, last.rubbing = qpos, qvel, ctrl, self._rubbing
+            alone = push.on(qpos, qvel, ctrl)
+            last.call = together(alone, self._rubbing.acting(qvel, ctrl)) if self._rubbing else alone
+        return last.call
 
     def rest(self, qpos: Array, qvel: Array) -> None:
         """Put the drives' own state where it is in uniform motion; ``qpos`` (n, nq) may yield to the weight."""
@@ -231,11 +289,17 @@ class Drives:
         """(n,) how late the controller makes each run [s]: its cycle less the tick in which a pose is due, and the cycles held back."""
         return np.asarray(self.tick * (self._cycles * (self._lates + 1) - 1), dtype=float)
 
-    def _solve(self, k: int) -> None:
-        _aim(
-            self._flat, k, self.tick, self._cycles, self._lates, self._feed, self._axes, self._gravity, self.poses, self.held, self.twists,
-            self.held_rates, self._qs, self._rates, self._goal, self._leave, self.load, self.missed, self._ring, self._span, self._target,
-            self._velocity, self._plan,
+    @cached_property
+    def _solve(self) -> Callable[[int], None]:
+        return bound(_aim, *self._planning)
+
+    @property
+    def _planning(self) -> tuple[Any, ...]:
+        """What :func:`_aim` is given, the tick at each call."""
+        return (
+            *self._flat, ..., self.tick, self._cycles, self._lates, self._feed, self._axes, self._gravity, self.poses, self.held,
+            self.twists, self.held_rates, self._qs, self._rates, self._goal, self._leave, self.load, self.missed, self._ring, self._span,
+            self._target, self._velocity, self._plan,
         )  # fmt: skip
 
     def aim(self, pose_cmd: Array, twist_cmd: Array, accel_cmd: Array) -> None:
@@ -244,9 +308,17 @@ class Drives:
         The command is left with the velocity of the tick plus half a tick of its acceleration: a semi-implicit velocity belongs to the
         middle of its tick.
         """
-        self.allocate(pose_cmd, twist_cmd, accel_cmd, 0.5 * self.tick)
-        self._solve(int(self._ticks[0]))
-        self._ticks[0] += 1
+        if type(self).allocate is Drives.allocate:
+            self._followed.on(pose_cmd, twist_cmd, accel_cmd)()
+        else:
+            self.allocate(pose_cmd, twist_cmd, accel_cmd, 0.5 * self.tick)
+            self._solve(int(self._ticks[0]))
+            self._ticks[0] += 1
+
+    @cached_property
+    def _followed(self) -> Call:
+        """A tick of one tool that follows the command."""
+        return Call(_follow_and_aim, GIVEN, GIVEN, GIVEN, 0.5 * self.tick, self._ticks, *self._planning[:3], *self._planning[4:])
 
     def follow(self, pose: Array, twist: Array) -> None:
         """Joints and their rates where A is at ``pose`` (n, 7) with ``twist`` (n, 6), of a rig that follows exactly: no drive acts."""
@@ -257,14 +329,26 @@ class Drives:
 
     def arrive(self) -> None:
         """The tick is over."""
-        np.subtract(self._target, self._home, out=self.reference)
+        self._arrived()
+
+    @cached_property
+    def _arrived(self) -> Callable[[], None]:
+        return bound(_less, self._target, self._home, self.reference)
+
+    @cached_property
+    def _seen(self) -> Call:
+        return Call(
+            _observe, *packed(self.kinematics.tree.towards_tools()), self._axes, self._home, self._two, GIVEN, GIVEN, GIVEN, self.place_A,
+            self.motion_A, self.place_P, self.motion_P, self.pose, self.twist, self.joints, self.joint_rates, GIVEN,
+        )  # fmt: skip
 
     def observe(self, qpos: Array, qvel: Array, limit: float, diverged: NDArray[np.bool_]) -> bool:
         """Read poses, twists and joints; True where a run has just left ``limit`` [m/s, rad/s], which ``diverged`` (n,) then names."""
-        return _observe(
-            self._flat, self._axes, self._home, self._two, qpos, qvel, limit, self.place_A, self.motion_A,
-            self.place_P, self.motion_P, self.pose, self.twist, self.joints, self.joint_rates, diverged,
-        )  # fmt: skip
+        return self.observing(qpos, qvel, limit, diverged)()
+
+    def observing(self, qpos: Array, qvel: Array, limit: float, diverged: NDArray[np.bool_]) -> Callable[[], bool]:
+        """:meth:`observe` of arrays that stay."""
+        return self._seen.on(qpos, qvel, limit, diverged)
 
     def release(self) -> None:
         """Leave the drives' friction and the steps of their encoders out from now on: what is measured is then linear."""

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import cached_property
 from typing import Any
 
 import mujoco
@@ -18,6 +19,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from hiltestbed.bound import GIVEN, Call
 from hiltestbed.frames import Array
 from hiltestbed.platform.facilities.drives import Drives
 from hiltestbed.platform.facilities.friction import Rubbing
@@ -84,13 +86,15 @@ class ForceServo(Drives):
         super().release()
         self._encoder[:] = 0.0
 
-    def push(self, sub: int, qpos: Array, qvel: Array, ctrl: Array) -> None:
-        _push(
-            self._plan, sub, self._mass, self._gains, self._encoder, self.load, self.bent, self._most, self._axes, self._inputs,
-            qpos, qvel, self._force, ctrl,
+    @cached_property
+    def _pushed(self) -> Call:
+        return Call(
+            _push, self._plan, ..., self._mass, self._gains, self._encoder, self.load, self.bent, self._most, self._axes, self._inputs,
+            GIVEN, GIVEN, self._force, GIVEN,
         )  # fmt: skip
-        if self._rubbing:
-            self._rubbing.act(qvel, ctrl)
+
+    def push(self, sub: int, qpos: Array, qvel: Array, ctrl: Array) -> None:
+        self.pushing(self._pushed, qpos, qvel, ctrl)(sub)
 
     def state(self) -> dict[str, NDArray[Any]]:
         return super().state() | {"bent": self.bent}

@@ -7,11 +7,13 @@ holds while a joint stands, and a viscous part. Units are N and m for cylinders,
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from hiltestbed.bound import GIVEN, Call
 from hiltestbed.frames import Array
 from hiltestbed.platform.friction import BRISTLE, STEPS, drag, stribeck
 
@@ -60,14 +62,15 @@ class Rubbing:
         )
         self._axes, self._inputs, self._dt = np.asarray(axes), np.asarray(inputs), dt
         self.bristles = np.zeros((*coulomb.shape, 1))
+        self._act = Call(_act, self._numbers, dt, self._axes, self._inputs, GIVEN, self.bristles, GIVEN)
 
     def settle(self, qvel: Array) -> None:
         """Start from drives that have long been moving at ``qvel`` (n, nv)."""
         _settle(self._numbers, self._axes, qvel, self.bristles)
 
-    def act(self, qvel: Array, ctrl: Array) -> None:
-        """Take the friction of one step off the drives' inputs ``ctrl`` (n, nu)."""
-        _act(self._numbers, self._dt, self._axes, self._inputs, qvel, self.bristles, ctrl)
+    def acting(self, qvel: Array, ctrl: Array) -> Callable[[], None]:
+        """What takes the friction of one step off the drives' inputs ``ctrl`` (n, nu), of arrays that stay."""
+        return self._act.on(qvel, ctrl)
 
     def state(self) -> dict[str, NDArray]:
         return {"bristles": self.bristles}

@@ -23,12 +23,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import cached_property
 
 import mujoco
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from hiltestbed.bound import GIVEN, Call
 from hiltestbed.frames import Array
 from hiltestbed.platform.facilities.drives import Drives
 from hiltestbed.platform.facilities.force_servo import quantised
@@ -135,13 +137,15 @@ class Hydraulic(Drives):
         super().release()
         self._numbers[:, ENCODER] = 0.0
 
-    def push(self, sub: int, qpos: Array, qvel: Array, ctrl: Array) -> None:
-        _push(
-            self._plan, sub, self.step, self._feed, self._mass, self._numbers, self._valve, self._axes, self._inputs, self._home,
-            qpos, qvel, self.cylinders, ctrl,
+    @cached_property
+    def _pushed(self) -> Call:
+        return Call(
+            _push, self._plan, ..., self.step, self._feed, self._mass, self._numbers, self._valve, self._axes, self._inputs, self._home,
+            GIVEN, GIVEN, self.cylinders, GIVEN,
         )  # fmt: skip
-        if self._rubbing:
-            self._rubbing.act(qvel, ctrl)
+
+    def push(self, sub: int, qpos: Array, qvel: Array, ctrl: Array) -> None:
+        self.pushing(self._pushed, qpos, qvel, ctrl)(sub)
 
     def feedback(self) -> Array:
         return self.cylinders.reshape(len(self.cylinders), -1)

@@ -14,6 +14,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from hiltestbed.bound import GIVEN, Call
 from hiltestbed.frames import Array
 from hiltestbed.platform.facilities.kinematics import Axis
 
@@ -22,12 +23,15 @@ UNREACHED = 1e-6  # [m], [rad] by how much a command may be missed
 
 
 @njit(cache=True)
-def _watch(h, limits, home, joints, rates, forces, columns, missed, before, ticks, watched, shares, which):
-    """limits: (6, J) low, high, speed, acceleration, force, of the joints as they count. shares, which: (n, 5)."""
+def _watch(h, limits, home, joints, rates, forces, columns, missed, before, ticks, watched, stood, left, shares, which):
+    """limits: (6, J) low, high, speed, acceleration, force, of the joints as they count. stood (n, J), left (n,): ``joints`` and
+    ``missed``, kept. shares, which: (n, 5)."""
     passed = False
     for i in range(joints.shape[0]):
         shares[i] = 0.0
+        left[i] = missed[i]
         for j in range(joints.shape[1]):
+            stood[i, j] = joints[i, j]
             value = joints[i, j] + home[j]
             middle, half = 0.5 * (limits[0, j] + limits[1, j]), 0.5 * (limits[1, j] - limits[0, j])
             travel = abs(value - middle) / half if half < math.inf else 0.0
@@ -61,17 +65,17 @@ class Watch:
         self.shares, self.which = np.zeros((n, 5)), np.zeros((n, 5), dtype=np.int64)
         self._before, self._ticks = np.zeros((n, len(self._axes))), np.zeros(n, dtype=np.int64)
         self._stood, self._missed, self._columns = np.zeros((n, len(self._axes))), np.zeros(n), np.arange(len(self._axes))
+        self._watch = Call(
+            _watch, tick, self._limits, self._home, *(GIVEN,) * 5, self._before, self._ticks, self._watched, self._stood, self._missed,
+            self.shares, self.which,
+        )  # fmt: skip
 
     def passed(self, joints: Array, rates: Array, forces: Array, missed: Array, columns: NDArray[np.int64] | None = None) -> bool:
         """Whether a run has passed a limit: ``joints`` from home, ``rates`` and drive ``forces`` (n, J), what the command missed (n,).
 
         ``columns``: (J,) where the drives' forces stand in ``forces``; else as they come.
         """
-        self._stood[:], self._missed[:] = joints, missed
-        return _watch(
-            self._tick, self._limits, self._home, joints, rates, forces, self._columns if columns is None else columns, missed,
-            self._before, self._ticks, self._watched, self.shares, self.which,
-        )  # fmt: skip
+        return self._watch.on(joints, rates, forces, self._columns if columns is None else columns, missed)()
 
     def reason(self, i: int) -> str | None:
         """Which limit run ``i`` has passed, where, and by how much; None when it has passed none."""

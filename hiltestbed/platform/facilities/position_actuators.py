@@ -14,6 +14,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from hiltestbed.bound import GIVEN, Call
 from hiltestbed.frames import Array
 from hiltestbed.platform.facilities.drives import Drives
 from hiltestbed.platform.facilities.kinematics import Kinematics
@@ -44,6 +45,7 @@ class PositionActuators(Drives):
         self._kp = model.actuator_gainprm[self._inputs, 0] * self._ratio**2  # of the joint
         self._lead = -model.actuator_biasprm[self._inputs, 2] / model.actuator_gainprm[self._inputs, 0]
         self.bent = np.zeros((len(feed), len(kinematics.axes)))
+        self._pushed = Call(_push, self._plan, ..., self._ratio, self._lead, self.bent, self._inputs, GIVEN)
 
     def nominal(self) -> tuple[Array, Array]:
         """Natural frequency [rad/s] and damping ratio (J,) of each servo by itself, on what it moves at home."""
@@ -55,7 +57,7 @@ class PositionActuators(Drives):
         self.bent[:] = self.load / self._kp
 
     def push(self, sub: int, qpos: Array, qvel: Array, ctrl: Array) -> None:
-        _push(self._plan, sub, self._ratio, self._lead, self.bent, self._inputs, ctrl)
+        self._pushed.on(ctrl)(sub)
 
     def state(self) -> dict[str, NDArray]:
         return super().state() | {"bent": self.bent}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from hiltestbed.contact.composition import Structure
 from hiltestbed.frames import Array
-from hiltestbed.platform.facilities.bodies import PhysicalFacility
+from hiltestbed.platform.facilities.bodies import Bodies, PhysicalFacility
 from hiltestbed.platform.facilities.composed import TOOL, CarriedLoad, facility_model, rest_reading
+from hiltestbed.platform.facilities.drives import Drives
 from hiltestbed.platform.facilities.hall import facility_of
 from hiltestbed.platform.facilities.limits import Watch
 
@@ -34,6 +35,7 @@ class Mover(Protocol):
 
     def settle(self, pose: Array, twist: Array, qpos: Array, qvel: Array) -> None: ...
     def observe(self, qpos: Array, qvel: Array, limit: float, diverged: NDArray[np.bool_]) -> bool: ...
+    def observing(self, qpos: Array, qvel: Array, limit: float, diverged: NDArray[np.bool_]) -> Callable[[], bool]: ...
 
 
 class FacilityRig:
@@ -121,10 +123,25 @@ class FacilityRig:
     ) -> bool:
         """Read relative pose and twist, and the driven joints; True where a run has just left ``limit``, which ``diverged`` names."""
         lost = self.mover.observe(qpos, qvel, limit, diverged)
-        pose[:], twist[:] = self.mover.pose, self.mover.twist
-        if self._drives is not None:
+        if self.mover.pose is not pose:
+            pose[:], twist[:] = self.mover.pose, self.mover.twist
+        if self._drives is not None and self._drives.joints is not joints:
             joints[:] = self._drives.joints
         return lost
+
+    def observing(
+        self, qpos: Array, qvel: Array, limit: float, shown: tuple[Array, Array, Array], diverged: NDArray[np.bool_]
+    ) -> Callable[[], bool] | None:
+        """:meth:`observe` of arrays that stay, those of :meth:`shown`; None where drives see to it in a way of their own."""
+        mover, whole = self.mover, Bodies if self._drives is None else Drives
+        if type(mover).observe is not whole.observe or shown[0] is not mover.pose:
+            return None
+        return mover.observing(qpos, qvel, limit, diverged)
+
+    def shown(self) -> tuple[Array, Array, Array]:
+        """The arrays that :meth:`observe` is given: poses (n, 7), twists (n, 6) and driven joints (n, J) where they are read anyway."""
+        joints = self.target[:, :0] if self._drives is None else self._drives.joints
+        return self.mover.pose, self.mover.twist, joints
 
     def passed(self) -> bool:
         """Whether a run has passed a limit of its joints at this tick."""

@@ -21,6 +21,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from hiltestbed.bound import GIVEN, Call
 from hiltestbed.frames import Array
 from hiltestbed.models import load
 from hiltestbed.platform.facilities.bodies import GRAVITY, SIDES, Bodies, PhysicalFacility
@@ -71,13 +72,16 @@ class Hung(Bodies):
             ]
         )  # fmt: skip
         self.tension, self.bristles = np.zeros((n, len(moving))), np.zeros((n, len(moving), 1))
+        self._pushed = Call(
+            _push, self._numbers, self._rub, step, self._hung, self._dofs, self._swings, self.tension, self.bristles, GIVEN, GIVEN
+        )
 
     def rest(self, qpos: Array, qvel: Array) -> None:
         self.tension[:] = self._hung * GRAVITY * (1.0 + self._numbers[:, 2:3])
         self.bristles[:] = 0.0
 
     def push(self, qpos: Array, qvel: Array, applied: Array) -> None:
-        _push(self._numbers, self._rub, self.step, self._hung, self._dofs, self._swings, self.tension, self.bristles, qvel, applied)
+        self._pushed.on(qvel, applied)()
 
     def state(self) -> dict[str, NDArray[Any]]:
         return {"tension": self.tension, "bristles": self.bristles}

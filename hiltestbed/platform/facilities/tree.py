@@ -52,6 +52,28 @@ class Tree(NamedTuple):
     prescribed: Integers
     unknown: Integers
 
+    def towards_tools(self) -> Tree:
+        """What places and velocities of the tools depend on when all joints are known: the bodies between them and the world."""
+        kept = {0}
+        for b in map(int, self.tools):
+            while b > 0:
+                kept.add(b)
+                b = int(self.bodies[b, 0])
+        order = sorted(kept)
+        new = {b: i for i, b in enumerate(order)}
+        moved = [range(int(first), int(first + count)) for _, first, count in self.bodies[order]]
+        chosen = [j for joints in moved for j in joints]
+        starts = np.cumsum([0, *(len(joints) for joints in moved[:-1])])
+        parents = [new[int(self.bodies[b, 0])] for b in order]
+        joints = self.joints[chosen].reshape(-1, 4)
+        joints[:, 1] = [new[int(b)] for b in joints[:, 1]]
+        return self._replace(
+            bodies=np.column_stack([parents, starts, [len(joints) for joints in moved]]).astype(np.int64),
+            frames=self.frames[order], masses=self.masses[order], joints=joints, axes=self.axes[chosen].reshape(-1, 7),
+            loops=self.loops[:0], loop_frames=self.loop_frames[:0], coupled=self.coupled[:0], polynomial=self.polynomial[:0],
+            tools=np.array([new[int(b)] for b in self.tools], dtype=np.int64), prescribed=self.prescribed[:0], unknown=self.unknown[:0],
+        )  # fmt: skip
+
 
 def build_tree(m: mujoco.MjModel, tools: Sequence[str], prescribed: Sequence[str] = (), locked: Sequence[str] = ()) -> Tree:
     """The tree of a compiled model.

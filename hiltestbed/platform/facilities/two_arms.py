@@ -15,6 +15,7 @@ so that near the touch the two arms take (1 - s) and s of every motion, and far 
 from __future__ import annotations
 
 from collections.abc import Hashable, Sequence
+from functools import cached_property
 from typing import Any, ClassVar
 
 import mujoco
@@ -22,6 +23,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from hiltestbed.bound import GIVEN, Call
 from hiltestbed.frames import Array, pose_step, quat_exp, quat_mul, rotate, rotation_vector, twist_between
 from hiltestbed.models import load
 from hiltestbed.platform.facilities.elastic_joint import ElasticJoints
@@ -105,7 +107,11 @@ class FacingArms(ElasticJoints):
     shares: Array
 
     def allocate(self, pose: Array, twist: Array, accel: Array, half: float) -> None:
-        _allocate(pose, twist, accel, half, self.shares, self.poses, self.twists, self.held, self.held_rates)
+        self._shared.on(pose, twist, accel)(half)
+
+    @cached_property
+    def _shared(self) -> Call:
+        return Call(_allocate, GIVEN, GIVEN, GIVEN, ..., self.shares, self.poses, self.twists, self.held, self.held_rates)
 
 
 class TwoArms(Facility):

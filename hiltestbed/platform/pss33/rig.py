@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from mujoco.batch import Batch
+from numpy.typing import NDArray
 
 from hiltestbed.contact.composition import Structure
 from hiltestbed.frames import Array
@@ -48,6 +49,17 @@ class Pss33Rig(Servo):
         contacts.balance()
         self.batch.forward()
         return reading.copy()
+
+    def observing(
+        self, qpos: Array, qvel: Array, limit: float, shown: tuple[Array, Array, Array], diverged: NDArray[np.bool_]
+    ) -> Callable[[], bool] | None:
+        """:meth:`observe` of arrays that stay."""
+        return self._seen.on(qpos, qvel, limit, *shown, diverged)
+
+    def shown(self) -> tuple[Array, Array, Array]:
+        """The arrays that :meth:`observe` is given: poses (n, 7), twists (n, 6) and sliders (n, 6)."""
+        n = len(self.target)
+        return np.zeros((n, 7)), np.zeros((n, 6)), np.zeros((n, 6))
 
     def passed(self) -> bool:
         """The limits of this platform are keys of the scenario's safety section."""

@@ -22,6 +22,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from hiltestbed.bound import GIVEN, Call
 from hiltestbed.frames import Array, pose_step, rotate, rotate_back
 from hiltestbed.platform.facilities.reference import LEAVE, START, cubic, sample
 from hiltestbed.platform.friction import DriveFriction
@@ -186,6 +187,12 @@ class Servo:
         self._step, self._least = tick / substeps, float(self._load[14] + self._load[15])
         self._friction: DriveFriction | None = None
         self._applied = np.zeros((n, model.nv))
+        self._aimed = Call(
+            _aim, self.platform.limbs, self._load, self._feed, ..., self._cycles, self._lates, tick, GIVEN, GIVEN, GIVEN, self.target,
+            self._ring, self._span, self.velocity, self._plan, self._ahead,
+        )  # fmt: skip
+        self._pushed = Call(_push, self._plan, ..., self.kp, self.kv, self._encoder, self._adr, GIVEN, GIVEN, GIVEN)
+        self._seen = Call(_observe, GIVEN, GIVEN, self._adr, self._free, self.platform.centre, *(GIVEN,) * 5)
 
     def add_friction(self, scenarios: Sequence[Scenario], applied: Array) -> None:
         """Let the scenarios' actuators rub: into the generalised forces ``applied`` (n, nv), where one has friction at all."""
@@ -215,10 +222,7 @@ class Servo:
 
     def aim(self, pose_cmd: Array, twist_cmd: Array, accel_cmd: Array) -> None:
         """Plan one tick, for whose end ``pose_cmd`` (n, 7) is meant."""
-        _aim(
-            self.platform.limbs, self._load, self._feed, int(self._ticks[0]), self._cycles, self._lates, self.tick, pose_cmd, twist_cmd,
-            accel_cmd, self.target, self._ring, self._span, self.velocity, self._plan, self._ahead,
-        )  # fmt: skip
+        self._aimed.on(pose_cmd, twist_cmd, accel_cmd)(int(self._ticks[0]))
         self._ticks[0] += 1
 
     def arrive(self) -> None:
@@ -231,10 +235,10 @@ class Servo:
 
     def push(self, sub: int, qpos: Array, qvel: Array, force: Array) -> None:
         """``force`` (n, 6) [N] of the drives for substep ``sub`` of the tick, from the joints as they stand."""
-        _push(self._plan, sub, self.kp, self.kv, self._encoder, self._adr, qpos, qvel, force)
+        self._pushed.on(qpos, qvel, force)(sub)
         if self._friction:
             self._friction.act(qvel, self._applied)
 
     def observe(self, qpos: Array, qvel: Array, limit: float, pose: Array, twist: Array, sliders: Array, diverged: Array) -> bool:
         """Read pose, twist and sliders; True where a run has just left ``limit`` [m/s, rad/s], which ``diverged`` then names."""
-        return _observe(qpos, qvel, self._adr, self._free, self.platform.centre, limit, pose, twist, sliders, diverged)
+        return self._seen.on(qpos, qvel, limit, pose, twist, sliders, diverged)()

@@ -1,0 +1,113 @@
+"""Kernels whose arrays are handed over once give what the kernel itself gives, and hold on to what they need."""
+
+import gc
+from functools import partial
+
+import numpy as np
+import pytest
+from numba import njit
+
+from hiltestbed.bound import GIVEN, Bound, Call, Joined, bound, together
+from hiltestbed.state import arrays_of
+
+
+@njit(cache=True)
+def _mix(k, scale, flag, count, a, b, mask, empty, out):
+    for i in range(a.shape[0]):
+        for j in range(a.shape[1]):
+            out[i, j] = k * scale * a[i, j] + (b[i] if mask[i] else 0.0) + (count if flag else 0) + empty.shape[0]
+    return out[0, 0] > 0.0
+
+
+@njit(cache=True)
+def _add(amount, total):
+    total[0] += amount
+
+
+@njit(cache=True)
+def _double(total):
+    total[0] *= 2.0
+
+
+@njit(cache=True)
+def _large(total):
+    return total[0] > 5.0
+
+
+def _arrays(kind: str) -> list[np.ndarray]:
+    """a, b, mask, empty and out of the kernel, in several layouts."""
+    rng = np.random.default_rng(3)
+    store, row = rng.normal(size=(4, 3, 5)), rng.normal(size=8)
+    mask, empty = np.array([True, False, True, False, True, False, True, False]), np.zeros((0, 2))
+    if kind == "contiguous":
+        return [np.ascontiguousarray(store[:, 0]), row[:4].copy(), mask[:4].copy(), empty, np.zeros((4, 5))]
+    if kind == "views":
+        return [store[:, -1], row[::2], mask[1::2], empty, np.zeros((4, 2, 5))[:, 1]]
+    return [store[1:2, -1], row[:1], mask[:1], empty, np.zeros((5, 1)).T]
+
+
+@pytest.mark.parametrize("kind", ["contiguous", "views", "one run"])
+def test_a_bound_kernel_gives_what_the_kernel_gives(kind: str) -> None:
+    a, b, mask, empty, out = _arrays(kind)
+    expected = np.zeros_like(out)
+    told = _mix(3, 0.7, True, 2, a, b, mask, empty, expected)
+    call = bound(_mix, ..., 0.7, True, 2, a, b, mask, empty, out)
+    assert call(3) == told
+    assert np.array_equal(out, expected)
+    a *= 2.0  # it reads the arrays as they are, not as they were
+    _mix(4, 0.7, True, 2, a, b, mask, empty, expected)
+    call(4)
+    assert np.array_equal(out, expected)
+
+
+def test_what_is_bound_lives_as_long_as_the_call() -> None:
+    calls = [bound(_add, 1.0, np.full(64, 0.5)) for _ in range(50)]
+    nested = [partial(call) for call in calls]
+    del calls
+    gc.collect()
+    np.full(100_000, -1.0)  # takes the place of what might have been freed
+    for call in nested:
+        call()
+        inner = call.func
+        assert isinstance(inner, Bound)
+        assert inner.kept[1][1][0] == 1.5
+
+
+def test_a_callers_arrays_are_looked_at_by_identity() -> None:
+    """Two arrays of equal numbers are two arrays; the first is written no more once the second is given, and again when it returns."""
+    call, first, second = Call(_add, ..., GIVEN), np.zeros(1), np.zeros(1)
+    call.on(first)(1.0)
+    call.on(second)(2.0)
+    call.on(first)(4.0)
+    assert (first[0], second[0]) == (5.0, 2.0)
+    many = [np.zeros(1) for _ in range(10)]
+    for _ in range(2):
+        for array in many:
+            call.on(array)(1.0)
+    assert all(array[0] == 2.0 for array in many)
+
+
+def test_kernels_together_run_in_order_and_one_tells() -> None:
+    total = np.zeros(1)
+    call = together(bound(_add, ..., total), bound(_double, total), bound(_large, total))
+    assert [bool(call(1.0)), bool(call(1.0))] == [False, True]  # (0 + 1) 2 = 2, then (2 + 1) 2 = 6
+    assert total[0] == 6.0
+    first = together(bound(_large, total), bound(_double, total), telling=0)
+    total[0] = 4.0
+    assert not first()  # 4 when it was asked
+    assert total[0] == 8.0
+    joined = Joined(lambda x: [bound(_add, 3.0, x), bound(_double, x)])
+    other = np.zeros(1)
+    joined.on(total)()
+    joined.on(other)()
+    assert (total[0], other[0]) == (22.0, 6.0)
+
+
+def test_tables_of_addresses_are_no_state() -> None:
+    class Block:
+        def __init__(self) -> None:
+            self.total = np.zeros(1)
+            self.call, self.calls = bound(_add, ..., self.total), Call(_add, ..., GIVEN)
+            self.calls.on(self.total)(1.0)
+
+    assert list(arrays_of(Block())) == ["total"]
