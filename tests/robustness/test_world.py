@@ -19,6 +19,7 @@ import pytest
 from hiltestbed.gallery import shipped
 from hiltestbed.kernel_cache import VARIABLE, settle
 from hiltestbed.recording import read_run
+from tests.slow import SLOW, slow
 
 BUMPER = shipped("scenarios") / "02-bumper.yaml"
 CAMPAIGN = f"""scenario: {BUMPER}
@@ -27,7 +28,6 @@ vary: {{sensor.delay: {{values: [0.001, 0.002, 0.003, 0.004, 0.005, 0.006]}}}}
 design: {{kind: grid}}
 """
 LANGUAGES = {"ascii": {"LC_ALL": "C", "PYTHONCOERCECLOCALE": "0", "PYTHONUTF8": "0"}, "unknown": {"LANG": "xx_XX"}}
-SLOW = pytest.mark.skipif("HILTESTBED_SLOW" not in os.environ, reason="takes minutes; ./check --all")
 FILES = {"scenario.yaml", "summary.json", "trace.parquet", "report.html"}
 
 
@@ -76,7 +76,7 @@ def test_nobody_reads_standard_output(tmp_path: Path) -> None:
     assert set(os.listdir(tmp_path / "r")) == FILES
 
 
-@pytest.mark.parametrize("language", ["ascii", pytest.param("unknown", marks=SLOW)])  # each compiles the kernels: nowhere to keep them
+@pytest.mark.parametrize("language", ["ascii", slow("unknown")])  # each compiles the kernels: nowhere to keep them
 def test_no_home_no_locale_and_forty_columns(tmp_path: Path, language: str) -> None:
     kept = {name: os.environ[name] for name in ("PATH", "PYTHONPATH", VARIABLE) if name in os.environ}
     env = kept | {"COLUMNS": "40", "TERM": "dumb"} | LANGUAGES[language]
@@ -89,7 +89,7 @@ def test_no_home_no_locale_and_forty_columns(tmp_path: Path, language: str) -> N
     assert (status, "Traceback" in err) == (2, False)
 
 
-@pytest.mark.parametrize("part", [pytest.param(0.3, marks=SLOW), 0.6, pytest.param(0.85, marks=SLOW)])
+@pytest.mark.parametrize("part", [slow(0.3), 0.6, slow(0.85)])
 def test_killed_while_it_runs(tmp_path: Path, part: float) -> None:
     """The folder is complete or absent, whenever the process dies; the same command then does it."""
     whole = time.monotonic()
