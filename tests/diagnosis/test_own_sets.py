@@ -14,11 +14,11 @@ from hiltestbed.bench.own_sets import HIDDEN, OwnSet, hidden_effect, nominal_of,
 from hiltestbed.diagnosis.investigate import investigate
 from hiltestbed.diagnosis.verdict import Verdict, decide
 from hiltestbed.measured import load_dataset
-from tests.slow import ALL
+from tests.slow import ALL, slow
 
 SCENARIOS = sorted(f.stem for f in (Path(__file__).parents[2] / "scenarios").glob("*.yaml"))
 WITHOUT_CONTACT = ("01-free-flight", "12-miss", "14-rendezvous", "15-ring-docking", "16-probe-drogue", "17-gripper")  # to be judged
-QUICK = (("05-off-centre", "contact.stiffness"),)
+QUICK = (slow("05-off-centre", "contact.stiffness"),)
 
 
 def verdict_of(own: OwnSet, folder: Path) -> Verdict:
