@@ -14,13 +14,13 @@ import pytest
 
 import hiltestbed
 from hiltestbed import plugins
-from hiltestbed.bench.own_sets import OwnSet, record_set
 from hiltestbed.compensation.settings import FORCE_METHODS
 from hiltestbed.contact.parameters import ContactParameters
 from hiltestbed.contact.settings import MECHANISMS
 from hiltestbed.effects import EFFECTS
 from hiltestbed.errors import InputError
 from hiltestbed.scenario import scenario_from
+from tests.diagnosis.recorded import recorded
 
 EXAMPLES = Path(__file__).parents[2] / "examples" / "plugins"
 IDEAL = {"rig.platform.tracking": "ideal"}
@@ -65,8 +65,7 @@ def test_an_effect_acts_as_its_equation_says() -> None:
 def test_a_diagnosis_names_an_effect_of_the_users(tmp_path: Path) -> None:
     """One number moves stiffness and damping together: the worn pad explains with one what two built-in effects need two for."""
     plugins.load([str(EXAMPLES / "worn_pad.py")])
-    data = record_set(OwnSet("04-bumper-delay-compensated", ({"kind": "contact.worn_pad", "wear": 0.2},)), tmp_path)
-    found = hiltestbed.diagnose(data)
+    found = hiltestbed.diagnose(recorded(tmp_path, [{"kind": "contact.worn_pad", "wear": 0.2}]))
     assert found.finding.verdict == "named"
     (cause,) = found.finding.causes
     assert cause.effect == "contact.worn_pad"
