@@ -276,6 +276,22 @@ def test_interrupted_leaves_no_folder_and_no_traceback(folder: Path) -> None:
     assert not Path("r").exists()
 
 
+LATE = """
+import os, signal, sys
+from hiltestbed import interrupt
+class Late:
+    def __del__(self, kill=os.kill, process=os.getpid()): kill(process, 2)
+sys.held = Late()  # until the modules are taken down, which is the last thing
+interrupt.install()
+sys.exit(3)
+"""
+
+
+def test_ctrl_c_in_the_last_instant_leaves_the_status_as_it_is() -> None:
+    ended = subprocess.run([sys.executable, "-c", LATE], capture_output=True, timeout=60)
+    assert (ended.returncode, ended.stderr) == (3, b"")
+
+
 def test_new_writes_a_scenario_that_runs_and_says_what_each_key_means(folder: Path, call) -> None:
     status, out, _ = call("new", "my-rig")
     assert status == 0

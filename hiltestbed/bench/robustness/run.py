@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import math
+import os
 import selectors
 import subprocess
 import sys
@@ -28,7 +30,7 @@ TARGETS = {
 }  # fmt: skip
 BATCH = {"file": 1000, "packet": 1000, "text": 500, "campaign": 500, "kill": 10}  # trials a process; of the other kinds PLAIN
 PLAIN = 200
-HANGS = 240.0  # [s] without an answer, from which a trial hangs: kernels may have to be compiled for it
+HANGS = 240.0  # [s] at work, or asleep, without an answer, from which a trial hangs: kernels may have to be compiled for it
 SLOW = {"kill": 4000.0}  # of kinds whose trials are whole commands
 BEGIN = 600.0  # [s] until the first answer
 CONTAINED = {"file"}  # kinds whose crash ends a process of its own when it is done in earnest
@@ -145,24 +147,48 @@ class _Work:
 FIRST = 0.01  # of what is to be done of a kind, in its first batch: a short time is shared by all kinds
 
 
+class _Clock:
+    """How long a process has been at it: on a busy machine it may wait for a core longer than it works."""
+
+    def __init__(self, pid: int) -> None:
+        self._pid, self._wall, self._cpu = pid, time.monotonic(), _worked(pid)
+
+    def silent(self, patience: float) -> bool:
+        """Whether it has worked for so long, or slept: used less than a hundredth of the time."""
+        wall = time.monotonic() - self._wall
+        if wall < patience:
+            return False
+        worked = _worked(self._pid) - self._cpu
+        return math.isnan(worked) or worked > patience or worked < 0.01 * wall
+
+
+def _worked(pid: int) -> float:
+    """Processor time of a process and of its ended children [s]; NaN where the system does not tell."""
+    try:
+        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    except OSError:
+        return math.nan
+    return sum(map(int, fields[11:15])) / os.sysconf("SC_CLK_TCK")
+
+
 def _answers(kind: str, first: int, count: int, shared: Path, until: Callable[[], float]) -> Iterator[dict[str, Any]]:
     """What a worker says, and ``lost`` with how where it ends before it is done; ``shared``: a folder of all workers."""
     order = [sys.executable, "-m", "hiltestbed.bench.robustness.worker", kind, str(first), str(count), str(shared)]
     with subprocess.Popen(order, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as process:
         assert process.stdout is not None
-        pending, patience, heard = b"", BEGIN, time.monotonic()
+        pending, patience, heard = b"", BEGIN, _Clock(process.pid)
         with selectors.DefaultSelector() as waiting:
             waiting.register(process.stdout, selectors.EVENT_READ)
             while True:
                 ready = waiting.select(min(1.0, max(until() - time.monotonic(), 0.0)))
-                hangs = not ready and time.monotonic() - heard > patience
+                hangs = not ready and heard.silent(patience)
                 if hangs or time.monotonic() >= until():
                     process.kill()
                     yield {"lost": "hangs" if hangs else "time is up"}
                     return
                 if not ready:
                     continue
-                heard = time.monotonic()
+                heard = _Clock(process.pid)
                 data = process.stdout.read1(65536)  # type: ignore[attr-defined]
                 if not data:
                     break
