@@ -23,7 +23,6 @@ QUICK = (  # files and folders below tests
     "identification/test_least_squares.py",
     "measured/test_channel_map.py",
     "measured/test_clock.py",
-    "measured/test_formats.py",
     "models/test_descriptions.py",
     "platform/test_kinematics.py",
     "platform/test_settings.py",

@@ -26,7 +26,7 @@ def verdict_of(own: OwnSet, folder: Path) -> Verdict:
         return decide(investigate(load_dataset(record_set(own, folder))))
 
 
-@pytest.mark.parametrize("scenario", SCENARIOS if ALL else ["05-off-centre"])
+@pytest.mark.parametrize("scenario", SCENARIOS if ALL else [slow("05-off-centre")])
 def test_a_healthy_rig_is_left_alone(scenario: str, tmp_path: Path) -> None:
     verdict = verdict_of(OwnSet(scenario), tmp_path)
     assert verdict.verdict == ("inconclusive" if scenario in WITHOUT_CONTACT else "no_discrepancy"), verdict
