@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -42,15 +43,15 @@ def check_file(path: str | Path) -> tuple[Kind | None, tuple[Fault, ...]]:
     return found.kind, found.faults
 
 
-def look_at(path: str | Path) -> Findings:
-    """All that is to be said of a file; the data of a dataset are opened and checked against its scenario."""
-    return _look_at(path, data=True)
+def look_at(path: str | Path, set: Mapping[str, Any] | None = None) -> Findings:
+    """All that is to be said of a file, with dotted keys overridden; the data of a dataset are opened and checked against its scenario."""
+    return _look_at(path, data=True, set=set)
 
 
-def _look_at(path: str | Path, data: bool) -> Findings:
+def _look_at(path: str | Path, data: bool, set: Mapping[str, Any] | None = None) -> Findings:
     kind: Kind | None = None
     try:
-        source = read_source(path)
+        source = read_source(path).with_set(set)
         kind = file_kind(source)
         return {"scenario": _scenario, "campaign": _campaign, "dataset": _dataset}[kind](source, data)
     except InputError as error:
@@ -73,12 +74,14 @@ def _scenario(source: Source, data: bool) -> Findings:
 def _campaign(source: Source, data: bool) -> Findings:
     from hiltestbed.budget import campaign_budget
     from hiltestbed.campaign.schema import campaign_from
+    from hiltestbed.campaign.sweep import varied_in_vain
     from hiltestbed.sense import warnings
 
     campaign = campaign_from(source)
     if not data:
         return Findings("campaign", ())
-    return _within(Findings("campaign", (), _said(warnings(campaign.nominal)), campaign_budget(campaign)), source)
+    said = (*_said(warnings(campaign.nominal)), *_said(varied_in_vain(campaign)))
+    return _within(Findings("campaign", (), said, campaign_budget(campaign)), source)
 
 
 def _dataset(source: Source, data: bool) -> Findings:

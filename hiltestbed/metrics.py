@@ -22,9 +22,16 @@ SETTLE_TICKS = 4  # and ticks on top: the sensor's interpolation, the lead's mem
 
 @dataclass(frozen=True)
 class ContactFigures:
-    """The figures of one run. ``cor`` is None when the ports did not meet, did not part before the end, or still close afterwards."""
+    """The figures of one run.
+
+    Attributes:
+        cor: rebound over approach speed along z of the first contact; None when the ports did not meet, did not part before the end, or
+            still close afterwards. cor_normal: the same along the impulse of that contact, whichever way it points, see
+            :func:`along_impulse`; None when they did not meet, or did not part before the end.
+    """
 
     cor: float | None
+    cor_normal: float | None
     approach_speed: float | None
     rebound_speed: float | None
     energy_generated: float
@@ -43,7 +50,8 @@ class Tally:
 
     Attributes:
         energy: ``(n,)`` [J] energy that the rig has created so far: the work that the physical side took in at the rig's own motion
-            less what the numerical model paid for it, the integral of ``F . v_act - F_used . v_cmd``. Positive is active.
+            less what the numerical model paid for it, the integral of ``F . v_act - F_used . v_cmd``, moments about A's origin, whose
+            twist it is. Positive is active.
         peak_force: ``(n,)`` [N] largest physical contact force so far.
     """
 
@@ -59,7 +67,8 @@ class Tally:
         self.contacts = np.zeros(n, dtype=np.int64)
         self.first_tick = np.full(n, -1, dtype=np.int64)
         self._last_tick = np.full(n, -1, dtype=np.int64)
-        self._speeds = np.full((n, 2), np.nan)  # approach, rebound along z
+        self._speeds = np.full((n, 2, 6), np.nan)  # twists of the numerical model before the first contact, and after it
+        self._first_impulse = np.zeros((n, 6))  # of the wrench that was used in the first contact, about A
         self._wrench = np.zeros((n, 6))
         self._pose = np.zeros((n, 7))
         self._twist = np.zeros((n, 6))
@@ -98,6 +107,7 @@ class Tally:
             self.first_tick,
             self._last_tick,
             self._speeds,
+            self._first_impulse,
             self._wrench,
             self._pose,
             self._twist,
@@ -111,14 +121,15 @@ class Tally:
     @property
     def rebounded(self) -> NDArray[np.bool_]:
         """``(n,)`` runs whose rebound speed is known."""
-        return ~np.isnan(self._speeds[:, 1])
+        return ~np.isnan(self._speeds[:, 1, 2])
 
     def figures(self, i: int) -> ContactFigures:
         """The figures of run ``i``."""
-        approach, rebound = (None if math.isnan(v) else float(v) for v in self._speeds[i])
+        approach, rebound = (None if math.isnan(v) else float(v) for v in self._speeds[i, :, 2])
         delay, compliance = tracking_fit(self._tracking[i])
         return ContactFigures(
             cor=None if approach is None or rebound is None or approach <= 0.0 or rebound > 0.0 else -rebound / approach,
+            cor_normal=along_impulse(self._first_impulse[i], *self._speeds[i]),
             approach_speed=approach,
             rebound_speed=rebound,
             energy_generated=float(self.energy[i]),
@@ -131,6 +142,20 @@ class Tally:
             tracking_compliance=compliance,
             tracking_error=float(self.peak_error[i]),
         )
+
+
+def along_impulse(impulse: Array, before: Array, after: Array) -> float | None:
+    """Coefficient of restitution along the impulse J of a contact: ``-(J . v_after)/(J . v_before)``, None where there was no contact.
+
+    A contact that is short beside the motion changes the kinetic energy of the numerical model by ``J . (v_before + v_after)/2``: it is
+    lost where the coefficient is below 1, gained where it is above, whatever the slope of the surface and the lever. On a head-on hit it is
+    that along z. W. J. Stronge, "Impact Mechanics", Cambridge 2000, ch. 3 and 4.
+
+    Args:
+        impulse: ``(6,)`` of the wrench that was used, about A's origin. before, after: ``(6,)`` twists of A relative to P; NaN for none.
+    """
+    approach, rebound = float(impulse @ before), float(impulse @ after)
+    return -rebound / approach if approach > 0.0 >= rebound else None
 
 
 def settle_ticks(scenario: Scenario) -> int:
@@ -154,6 +179,16 @@ def tracking_fit(sums: Array) -> tuple[float | None, float | None]:
     return float((ff * ev - vf * ef) / det), float((vv * ef - vf * ev) / det)
 
 
+@njit(cache=True, inline="always")
+def about_A(wrench, pose, out):
+    """The wrench (6,) at P's origin with its moment about A's, into ``out``: with a twist of A its power is F . v_A + M_A . omega."""
+    x, y, z = pose[0], pose[1], pose[2]
+    out[0], out[1], out[2] = wrench[0], wrench[1], wrench[2]
+    out[3] = wrench[3] - (y * wrench[2] - z * wrench[1])
+    out[4] = wrench[4] - (z * wrench[0] - x * wrench[2])
+    out[5] = wrench[5] - (x * wrench[1] - y * wrench[0])
+
+
 @njit(cache=True)
 def _update(
     k,
@@ -175,21 +210,24 @@ def _update(
     first_tick,
     last_tick,
     speeds,
+    first_impulse,
     wrench_before,
     rig_pose_before,
     twist_before,
     tracking,
 ):
-    slope = np.zeros(6)
+    slope, felt, paid = np.zeros(6), np.empty(6), np.empty(6)
     for i in range(wrench.shape[0]):
+        about_A(wrench[i], pose[i], felt)
+        about_A(used[i], pose_before[i], paid)
         square = 0.0
         error = 0.0
         if k > 0:
             twist_between(rig_pose_before[i], pose[i], h, slope)
         rig_pose_before[i] = pose[i]
         for j in range(6):
-            energy[i] += 0.5 * h * (wrench[i, j] + wrench_before[i, j]) * slope[j]
-            energy[i] -= 0.5 * h * used[i, j] * (twist_cmd[i, j] + twist_before[i, j])
+            energy[i] += 0.5 * h * (felt[j] + wrench_before[i, j]) * slope[j]
+            energy[i] -= 0.5 * h * paid[j] * (twist_cmd[i, j] + twist_before[i, j])
             if j < 3:
                 square += wrench[i, j] ** 2
                 error += (pose_before[i, j] - pose[i, j]) ** 2
@@ -199,7 +237,8 @@ def _update(
         if contact[i]:
             if last_tick[i] < 0:
                 first_tick[i] = k
-                speeds[i, 0] = twist_before[i, 2]
+                for j in range(6):
+                    speeds[i, 0, j] = twist_before[i, j]
             if last_tick[i] < 0 or k - last_tick[i] > settle[i]:
                 contacts[i] += 1
             last_tick[i] = k
@@ -211,7 +250,11 @@ def _update(
             tracking[i, 3] += e * v
             tracking[i, 4] += e * f
         elif contacts[i] == 1 and k - last_tick[i] == settle[i]:
-            speeds[i, 1] = twist_cmd[i, 2]
+            for j in range(6):
+                speeds[i, 1, j] = twist_cmd[i, j]
+        if contacts[i] == 1 and math.isnan(speeds[i, 1, 2]):
+            for j in range(6):
+                first_impulse[i, j] += h * paid[j]
         for j in range(6):
-            wrench_before[i, j] = wrench[i, j]
+            wrench_before[i, j] = felt[j]
             twist_before[i, j] = twist_cmd[i, j]

@@ -6,6 +6,7 @@ compiling are not counted in, and a single slow part (a kernel compiled at the f
 
 from __future__ import annotations
 
+import math
 import statistics
 import sys
 import time
@@ -19,6 +20,7 @@ QUIET = 1.0  # [s] a run that ends within it shows nothing
 LOG_INTERVAL = 10.0  # [s]
 REMEMBERED = 32  # updates of which the pace is made
 ENOUGH = 3  # intervals before a time is told
+SURE = 0.5  # of the pace, within which its 95 % interval lies before a time is told
 
 
 class Pace:
@@ -40,13 +42,21 @@ class Pace:
     def left(self, work: float) -> float | None:
         """Seconds that ``work`` more units take; None while too little is known.
 
-        The mean of the latest intervals without those that took more than five times the median for their work.
+        The mean of the latest intervals; one alone that took more than five times the median for its work is left out, several are the
+        way the work is. Of parts that differ much more are awaited, until the 95 % interval of the mean is within :data:`SURE` of it.
         """
         if len(self._paces) < ENOUGH:
             return None
         middle = statistics.median(seconds / units for seconds, units in self._paces)
-        usual = [(seconds, units) for seconds, units in self._paces if seconds / units <= 5.0 * middle]
-        return work * sum(seconds for seconds, _ in usual) / sum(units for _, units in usual)
+        slow = [part for part in self._paces if part[0] > 5.0 * middle * part[1]]
+        usual = [part for part in self._paces if len(slow) != 1 or part is not slow[0]]
+        pace = sum(seconds for seconds, _ in usual) / sum(units for _, units in usual)
+        free = len(usual) - 1
+        if free < 1:
+            return None
+        spread = math.sqrt(sum((seconds - pace * units) ** 2 for seconds, units in usual) * len(usual) / free)
+        student = 2.0 + 9.0 / free**2  # of 95 %, to 0.2
+        return work * pace if student * spread <= SURE * sum(seconds for seconds, _ in usual) else None
 
 
 def told_left(seconds: float | None) -> str:

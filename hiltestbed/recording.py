@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hiltestbed.errors import InputError
+from hiltestbed import plugins
+from hiltestbed.errors import Fault, InputError
 from hiltestbed.frames import Array
 from hiltestbed.models import copy_model
 from hiltestbed.result import Run
@@ -132,7 +133,20 @@ def read_run(path: str | Path) -> Run:
         raise InputError(f"{path}: is not a run folder (no {SUMMARY}); allowed is a folder that `hiltestbed run --out` wrote")
     summary: dict[str, Any] = json.loads((path / SUMMARY).read_text(encoding="utf-8"))
     trace = read_trace(path / TRACE) if (path / TRACE).is_file() else None
-    return Run(load_scenario(path / SCENARIO), summary, trace, _read_failure(path / FAILURE))
+    return Run(_scenario_of(path, summary), summary, trace, _read_failure(path / FAILURE))
+
+
+def _scenario_of(path: Path, summary: dict[str, Any]) -> Scenario:
+    """The scenario of a run folder. Raises InputError, which says which plugin the run was made with where that is not loaded."""
+    try:
+        return load_scenario(path / SCENARIO)
+    except InputError as error:
+        lacking = [name for name in summary.get("plugins", {}) if name not in plugins.loaded()]
+        if not lacking:
+            raise
+        options = " ".join(f"--plugin {name}" for name in lacking)
+        hint = f"was made with a plugin that is not loaded; give {options} (or where it lies now), from Python hiltestbed.load_plugins"
+        raise InputError([*error.faults, Fault(str(path), None, None, "", hint)]) from None
 
 
 def _read_failure(path: Path) -> Snapshot | None:

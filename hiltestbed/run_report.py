@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from hiltestbed.assessment import CLOSE, NEUTRAL, assess, energy_share, monitored
+from hiltestbed.assessment import CLOSE, NEUTRAL, assess, energy_share, identified, monitored
 from hiltestbed.energy import energy_generated
 from hiltestbed.labelled import PALETTE, shade_contacts
 from hiltestbed.notebook import number
@@ -18,6 +18,7 @@ from hiltestbed.scenario import Scenario
 from hiltestbed.signals import RunTrace
 
 REPORT = "report.html"
+NORMAL = " normal: along the normal of the surfaces where they touch, which no axis is."
 POINTS = 4000  # rows that a picture shows: more cannot be told apart
 
 
@@ -64,6 +65,10 @@ def _figures(summary: dict[str, Any]) -> list[tuple[str, str, str]]:
     if summary["cor_log_error"] is not None:
         percent = 100.0 * math.expm1(summary["cor_log_error"])
         rows.append(("ln of their ratio", f"{summary['cor_log_error']:+.4f}", f"the rebound is {percent:+.1f} % off"))
+    if summary.get("cor_normal") is not None and summary["cor"] is None:
+        reference = number(summary.get("cor_normal_reference"))
+        note = f"of the first contact: speed after over before, along the direction of its impulse; reference {reference}"
+        rows.append(("restitution along the impulse", number(summary["cor_normal"]), note))
     rows += [
         ("energy made by the rig", number(summary["energy_generated"], 4, "J"), assess(summary).energy),
         ("peak force", number(summary["peak_force"], 4, "N"), ""),
@@ -116,9 +121,7 @@ def _ledger(report: Report, summary: dict[str, Any]) -> None:
 
 def _identified(report: Report, summary: dict[str, Any]) -> None:
     rows = []
-    for axis, values in summary["identification"].items():
-        if values["stiffness"] is None:
-            continue
+    for axis, values in identified(summary).items():
         cells = [axis]
         for quantity in ("stiffness", "damping"):
             found, true = values[quantity], values[f"{quantity}_true"]
@@ -128,9 +131,9 @@ def _identified(report: Report, summary: dict[str, Any]) -> None:
     report.heading("What was identified")
     if rows:
         header = ("axis", "k", "true", "error", "c", "true", "error", "samples")
-        report.table(header, rows, "k in N/m (rx, ry, rz: N m/rad), c in N s/m (N m s/rad).")
+        report.table(header, rows, "k in N/m (rx, ry, rz: N m/rad), c in N s/m (N m s/rad)." + NORMAL * ("normal" in identified(summary)))
     else:
-        report.text("No axis was in contact for long enough to identify its stiffness and damping.")
+        report.text("Neither an axis nor a normal was in contact for long enough to identify stiffness and damping.")
 
 
 def _signals(trace: RunTrace):

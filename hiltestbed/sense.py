@@ -1,5 +1,7 @@
 """Scenarios whose numbers are each allowed and absurd together: what of the result cannot be trusted, and what to change.
 
+Among them keys that were given and act on nothing.
+
 None of it is refused. The warnings stand in `hiltestbed check`, on standard error of `hiltestbed run` and in summary.json.
 """
 
@@ -10,6 +12,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from hiltestbed.numerical_model.bodies import effective_mass
+from hiltestbed.scenario.idle import given_in_vain
 
 if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario
@@ -59,6 +62,8 @@ def _warnings(scenario: Scenario) -> Iterator[str]:
             f"the contact chatters; take a physics_rate above {4 * contact.damping / mass:.3g} Hz or less damping"
         )
     yield from _too_deep(scenario, frequency)
+    for keys, why in given_in_vain(scenario):
+        yield f"{', '.join(keys)}: {'has' if len(keys) == 1 else 'have'} no effect: {why}"
 
 
 def _too_deep(scenario: Scenario, frequency: float) -> Iterator[str]:

@@ -67,8 +67,8 @@ def run_batch(
     names = [scenario_sha256(reference) for reference in references]
     different = dict(zip(names, references, strict=True))  # scenarios that differ in the rig alone share one
     reference = simulate(list(different.values()), until_parted=True, nthread=nthread)
-    cors = dict(zip(different, (figures.cor for figures in reference.figures), strict=True))
-    return [concluded(batch, cors[name], i) for i, name in enumerate(names)]
+    found = dict(zip(different, reference.figures, strict=True))
+    return [concluded(batch, found[name], i) for i, name in enumerate(names)]
 
 
 def simulate(
@@ -157,7 +157,7 @@ def reference_scenario(scenario: Scenario) -> Scenario:
 
 def _identified(loop: Loop, i: int) -> dict[str, Any]:
     """Per axis: stiffness and damping identified, None where the axis gave no estimate, and the truth where there is one."""
-    truth = axis_truth(loop.scenarios[i], bool(loop.plant.captured[i]))
+    truth = _truth(loop, i)
     estimate = loop.identification
     out = {}
     told = _axes_told(loop, i)
@@ -171,6 +171,14 @@ def _identified(loop: Loop, i: int) -> dict[str, Any]:
             "samples": int(estimate.samples[i, j]) if estimate else 0,
         }
     return out
+
+
+def _truth(loop: Loop, i: int) -> list[tuple[float, float] | None]:
+    """Stiffness and damping of each axis: by the mechanism's numbers, or once it is held in phases, by the Jacobians of the model."""
+    held = loop.plant.held_pair(i)
+    if held is None:
+        return axis_truth(loop.scenarios[i], bool(loop.plant.captured[i]))
+    return [(float(held[0][j, j]), float(held[1][j, j])) for j in range(len(AXES))]
 
 
 def _axes_told(loop: Loop, i: int) -> int:
@@ -222,10 +230,11 @@ def _number(value: float) -> float | None:
     return None if not math.isfinite(value) else float(value)
 
 
-def concluded(batch: Batch, cor_reference: float | None, i: int) -> Run:
-    """Run ``i`` of a batch with its summary; ``cor_reference``: of the same contact with nothing in between."""
+def concluded(batch: Batch, reference: ContactFigures | None, i: int) -> Run:
+    """Run ``i`` of a batch with its summary; ``reference``: of the same contact with nothing in between."""
     scenario, figures = batch.scenarios[i], batch.figures[i]
-    cor = figures.cor
+    cor, along = figures.cor, figures.cor_normal
+    cor_reference, along_reference = (None, None) if reference is None else (reference.cor, reference.cor_normal)
     ledger = delay_ledger(scenario, figures)
     trouble = batch.trouble.get(i)
     wall = batch.wall
@@ -240,11 +249,16 @@ def concluded(batch: Batch, cor_reference: float | None, i: int) -> Run:
         "cor": cor,
         "cor_reference": cor_reference,
         "cor_log_error": log_error(cor, cor_reference),
+        "cor_normal": along,
+        "cor_normal_reference": along_reference,
+        "cor_normal_log_error": log_error(along, along_reference),
         "cor_log_error_predicted": predicted_log_error(scenario, ledger),
         "approach_speed": figures.approach_speed,
         "approach_energy": None if figures.approach_speed is None else 0.5 * effective_mass(scenario) * figures.approach_speed**2,
         "rebound_speed": figures.rebound_speed,
         "energy_generated": figures.energy_generated,
+        "energy_reference": _energy_reference(scenario, figures),
+        "energy_resolution": 0.5 * scenario.tick * scenario.mechanism.contact.damping * _speed(scenario) ** 2 * max(figures.contacts, 1),
         "peak_force": figures.peak_force,
         "contact_duration": figures.contact_duration,
         "contacts": figures.contacts,
@@ -265,6 +279,22 @@ def concluded(batch: Batch, cor_reference: float | None, i: int) -> Run:
     }
     trace = batch.trace.run(i) if batch.trace is not None else None
     return Run(scenario, summary, trace, batch.failures.get(i))
+
+
+def _speed(scenario: Scenario) -> float:
+    """Of A's origin relative to P before the contact [m/s]."""
+    return math.dist(scenario.approach.velocity, (0.0, 0.0, 0.0))
+
+
+def _energy_reference(scenario: Scenario, figures: ContactFigures) -> float | None:
+    """What the energy that a rig makes is large or small beside [J]: the kinetic energy of the approach, along z at least, and of contacts
+    that begin without one the spring's at the peak force, F^2/(2 k). None where nothing touched."""
+    if not figures.contact_duration:
+        return None
+    if scenario.mechanism.captured:
+        stored = figures.peak_force**2 / (2.0 * scenario.mechanism.contact.stiffness)
+        return max(stored, 0.5 * effective_mass(scenario) * _speed(scenario) ** 2)
+    return 0.5 * effective_mass(scenario) * max(_speed(scenario), figures.approach_speed or 0.0) ** 2
 
 
 def log_error(cor: float | None, reference: float | None) -> float | None:

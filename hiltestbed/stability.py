@@ -10,25 +10,35 @@ loop is at its limit where D(jw) = m w^2: |D| gives the w and the phase of D wit
 this is the critical damping of M. Zebenay, T. Boge, D. Choukroun, "Modeling, stability analysis, and testing of a hybrid docking
 simulator", IEEE Trans. Industrial Electronics 62(10), 2015.
 
+A contact that pulls is as stable as that. One that only pushes begins with a step, in which the rig makes energy however much damping is
+left of what stays: it is stable where its bounce (:mod:`hiltestbed.bounce`) ends slower than it began, too.
+
 Where a contact acts in other directions as well (:mod:`hiltestbed.contact.directions`), each is judged so, with the parts of G and Y along
-it (:mod:`hiltestbed.rig_response`); the verdict is that of the one that bears the least further delay.
+it (:mod:`hiltestbed.rig_response`); the verdict is that of the one that bears the least further delay. A method that makes up for the
+platform does so from the first touch on along the line that it meets first; on a surface that is not flat a later touch has another line,
+and the platform's lag in full until that is known.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from hiltestbed.contact.directions import Direction, directions, insertion, mobility
+from hiltestbed.bounce import Bounce, bounce, lag_of
+from hiltestbed.contact.directions import Direction, directions, insertion
 from hiltestbed.frames import Array
 from hiltestbed.ledger import force_path_delay
+from hiltestbed.numerical_model.bodies import mobility
 from hiltestbed.rig_response import EXACT, Complex, RigResponse, measured_response, six_axis_response
 from hiltestbed.scenario import Scenario, load_scenario
 
+NEUTRAL = 5e-3  # of the energy of a bounce, as of a run (:mod:`hiltestbed.assessment`)
+HALVINGS = 20  # of a delay or a stiffness that is sought
 WIDEST = 1e3  # times the stiffness, up to and down to which its limit is looked for
 
 
@@ -42,7 +52,8 @@ class Stability:
         where the platform alone takes more than there is; delay_margin: what is left [s]. stiffness: of the contact, largest_stiffness:
         at which no damping is left [N/m], None beyond a thousand times it.
         compensated: the compensation of the scenario counts as its ledger has it. direction: along or about what. turns: it is of an
-        angle, in N m s/rad and N m/rad.
+        angle, in N m s/rad and N m/rad. rebound: speed after a bounce over that before it; rig_energy: that the rig makes in it, over
+        the energy before it; both None of a contact that pulls.
     """
 
     stable: bool
@@ -57,6 +68,8 @@ class Stability:
     compensated: bool
     direction: str
     turns: bool
+    rebound: float | None
+    rig_energy: float | None
 
     def sentence(self) -> str:
         """The verdict, with what to act on."""
@@ -65,6 +78,9 @@ class Stability:
             head += f" {self.direction}"
         damping, stiffness = ("N m s/rad", "N m/rad") if self.turns else ("N s/m", "N/m")
         parts = [f"{head}: net damping {self.net_damping:+.4g} {damping} of {self.damping:.4g}"]
+        if self.rebound is not None and self.rig_energy is not None and self.rig_energy > NEUTRAL:
+            made = f"{100.0 * self.rig_energy:.{0 if self.rig_energy >= 0.1 else 1}f} %"
+            parts.append(f"the rig makes {made} of a bounce's energy, which ends at {self.rebound:.3g} times its speed")
         if self.largest_delay is not None:
             size, left = f"{1e3 * abs(self.largest_delay):.3g} ms", f"now left: {1e3 * round(self.delay, 9):.3g} ms"
             parts.append(f"largest delay {size} ({left})" if self.largest_delay >= 0.0 else f"without any delay {size} too late ({left})")
@@ -102,18 +118,20 @@ def worst_of(scenario: Scenario, delay: float, compensated: bool, exact: bool = 
     ``exact``: the compensation makes up for the platform.
     """
     ways = directions(scenario)
-    if len(ways) == 1 or exact:
-        one = EXACT if exact else measured_response(scenario)
-        judged = [judge(scenario, one, delay, compensated, way) for way in ways]
-    else:
+    judged = [judge(scenario, EXACT, delay, compensated, way) for way in ways] if exact else []
+    if exact:  # what is met later, elsewhere on the surface, is not
+        ways = [replace(way, name="along the normal of a later touch") for way in ways if way.slant]
+    if len(ways) == 1 and not ways[0].slant:
+        judged += [judge(scenario, measured_response(scenario), delay, compensated, ways[0])]
+    elif ways:
         six, inverse = six_axis_response(scenario), mobility(scenario)
-        judged = [judge(scenario, six.along(way.row, inverse), delay, compensated, way) for way in ways]
+        judged += [judge(scenario, six.along(way.row, inverse), delay, compensated, way) for way in ways]
     return sorted((j for j in judged if j is not None), key=_left) or None
 
 
-def stability_of_file(path: str | Path) -> dict[str, Any] | None:
-    """The same of a scenario's file, which holds."""
-    return stability(load_scenario(path))
+def stability_of_file(path: str | Path, set: Mapping[str, Any] | None = None) -> dict[str, Any] | None:
+    """The same of a scenario's file, which holds, with dotted keys overridden."""
+    return stability(load_scenario(path, set))
 
 
 def _left(judged: Stability) -> float:
@@ -129,15 +147,16 @@ def judge(
     """The stability of a scenario's contact ``way`` (the insertion) on a rig of that response with a force that is ``delay`` [s] late;
     None where its frequency was not measured."""
     contact = insertion(scenario) if way is None else way
-    mass, fine = contact.mass, response.finer()
-    found = net_damping(fine, mass, contact.stiffness, contact.damping, delay)
+    fine = response.finer()
+    found = net_damping(fine, contact.mass, contact.stiffness, contact.damping, delay)
     if found is None:
         return None
     frequency, left = found
-    largest = largest_delay(fine, mass, contact.stiffness, contact.damping)
-    stiffest = _largest_stiffness(fine, mass, contact.stiffness, contact.damping, delay, left > 0.0)
+    ends = None if contact.pulls else bounce(response, contact.mass, contact.stiffness, contact.damping, delay)
+    stable = left > 0.0 and _slower(ends)
+    largest = _bears(response, fine, contact)
     return Stability(
-        stable=bool(left > 0.0),
+        stable=stable,
         frequency=frequency,
         damping=contact.damping,
         net_damping=left,
@@ -145,11 +164,34 @@ def judge(
         largest_delay=largest,
         delay_margin=None if largest is None else largest - delay,
         stiffness=contact.stiffness,
-        largest_stiffness=stiffest,
+        largest_stiffness=_largest_stiffness(response, fine, contact, delay, stable),
         compensated=compensated,
         direction=contact.name,
         turns=contact.turns,
+        rebound=ends.rebound if ends else None,
+        rig_energy=ends.energy if ends else None,
     )
+
+
+def _slower(ends: Bounce | None) -> bool:
+    """Whether a bounce ends slower than it began; a contact that pulls has none."""
+    return ends is None or ends.rebound < 1.0
+
+
+def _bears(response: RigResponse, fine: RigResponse, contact: Direction) -> float | None:
+    """Delay of the force [s] at which a contact gains energy: no damping is left of it, or a bounce ends as fast as it began."""
+    most = largest_delay(fine, contact.mass, contact.stiffness, contact.damping)
+
+    def gains(delay: float) -> bool:
+        return not _slower(bounce(response, contact.mass, contact.stiffness, contact.damping, delay))
+
+    if most is None or contact.pulls or not gains(most):
+        return most
+    low, high = min(0.0, -lag_of(response)), most  # a force that leads by the rig's lag is used when it acts
+    for _ in range(HALVINGS):
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if gains(middle) else (middle, high)
+    return low
 
 
 def net_damping(fine: RigResponse, mass: float, stiffness: float, damping: float, delay: float) -> tuple[float, float] | None:
@@ -195,12 +237,14 @@ def _between(balance: Array, k: int) -> float:
     return float(balance[k] / (balance[k] - balance[k + 1]))
 
 
-def _largest_stiffness(fine: RigResponse, mass: float, stiffness: float, damping: float, delay: float, stable: bool) -> float | None:
-    """Stiffness [N/m] at which no damping is left, above the contact's own where it is stable, else below it."""
+def _largest_stiffness(response: RigResponse, fine: RigResponse, contact: Direction, delay: float, stable: bool) -> float | None:
+    """Stiffness [N/m] from which a contact gains energy, above its own where it is stable, else below it."""
 
     def left(factor: float) -> bool | None:
-        found = net_damping(fine, mass, stiffness * factor, damping, delay)
-        return None if found is None else found[1] > 0.0
+        found = net_damping(fine, contact.mass, contact.stiffness * factor, contact.damping, delay)
+        if found is None or found[1] <= 0.0 or contact.pulls:
+            return None if found is None else found[1] > 0.0
+        return _slower(bounce(response, contact.mass, contact.stiffness * factor, contact.damping, delay))
 
     factor = 1.0
     step = 1.25 if stable else 0.8
@@ -211,9 +255,9 @@ def _largest_stiffness(fine: RigResponse, mass: float, stiffness: float, damping
             return None
         if state != stable:
             inside, outside = (factor, following) if stable else (following, factor)
-            for _ in range(40):
+            for _ in range(HALVINGS):
                 middle = math.sqrt(inside * outside)
                 inside, outside = (middle, outside) if left(middle) else (inside, middle)
-            return stiffness * inside
+            return contact.stiffness * inside
         factor = following
     return None

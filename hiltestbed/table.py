@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from hiltestbed.assessment import assess, monitored
+from hiltestbed.assessment import assess, identified, monitored
 from hiltestbed.errors import printable
 
 if TYPE_CHECKING:
@@ -27,9 +27,9 @@ def print_run(summary: dict[str, Any], folder: Path, recording: bool = True, ela
         console.print(f"[bold red]warning:[/bold red] {escape(warning)}")
     if summary["delay_ledger"]:
         console.print(_ledger(summary["delay_ledger"]))
-    identified = _identified(summary["identification"])
-    if identified.row_count:
-        console.print(identified)
+    found = _identified(identified(summary))
+    if found.row_count:
+        console.print(found)
     look = f"hiltestbed view {folder}" if recording else "run again without --no-rerun, then hiltestbed view"
     console.print(f"run folder: {folder}\nreport:     {folder / 'report.html'}\nlook at it: {look}", soft_wrap=True, markup=False)
 
@@ -116,6 +116,9 @@ def _figures(summary: dict[str, Any], elapsed: float | None) -> Table:
     table.add_row("coefficient of restitution", _number(cor, 4), _cor_note(cor, reference))
     if log_error is not None:
         table.add_row("  ln of the ratio", f"{log_error:+.4f}", _error_note(summary))
+    elif (along := summary.get("cor_normal")) is not None:
+        reference = _number(summary.get("cor_normal_reference"), 4)
+        table.add_row("  along the impulse", _number(along, 4), f"of the first contact, speed after over before; reference {reference}")
     table.add_row("energy made by the rig", _number(summary["energy_generated"], 4, "J"), assess(summary).energy)
     stability = summary.get("stability")
     if stability:
@@ -170,8 +173,6 @@ def _identified(axes: dict[str, dict[str, Any]]) -> Table:
     for heading in ("k", "true", "error", "c", "true", "error", "samples"):
         table.add_column(heading, justify="right", no_wrap=True)
     for axis, values in axes.items():
-        if values["stiffness"] is None:
-            continue
         cells = [cell for quantity in ("stiffness", "damping") for cell in _against(values[quantity], values[f"{quantity}_true"])]
         table.add_row(axis, *cells, str(values["samples"]))
     return table

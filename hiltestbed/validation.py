@@ -26,6 +26,13 @@ class Strictly(BaseModel):
 
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 
+    def idle(self, scenario: Any) -> Iterable[Problem]:
+        """Keys below this one that act on nothing in ``scenario``, since another choice leaves them aside, each with why and what to do.
+
+        A section stands for every key in it.
+        """
+        return ()
+
 
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]

@@ -344,3 +344,15 @@ def test_a_run_that_gains_energy_is_warned_of_and_one_that_does_not_is_not(folde
     assert "faster than the approach" in call("run", "s.yaml", "--no-rerun", "--out", "late", "--set", "sensor.delay=0.01",
         "--set", "compensation.force={kind: none}")[1]  # fmt: skip
     assert "warning" not in call("run", "s.yaml", "--no-rerun", "--out", "right")[1]
+
+
+def test_check_takes_the_overrides_of_run(folder: Path, call) -> None:
+    """The same key, the same validation, and the verdict of what is overridden."""
+    assert call("check", "s.yaml")[0] == 0
+    status, out, _ = call("check", "s.yaml", "--set", "sensor.delay=-1.0")
+    assert status == 2
+    assert "sensor.delay: is out of range (got -1.0)" in out
+    status, out, _ = call("check", "s.yaml", "--json", "--set", "mechanism.contact.stiffness=2e5", "--set", "rig.platform.bandwidth=20.0")
+    found = json.loads(out)["files"][0]
+    assert found["stability"]["stiffness"] == 2e5
+    assert any("rig.platform.bandwidth: has no effect" in remark for remark in found["remarks"])

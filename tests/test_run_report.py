@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import hiltestbed
+from hiltestbed.assessment import ACTIVE, NEUTRAL, assess, is_active
 from hiltestbed.energy import energy_generated
+from hiltestbed.numerical_model.bodies import effective_mass, mobility
 from hiltestbed.run_report import run_report
 
 SHORT = {"duration": 0.6, "approach.gap": 0.002, "rig.platform.tracking": "ideal"}
@@ -46,3 +50,89 @@ def test_a_miss_and_a_run_without_trace_have_a_page() -> None:
     assert "the question does not arise" in page
     assert "did not touch" in page
     assert "data:image" not in run_report(hiltestbed.Run(miss.scenario, miss.summary)).html()
+
+
+@pytest.fixture(scope="module")
+def glancing() -> hiltestbed.Run:
+    """A probe that meets its cone off the axis and goes on inwards: along z it has no rebound."""
+    keys = {
+        "approach": {"gap": 0.07, "offset": [0.06, -0.02], "velocity": [0.0, 0.0, 0.08]}, "duration": 1.0, "mechanism.latch": None,
+        "mechanism.contact": {"stiffness": 5.0e4, "damping": 800.0, "friction": 0.0}, "sensor": {"delay": 0.006},
+        "compensation.force.kind": "none",
+    }  # fmt: skip
+    return shipped("09-docking", **keys)
+
+
+def test_restitution_along_the_impulse_is_that_of_the_energy(glancing: hiltestbed.Run) -> None:
+    """1 - e^2 is the part of the kinetic energy along the impulse that the contact took from the numerical model: J (v + v')/2."""
+    trace, summary = glancing.trace, glancing.summary
+    assert trace is not None
+    assert summary["cor"] is None
+    first = int(np.argmax(trace.contact))
+    last = first + int(np.argmin(trace.contact[first:])) + 40
+    rows = slice(first - 1, last)
+    wrench, twist = trace["wrench_comp"][rows], trace["twist_cmd"]
+    lever = trace["pose_cmd"][first - 2 : last - 1, :3]  # where A was when the wrench acted; its twist goes with the moment about it
+    wrench = np.hstack([wrench[:, :3], wrench[:, 3:] - np.cross(lever, wrench[:, :3])])
+    change = -float(np.sum(wrench * 0.5 * (twist[rows] + twist[first - 2 : last - 1]))) / glancing.scenario.rate
+    impulse = wrench.sum(axis=0)
+    energy = 0.5 * (impulse @ twist[first - 1]) ** 2 / (impulse @ mobility(glancing.scenario) @ impulse)  # m u^2/2 along it
+    assert summary["cor_normal"] == pytest.approx(math.sqrt(1.0 + change / energy), rel=0.01)
+    assert summary["cor_normal"] > summary["cor_normal_reference"] * 1.02
+    assert summary["cor_normal_log_error"] == pytest.approx(math.log(summary["cor_normal"] / summary["cor_normal_reference"]))
+
+
+def test_a_head_on_hit_has_one_restitution(late: hiltestbed.Run) -> None:
+    assert late.summary["cor_normal"] == pytest.approx(late.summary["cor"], rel=1e-6)
+    assert late.summary["cor_normal_reference"] == pytest.approx(late.summary["cor_reference"], rel=1e-6)
+
+
+def test_the_page_of_a_cone_says_what_was_identified_along_the_normal(glancing: hiltestbed.Run) -> None:
+    page = run_report(glancing).html()
+    normal = glancing.summary["identification_normal"]
+    assert normal["stiffness"] == pytest.approx(5.0e4, rel=0.01)
+    assert f"<td>normal</td><td>{normal['stiffness']:.6g}</td>" in page
+    assert "for long enough to identify" not in page
+    assert "along the direction of its impulse" in page
+    assert "ended at" in assess(glancing.summary).headline
+    assert any("along its impulse" in warning for warning in assess(glancing.summary).warnings)
+
+
+def _made(share: float, **figures: object) -> dict:
+    """The summary of a run in which the rig made that part of the energy, with nothing else to warn of."""
+    run = {"status": "completed", "outcome": "rebound", "cor": 0.9, "cor_reference": 0.9, "cor_log_error": 0.0, "contact_duration": 0.1}
+    run |= {"identification": {}, "delay_ledger": [], "energy_reference": 2.0, "energy_generated": 2.0 * share, "energy_resolution": 0.0}
+    return run | figures
+
+
+def test_activity_is_warned_of_from_where_it_shows_in_the_rebound() -> None:
+    """e^2 (exp(0.04) - 1) of the energy makes a rebound 2 % too fast; less is told without a warning, and so is what a tick blurs."""
+    limit = 0.81 * ACTIVE
+    assert math.sqrt(0.81 + limit) / 0.9 == pytest.approx(math.exp(0.02))
+    for summary, warned in (
+        (_made(1.01 * limit), True),
+        (_made(0.99 * limit), False),
+        (_made(1.01 * limit, energy_resolution=4.0 * limit), False),
+        (_made(2.0 * NEUTRAL, cor_reference=0.1), True),
+        (_made(0.9 * NEUTRAL, cor_reference=0.1), False),
+    ):
+        assert is_active(summary) is warned
+        assert any("active" in warning for warning in assess(summary).warnings) is warned
+    assert "active" in assess(_made(0.99 * limit)).energy
+
+
+@pytest.mark.parametrize(("made", "advised"), [(0.2, True), (0.001, False)])
+def test_a_lag_that_counts_on_later_touches_is_advised_on(made, advised) -> None:
+    ways = [{"direction": "along the normal of a later touch", "rig_energy": made}]
+    total = {"source": "total", "delay": 0.0, "equivalent_damping": 0.0}
+    run = _made(0.1, stability={"stable": True, "verdict": "stable", "directions": ways}, delay_ledger=[total])
+    assert any("feedforward" in advice for advice in assess(run).advice) is advised
+
+
+def test_what_holds_from_the_start_is_measured_by_what_its_spring_stores() -> None:
+    """A ring-down has next to no energy of approach: what the rig makes is set against F^2/(2 k) at the peak, or against the approach."""
+    run = shipped("13-ring-down", duration=0.3)
+    contact = run.scenario.mechanism.contact
+    stored = run.summary["peak_force"] ** 2 / (2.0 * contact.stiffness)
+    speed = math.dist(run.scenario.approach.velocity, (0.0, 0.0, 0.0))
+    assert run.summary["energy_reference"] == pytest.approx(max(stored, 0.5 * effective_mass(run.scenario) * speed**2))

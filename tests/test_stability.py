@@ -10,6 +10,7 @@ import pytest
 from scipy.optimize import fsolve
 
 from hiltestbed import load_scenario, run
+from hiltestbed.bounce import bounce
 from hiltestbed.contact.directions import directions, first_touch
 from hiltestbed.errors import InputError
 from hiltestbed.loop import Loop
@@ -206,3 +207,102 @@ def test_bodies_that_move_by_themselves_have_no_loop() -> None:
 def test_a_contact_faster_than_what_was_measured_is_not_judged() -> None:
     slow = RigResponse(np.arange(3.0), np.ones(3, dtype=complex), np.zeros(3, dtype=complex))
     assert net_damping(slow.finer(), 400.0, 1e6, 10.0, 0.0) is None
+
+
+@pytest.mark.parametrize("ratio", [0.05, 0.3, 0.8])
+def test_a_bounce_without_a_rig_is_that_of_a_spring_and_a_damper(ratio) -> None:
+    """It ends where the force is zero: e = exp(-zeta/s atan2(2 zeta s, 2 zeta^2 - 1)), s = sqrt(1 - zeta^2); nothing makes energy."""
+    mass, k = 300.0, 2.0e4
+    found = bounce(EXACT, mass, k, 2.0 * ratio * math.sqrt(k * mass), 0.0)
+    s = math.sqrt(1.0 - ratio**2)
+    assert found.rebound == pytest.approx(math.exp(-ratio / s * math.atan2(2.0 * ratio * s, 2.0 * ratio**2 - 1.0)), abs=2e-3)
+    assert found.energy == pytest.approx(0.0, abs=2e-4)
+
+
+@pytest.mark.parametrize(("band", "zeta", "late", "ratio", "mass"), [(20.0, 1.0, 0.002, 0.3, 50.0), (10.0, 0.7, 0.006, 0.4, 300.0)])
+def test_a_bounce_through_a_second_order_and_a_delay(band, zeta, late, ratio, mass) -> None:
+    """Against small explicit steps of x'' = w^2 (z - x) - 2 zeta w x', m z'' = -F(t - late), F = k x + c x' while x > 0."""
+    k, w = 2.0e4, 2.0 * math.pi * band
+    c = 2.0 * ratio * math.sqrt(k * mass)
+    f = np.arange(0.0, 101.0)
+    p = 2j * math.pi * f
+    found = bounce(RigResponse(f, w * w / (p * p + 2.0 * zeta * w * p + w * w), np.zeros(101, dtype=complex)), mass, k, c, late)
+    dt = 2e-5
+    ago = round(late / dt)
+    z, v, x, rate = 2.0 * zeta / w, 1.0, 0.0, 1.0  # on a uniform motion the rig is 2 zeta/w late
+    force, work, touching = [], 0.0, True
+    for j in range(round(0.6 / dt)):
+        touching = touching and (x > 0.0 or j == 0)
+        force.append(max(0.0, k * x + c * rate) if touching else 0.0)
+        work += force[-1] * rate * dt
+        v -= dt / mass * (force[j - ago] if j >= ago else 0.0)
+        z += v * dt
+        rate += dt * (w * w * (z - x) - 2.0 * zeta * w * rate)
+        x += rate * dt
+    assert found.rebound == pytest.approx(-v, rel=0.01)
+    assert found.energy == pytest.approx(2.0 * work / mass - (1.0 - v * v), rel=0.01)
+
+
+def light_tip(k: float, c: float, **more):
+    """A probe of which the contact's normal in the cone moves little mass, a spring and a damper, no compensation."""
+    bodies = {
+        "chaser": {"mass": 750.0, "inertia": [200.0, 200.0, 225.0], "port": {"position": [0.0, 0.0, 0.9]}},
+        "target": {"mass": 500.0, "inertia": [250.0, 250.0, 300.0], "port": {"position": [0.0, 0.0, -1.9]}},
+    }
+    keys = {
+        "spacecraft": bodies, "mechanism": {"kind": "probe_cone", "contact": {"stiffness": k, "damping": c}},
+        "approach": {"gap": 0.07, "offset": [0.04, 0.0], "velocity": [0.0, 0.0, 0.08]}, "duration": 0.7, "sensor": {"delay": 0.002},
+        "identification.kind": "none", "compensation": {"force": {"kind": "none"}, "motion": {"kind": "none"}},
+    }  # fmt: skip
+    return load_scenario(SCENARIOS / "09-docking.yaml", keys | more)
+
+
+@pytest.mark.parametrize(
+    ("k", "c", "damped", "stable"), [(3.4e5, 1.02e4, True, False), (1.0e5, 6000.0, True, True), (3.4e5, 3000.0, False, False)]
+)
+def test_a_bounce_in_a_cone_is_foretold(k, c, damped, stable) -> None:
+    """Speed after it and energy that the rig makes, within 5 %: it may gain although much damping is left of what stays."""
+    s = light_tip(k, c)
+    done = run(s)
+    assert done.trace is not None
+    said = {d["direction"]: d for d in done.summary["stability"]["directions"]}["along the normal of the first touch"]
+    way = next(d for d in directions(s) if d.slant)
+    contact, twist = done.trace.contact, done.trace["twist_cmd"]
+    first = int(np.argmax(contact))
+    last = first + int(np.argmin(contact[first:]))
+    before, after = way.row @ twist[first - 1], way.row @ twist[last + 60]
+    assert -after / before == pytest.approx(said["rebound"], rel=0.05)
+    assert done.summary["energy_generated"] / (0.5 * way.mass * before**2) == pytest.approx(said["rig_energy"], rel=0.05)
+    assert (said["net_damping"] > 0.0) is damped
+    assert said["stable"] is stable
+    assert bool(-after / before < 1.0) is stable
+    assert done.summary["stability"]["stable"] is stable
+
+
+def test_the_delay_that_a_bounce_bears() -> None:
+    """At the largest delay a bounce ends as fast as it began, whichever ends first: that, or the damping of what stays."""
+    said = stability(light_tip(1.0e5, 6000.0))
+    assert said is not None
+    for factor, stable in ((0.98, True), (1.02, False)):
+        again = stability(light_tip(1.0e5, 6000.0, **{"sensor.delay": factor * said["largest_delay"]}))
+        assert again is not None
+        assert again["stable"] is stable, factor
+
+
+def test_a_prediction_makes_up_for_the_platform_where_it_knows_the_line() -> None:
+    """On the first touch the rig makes nothing; on the wall across it does, less than without prediction; with feed-forward nowhere."""
+    shared = {"approach.offset": [0.06, 0.0], "approach.attitude_deg": [0.0, 0.0, 0.0], "mechanism.latch": None, "duration": 3.3}
+    shared |= {"mechanism.contact": {"stiffness": 5.0e4, "damping": 800.0, "friction": 0.0}, "sensor": {"delay": 0.002}}
+    made = {}
+    for motion in ("none", "feedforward"):
+        keys = shared | {"compensation": {"force": {"kind": "resynchronised"}, "motion": {"kind": motion}}}
+        done = run(load_scenario(SCENARIOS / "09-docking.yaml", keys))
+        made[motion] = done.summary["energy_generated"] / done.summary["approach_energy"]
+        said = {d["direction"]: d["rig_energy"] for d in done.summary["stability"]["directions"]}
+        assert said["along the normal of the first touch"] == pytest.approx(0.0, abs=1e-3)
+        assert (said["along the normal of a later touch"] > 0.05) is (motion == "none")
+    assert made["none"] > 0.05
+    assert abs(made["feedforward"]) < 0.01
+    flat = stability(load_scenario(SCENARIOS / "02-bumper.yaml", {"compensation.motion.kind": "none"}))
+    assert flat is not None
+    assert [d["direction"] for d in flat["directions"]] == ["along z"]

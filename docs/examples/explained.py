@@ -72,7 +72,9 @@ def cause() -> None:
         (folder / "believed.yaml").write_text(hiltestbed.dump_scenario(hiltestbed.load_scenario(believed, common)), encoding="utf-8")
         (folder / "dataset.yaml").write_text("\n".join(lines) + "\n", encoding="utf-8")
         diagnosis = hiltestbed.diagnose(folder / "dataset.yaml")
-    residuals_over_time(diagnosis.finding.series, diagnosis.compared).savefig(DOCS / "explained-cause.png", dpi=DPI)
+    residuals_over_time(diagnosis.finding.series, diagnosis.compared, diagnosis.dataset.names).savefig(
+        DOCS / "explained-cause.png", dpi=DPI
+    )
 
 
 if __name__ == "__main__":

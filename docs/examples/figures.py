@@ -68,7 +68,7 @@ def gain(diagnosis: Diagnosis, name: str) -> None:
     learned = diagnosis.finding.learned
     worth = learned.heldout if learned is not None else diagnosis.finding.partial_gain
     if worth is not None:
-        heldout_bars(worth).savefig(DOCS / f"real-data-{name}-gain.png", dpi=DPI)
+        heldout_bars(worth, diagnosis.dataset.names).savefig(DOCS / f"real-data-{name}-gain.png", dpi=DPI)
     if learned is not None:
         learned_curves(learned).savefig(DOCS / f"real-data-{name}-law.png", dpi=DPI)
 

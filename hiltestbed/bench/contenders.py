@@ -19,13 +19,14 @@ class Contender:
 
     Attributes:
         contact: first: nothing is known of the contact; known: its k and c are given.
-        force: its section of the scenario for a contact.
+        force: its section of the scenario for a contact. own: it comes from a module of the user's.
     """
 
     name: str
     contact: str
     force: Callable[[Contact], dict[str, Any]]
     estimates_delay: bool = False
+    own: bool = False
 
 
 def _model(c: Contact) -> dict[str, float]:
@@ -70,5 +71,6 @@ def _user(method: type[ForceMethod]) -> Contender:
     kind = str(plugins.kind_of(method))
     knows = bool(method.contest(1.0, 0.0, 0.0))
     return Contender(
-        kind, "known" if knows else "first", lambda c: {"kind": kind, **method.contest(c.stiffness, c.damping, c.believed_delay)}
-    )
+        kind, "known" if knows else "first",
+        lambda c: {"kind": kind, **method.contest(c.stiffness, c.damping, c.believed_delay)}, own=True,
+    )  # fmt: skip

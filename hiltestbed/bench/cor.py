@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from hiltestbed.bench.contacts import DELAYS, FREQUENCIES, Bounce, Contact, bounce, effective_contact, grid, random_rigs
+from hiltestbed.bench.contacts import DELAYS, FREQUENCIES, Bounce, Contact, bounce, effective_contact, effort, grid, random_rigs
 from hiltestbed.bench.contenders import BEST, CONTENDERS, Contender, contenders
 from hiltestbed.bench.cor_report import cor_report
 from hiltestbed.bench.result import BenchResult
@@ -23,9 +23,11 @@ from hiltestbed.loop import Loop
 from hiltestbed.platform.plant import Plant
 from hiltestbed.simulation import log_error, reference_scenario
 
-Progress = Callable[[int, int], None]
+Progress = Callable[[float, float], None]
 THREADS = 2
 COST_RUNS, COST_TICKS = 64, 300  # the touch is at tick 60, the force arrives at tick 100
+REPORT = 4.0  # of effort: the pictures of the page
+BOUNDARY = ("none", "phase_lead", BEST)
 RANDOM_METHODS = ("none", "phase_lead", "reconstruction", BEST)
 
 
@@ -35,26 +37,31 @@ def cor(quick: bool = False, progress: Progress | None = None) -> BenchResult:
     methods = contenders()
     jobs = [(t, k, m) for t, k in _conditions(quick) for m in methods if _takes_part(m, t, k, quick)]
     rigs, points = random_rigs(8 if quick else 64, seed=11), 6 if quick else 12
-    random_methods = [m for m in CONTENDERS if m.name in RANDOM_METHODS and m.contact == "first"]
-    work = (len(jobs) + 1) * len(contacts) + 2 * len(random_methods) * len(rigs) + 3 * points**2 + len(methods) * COST_RUNS
-    step = _counter(progress, work)  # in bounces
+    random_methods = [m for m in methods if m.own or (m.name in RANDOM_METHODS and m.contact == "first")]
+    efforts = [effort([_under(c, tracking, knowledge) for c in contacts]) for tracking, knowledge, _ in jobs]
+    ideal_rigs = [_under(rig, "ideal", "exact") for rig in rigs]
+    random_effort, boundary_effort = effort(rigs) + effort(ideal_rigs), len(BOUNDARY) * effort(_boundary(points))
+    ticks = COST_TICKS // (2 if quick else 1)
+    cost_effort = effort(_costly(), ticks)
+    whole = effort(contacts) + sum(efforts) + len(random_methods) * random_effort + boundary_effort + len(methods) * cost_effort + REPORT
+    step = _counter(progress, whole)
     reference = bounce([reference_scenario(c.scenario({"kind": "none"})) for c in contacts], THREADS)
-    step(len(contacts))
+    step(effort(contacts))
     records: list[dict[str, Any]] = []
-    for tracking, knowledge, contender in jobs:
+    for (tracking, knowledge, contender), share in zip(jobs, efforts, strict=True):
         same = [_under(c, tracking, knowledge) for c in contacts]
         records += measure(contender, same, reference)
-        step(len(contacts))
+        step(share)
     random_records = []
     for contender in random_methods:
         random_records += measure_random(contender, rigs)
-        step(2 * len(rigs))
+        step(random_effort)
     boundary = stability_boundary(points)
-    step(3 * points**2)
+    step(boundary_effort)
     costs = {}
     for m in methods:
-        costs[m.name, m.contact] = cost(m, COST_TICKS // (2 if quick else 1))
-        step(COST_RUNS)
+        costs[m.name, m.contact] = cost(m, ticks)
+        step(cost_effort)
     board = leaderboard(records, costs)
     summary = {"leaderboard": board, "random_rigs": statistics_of(random_records), "boundary": boundary, "best": BEST}
     lines = [
@@ -62,7 +69,9 @@ def cor(quick: bool = False, progress: Progress | None = None) -> BenchResult:
         for row in board
         if row["largest_log_error"] is not None
     ]
-    return BenchResult("cor", records + random_records, summary, cor_report(records, summary), lines)
+    report = cor_report(records, summary)
+    step(REPORT)
+    return BenchResult("cor", records + random_records, summary, report, lines)
 
 
 def _conditions(quick: bool) -> list[tuple[str, str]]:
@@ -71,8 +80,9 @@ def _conditions(quick: bool) -> list[tuple[str, str]]:
 
 
 def _takes_part(contender: Contender, tracking: str, knowledge: str, quick: bool) -> bool:
-    """A quick run takes every method under ideal conditions, and the leading ones elsewhere."""
-    return not quick or (tracking, knowledge) == ("ideal", "exact") or contender.name.startswith((BEST, "phase_lead"))
+    """A quick run takes every method under ideal conditions, and the leading ones and the user's elsewhere."""
+    leads = contender.own or contender.name.startswith((BEST, "phase_lead"))
+    return not quick or leads or (tracking, knowledge) == ("ideal", "exact")
 
 
 def _under(contact: Contact, tracking: str, knowledge: str) -> Contact:
@@ -158,21 +168,31 @@ def statistics_of(records: Sequence[dict[str, Any]]) -> dict[str, dict[str, Any]
 
 def stability_boundary(points: int) -> dict[str, Any]:
     """e over a fine grid of frequency and delay, for the methods whose threshold theory gives, at a damping ratio of 0.05."""
-    frequencies = np.geomspace(FREQUENCIES[0], FREQUENCIES[-1], points)
-    delays = np.geomspace(0.5 * DELAYS[0], 1.5 * DELAYS[-1], points)
-    contacts = [Contact(float(f), float(d), 0.05, noise=0.0) for f in frequencies for d in delays]
-    out: dict[str, Any] = {"frequency": frequencies.tolist(), "delay": delays.tolist(), "damping_ratio": 0.05}
-    for name in ("none", "phase_lead", BEST):
+    contacts = _boundary(points)
+    frequencies, delays = (list(dict.fromkeys(getattr(c, key) for c in contacts)) for key in ("frequency", "delay"))
+    out: dict[str, Any] = {"frequency": frequencies, "delay": delays, "damping_ratio": 0.05}
+    for name in BOUNDARY:
         contender = next(m for m in CONTENDERS if m.name == name and m.contact == "first")
         figures = bounce([c.scenario(contender.force(c)) for c in contacts], THREADS).figures
         out[name] = np.array([np.nan if f.cor is None else f.cor for f in figures]).reshape(points, points).tolist()
     return out
 
 
+def _boundary(points: int) -> list[Contact]:
+    """The contacts of the fine grid, frequency by frequency."""
+    frequencies = np.geomspace(FREQUENCIES[0], FREQUENCIES[-1], points)
+    delays = np.geomspace(0.5 * DELAYS[0], 1.5 * DELAYS[-1], points)
+    return [Contact(float(f), float(d), 0.05, noise=0.0) for f in frequencies for d in delays]
+
+
+def _costly() -> list[Contact]:
+    """The contacts on which the cost of a method is measured."""
+    return [Contact(4.0, 0.02, 0.05, seed=i) for i in range(COST_RUNS)]
+
+
 def cost(contender: Contender, ticks: int = COST_TICKS) -> float:
     """Microseconds a sim-tick in a batch of 64 that the method takes beyond the numerical model, in contact."""
-    contacts = [Contact(4.0, 0.02, 0.05, seed=i) for i in range(COST_RUNS)]
-    loop = Loop([c.scenario(contender.force(c)) for c in contacts])
+    loop = Loop([c.scenario(contender.force(c)) for c in _costly()])
     craft, plant = loop.model, loop.plant
     assert isinstance(plant, Plant)  # the simulated side
     times = []
@@ -225,13 +245,13 @@ def _number(value: float | None) -> str:
     return "no rebound" if value is None else f"{value:.4f}"
 
 
-def _counter(progress: Progress | None, total: int) -> Callable[[int], None]:
-    done = 0
+def _counter(progress: Progress | None, total: float) -> Callable[[float], None]:
+    done = 0.0
 
-    def step(work: int) -> None:
+    def step(work: float) -> None:
         nonlocal done
         done += work
         if progress:
-            progress(done, total)
+            progress(min(done, total), total)
 
     return step

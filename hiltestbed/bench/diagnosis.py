@@ -100,8 +100,9 @@ def diagnosis(
     elif not docking:
         todo = [*tasks(QUICK if quick else FULL, not quick), *todo]
     records: list[dict[str, Any]] = [{}] * len(todo)
+    mixed = np.random.default_rng(0).permutation(len(todo))  # kinds differ in what they take: what is done stands for what is left
     with ProcessPoolExecutor(cores()) as pool:
-        waiting = {pool.submit(one_set, task): i for i, task in enumerate(todo)}
+        waiting = {pool.submit(one_set, todo[i]): int(i) for i in mixed}
         for done, future in enumerate(as_completed(waiting), 1):
             records[waiting[future]] = future.result()
             if progress:

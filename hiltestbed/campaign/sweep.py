@@ -22,13 +22,16 @@ from hiltestbed.folders import safe_name
 from hiltestbed.labelled import PALETTE
 from hiltestbed.notebook import html_table
 from hiltestbed.scenario import Scenario, scenario_from
+from hiltestbed.scenario.idle import idle_keys
 from hiltestbed.validation import nearest
+from hiltestbed.yaml_source import key_path
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 CHUNK = 64
 CHUNK_LIMIT = 1024
+LOOKED_AT = 16  # cases of a campaign, in which a key that varies is looked for among those without effect
 Progress = Callable[[int, int, Mapping[str, int]], None]  # cases done, cases in all, how many ended in which status
 
 
@@ -188,6 +191,19 @@ def case_scenario(campaign: LoadedCampaign, case: int, overrides: Mapping[str, A
     if not 0 <= case < campaign.spec.cases:
         raise InputError(f"--case {case}: is no case of {campaign.path}; allowed are 0 to {campaign.spec.cases - 1}")
     return scenario_from(campaign.source.with_set(case_values(campaign.spec, [case])[0]), overrides)
+
+
+def varied_in_vain(campaign: LoadedCampaign) -> tuple[str, ...]:
+    """A sentence for each key that varies and acts on nothing in any of up to :data:`LOOKED_AT` cases."""
+    cases = sorted({round(i * (campaign.spec.cases - 1) / (LOOKED_AT - 1)) for i in range(LOOKED_AT)})
+    found: dict[str, str] = {}
+    for n, case in enumerate(cases):
+        idle = [(tuple(map(str, path)), why) for path, why in idle_keys(case_scenario(campaign, case))]
+        here = {
+            key: why for key in campaign.spec.vary for path, why in idle if tuple(map(str, key_path(key)))[: len(path)] == path
+        }  # fmt: skip
+        found = here if n == 0 else {key: why for key, why in found.items() if key in here}
+    return tuple(f"vary.{key}: has no effect: {why}" for key, why in found.items())
 
 
 def read_sweep(folder: str | Path) -> Sweep:

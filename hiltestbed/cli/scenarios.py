@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from hiltestbed.cli.options import Json, Out, Sets, complete, read_scenario
+from hiltestbed.cli.options import Json, Out, Sets, complete, overrides, read_scenario
 from hiltestbed.errors import InputError, printable
 from hiltestbed.folders import free_folder, safe_name
 
@@ -75,17 +75,23 @@ def run(
 
 @app.command()
 def check(
-    files: Annotated[list[Path], typer.Argument(metavar="FILE ...", help="Scenarios, campaigns and datasets.")], as_json: Json = False
+    files: Annotated[list[Path], typer.Argument(metavar="FILE ...", help="Scenarios, campaigns and datasets.", autocompletion=complete)],
+    sets: Sets = None,
+    as_json: Json = False,
 ) -> None:
-    """Validate files: every fault at once, with file, line and column; the data of a dataset are opened and checked, too."""
+    """Validate files: every fault at once, with file, line and column; the data of a dataset are opened and checked, too.
+
+    hiltestbed check my-rig.yaml --set sensor.delay=0.010
+    """
     from hiltestbed.check import look_at
     from hiltestbed.gallery import find_scenario
     from hiltestbed.stability import stability_of_file
 
+    changes = overrides(sets)
     paths = [find_scenario(file) for file in files]
-    found = [(file, look_at(path)) for file, path in zip(files, paths, strict=True)]
+    found = [(file, look_at(path, changes)) for file, path in zip(files, paths, strict=True)]
     stable = [
-        stability_of_file(path) if one.kind == "scenario" and not one.faults else None
+        stability_of_file(path, changes) if one.kind == "scenario" and not one.faults else None
         for path, (_, one) in zip(paths, found, strict=True)
     ]  # fmt: skip
     if as_json:

@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
 from pydantic import Field
 
 from hiltestbed.compensation.settings import FORCE_METHODS, MOTION_METHODS, AnyForceMethod, AnyMotionMethod
-from hiltestbed.validation import Strictly
+from hiltestbed.validation import Problem, Strictly
+
+if TYPE_CHECKING:
+    from hiltestbed.scenario import Scenario
 
 
 class Compensation(Strictly):
@@ -18,3 +24,15 @@ class Compensation(Strictly):
     motion: AnyMotionMethod = Field(
         default_factory=lambda: MOTION_METHODS["feedforward"](kind="feedforward"), description="How the lag of the platform is compensated"
     )
+
+    def idle(self, scenario: Scenario) -> Iterator[Problem]:
+        platform = scenario.rig.platform
+        if platform.physical:
+            why = f"on a platform of kind {platform.kind} the bodies move by themselves: there is no loop, and nothing to compensate"
+            yield from (((name,), why) for name in ("force", "motion") if getattr(self, name).kind != "none")
+        elif self.motion.feeds and platform.prescribed and platform.tracking != "ideal":
+            yield (
+                ("motion",),
+                f"{self.motion.kind} hands velocity and acceleration to the drives, and with tracking {platform.tracking} there are none; "
+                "take tracking servo, or a method that moves the command (inverse_model, adaptive_time_series)",
+            )

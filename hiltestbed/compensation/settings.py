@@ -48,9 +48,10 @@ class ForceMethod(Strictly):
 
     @classmethod
     def contest(cls, stiffness: float, damping: float, delay: float) -> Mapping[str, Any]:
-        """Settings for a contact of the benchmark, with the true stiffness [N/m] and damping [N s/m] and the believed delay [s].
+        """Keys of its section of the scenario for a contact of `bench cor`, with the true stiffness [N/m] and damping [N s/m] and the
+        believed delay [s].
 
-        A method that needs no knowledge of the contact leaves it at its defaults.
+        A method that needs no knowledge of the contact leaves it as it is here, and takes part with its defaults.
         """
         return {}
 

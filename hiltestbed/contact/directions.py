@@ -14,12 +14,11 @@ import numpy as np
 from hiltestbed.contact.parameters import LEVER, OFFSET, PARAMETERS, believed_contacts
 from hiltestbed.contact.sides import sides_of
 from hiltestbed.contact.wrench import LATCH_RADIUS, meet_all
-from hiltestbed.frames import Array, rotation_matrix
-from hiltestbed.numerical_model.bodies import approach_state, effective_mass, inertia_matrix, port_pose
+from hiltestbed.frames import Array
+from hiltestbed.numerical_model.bodies import approach_state, effective_mass, mobility
 
 if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario
-    from hiltestbed.scenario.spacecraft import Body
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 INSERTION = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
@@ -32,7 +31,8 @@ class Direction:
 
     Attributes:
         name: in words. row: (6,) J. mass: [kg], [kg m^2]. stiffness, damping: along it [N/m, N m/rad], [N s/m, N m s/rad].
-        turns: whether it is a turn.
+        turns: whether it is a turn. pulls: whether the contact pulls as well as pushes. slant: whether it is the normal of a surface that
+        lies askew to the insertion.
     """
 
     name: str
@@ -41,12 +41,14 @@ class Direction:
     stiffness: float
     damping: float
     turns: bool = False
+    pulls: bool = False
+    slant: bool = False
 
 
 def insertion(scenario: Scenario) -> Direction:
     """Along z at P's origin."""
     contact = scenario.mechanism.contact
-    return Direction("along z", INSERTION, effective_mass(scenario), contact.stiffness, contact.damping)
+    return Direction("along z", INSERTION, effective_mass(scenario), contact.stiffness, contact.damping, pulls=scenario.mechanism.captured)
 
 
 def directions(scenario: Scenario) -> list[Direction]:
@@ -62,7 +64,8 @@ def directions(scenario: Scenario) -> list[Direction]:
     touch = first_touch(scenario)
     if touch is not None and np.abs(touch[0] - INSERTION).max() > ALIKE:
         row, stiffness, damping = touch
-        found.append(Direction("along the normal of the first touch", row, 1.0 / float(row @ inverse @ row), stiffness, damping))
+        mass, slant = 1.0 / float(row @ inverse @ row), bool(np.abs(row[:2]).max() > ALIKE)
+        found.append(Direction("along the normal of the first touch", row, mass, stiffness, damping, slant=slant))
     return found + (_modes(scenario, inverse, ", latched") if mechanism.latch is not None else [])
 
 
@@ -81,23 +84,8 @@ def _modes(scenario: Scenario, inverse: Array, when: str) -> list[Direction]:
         stiffness = float(phi @ (springs * phi))
         name = f"{'along' if axis < 3 else 'about'} {AXES[axis][-1]}{when}"
         damping = stiffness * latch.damping / latch.stiffness
-        found.append(Direction(name, springs * phi / stiffness, stiffness / float(square), stiffness, damping, turns=axis >= 3))
+        found.append(Direction(name, springs * phi / stiffness, stiffness / float(square), stiffness, damping, axis >= 3, pulls=True))
     return found
-
-
-def mobility(scenario: Scenario) -> Array:
-    """``(6, 6)`` M^-1: relative acceleration of A's origin for a unit wrench there between both bodies, in P, at the nominal touch."""
-    return _mobility(scenario.spacecraft.chaser) + _mobility(scenario.spacecraft.target)
-
-
-def _mobility(body: Body) -> Array:
-    """Of one body at its port, in the port's axes: r its place, ``[1/m - [r] I^-1 [r], -[r] I^-1; I^-1 [r], I^-1]``."""
-    port = port_pose(body)
-    turn = rotation_matrix(port[3:])
-    inverse = turn.T @ np.linalg.inv(inertia_matrix(body.inertia)) @ turn
-    x, y, z = turn.T @ port[:3]
-    arm = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.block([[np.eye(3) / body.mass - arm @ inverse @ arm, -arm @ inverse], [inverse @ arm, inverse]])
 
 
 def first_touch(scenario: Scenario) -> tuple[Array, float, float] | None:

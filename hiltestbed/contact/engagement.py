@@ -72,7 +72,8 @@ class Engagement:
         met: (n, T, MET) of each facet and each native pair: penetration [m], negative while apart, and its rate [m/s]; where the force
             acts [m], the direction in which the passive side is pushed and the slip of the active side [m/s], all (3,) in W; normal force
             [N] and what friction is worth [N s/m].
-        touching: (n,) bool. latched: (n,) bool, whether something holds. latches: what does.
+        linear: (n, T) whether a spring and a damper are all that acts along the normal; parameters: (n, T + 1, PARAMETERS) of the laws, the
+            latch's last. touching: (n,) bool. latched: (n,) bool, whether something holds. latches: what does.
         pull: (n, 6) the part of the wrench on the passive side that MuJoCo's contacts do not exert, in W at W's origin; pulls: whether
             there can be any. stage: up to which MuJoCo has to be forward before :meth:`update`.
         tilt: (n, 7) pose of S in the passive side's nominal place.
@@ -89,7 +90,7 @@ class Engagement:
         self._geometry, self._facets = sides.geometry, len(sides.facets)
         pairs = (*sides.facets, *sides.native)
         self.parameters = np.array([_rows(s, sides.rules) for s in scenarios])
-        self._linear = _linear(self.parameters[:, :-1])
+        self.linear = _linear(self.parameters[:, :-1])
         self._live = np.ones((n, len(pairs)), dtype=bool)
         self.tilt = tilts(self.parameters[:, -1])
         self._bodies = _Bodies(batch, structure, self.tilt)
@@ -129,7 +130,7 @@ class Engagement:
         b.observe(pose, twist, place, motion)
         if self._facets:
             _touch_facets(
-                *self._geometry, p.ids, self._dt, self._least_creep, self.parameters, self._linear, self._live, p.gain, b.frames, b.motions,
+                *self._geometry, p.ids, self._dt, self._least_creep, self.parameters, self.linear, self._live, p.gain, b.frames, b.motions,
                 b.carry, self.state, self.met, p.geom_pos, p.geom_quat, p.solref, p.friction, self.wrench, self.pull, self.touching,
             )  # fmt: skip
         else:
@@ -137,7 +138,7 @@ class Engagement:
             self.touching[:] = False
         if self._reading.shape[1]:
             _touch_natively(
-                self._facets, p.ids, self._dt, self._least_creep, self.parameters, self._linear, self._live, p.gain, self.state,
+                self._facets, p.ids, self._dt, self._least_creep, self.parameters, self.linear, self._live, p.gain, self.state,
                 self._reading, self.met, p.solref, p.friction, self.wrench, self.pull, self.touching,
             )  # fmt: skip
         if self.latches.closures:

@@ -72,7 +72,8 @@ class Latches:
     """The closures of `n` runs.
 
     Attributes:
-        closed: (n, K) bool. hold: (n, K, 7) the pose of the active site in the passive one that each holds.
+        closed: (n, K) bool. springs: (n, K, 3) stiffness [N/m], damping [N s/m] and radius [m] of each.
+        hold: (n, K, 7) the pose of the active site in the passive one that each holds.
     """
 
     def __init__(self, batch: Batch, structure: Structure, rows: Array, yields: Array) -> None:
@@ -82,15 +83,15 @@ class Latches:
         self._ids = np.array([m.equality(c.name).id for c in self.closures], dtype=np.int64)
         bodies = np.stack([m.eq_obj1id[self._ids], m.eq_obj2id[self._ids]])
         gain, weight = inverse_mass(m, bodies, yields), m.body_invweight0[bodies].sum(axis=0)
-        self._spring = np.zeros((n, count, 3))  # stiffness, damping, radius
+        self.springs = np.zeros((n, count, 3))
         for k, c in enumerate(self.closures):
-            self._spring[:, k, 0] = rows[:, STIFFNESS] if c.stiffness is None else c.stiffness
-            self._spring[:, k, 1] = rows[:, DAMPING] if c.damping is None else c.damping
-            self._spring[:, k, 2] = c.radius
+            self.springs[:, k, 0] = rows[:, STIFFNESS] if c.stiffness is None else c.stiffness
+            self.springs[:, k, 1] = rows[:, DAMPING] if c.damping is None else c.damping
+            self.springs[:, k, 2] = c.radius
         solref, self._data = batch.expand("eq_solref"), batch.expand("eq_data")
-        solref[:, self._ids, 0] = -STIFFER * self._spring[..., 0] * gain
-        solref[:, self._ids, 1] = np.minimum(-self._spring[..., 1] * gain, NO_DAMPING)
-        turning = 2.0 * self._spring[..., 2] * np.sqrt(weight[:, 1] / weight[:, 0])
+        solref[:, self._ids, 0] = -STIFFER * self.springs[..., 0] * gain
+        solref[:, self._ids, 1] = np.minimum(-self.springs[..., 1] * gain, NO_DAMPING)
+        turning = 2.0 * self.springs[..., 2] * np.sqrt(weight[:, 1] / weight[:, 0])
         self._turns, self._law, self._together = (
             np.array([getattr(c, name) for c in self.closures], dtype=bool) for name in ("turns", "law", "together")
         )  # fmt: skip
@@ -122,13 +123,13 @@ class Latches:
         """
         self.hold[which, k] = SITE if self._together[k] else self.pose[which, k]
         if not self._together[k]:
-            self.hold[which, k, :3] -= force[which] / self._spring[which, k, :1]
+            self.hold[which, k, :3] -= force[which] / self.springs[which, k, :1]
         self.closed[which, k] = self._closing[which, k] = True
 
     def update(self, dt: float, frames: Array, motions: Array, carry: Array) -> None:
         """Where the sites are in each other, and the anchors of what is closed; once an instant."""
         _hold(
-            dt, self._rows, self._spring, self._law, self._turns, self._frames, self._places, self._ids, frames, motions, carry,
+            dt, self._rows, self.springs, self._law, self._turns, self._frames, self._places, self._ids, frames, motions, carry,
             self.closed, self._closing, self._active, self.hold, self.state, self.pose, self.twist, self._data,
         )  # fmt: skip
 

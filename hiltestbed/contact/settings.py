@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable
+from collections.abc import Hashable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar
 
 from pydantic import Field, model_validator
 
 from hiltestbed.plugins import OneOf, Registry, placeholder
-from hiltestbed.validation import NotNegative, Positive, Strictly, refuse
+from hiltestbed.validation import NotNegative, Positive, Problem, Strictly, refuse
 
 if TYPE_CHECKING:
     from mujoco import MjSpec
 
     from hiltestbed.contact.description import Phase
     from hiltestbed.contact.sides import Rule
+    from hiltestbed.scenario import Scenario
 
 
 class Contact(Strictly):
@@ -66,6 +67,10 @@ class Mechanism(Strictly):
     captured: ClassVar[bool] = False
     flat: ClassVar[bool] = False
     latches: ClassVar[bool] = False
+
+    def idle(self, scenario: Scenario) -> Iterable[Problem]:
+        if self.captured and self.contact.friction > 0.0:
+            yield ("contact", "friction"), f"a mechanism of kind {self.kind} holds from the start, nothing slides in it; leave it out"
 
     @placeholder
     def files(self) -> tuple[Path, Path]:

@@ -26,7 +26,7 @@ def axis_truth(scenario: Scenario, captured: bool = False) -> list[Pair | None]:
     """Stiffness [N/m], [N m/rad] and damping of x, y, z, rx, ry, rz, effects included; None where no linear law holds along the axis.
 
     A bumper has one along z. Latches hold on all six; a mount lies behind whatever acts. Where a mechanism is captured in phases, springs
-    in parts of its own lie in between, and no number of its files is that of an axis.
+    in parts of its own lie in between: their axes are those of :mod:`hiltestbed.contact.jacobian`.
 
     Args:
         captured: whether latches have closed in the course of the run.

@@ -274,7 +274,7 @@ class Session:
             rows.length[i] = min(k + 1, self.scenario.ticks) if loop.k > 0 else 0
         rows.data["wrench_true"][:] = np.nan  # no device shows it
         rows.data[CYCLE.name] = rig.log.rows[: self.scenario.ticks, None, :]
-        reference = simulate([reference_scenario(self.scenario)], until_parted=True).figures[0].cor
+        reference = simulate([reference_scenario(self.scenario)], until_parted=True).figures[0]
         run = concluded(collected(loop, rows, self.wall, {}), reference, 0)
         run.summary["energy_generated"] += rig.late_work
         run.summary["live"] = self._report(observed, int(rows.length[0]))

@@ -146,6 +146,9 @@ class DeviceRig:
     def payload_left(self, i: int) -> None:
         return None
 
+    def held_pair(self, i: int) -> None:
+        return None
+
     def reset(self, pose: Array, twist: Array) -> None:
         """Nothing: the platform has been brought to its start."""
 

@@ -85,7 +85,7 @@ def lay_out(dataset: MeasuredDataset) -> Layout:
         if lost is None:
             given = tuple(d for d in found if d is not None)
         else:
-            missing["platform"] = f"the believed rig cannot follow the command on record in run {lost}"
+            missing["platform"] = f"the believed rig cannot follow the command on record in {runs[lost].name}"
     scales = _scales(runs, noise)
     if "dynamics" not in missing and all(is_driven(r.record, r.scenario) for r in runs):
         scales = replace(scales, driven=regression(runs))

@@ -321,7 +321,7 @@ class Diagnosis:
         """
         from hiltestbed.diagnosis.report.pictures import plot_channel
 
-        return plot_channel(self.finding.series, self.compared, channel, axes)
+        return plot_channel(self.finding.series, self.compared, self.dataset.names, channel, axes)
 
     @property
     def verdict(self) -> str:

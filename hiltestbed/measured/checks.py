@@ -30,15 +30,15 @@ def check_run(record: Record, scenario: Scenario) -> tuple[Record, Survey, list[
     return replace(record, clipped=clipped), found, remarks
 
 
-def check_dataset(records: Sequence[Record], links: Mapping[str, tuple[str, ...]]) -> list[Remark]:
-    """What the whole dataset lacks: links that lose an end, groups of which only some axes were measured."""
+def check_dataset(records: Sequence[Record], names: Sequence[str], links: Mapping[str, tuple[str, ...]]) -> list[Remark]:
+    """What the whole dataset lacks: links that lose an end, groups of which only some axes were measured; ``names``: of its runs."""
     remarks = []
     for group in NEEDED:
         without = [record.run for record in records if not record.has(group)]
         cut = [link for link, ends in links.items() if group in ends]
         if without:
             everywhere = len(without) == len(records)
-            where = "in no run" if everywhere else f"not in runs {', '.join(map(str, without))}"
+            where = "in no run" if everywhere else f"not in {', '.join(names[run] for run in without)}"
             text = f"was measured {where}: nothing can be said there of the link{'s' if len(cut) > 1 else ''} {' and '.join(cut)}"
             remarks.append(Remark("loss", None, group, text, "", {"runs": len(without)}))
         parts = {p for record in records if record.has(group) for p in GROUPS[group].columns if p in record.absent}

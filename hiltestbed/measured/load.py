@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -28,11 +28,12 @@ FEWEST = 30  # ticks of a run, from which a noise floor can be read
 
 @dataclass(frozen=True)
 class MeasuredRun:
-    """One run: its record on the ticks, the scenario that the facility believes it was, and what the check found in it."""
+    """One run: its record on the ticks, the scenario that the facility believes it was, what the check found in it, and its file's name."""
 
     record: Record
     scenario: Scenario
     survey: Survey
+    name: str = ""
 
 
 @dataclass(frozen=True)
@@ -52,6 +53,11 @@ class MeasuredDataset:
     files: tuple[Path, ...]
     runs: tuple[MeasuredRun, ...]
     remarks: tuple[Remark, ...]
+
+    @property
+    def names(self) -> list[str]:
+        """Of the runs, as messages and pictures call them."""
+        return [run.name for run in self.runs]
 
     def links(self) -> tuple[str, ...]:
         """The links of the loop whose two ends were measured in at least one run (contact: with the sensor)."""
@@ -78,6 +84,7 @@ def examine(path: str | Path | LoadedDataset, set: Mapping[str, Any] | None = No
     """
     loaded = path if isinstance(path, LoadedDataset) else load_specification(path, set)
     runs, remarks, faults = [], [], []
+    names = _names(loaded.files)
     for index, (file, scenario) in enumerate(zip(loaded.files, loaded.scenarios, strict=True)):
         channels = dict(loaded.spec.channels or {}) | loaded.spec.runs[index].channels
         try:
@@ -90,14 +97,23 @@ def examine(path: str | Path | LoadedDataset, set: Mapping[str, Any] | None = No
             remarks += [] if any(r.severity == "error" for r in found) else [_nothing(index, record)]
         else:
             record, found_in, more = check_run(record, scenario)
-            runs.append(MeasuredRun(record, scenario, found_in))
+            runs.append(MeasuredRun(record, scenario, found_in, names[index]))
             remarks += more
     if faults:
         raise InputError(faults)
-    remarks += check_dataset([run.record for run in runs], LINKS)
+    remarks += check_dataset([run.record for run in runs], names, LINKS)
+    remarks = [remark if remark.run is None else replace(remark, file=names[remark.run]) for remark in remarks]
     accepted = loaded.spec.accept
     remarks = [remark.accepted() if remark.severity == "error" and remark.check in accepted else remark for remark in remarks]
     return MeasuredDataset(loaded.path, loaded.spec, loaded.nominal, loaded.files, tuple(runs), tuple(remarks))
+
+
+def _names(files: Sequence[Path]) -> list[str]:
+    """What each run is called: its file's name, with as many folders before it as tell two of one name apart."""
+    parts, deep = [file.parts for file in files], 1
+    while len({p[-deep:] for p in parts}) < len(set(parts)):
+        deep += 1
+    return ["/".join(p[-deep:]) for p in parts]
 
 
 def _nothing(run: int, record: Record | None) -> Remark:

@@ -18,7 +18,7 @@ class Remark:
     Attributes:
         severity: ``error``: a diagnosis of these data would be wrong; ``loss``: a channel, a run or samples cannot be used;
             ``note``: good to know.
-        run: number of the run, or None for the whole dataset.
+        run: number of the run, or None for the whole dataset. file: that holds the run, by which messages call it.
         channel: column or group of the trace, ``t``, or empty for the run as a whole.
         text: what was found, with its numbers.
         fix: what to do, as it would stand in the dataset file where that is possible; may be empty.
@@ -33,9 +33,10 @@ class Remark:
     fix: str = ""
     evidence: Mapping[str, float] = field(default_factory=dict)
     check: Check | Literal[""] = ""
+    file: str = ""
 
     def __str__(self) -> str:
-        where = "all runs" if self.run is None else f"run {self.run}"
+        where = "all runs" if self.run is None else self.file or f"run {self.run}"
         return (
             f"{self.severity}: {where}: {self.channel + ': ' if self.channel else ''}{self.text}{'; ' + self.remedy if self.remedy else ''}"
         )

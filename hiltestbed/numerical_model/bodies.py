@@ -71,3 +71,18 @@ def pair_momentum(mass: Array, inertia: Array, q: Array, v: Array) -> Array:
     spin = np.einsum("...ij,...j->...i", rotation_matrix(q[..., 3:]) @ inertia, v[..., 3:])
     angular = np.cross(q[..., :3], linear) + spin
     return np.concatenate([linear.sum(axis=-2), angular.sum(axis=-2)], axis=-1)
+
+
+def mobility(scenario: Scenario) -> Array:
+    """``(6, 6)`` M^-1: relative acceleration of A's origin for a unit wrench there between both bodies, in P, at the nominal touch."""
+    return _mobility(scenario.spacecraft.chaser) + _mobility(scenario.spacecraft.target)
+
+
+def _mobility(body: Body) -> Array:
+    """Of one body at its port, in the port's axes: r its place, ``[1/m - [r] I^-1 [r], -[r] I^-1; I^-1 [r], I^-1]``."""
+    port = port_pose(body)
+    turn = rotation_matrix(port[3:])
+    inverse = turn.T @ np.linalg.inv(inertia_matrix(body.inertia)) @ turn
+    x, y, z = turn.T @ port[:3]
+    arm = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.block([[np.eye(3) / body.mass - arm @ inverse @ arm, -arm @ inverse], [inverse @ arm, inverse]])

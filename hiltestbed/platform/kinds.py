@@ -32,6 +32,7 @@ class Platform(Strictly):
     physical: ClassVar[bool] = False
     states_limits: ClassVar[bool] = True  # of its joints, in its facility; else the scenario's safety section has them all
     carries_upper: ClassVar[bool] = False  # an upper platform may carry the passive side
+    drives: ClassVar[tuple[str, ...]] = ()  # fields that say how it is driven, on which a platform that is prescribed does not hang
 
     kind: str
     if TYPE_CHECKING:  # a field of every kind, with choices of its own
@@ -42,6 +43,18 @@ class Platform(Strictly):
     def prescribed(self) -> bool:
         """Whether the pose is put where it is to be, without mass, and its rate held over a tick; else drives or bodies are simulated."""
         return getattr(self, "tracking", "free") in ("ideal", "response")
+
+    def idle(self, scenario: Scenario) -> Iterator[Problem]:
+        tracking = getattr(self, "tracking", "free")
+        if tracking == "response":
+            why = "tracking is response, in which rig.platform.response stands for drives and controller together"
+            do = "put delay and bandwidth there (response.delay, response.bandwidth), or take tracking servo"
+            yield from (((name,), f"{why}; {do}") for name in self.drives)
+        elif tracking == "ideal":
+            why = "tracking is ideal, in which the pose reaches the command exactly; take tracking servo or response"
+            yield from (((name,), why) for name in (*self.drives, "response"))
+        elif tracking == "servo":
+            yield ("response",), "tracking is servo, in which the drives themselves are simulated; take tracking response"
 
     @placeholder
     def facility(self) -> Facility:

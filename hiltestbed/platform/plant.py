@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from hiltestbed.contact.composition import Structure, structure_of
 from hiltestbed.contact.engagement import Engagement
+from hiltestbed.contact.jacobian import held_pair
 from hiltestbed.contact.latch import LatchCondition
 from hiltestbed.contact.parameters import ContactParameters
 from hiltestbed.contact.phases import Phases
@@ -98,6 +99,7 @@ class Plant:
         self._latch: LatchCondition | None = None
         if force is None and any(s.mechanism.latch for s in scenarios):
             self._latch = LatchCondition(scenarios)
+        self._batch, self._made_of = lower.batch, made_of
         self.phases: Phases | None = None
         if force is None and made_of.mechanism.phases():
             self.phases = Phases(lower.batch, made_of, scenarios[0].tick, len(scenarios))
@@ -121,6 +123,10 @@ class Plant:
     def contacts(self) -> Engagement:
         """Where what touches; of a spring and a damper without friction there is no more to know than the force."""
         return self._tracking.contacts.engagement
+
+    def held_pair(self, i: int) -> tuple[Array, Array] | None:
+        """Stiffness and damping (6, 6) of the latched place of run ``i`` (:func:`hiltestbed.contact.jacobian.held_pair`); None without."""
+        return held_pair(self.contacts(), self._batch, self._made_of, i) if self.phases is not None else None
 
     def joint_limit_passed(self) -> bool:
         """Whether a joint of a run has passed a limit that the facility states for it, or a command is out of its reach."""

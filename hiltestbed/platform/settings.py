@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import Field
 
 from hiltestbed.platform.kinds import PLATFORMS, Platform
 from hiltestbed.plugins import OneOf
-from hiltestbed.validation import Strictly
+from hiltestbed.validation import Problem, Strictly
+
+if TYPE_CHECKING:
+    from hiltestbed.scenario import Scenario
 
 AnyPlatform = Annotated[Platform, OneOf(PLATFORMS, default="pss33")]
 
@@ -23,6 +27,10 @@ class UpperPlatform(Strictly):
     tracking: Literal["servo", "ideal"] = Field(
         default="servo", description="How the upper platform follows. servo: under its drives; ideal: it is where it is planned to be"
     )
+
+    def idle(self, scenario: Scenario) -> Iterator[Problem]:
+        if self.kind == "fixed":
+            yield ("tracking",), "the upper platform's kind is fixed: there is none; take kind prs3"
 
 
 class Rig(Strictly):

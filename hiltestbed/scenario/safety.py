@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
 from pydantic import Field
 
-from hiltestbed.validation import Positive, Strictly
+from hiltestbed.validation import Positive, Problem, Strictly
+
+if TYPE_CHECKING:
+    from hiltestbed.scenario import Scenario
 
 
 class Safety(Strictly):
@@ -25,3 +31,12 @@ class Safety(Strictly):
     force: Positive | None = Field(default=5.0e4, description="Largest force on the sensor [N]; null: not watched")
     torque: Positive | None = Field(default=5.0e4, description="Largest torque on the sensor, at P's origin [N m]; null: not watched")
     energy: Positive | None = Field(default=None, description="Largest energy that the rig may create in a run [J]; null: not watched")
+
+    def idle(self, scenario: Scenario) -> Iterator[Problem]:
+        platform = scenario.rig.platform
+        if platform.states_limits:
+            yield ("limb_angle_deg",), f"a platform of kind {platform.kind} has no limbs of the 3-3 PSS kind; leave it out"
+            for name in ("stroke", "speed", "acceleration"):
+                if getattr(self, name) is not None:
+                    why = f"the joints of a platform of kind {platform.kind} have limits of their own, on which this number does not act"
+                    yield (name,), f"{why}; null switches them off, other numbers leave it out"

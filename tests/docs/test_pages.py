@@ -102,9 +102,22 @@ def test_every_effect_method_column_and_name_is_in_the_reference(pages: dict[str
     assert set(reference.EXIT_STATUS) == {0, 1, 2, 3}
 
 
-def test_links_between_pages_lead_somewhere(pages: dict[str, str]) -> None:
-    for page in (*DOCS.rglob("*.md"), ROOT / "README.md"):
-        for target in re.findall(r"\]\((?!https?://|#)([^)#]+)", page.read_text()):
+LINK = re.compile(r"\]\((?!https?://|mailto:|#)([^)#]+)")
+BESIDE = ("README", "CHANGELOG", "CONTRIBUTING", "SECURITY", "SUPPORT")
+
+
+def test_links_lead_somewhere_where_the_repository_is_read() -> None:
+    for page in (*DOCS.rglob("*.md"), *(ROOT / f"{name}.md" for name in BESIDE)):
+        for target in LINK.findall(page.read_text()):
+            assert (page.parent / target).exists(), f"{page.name}: {target}"
+
+
+def test_links_lead_somewhere_on_the_site(pages: dict[str, str]) -> None:
+    """To a page or a file below the documentation, or to one that is made from the code."""
+    links = module("repository_links")
+    for page in DOCS.rglob("*.md"):
+        here = page.relative_to(DOCS)
+        for target in LINK.findall(links.for_the_site(page.read_text(), here.as_posix())):
             path = (page.parent / target).resolve()
-            inside = str(path.relative_to(DOCS.resolve())) if path.is_relative_to(DOCS.resolve()) else ""
-            assert path.exists() or inside in pages, f"{page.name}: {target}"
+            assert path.is_relative_to(DOCS.resolve()), f"{here}: {target} leaves the site"
+            assert path.exists() or str(path.relative_to(DOCS.resolve())) in pages, f"{here}: {target}"

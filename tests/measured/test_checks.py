@@ -321,3 +321,17 @@ def test_an_axis_that_a_port_beside_its_place_moves_is_not_called_turned(tmp_pat
     names = ("platform.speed_limit", "sensor.hum", "dynamics.port_offset")
     write_set(tmp_path, draw_set(np.random.default_rng(910_001), "pair", names))
     assert [r for r in examine(tmp_path / "dataset.yaml").remarks if r.severity == "error"] == []
+
+
+def test_a_run_is_called_by_its_file(tmp_path: Path) -> None:
+    """Whatever number its file has: remarks, and what a whole dataset lacks, name the file; two of one name by their folders."""
+    (tmp_path / "logs").mkdir()
+    whole, cut = bounce.columns(), bounce.columns()
+    whole["wrench_meas.fz"][100] = float("nan")
+    cut = {name: column for name, column in cut.items() if not name.startswith("wrench_meas")}
+    pq.write_table(pa.table(cut), tmp_path / "logs" / "run_0.parquet")
+    alone = [str(remark) for remark in examine(bounce.write_dataset(tmp_path, whole)).remarks]
+    assert any(": run_0.parquet: " in text and "missing (NaN)" in text for text in alone), alone
+    found = examine(bounce.write_dataset(tmp_path, whole, files=("logs/run_0.parquet",)))
+    assert found.names == ["logs/run_0.parquet", f"{tmp_path.name}/run_0.parquet"]
+    assert any("not in logs/run_0.parquet" in str(remark) for remark in found.remarks)

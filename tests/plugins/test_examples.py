@@ -198,3 +198,28 @@ def test_a_scenario_that_needs_a_plugin_says_what_is_there() -> None:
         scenario_from(shipped("02-bumper").model_dump(mode="json") | {"effects": [{"kind": "contact.worn_pad", "wear": 0.1}]})
     assert "slope_lead" not in FORCE_METHODS
     assert "three_pads" not in MECHANISMS
+
+
+def test_the_benchmark_enters_a_method_of_the_users_in_every_column() -> None:
+    """Also where it is quick: delay off and servo, and the random rigs; a built-in one that leads in nothing is left out there."""
+    from hiltestbed.bench.contenders import contenders
+    from hiltestbed.bench.cor import _takes_part
+
+    plugins.load([str(EXAMPLES / "slope_lead.py")])
+    by_name = {m.name: m for m in contenders()}
+    for tracking, knowledge in (("ideal", "exact"), ("ideal", "off"), ("servo", "exact")):
+        assert _takes_part(by_name["slope_lead"], tracking, knowledge, True)
+    assert not _takes_part(by_name["dead_zone"], "ideal", "off", True)
+
+
+def test_a_run_that_a_plugin_made_says_which_one_it_needs(tmp_path: Path) -> None:
+    plugin, folder = EXAMPLES / "slope_lead.py", tmp_path / "run"
+    made = command(
+        "run", "03-bumper-delay-uncompensated", "--plugin", str(plugin), "--set", "compensation.force={kind: slope_lead}",
+        "--set", "duration=0.3", "--no-rerun", "--out", str(folder),
+    )  # fmt: skip
+    assert made.returncode == 0, made.stderr
+    refused = command("compare", str(folder), str(folder))
+    assert refused.returncode == 2
+    assert f"give --plugin {plugin}" in refused.stderr
+    assert command("compare", str(folder), str(folder), "--plugin", str(plugin)).returncode == 0

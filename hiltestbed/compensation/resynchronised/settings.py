@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, ClassVar, Literal
 
 from pydantic import Field
 
 from hiltestbed.compensation.settings import ForceMethod, Input
 from hiltestbed.plugins import register
-from hiltestbed.validation import NotNegative, Positive, Strictly
+from hiltestbed.validation import NotNegative, Positive, Problem, Strictly
 
 if TYPE_CHECKING:
     from hiltestbed.compensation.resynchronised.drive import ResynchronisedDrive
@@ -55,6 +55,10 @@ class Resynchronised(ForceMethod):
         if self.delay == "estimate":
             out[f"{self.kind}.estimate"] = sum(e.parameters()["delay"] for e in scenario.effects if e.kind == "sensor.delay")
         return out
+
+    def idle(self, scenario: Scenario) -> Iterable[Problem]:
+        if scenario.mechanism.captured:
+            yield ("blending",), "the mechanism holds from the start: there is no first contact, from which a correction would come"
 
     def memory(self) -> float:
         return self.blending

@@ -18,8 +18,12 @@ def conclude(dataset: MeasuredDataset, finding: Finding, seconds: float | None =
     notes = (*finding.assumed, *notes)
     either = mass_of_either_body(finding, dataset)
     notes = (*notes, either) if either else notes
-    refused = [f"run {p.run}: the nominal simulation could not be run" for p in played if p.nominal is None]
-    refused += [f"run {p.run}: the extended simulation could not be run" for p in played if p.extended is None and p.nominal is not None]
+    refused = [f"{dataset.runs[p.run].name}: the nominal simulation could not be run" for p in played if p.nominal is None]
+    refused += [
+        f"{dataset.runs[p.run].name}: the extended simulation could not be run"
+        for p in played
+        if p.extended is None and p.nominal is not None
+    ]
     return Diagnosis(
         name=dataset.spec.name or dataset.path.parent.resolve().name or dataset.nominal.name,
         finding=finding,

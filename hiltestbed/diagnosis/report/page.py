@@ -111,8 +111,10 @@ def _evidence(report: Report, d: Diagnosis) -> None:
         "Each link of the loop was replayed alone on what was measured at its input, so that the error of one cannot leak into another. "
         "Residuals are in units of the channel's own noise: what stays in the grey band is noise. Contact is shaded."
     )
-    report.figure(pictures.residuals_over_time(series, compared), "What the model leaves on the channels that it misses most.")
-    report.figure(pictures.channel_over_time(series, compared), "The channel that is missed most, around the contact.")
+    report.figure(
+        pictures.residuals_over_time(series, compared, d.dataset.names), "What the model leaves on the channels that it misses most."
+    )
+    report.figure(pictures.channel_over_time(series, compared, d.dataset.names), "The channel that is missed most, around the contact.")
     force = pictures.force_against_penetration(series, d.dataset, compared)
     if force is not None:
         report.figure(force, "Force against penetration, read back by the sensor's nominal delay; slowest to fastest approach.")
@@ -142,12 +144,18 @@ def _gain(report: Report, d: Diagnosis) -> None:
     report.heading("Gain")
     report.text(gain_sentence(d.heldout, d.finding.names))
     if d.finding.learned is not None:
-        report.figure(pictures.heldout_bars(d.finding.learned.heldout), "The learned law on runs that were left out of its fit.")
+        report.figure(
+            pictures.heldout_bars(d.finding.learned.heldout, d.dataset.names), "The learned law on runs that were left out of its fit."
+        )
     if d.finding.partial_gain is not None:
         report.text(partial_sentence(d.finding.partial, d.finding.partial_gain))
-        report.figure(pictures.heldout_bars(d.finding.partial_gain), "The best explanation on runs that were left out of its fit.")
+        report.figure(
+            pictures.heldout_bars(d.finding.partial_gain, d.dataset.names), "The best explanation on runs that were left out of its fit."
+        )
     if d.heldout is not None and d.heldout.per_run:
-        report.figure(pictures.heldout_bars(d.heldout), "Residual of the departing link on runs that were left out of the fit.")
+        report.figure(
+            pictures.heldout_bars(d.heldout, d.dataset.names), "Residual of the departing link on runs that were left out of the fit."
+        )
     figure = pictures.closed_loop_figures(d.closed_loop, d.finding.extends)
     if figure is None:
         return
@@ -161,7 +169,7 @@ def _gain(report: Report, d: Diagnosis) -> None:
         rows = []
         for i, run in enumerate(d.closed_loop.runs):
             figures: list[Figures] = [getattr(d.closed_loop, source)[i] for source in sources]
-            rows.append([str(run), *(_number(getattr(f, name), 5) for name in pair for f in figures)])
+            rows.append([d.dataset.names[run], *(_number(getattr(f, name), 5) for name in pair for f in figures)])
         report.table(["run", *(f"{names[name]} {source}" for name in pair for source in sources)], rows, caption)
 
 
@@ -211,13 +219,12 @@ def _channels(report: Report, d: Diagnosis) -> None:
 def _data(report: Report, d: Diagnosis) -> None:
     report.heading("Data")
     rows = []
-    for i, run in enumerate(d.dataset.runs):
+    for run in d.dataset.runs:
         contacts = run.survey.contacts
         peak = max((abs(c.peak_force or 0.0) for c in contacts), default=None)
         speed, spring = run.scenario.approach.velocity[2], run.scenario.mechanism.contact.stiffness
         cells = (
-            i,
-            run.record.file.name,
+            run.name,
             run.record.ticks,
             f"{run.record.sample_rate:.6g}",
             f"{speed:.3g}",
@@ -226,7 +233,7 @@ def _data(report: Report, d: Diagnosis) -> None:
             _number(peak),
         )
         rows.append(cells)
-    report.table(("run", "file", "ticks", "samples [Hz]", "speed [m/s]", "spring [N/m]", "contacts", "peak [N]"), rows)
+    report.table(("run", "ticks", "samples [Hz]", "speed [m/s]", "spring [N/m]", "contacts", "peak [N]"), rows)
     for remark in d.remarks:
         report.text(remark)
     if not d.remarks:

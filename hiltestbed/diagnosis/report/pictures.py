@@ -39,10 +39,10 @@ def worst_run(series: Sequence[Series], channel: str) -> int:
     return max(runs, key=lambda run: misfit([s for s in series if s.run == run], channel))
 
 
-def residuals_over_time(series: Sequence[Series], compared: str) -> Figure:
+def residuals_over_time(series: Sequence[Series], compared: str, names: Sequence[str]) -> Figure:
     """In units of the noise, for the worst channels, each in its worst run; contact shaded, the noise as a band.
 
-    compared: what the series' extended prediction is called; empty where there is none.
+    compared: what the series' extended prediction is called; empty where there is none. names: of the runs.
     """
     channels = worst_channels(series)
     figure, grid = new_figure(9.0, 2.3 * len(channels) + 0.4, nrows=len(channels), ncols=1, squeeze=False)
@@ -54,20 +54,20 @@ def residuals_over_time(series: Sequence[Series], compared: str) -> Figure:
         axes.plot(s.t, in_sigma(s), color=NOMINAL, lw=0.9, label="measured less nominal")
         if compared:
             axes.plot(s.t, in_sigma(s, True), color=EXTENDED, lw=0.9, label=f"measured less {compared}")
-        axes.set_ylabel(f"{channel}\nrun {run} [sigma]")
+        axes.set_ylabel(f"{channel}\n{names[run]} [sigma]")
     grid[0, 0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), fontsize=8, ncols=2, frameon=False)
     grid[-1, 0].set_xlabel("time [s]")
     return figure
 
 
-def channel_over_time(series: Sequence[Series], compared: str) -> Figure:
+def channel_over_time(series: Sequence[Series], compared: str, names: Sequence[str]) -> Figure:
     """The worst channel as it was measured and as the link makes it, around the contact, in its worst run."""
     figure, axes = new_figure(9.0, 3.2)
-    plot_channel(series, compared, None, axes)
+    plot_channel(series, compared, names, None, axes)
     return figure
 
 
-def plot_channel(series: Sequence[Series], compared: str, channel: str | None, axes: Axes | None) -> Axes:
+def plot_channel(series: Sequence[Series], compared: str, names: Sequence[str], channel: str | None, axes: Axes | None) -> Axes:
     """A channel (left out: the worst) around the contact, in its worst run; of a pose, whose departure is small beside its travel, what it
     departs from the nominal one by.
 
@@ -92,7 +92,7 @@ def plot_channel(series: Sequence[Series], compared: str, channel: str | None, a
         axes.plot(s.t[rows], factor * (s.extended - less)[rows], color=EXTENDED, lw=1.2, ls="--", label=compared)
     axes.set_xlim(s.t[rows][0], s.t[rows][-1])
     unit = f"m{s.unit}" if pose else s.unit
-    axes.set(xlabel="time [s]", ylabel=f"{channel}{', less nominal' if pose else ''}\nrun {s.run} [{unit}]")
+    axes.set(xlabel="time [s]", ylabel=f"{channel}{', less nominal' if pose else ''}\n{names[s.run]} [{unit}]")
     axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), fontsize=8, ncols=3, frameon=False)
     return axes
 
@@ -115,7 +115,7 @@ def force_against_penetration(series: Sequence[Series], dataset: MeasuredDataset
             axes.plot(x, s.extended[rows], color=EXTENDED, lw=1.1, ls="--", label=compared)
         contact = run.scenario.mechanism.contact.stiffness
         speed = abs(run.scenario.approach.velocity[2])
-        axes.set_title(f"run {i}: {f'{speed:.3g} m/s, ' if speed else ''}{contact:.3g} N/m", fontsize=9)
+        axes.set_title(f"{run.name}: {f'{speed:.3g} m/s, ' if speed else ''}{contact:.3g} N/m", fontsize=9)
         axes.set_xlabel("penetration [mm]")
     grid[0, 0].set_ylabel("force along z [N]")
     grid[0, 0].legend(fontsize=8, frameon=False)
@@ -158,15 +158,15 @@ def ranking_bars(ranking: Sequence[Ranked]) -> Figure:
     return figure
 
 
-def heldout_bars(heldout: Heldout) -> Figure:
-    """Each run's residual before and after, when it was left out of the fit."""
+def heldout_bars(heldout: Heldout, names: Sequence[str]) -> Figure:
+    """Each run's residual before and after, when it was left out of the fit; ``names``: of the runs."""
     runs = sorted(heldout.per_run)
     figure, axes = new_figure(9.0, 3.0)
     place = np.arange(len(runs))
     axes.bar(place - 0.2, [heldout.per_run[r][0] for r in runs], 0.38, color=NOMINAL, label="nominal")
     axes.bar(place + 0.2, [heldout.per_run[r][1] for r in runs], 0.38, color=EXTENDED, label="extended, fitted to the other runs")
     axes.axhline(1.0, color=FLOOR, lw=1)
-    axes.set_xticks(place, [f"run {r}" for r in runs])
+    axes.set_xticks(place, [names[r] for r in runs], rotation=30 if len(runs) > 6 else 0)
     axes.set_ylabel("rms over noise floor")
     axes.legend(fontsize=8, frameon=False)
     return figure

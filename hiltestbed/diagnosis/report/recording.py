@@ -155,7 +155,7 @@ def _layout(diagnosis: Diagnosis, channels: list[str]) -> rrb.Blueprint:
     if pose is None:
         beside = words
     else:
-        beside = rrb.Vertical(rig_view(run.scenario, f"The rig in run {first}, as measured", _scale(force)), words, row_shares=[1.2, 1.0])
+        beside = rrb.Vertical(rig_view(run.scenario, f"The rig in {run.name}, as measured", _scale(force)), words, row_shares=[1.2, 1.0])
     return rrb.Blueprint(
         rrb.Horizontal(tabs, beside, column_shares=[1.5, 1.0]),
         rrb.TimePanel(timeline="time", state="collapsed"),
@@ -167,7 +167,7 @@ def _layout(diagnosis: Diagnosis, channels: list[str]) -> rrb.Blueprint:
 def _run_tab(i: int, run: MeasuredRun, channels: list[str]) -> rrb.Vertical:
     plots = [_plot(f"run_{i}/{entity}", SIGNALS[entity][3], run) for entity in IN_VIEW]
     plots += [_plot(f"run_{i}/{RESIDUAL}/{_entity(c)}", f"{c}: residual of its link [sigma]", run) for c in channels[:2]]
-    return rrb.Vertical(*plots, name=f"Run {i}: {abs(run.scenario.approach.velocity[2]):.3g} m/s")
+    return rrb.Vertical(*plots, name=f"{run.name}: {abs(run.scenario.approach.velocity[2]):.3g} m/s")
 
 
 def _plot(origin: str, name: str, run: MeasuredRun) -> rrb.TimeSeriesView:

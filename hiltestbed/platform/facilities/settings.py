@@ -14,7 +14,7 @@ from pydantic import Field, Strict
 
 from hiltestbed.platform.kinds import Platform
 from hiltestbed.plugins import register
-from hiltestbed.validation import NotNegative, Positive, Strictly, Vector2
+from hiltestbed.validation import NotNegative, Positive, Problem, Strictly, Vector2
 
 if TYPE_CHECKING:
     from hiltestbed.platform.facilities.facility import Facility
@@ -138,6 +138,10 @@ class ResponseSettings(Strictly):
     gain: Positive | SixPositive = Field(default=60.0, description="Gain of order 3 [1/s] of all axes or of each")
     delay: NotNegative = Field(default=0.0, description="Pure delay [s], any length")
 
+    def idle(self, scenario: Scenario) -> Iterator[Problem]:
+        if self.order == 2:
+            yield ("gain",), "the response's order is 2, which has none; take order 3"
+
 
 class Driven(Platform):
     """A platform of this package that is told where to go."""
@@ -194,6 +198,7 @@ class StewartSettings(Driven):
         "oil's modes are left. Seals stick at reversal."
     )
 
+    drives: ClassVar[tuple[str, ...]] = ("drive", "command")
     kind: Literal["stewart"]
     drive: Annotated[HydraulicDrive | ElectricDrive, Field(discriminator="kind")] = Field(
         default=HydraulicDrive(), description="Drives of the legs, hydraulic or electric"
@@ -234,6 +239,7 @@ class SerialArmSettings(Driven):
         "virtual damper beside it gives the damping back, as at EPOS."
     )
 
+    drives: ClassVar[tuple[str, ...]] = ("controller", "command")
     kind: Literal["serial_arm"]
     controller: ArmController = Field(default=ArmController(), description="Controller and motors of the arm")
     command: CommandPath = Field(
@@ -255,6 +261,7 @@ class TwoArmsSettings(Driven):
         "that the sensor carries weight and inertia of its mechanism, which are taken out of the reading."
     )
 
+    drives: ClassVar[tuple[str, ...]] = ("controller", "command")
     kind: Literal["two_arms"]
     passive_share: Annotated[float, Field(ge=0, le=1)] = Field(
         default=0.5, description="Share of the relative motion near the touch that the passive arm makes [-]; 0: it stands still"
@@ -278,6 +285,7 @@ class MjcfSettings(Driven):
         "frequencies that no single axis shows."
     )
 
+    drives: ClassVar[tuple[str, ...]] = ("command",)
     kind: Literal["mjcf"]
     model: str = Field(description="MJCF file of the rig, with a site `mount` and position actuators")
     speed: Positive = Field(default=1.0, description="Highest speed of a sliding joint [m/s]; MJCF has no such number")

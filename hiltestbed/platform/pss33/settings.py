@@ -40,6 +40,13 @@ class Actuator(Strictly):
         default=0.3, description="Speed at which both motors of a dual drive turn at rest, in terms of the slider [m/s]"
     )
 
+    def idle(self, scenario: Scenario) -> Iterator[Problem]:
+        if self.kind == "ideal":
+            names = ("coulomb", "stiction", "stribeck_speed", "viscous", "bias_speed")
+            yield from (((name,), "the actuator's kind is ideal, a drive without friction; take kind single or dual") for name in names)
+        elif self.kind == "single":
+            yield ("bias_speed",), "the actuator's kind is single, whose motor stands at rest; take kind dual"
+
     @model_validator(mode="after")
     def _breaks_away(self) -> Actuator:
         if self.stiction < self.coulomb:
@@ -69,6 +76,7 @@ class Pss33(Platform):
 
     states_limits: ClassVar[bool] = False
     carries_upper: ClassVar[bool] = True
+    drives: ClassVar[tuple[str, ...]] = ("bandwidth", "damping_ratio", "encoder_resolution", "command", "actuator")
     distorts: ClassVar[str] = (
         "Computed torque with feed-forward takes the drives' lag out of free motion; in contact the position loops yield like springs, so "
         "that A stands short of its command by force over stiffness. What is left is the delay of the force sensor, which a lead of "

@@ -1,0 +1,96 @@
+"""One bounce before the run: with what part of its speed a contact ends, and how much energy the rig makes of it.
+
+Net damping tells whether a contact that stays dies out. A touch begins with a step: the dampers push with c v at once, the numerical
+model hears of it a lag tau later and has gone on with its whole speed meanwhile. Of a free flyer of mass m that gives the rig
+
+    E = integral of F v_act - F_used v_cmd = (tau/m) integral of F^2 dt = tau k integral of v^2 dt + (tau c/2)(v_0^2 + v_1^2)
+
+to first order in tau: the first term is the damping -k tau of the delay ledger, the second that of both ends, of the order of c tau/m of
+the energy of the approach. A light tip in a well-damped cone has c tau/m of 1 and more: it may leave faster than it came while the net
+damping is far above zero. So the bounce is computed: in the coordinate x along the direction, with the force F = k x + c x', never
+pulling, and g the response of x to an impulse of the force, through the numerical model and the rig,
+
+    x(t) = v_0 t - integral of g(t - s) F(s) ds,   g <-> G(s) e^(-s tau)/(m s^2) + Y(s)
+
+G and Y are those of :mod:`hiltestbed.rig_response`. The transform is that of a second order with the same lag in closed form, and a sum
+over the measured lines of the rest, which falls off with the third power of the frequency.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hiltestbed.frames import Array
+
+if TYPE_CHECKING:
+    from hiltestbed.rig_response import RigResponse
+
+STEPS = 500  # of a bounce: e to 2e-3
+SWINGS, LAGS = 1.3, 3.0  # half periods of the contact, and lags of the loop, within which it has ended
+
+
+@dataclass(frozen=True)
+class Bounce:
+    """rebound: speed after the bounce over that before it. energy: made by the rig, over the kinetic energy before it."""
+
+    rebound: float
+    energy: float
+
+
+def bounce(response: RigResponse, mass: float, stiffness: float, damping: float, delay: float) -> Bounce:
+    """A bounce of ``mass`` [kg] on a contact [N/m], [N s/m] through a rig, with a force that is used ``delay`` [s] late."""
+    lag = lag_of(response)
+    span = SWINGS * math.pi * math.sqrt(mass / stiffness) + LAGS * max(delay + lag, 0.0)
+    t = np.linspace(0.0, span, STEPS + 1)
+    dt = float(t[1])
+    g = dt * (_carried(response, lag, t - delay) / mass + _yielded(response, t))
+    force, place, work = np.zeros(len(t)), 0.0, 0.0
+    force[0] = damping  # at a speed of 1 m/s
+    for j in range(1, len(t)):
+        free = t[j] - float(force[1:j] @ g[j - 1 : 0 : -1]) - 0.5 * force[0] * g[j]
+        force[j] = max(0.0, stiffness * free + damping * (free - place) / dt)
+        if free <= 0.0:
+            force[j] = 0.0
+            break
+        work += 0.5 * (force[j] + force[j - 1]) * (free - place)
+        place = free
+    after = 1.0 - dt * (float(force.sum()) - 0.5 * force[0]) / mass
+    return Bounce(float(-after), float(2.0 * work / mass - (1.0 - after * after)))
+
+
+def lag_of(response: RigResponse) -> float:
+    """Of the rig at low frequency [s]; below 0: it leads."""
+    return float(-np.angle(response.follows[1]) / (2.0 * math.pi * response.frequency[1]))
+
+
+def _carried(response: RigResponse, lag: float, t: Array) -> Array:
+    """The inverse transform of G/s^2 at ``t`` [s]."""
+    after = np.maximum(t, 0.0)
+    if not np.any(response.follows != 1.0):
+        return after
+    half = 0.5 * abs(lag)  # 1/(1 + s half)^2
+    ramp = after - 2.0 * half + (after + 2.0 * half) * np.exp(-after / half) if half > 0.0 else after
+    w = 2.0 * math.pi * response.frequency[1:]
+    second = 1.0 / (1.0 + 1j * w * half) ** 2
+    if lag < 0.0:  # its mirror image leads by as much
+        ramp, second = 2.0 * after - ramp, 2.0 - second
+    rest = (response.follows[1:] - second) / -(w**2)
+    return np.where(t > 0.0, ramp + _summed(response, rest, after), 0.0)
+
+
+def _yielded(response: RigResponse, t: Array) -> Array:
+    """The inverse transform of Y at ``t`` [s]."""
+    return np.zeros(len(t)) if not np.any(response.yields) else _summed(response, response.yields[1:], t)
+
+
+def _summed(response: RigResponse, lines: NDArray[np.complex128], t: Array) -> Array:
+    """The inverse transform of what was measured at the lines above 0, for what has died out within half a period of them."""
+    spacing = float(response.frequency[1] - response.frequency[0])
+    turns = np.outer(t, 2.0 * math.pi * response.frequency[1:])
+    total = spacing * (2.0 * (np.cos(turns) @ lines.real - np.sin(turns) @ lines.imag) + lines[0].real)
+    return np.where(t < 0.5 / spacing, total, 0.0)
