@@ -1,4 +1,8 @@
-"""Which tests are quick: those that need no long simulation. All others are marked slow, so that a new test is slow until it is listed."""
+"""Which tests are quick: those that need no long simulation. All others are marked slow, so that a new test is slow until it is listed.
+
+And which files come first, where several workers take a file at a time: those that compile the kernels that the others need, a rig to each
+worker so that none is compiled twice, then the longest, so that at the end no worker waits for another.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +23,6 @@ QUICK = (  # files and folders below tests
     "identification/test_least_squares.py",
     "measured/test_channel_map.py",
     "measured/test_clock.py",
-    "measured/test_formats.py",
     "models/test_descriptions.py",
     "platform/test_kinematics.py",
     "platform/test_settings.py",
@@ -32,9 +35,39 @@ QUICK = (  # files and folders below tests
     "test_python_api.py",
     "viewer/test_display.py",
 )
+FIRST = (
+    "robustness/test_distortions.py",  # the independent rig
+    "test_ledger.py",  # the loop, with every compensation
+    "diagnosis/test_naming.py",  # the replay
+    "test_docking.py",  # latches
+    "docs/test_pages.py",
+    "diagnosis/test_driven.py",
+    "plugins/test_examples.py",
+    "devices/test_commission.py",
+    "physics/test_captured.py",
+    "docs/test_gallery.py",
+    "physics/test_mechanisms_on_two_bodies.py",
+    "platform/test_nine_axes.py",
+    "campaign/test_sweep.py",
+    "diagnosis/test_own_sets.py",
+    "robustness/test_world.py",
+    "platform/test_facility_loop.py",
+    "robustness/test_kills.py",
+    "models/test_idss_ring.py",
+    "devices/test_live_faults.py",
+    "robustness/test_random_inputs.py",
+    "viewer/test_record.py",
+    "bench/test_docking_sets.py",
+    "physics/test_docking_on_two_rigs.py",
+    "measured/test_formats.py",
+    "diagnosis/test_learned_on_rigs.py",
+    "identification/test_held.py",
+)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    first = {HERE / file: rank for rank, file in enumerate(FIRST)}
+    items.sort(key=lambda item: first.get(item.path, len(FIRST)))
     for item in items:
         if item.path.is_relative_to(HERE):
             place = item.path.relative_to(HERE).as_posix()

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -18,6 +19,7 @@ from hiltestbed.campaign.store import Store
 from hiltestbed.campaign.sweep import case_scenario, read_sweep, sweep
 from hiltestbed.errors import HiltestbedError, InputError
 from hiltestbed.scenario import scenario_sha256
+from tests.slow import slow
 
 DEADLINE = 120.0  # [s] for what takes a few: a busy machine compiles slowly
 
@@ -79,36 +81,55 @@ def test_a_second_sweep_has_nothing_to_do(small: LoadedCampaign, tmp_path: Path)
     assert {file.name: file.stat().st_mtime_ns for file in (tmp_path / "out").iterdir()} == before
 
 
-def test_ended_in_every_way_it_goes_on_to_the_same_bytes(file: Path, tmp_path: Path, expected: bytes) -> None:
-    """Ctrl-C, `kill -9` of the command alone, `kill -9` of command and workers, `kill -9` of a worker; with other chunks each time."""
-    out = tmp_path / "out"
+def begun(file: Path, *more: str) -> subprocess.Popen:
+    """A sweep in a process group of its own, after its first chunk."""
+    before = chunks_in(file.parent / "out")
+    process = subprocess.Popen(command(file, *more), start_new_session=True, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+    wait_for(lambda: chunks_in(file.parent / "out") > before, "a chunk")
+    return process
 
-    def begun(*more: str) -> subprocess.Popen:
-        before = chunks_in(out)
-        process = subprocess.Popen(command(file, *more), start_new_session=True, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
-        wait_for(lambda: chunks_in(out) > before, "a chunk")
-        return process
 
-    process = begun("--workers", "2", "--chunk", "3")
-    os.killpg(process.pid, signal.SIGINT)  # as a terminal does: the workers get it too
+def interrupted(file: Path) -> None:
+    """Ctrl-C, as a terminal does it: the workers get it too."""
+    process = begun(file, "--workers", "2", "--chunk", "3")
+    os.killpg(process.pid, signal.SIGINT)
     _, err = process.communicate(timeout=DEADLINE)
     assert process.returncode == 1
     assert b"the same command goes on" in err
     assert b"Traceback" not in err
     wait_for(lambda: is_gone(process.pid), "the workers to end")
 
-    process = begun("--workers", "2", "--chunk", "2")
+
+def killed_alone(file: Path) -> None:
+    """`kill -9` of the command; its workers end by themselves."""
+    process = begun(file, "--workers", "2", "--chunk", "2")
     process.kill()
     process.wait()
     wait_for(lambda: is_gone(process.pid), "the workers to end")
 
-    process = begun("--workers", "1", "--chunk", "4")
+
+def killed_with_its_workers(file: Path) -> None:
+    process = begun(file, "--workers", "1", "--chunk", "4")
     os.killpg(process.pid, signal.SIGKILL)
     process.wait()
-    assert not (out / "cases.parquet").exists()
-    assert 9 <= int(store.Store(out, load_campaign(file)).done().sum()) < 96
 
-    process = begun("--workers", "2", "--chunk", "3")
+
+@pytest.mark.parametrize(
+    "ways",
+    [(interrupted,), slow((interrupted, killed_alone, killed_with_its_workers))],
+    ids=lambda ways: "-".join(way.__name__ for way in ways),
+)
+def test_ended_in_every_way_it_goes_on_to_the_same_bytes(
+    ways: tuple[Callable[[Path], None], ...], file: Path, tmp_path: Path, expected: bytes
+) -> None:
+    """One way after the other, with other chunks each time, and at last `kill -9` of a worker, which the sweep bears."""
+    out = tmp_path / "out"
+    for way in ways:
+        way(file)
+    assert not (out / "cases.parquet").exists()
+    assert 3 * len(ways) <= int(store.Store(out, load_campaign(file)).done().sum()) < 96
+
+    process = begun(file, "--workers", "2", "--chunk", "3")
     workers = [int(pid) for pid in Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()]
     os.kill(next(pid for pid in workers if b"spawn_main" in Path(f"/proc/{pid}/cmdline").read_bytes()), signal.SIGKILL)
     _, err = process.communicate(timeout=DEADLINE)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +19,8 @@ from hiltestbed.measured.load import load_dataset
 from hiltestbed.scenario import load_scenario
 from hiltestbed.yaml_source import dump_yaml, read_source
 from tests.devices.lockstep import against, scenario_of
+from tests.slow import SLOW, slow
 
-SLOW = pytest.mark.skipif("HILTESTBED_SLOW" not in os.environ, reason="takes minutes; ./check --all")
 BELIEVED: dict[str, Any] = {"sensor__noise": 0.1, "sensor__torque_noise": 0.01, "sensor__delay": 0.002}
 CAPTURED: dict[str, Any] = BELIEVED | {
     "mechanism": {"kind": "latched", "contact": {"stiffness": 1.0e5, "damping": 200.0}},
@@ -89,7 +88,7 @@ def test_a_bumper_shows_what_its_one_direction_can(bumper: Commissioned) -> None
 
 
 @pytest.mark.parametrize(
-    ("name", "believed"), [("02-bumper", BELIEVED), ("13-ring-down", CAPTURED), ("03-bumper-delay-uncompensated", BELIEVED)]
+    ("name", "believed"), [slow("02-bumper", BELIEVED), ("13-ring-down", CAPTURED), slow("03-bumper-delay-uncompensated", BELIEVED)]
 )
 def test_where_nothing_is_hidden_nothing_is_found(name: str, believed: dict[str, Any]) -> None:
     result = _measured(name, believed, {})

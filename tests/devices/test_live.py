@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import subprocess
 import sys
 import time
@@ -18,8 +17,7 @@ from hiltestbed.recording import read_run, write_run
 from hiltestbed.signals import CYCLE
 from hiltestbed.simulation import run
 from tests.devices.lockstep import SCENARIOS, played, scenario_of, urls_of
-
-SLOW = pytest.mark.skipif("HILTESTBED_SLOW" not in os.environ, reason="depends on the wall clock; ./check --all")
+from tests.slow import SLOW
 
 
 @pytest.mark.parametrize("platform", ["rsi", "udp"])

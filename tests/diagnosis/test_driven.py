@@ -17,17 +17,18 @@ from hiltestbed.diagnosis.links import flat_pose
 from hiltestbed.diagnosis.yielding import deflection
 from hiltestbed.measured import MeasuredDataset, load_dataset
 from hiltestbed.recording import write_trace
+from tests.slow import SLOW
 
 SCENARIO = Path(__file__).parents[2] / "scenarios" / "reference-bumper.yaml"
 NOISE = 0.2  # [N]
 SPEEDS = (0.02, 0.04, 0.06)
 
 
-def driven(folder: Path, effects: tuple[dict[str, Any], ...] = ()) -> MeasuredDataset:
+def driven(folder: Path, effects: tuple[dict[str, Any], ...] = (), speeds: tuple[float, ...] = SPEEDS) -> MeasuredDataset:
     """Runs of the reference bumper under its servo, with noise in the sensor, and with `effects` that are not believed."""
     (folder / "nominal.yaml").write_bytes(SCENARIO.read_bytes())
     entries = []
-    for seed, speed in enumerate(SPEEDS):
+    for seed, speed in enumerate(speeds):
         approach = {"approach.velocity": [0.0, 0.0, speed], "duration": 0.9}
         given = approach | {"sensor.noise": NOISE, "sensor.torque_noise": 0.02, "seed": seed, "effects": list(effects)}
         trace = run(load_scenario(SCENARIO, set=given)).trace
@@ -57,6 +58,7 @@ def test_where_the_drives_yield_to_is_known_to_their_doubt(healthy: MeasuredData
     assert (off <= found.doubt[known, 2]).mean() > 0.99
 
 
+@SLOW
 def test_of_a_driven_platform_nothing_is_named_where_nothing_is_hidden(healthy: MeasuredDataset) -> None:
     finding = find(investigate(healthy))
     assert finding.verdict == "no_discrepancy"
@@ -75,7 +77,7 @@ def test_of_a_driven_platform_only_what_is_hidden_is_named(tmp_path: Path) -> No
 
 def test_where_the_drives_yield_to_is_known_to_their_doubt_when_the_sensor_is_later_than_believed(tmp_path: Path) -> None:
     """At the touch, where the reading does not show the force yet that bends the rig already: 3 ms of a rise by k v."""
-    late = driven(tmp_path, ({"kind": "sensor.delay", "delay": 0.003},))
+    late = driven(tmp_path, ({"kind": "sensor.delay", "delay": 0.003},), SPEEDS[-1:])
     for measured in late.runs:
         found = deflection(measured, NOISE)
         assert found is not None

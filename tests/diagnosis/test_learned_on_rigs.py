@@ -22,6 +22,7 @@ from hiltestbed.diagnosis.result import Finding
 from hiltestbed.diagnosis.search import Explanation
 from hiltestbed.measured import MeasuredDataset, load_dataset
 from hiltestbed.scenario import load_scenario
+from tests.slow import slow
 
 from .recorded import recorded
 
@@ -33,7 +34,7 @@ def residual_of(dataset: MeasuredDataset) -> Residual:
     return Residual(make_wrench_link(layout, best_path(layout, None), layout.rows))
 
 
-@pytest.mark.parametrize("name", ["unknown.curve", "unknown.unloading", "unknown.speeding"])
+@pytest.mark.parametrize("name", ["unknown.curve", slow("unknown.unloading"), slow("unknown.speeding")])
 def test_a_foreign_law_of_an_independent_rig_is_worth_nearly_what_the_truth_is(name: str, tmp_path: Path) -> None:
     """The true model leaves noise: its gain is 1 - 1/before. A fifth less is what a law that is known from five runs may lose."""
     write_set(tmp_path, draw_set(np.random.default_rng(1), "foreign", names=(name,)))

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import numpy as np
@@ -20,50 +19,49 @@ from hiltestbed.diagnosis.verdict import decide
 from hiltestbed.effects import EFFECTS
 from hiltestbed.measured import load_dataset
 from tests.measured_data import measured_data
+from tests.slow import ALL, SLOW, slow
 
 HIDDEN = [name for name in EFFECTS if name in SIZES]  # learned laws are not drawn
-SLOW = bool(os.environ.get("HILTESTBED_SLOW"))
-QUICK = ("sensor.drift", "platform.lag", "loop.deadzone")
+QUICK = ("sensor.drift",)
 SETS = {1: (), 2: ("sensor.delay",), 3: ("contact.dry_friction",), 4: ("platform.lag",), 5: ("dynamics.mass",),
         6: ("sensor.crosstalk", "platform.backlash"), 7: None, 8: ()}  # fmt: skip
 
 
-@pytest.mark.parametrize("effect", [e for e in HIDDEN if SLOW or e in QUICK])
+@pytest.mark.parametrize("effect", [e for e in HIDDEN if ALL or e in QUICK])
 def test_a_hidden_effect_is_named(effect):
     record = one_set(Task(HIDDEN.index(effect), "single", (effect,)))
     assert record["right"], record
 
 
+@SLOW
 @pytest.mark.parametrize(
     ("seed", "effect"), [(400_027, "contact.misalignment"), (400_040, "dynamics.inertia"), (400_021, "contact.backlash")]
 )
 def test_that_a_facility_takes_the_tip_for_a_point_is_no_cause(seed, effect):
     """On bodies that turn, and on a port that is tilted, a ball touches beside its foremost point: 11 um of lever are not a crosstalk."""
-    if not SLOW:
-        pytest.skip("takes minutes; ./check --all")
     record = one_set(Task(seed, "single", (effect,)))
     assert record["right"], record
     assert [c["effect"] for c in record["causes"]] == [effect]
 
 
-@pytest.mark.parametrize("seed", [100, 104] if SLOW else [100])
+@pytest.mark.parametrize("seed", [100, slow(104)])
 def test_two_hidden_effects_are_both_named(seed):
     assert one_set(Task(seed, "pair"))["right"]
 
 
-@pytest.mark.parametrize("seed", range(100, 112 if SLOW else 102))
+@pytest.mark.parametrize("seed", range(100, 112 if ALL else 101))
 def test_a_healthy_rig_is_left_alone(seed):
     record = one_set(Task(seed, "healthy"))
     assert record["verdict"] == "no_discrepancy"
     assert record["causes"] == []
 
 
-@pytest.mark.parametrize("seed", [102, 104, 107] if SLOW else [104])
+@pytest.mark.parametrize("seed", [slow(102), 104, slow(107)])
 def test_what_has_no_name_is_called_unknown_with_its_link(seed):
     assert one_set(Task(seed, "foreign"))["right"]
 
 
-@pytest.mark.parametrize("number", SETS if SLOW else (1, 6))
+@pytest.mark.parametrize("number", SETS if ALL else (1, 2))
 def test_practice_sets(number):
     folder = measured_data("rig_practice")
     answers = yaml.safe_load((Path(folder) / "answers.yaml").read_text())[f"set_{number}"]

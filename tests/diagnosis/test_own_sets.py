@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import numpy as np
@@ -15,11 +14,11 @@ from hiltestbed.bench.own_sets import HIDDEN, OwnSet, hidden_effect, nominal_of,
 from hiltestbed.diagnosis.investigate import investigate
 from hiltestbed.diagnosis.verdict import Verdict, decide
 from hiltestbed.measured import load_dataset
+from tests.slow import ALL, slow
 
-SLOW = bool(os.environ.get("HILTESTBED_SLOW"))
 SCENARIOS = sorted(f.stem for f in (Path(__file__).parents[2] / "scenarios").glob("*.yaml"))
 WITHOUT_CONTACT = ("01-free-flight", "12-miss", "14-rendezvous", "15-ring-docking", "16-probe-drogue", "17-gripper")  # to be judged
-QUICK = (("05-off-centre", "contact.stiffness"),)
+QUICK = (slow("05-off-centre", "contact.stiffness"),)
 
 
 def verdict_of(own: OwnSet, folder: Path) -> Verdict:
@@ -27,7 +26,7 @@ def verdict_of(own: OwnSet, folder: Path) -> Verdict:
         return decide(investigate(load_dataset(record_set(own, folder))))
 
 
-@pytest.mark.parametrize("scenario", SCENARIOS if SLOW else ["05-off-centre"])
+@pytest.mark.parametrize("scenario", SCENARIOS if ALL else [slow("05-off-centre")])
 def test_a_healthy_rig_is_left_alone(scenario: str, tmp_path: Path) -> None:
     verdict = verdict_of(OwnSet(scenario), tmp_path)
     assert verdict.verdict == ("inconclusive" if scenario in WITHOUT_CONTACT else "no_discrepancy"), verdict
@@ -35,7 +34,7 @@ def test_a_healthy_rig_is_left_alone(scenario: str, tmp_path: Path) -> None:
     assert bool(verdict.not_judged) == (scenario in WITHOUT_CONTACT)
 
 
-@pytest.mark.parametrize(("scenario", "kind"), [(s, k) for s in SCENARIOS if s not in WITHOUT_CONTACT for k in HIDDEN] if SLOW else QUICK)
+@pytest.mark.parametrize(("scenario", "kind"), [(s, k) for s in SCENARIOS if s not in WITHOUT_CONTACT for k in HIDDEN] if ALL else QUICK)
 def test_what_is_hidden_is_named(scenario: str, kind: str, tmp_path: Path) -> None:
     hidden = hidden_effect(kind, nominal_of(OwnSet(scenario)))
     verdict = verdict_of(OwnSet(scenario, (hidden,)), tmp_path)

@@ -9,9 +9,12 @@ from types import ModuleType
 import nbformat
 import pytest
 
+from tests.slow import slow
+
 ROOT = Path(__file__).parents[2]
 GALLERY = ROOT / "examples" / "gallery"
 NOTEBOOKS = sorted(GALLERY.glob("*.ipynb"))
+LONG = ("a-diagnosis", "six-axes")
 BLANK = 5e3  # [bytes] that a picture with nothing in it takes at most
 
 
@@ -24,7 +27,7 @@ def module(path: Path) -> ModuleType:
     return found
 
 
-@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
+@pytest.mark.parametrize("path", [slow(p) if p.stem in LONG else p for p in NOTEBOOKS], ids=[p.stem for p in NOTEBOOKS])
 def test_a_notebook_runs_and_ends_in_a_picture(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("MPLBACKEND", raising=False)  # the kernel's own shows the picture in the notebook
     monkeypatch.setenv("PYTHONPATH", str(ROOT))

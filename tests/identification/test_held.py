@@ -15,6 +15,7 @@ from hiltestbed.identification.methods.rls import Rls
 from hiltestbed.loop import Loop
 from hiltestbed.platform.plant import Plant
 from hiltestbed.signals import AXES
+from tests.slow import slow
 
 SCENARIOS = Path(__file__).parents[2] / "scenarios"
 QUIET = {"sensor.noise": 0.0, "sensor.torque_noise": 0.0}
@@ -49,7 +50,7 @@ def jacobian(loop: Loop, step: float) -> tuple[np.ndarray, np.ndarray]:
     return stiffness, damping
 
 
-@pytest.mark.parametrize("name", ["09-docking", "10-glancing"])
+@pytest.mark.parametrize("name", [slow("09-docking"), "10-glancing"])
 def test_a_latch_is_found_on_six_axes_as_its_jacobian_has_it(name: str) -> None:
     """Through servo and delay, off the axis and askew; the Jacobian is that of the same latch under ideal tracking.
 

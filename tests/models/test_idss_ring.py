@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from tests.models.rig import Rig
+from tests.slow import slow
 
 WEDGE = math.radians(45.0)  # of the petals against the axis
 
@@ -43,7 +44,12 @@ def petal_forces(rig: Rig) -> dict[str, np.ndarray]:
 
 @pytest.mark.parametrize(
     ("offset", "attitude"),
-    [((0.0, 0.0), (0.0, 0.0, 0.0)), ((0.03, 0.02), (1.0, -1.0, 1.0)), ((0.06, 0.0), (2.0, 1.0, 2.0)), ((-0.05, 0.05), (0.0, 0.0, 0.0))],
+    [
+        slow((0.0, 0.0), (0.0, 0.0, 0.0)),
+        slow((0.03, 0.02), (1.0, -1.0, 1.0)),
+        ((0.06, 0.0), (2.0, 1.0, 2.0)),
+        slow((-0.05, 0.05), (0.0, 0.0, 0.0)),
+    ],
 )
 def test_nothing_is_lost_or_gained_in_a_bounce_that_nothing_damps(offset, attitude) -> None:
     """Kinetic energy with that of the attenuation's springs, before and after; through one to six contacts at a time."""
@@ -104,7 +110,7 @@ def slide(mu: float) -> tuple[float, float, float, float]:
     return float(rig.site("active_A") @ down - start), duration, force, mass
 
 
-@pytest.mark.parametrize(("offset", "speed", "attitude"), [((0.0, 0.0), 0.05, (0, 0, 0)), ((0.05, 0.03), 0.08, (2, -1, 1.5))])
+@pytest.mark.parametrize(("offset", "speed", "attitude"), [slow((0.0, 0.0), 0.05, (0, 0, 0)), ((0.05, 0.03), 0.08, (2, -1, 1.5))])
 def test_soft_capture_ring_down_hard_capture(offset, speed, attitude) -> None:
     rig = Rig("idss_ring", timestep=5e-4)
     rig.start(0.17, (0.0, 0.0, speed), offset, attitude)

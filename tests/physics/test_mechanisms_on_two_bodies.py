@@ -9,6 +9,7 @@ import pytest
 from hiltestbed.scenario import scenario_from
 from hiltestbed.simulation import Batch, simulate
 from tests.models.rig import Rig
+from tests.slow import slow
 
 RATE = 2000.0
 
@@ -79,7 +80,7 @@ def test_soft_capture_comes_when_two_free_bodies_say_so(name, gap, velocity, off
     np.testing.assert_allclose(trace["pose_act"][round(elapsed * RATE), :3], path, atol=2e-3)
 
 
-@pytest.mark.parametrize(("miss", "captured"), [(0.08, True), (0.13, False)])
+@pytest.mark.parametrize(("miss", "captured"), [slow(0.08, True), (0.13, False)])
 def test_the_ring_reaches_as_far_as_two_free_bodies_say(miss, captured) -> None:
     """0.08 m beside a petal's middle it is guided in, within 2 % of the time; 0.13 m beside it the petals strike and throw it off."""
     start = (0.17, (0.0, 0.0, 0.05), (miss, 0.0), (0.0, 0.0, 0.0))

@@ -16,6 +16,7 @@ from hiltestbed.loop import Loop
 from hiltestbed.numerical_model.bodies import approach_state, inertia_matrix
 from hiltestbed.numerical_model.kernels import CHASER, TARGET
 from hiltestbed.scenario import Scenario
+from tests.slow import slow
 
 SCENARIO = Path(__file__).parents[2] / "scenarios" / "05-off-centre.yaml"
 TIP = 0.02  # [m] radius of the bumper's tip, models/bumper
@@ -81,7 +82,7 @@ class TwoBodies:
 @pytest.mark.parametrize(
     "changes",
     [
-        {"mechanism.contact.friction": 0.0},
+        slow({"mechanism.contact.friction": 0.0}),
         {"mechanism.contact.friction": 0.2},
         {"mechanism.contact.friction": 0.0, "approach.offset": [0.21, 0.21]},  # 0.3 m off the axis
     ],

@@ -124,8 +124,8 @@ def test_coming_home_and_leaving_again_leaves_no_step() -> None:
 @pytest.mark.parametrize("tracking", ["ideal", "servo"])
 def test_docking_is_what_it_is_without_an_upper_platform_bit_for_bit(tracking: str) -> None:
     approach = {"gap": 0.01, "velocity": [0.003, 0.0, 0.03], "attitude_deg": [2.0, -1.0, 3.0]}
-    with_upper = run(nine_axes(tracking, approach=approach, duration=0.8)).trace
-    data = nine_axes(tracking, approach=approach, duration=0.8).model_dump(mode="json")
+    with_upper = run(nine_axes(tracking, approach=approach, duration=0.5)).trace
+    data = nine_axes(tracking, approach=approach, duration=0.5).model_dump(mode="json")
     data["rig"]["upper"] = {"kind": "fixed"}
     without = run(scenario_from(data)).trace
     assert with_upper is not None

@@ -14,13 +14,13 @@ import pytest
 
 import hiltestbed
 from hiltestbed import plugins
-from hiltestbed.bench.own_sets import OwnSet, record_set
 from hiltestbed.compensation.settings import FORCE_METHODS
 from hiltestbed.contact.parameters import ContactParameters
 from hiltestbed.contact.settings import MECHANISMS
 from hiltestbed.effects import EFFECTS
 from hiltestbed.errors import InputError
 from hiltestbed.scenario import scenario_from
+from tests.diagnosis.recorded import recorded
 
 EXAMPLES = Path(__file__).parents[2] / "examples" / "plugins"
 IDEAL = {"rig.platform.tracking": "ideal"}
@@ -65,8 +65,7 @@ def test_an_effect_acts_as_its_equation_says() -> None:
 def test_a_diagnosis_names_an_effect_of_the_users(tmp_path: Path) -> None:
     """One number moves stiffness and damping together: the worn pad explains with one what two built-in effects need two for."""
     plugins.load([str(EXAMPLES / "worn_pad.py")])
-    data = record_set(OwnSet("04-bumper-delay-compensated", ({"kind": "contact.worn_pad", "wear": 0.2},)), tmp_path)
-    found = hiltestbed.diagnose(data)
+    found = hiltestbed.diagnose(recorded(tmp_path, [{"kind": "contact.worn_pad", "wear": 0.2}]))
     assert found.finding.verdict == "named"
     (cause,) = found.finding.causes
     assert cause.effect == "contact.worn_pad"
@@ -103,7 +102,7 @@ def test_the_benchmark_takes_a_compensation_of_the_users() -> None:
 def test_one_batch_and_many_give_the_same_bytes() -> None:
     plugins.load([str(EXAMPLES / "slope_lead.py")])
     scenarios = [
-        shipped("02-bumper", **{"sensor.delay": d, "compensation.force": {"kind": "slope_lead", "ticks": n}})
+        shipped("03-bumper-delay-uncompensated", **{"sensor.delay": d, "compensation.force": {"kind": "slope_lead", "ticks": n}})
         for d, n in ((0.002, 3), (0.005, 6))
     ]
     together = hiltestbed.run_batch(scenarios, trace=True)
@@ -114,15 +113,16 @@ def test_one_batch_and_many_give_the_same_bytes() -> None:
 def test_a_mechanism_touches_with_all_of_its_pads() -> None:
     """Three springs side by side: head-on it is a bumper of three times the stiffness and damping of a pad."""
     plugins.load([str(EXAMPLES / "three_pads.py")])
-    bumper = shipped("02-bumper")
+    slower = {"rate": 2000, "physics_rate": 4000}
+    bumper = shipped("02-bumper", **slower)
     contact = bumper.mechanism.contact
     pad = {"stiffness": contact.stiffness / 3.0, "damping": contact.damping / 3.0}
-    pads = hiltestbed.run(shipped("02-bumper", mechanism={"kind": "three_pads", "contact": pad}))
+    pads = hiltestbed.run(shipped("02-bumper", mechanism={"kind": "three_pads", "contact": pad}, **slower))
     plain = hiltestbed.run(bumper)
     assert pads.summary["cor"] == pytest.approx(plain.summary["cor"], rel=1e-4)
     assert pads.summary["peak_force"] == pytest.approx(plain.summary["peak_force"], rel=1e-4)
     tilted = hiltestbed.run(
-        shipped("02-bumper", mechanism={"kind": "three_pads", "contact": pad}, **{"approach.attitude_deg": [1.0, 0, 0]})
+        shipped("02-bumper", mechanism={"kind": "three_pads", "contact": pad}, **slower, **{"approach.attitude_deg": [1.0, 0, 0]})
     )
     assert tilted.trace is not None
     assert np.abs(tilted.trace["wrench_true.tx"]).max() > 1.0  # one pad is met first, off the axis
@@ -138,7 +138,7 @@ def test_a_platform_follows_as_late_as_it_says(tmp_path: Path) -> None:
 
 def test_a_campaign_runs_them_in_worker_processes(tmp_path: Path) -> None:
     (tmp_path / "c.yaml").write_text(
-        "scenario: s.yaml\ndesign: {kind: grid}\n"
+        "scenario: s.yaml\nset: {duration: 0.3}\ndesign: {kind: grid}\n"
         "vary: {compensation.force: {values: [{kind: none}, {kind: slope_lead}]}, sensor.delay: {values: [0.002, 0.004]}}\n"
     )
     (tmp_path / "s.yaml").write_text((hiltestbed.shipped("scenarios") / "02-bumper.yaml").read_text())

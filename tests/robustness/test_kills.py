@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import numpy as np
@@ -10,8 +9,8 @@ import pytest
 
 from hiltestbed.bench.robustness import kills
 from hiltestbed.bench.robustness.kills import COMMANDS, Command, KillError, kill
+from tests.slow import slow
 
-SLOW = pytest.mark.skipif("HILTESTBED_SLOW" not in os.environ, reason="takes minutes; ./check --all")
 KILLED, INTERRUPTED = 2, 0  # seeds of a trial that ends a command so, and gives it again
 
 
@@ -23,8 +22,8 @@ def test_the_seeds_do_what_they_are_named_for() -> None:
         assert rng.random() < kills.AGAIN
 
 
-@pytest.mark.parametrize("seed", [KILLED, pytest.param(INTERRUPTED, marks=SLOW)])
-@pytest.mark.parametrize("name", ["live", *(pytest.param(n, marks=SLOW) for n in COMMANDS if n != "live")])
+@pytest.mark.parametrize("seed", [KILLED, slow(INTERRUPTED)])
+@pytest.mark.parametrize("name", ["run", *(slow(n) for n in COMMANDS if n != "run")])
 def test_a_command_that_is_ended_leaves_a_whole_folder_or_none(name: str, seed: int, tmp_path: Path) -> None:
     (tmp_path / "trials").mkdir()
     assert kill(np.random.default_rng(seed), tmp_path / "trials", name) == "survived"

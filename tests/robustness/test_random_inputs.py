@@ -29,6 +29,7 @@ from hiltestbed.scenario import load_scenario, scenario_from
 from hiltestbed.simulation import run
 from hiltestbed.validation import validate
 from hiltestbed.yaml_source import Source
+from tests.slow import ALL
 
 QUICK = settings(
     max_examples=40, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow, HealthCheck.filter_too_much]
@@ -38,7 +39,7 @@ ANYTHING = st.recursive(
     st.none() | st.booleans() | st.floats() | st.text(max_size=8),
     lambda inner: st.lists(inner, max_size=3) | st.dictionaries(NAMES, inner, max_size=3),
 )
-COUNTS = {"extremes": 12, "scenario": 8, "text": 40, "campaign": 40, "packet": 300, "dataset": 6}
+COUNTS = {"extremes": 12 if ALL else 5, "scenario": 8 if ALL else 4, "text": 40, "campaign": 40, "packet": 300, "dataset": 6}
 
 
 def of_schema(schema: dict[str, Any]) -> st.SearchStrategy[Any]:

@@ -19,6 +19,7 @@ import pytest
 from hiltestbed.gallery import shipped
 from hiltestbed.kernel_cache import VARIABLE, settle
 from hiltestbed.recording import read_run
+from tests.slow import SLOW, slow
 
 BUMPER = shipped("scenarios") / "02-bumper.yaml"
 CAMPAIGN = f"""scenario: {BUMPER}
@@ -27,7 +28,6 @@ vary: {{sensor.delay: {{values: [0.001, 0.002, 0.003, 0.004, 0.005, 0.006]}}}}
 design: {{kind: grid}}
 """
 LANGUAGES = {"ascii": {"LC_ALL": "C", "PYTHONCOERCECLOCALE": "0", "PYTHONUTF8": "0"}, "unknown": {"LANG": "xx_XX"}}
-SLOW = pytest.mark.skipif("HILTESTBED_SLOW" not in os.environ, reason="takes minutes; ./check --all")
 FILES = {"scenario.yaml", "summary.json", "trace.parquet", "report.html"}
 
 
@@ -50,7 +50,7 @@ def _small_files() -> None:
     resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
 
 
-@pytest.fixture(scope="session", autouse=True)
+@pytest.fixture(scope="session")
 def warm(tmp_path_factory: pytest.TempPathFactory) -> None:
     """Compiled kernels, so that what is timed below is the work."""
     assert ended(start(*short(tmp_path_factory.mktemp("warm") / "r")))[0] == 0
@@ -76,7 +76,7 @@ def test_nobody_reads_standard_output(tmp_path: Path) -> None:
     assert set(os.listdir(tmp_path / "r")) == FILES
 
 
-@pytest.mark.parametrize("language", ["ascii", pytest.param("unknown", marks=SLOW)])  # each compiles the kernels: nowhere to keep them
+@pytest.mark.parametrize("language", ["ascii", slow("unknown")])  # each compiles the kernels: nowhere to keep them
 def test_no_home_no_locale_and_forty_columns(tmp_path: Path, language: str) -> None:
     kept = {name: os.environ[name] for name in ("PATH", "PYTHONPATH", VARIABLE) if name in os.environ}
     env = kept | {"COLUMNS": "40", "TERM": "dumb"} | LANGUAGES[language]
@@ -89,7 +89,9 @@ def test_no_home_no_locale_and_forty_columns(tmp_path: Path, language: str) -> N
     assert (status, "Traceback" in err) == (2, False)
 
 
-@pytest.mark.parametrize("part", [pytest.param(0.3, marks=SLOW), 0.6, pytest.param(0.85, marks=SLOW)])
+@pytest.mark.parametrize("part", [0.3, 0.6, 0.85])
+@SLOW
+@pytest.mark.usefixtures("warm")
 def test_killed_while_it_runs(tmp_path: Path, part: float) -> None:
     """The folder is complete or absent, whenever the process dies; the same command then does it."""
     whole = time.monotonic()
@@ -133,11 +135,10 @@ def _bytes(folder: Path, **way) -> str:
 def test_same_seed_same_bytes(tmp_path: Path) -> None:
     """In another process, folder and working directory, with other numbers of threads."""
     (tmp_path / "elsewhere").mkdir()
-    found = os.environ | {"PYTHONPATH": os.pathsep.join([str(Path.cwd()), os.environ.get("PYTHONPATH", "")])}
-    threads = os.environ | {"OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1", "PYTHONHASHSEED": "7"}
+    found = {"PYTHONPATH": os.pathsep.join([str(Path.cwd()), os.environ.get("PYTHONPATH", "")])}
+    threads = {"OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1", "PYTHONHASHSEED": "7"}
     plain = _bytes(tmp_path / "plain")
-    assert _bytes(tmp_path / "threads", env=threads) == plain
-    assert _bytes(tmp_path / "elsewhere" / "r", env=found, cwd=tmp_path / "elsewhere") == plain
+    assert _bytes(tmp_path / "elsewhere" / "r", env=os.environ | found | threads, cwd=tmp_path / "elsewhere") == plain
 
 
 @SLOW
