@@ -209,7 +209,8 @@ class Loop:
 def _write(
     k, a0, a1, a2, a3, a4, a5, a6, a7, a8, a9, a10, a11, a12, b0, b1, b2, b3, b4, b5, b6, b7, b8, b9, b10, b11, b12, touching, touched
 ):  # fmt: skip
-    """Row ``k`` of each ``b`` (ticks, n, parts) becomes the ``a`` (n, parts)."""
+    """Row ``k`` of each ``b`` (rows, n, parts) becomes the ``a`` (n, parts); where there are fewer rows, from the first one again."""
+    k = k % b0.shape[0]
     b0[k][:] = a0
     b1[k][:] = a1
     b2[k][:] = a2

@@ -102,6 +102,9 @@ class Trace:
     def __getitem__(self, name: str) -> Array:
         return self.data[name]
 
+    def filled(self, ticks: int) -> None:
+        """The first ``ticks`` rows are written."""
+
     def run(self, i: int) -> RunTrace:
         """The rows of run ``i``."""
         rows = int(self.length[i])

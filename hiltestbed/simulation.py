@@ -96,6 +96,8 @@ def simulate(
                 raise HiltestbedError("a run of the batch divided by zero; each alone says which") from None
             loop.trouble[0] = (max(loop.k - 1, 0), "diverged", "a quantity reached zero or overflowed where it divides")
             loop.alive[:] = False
+        if rows is not None:
+            rows.filled(loop.k)
         if loop.trouble:
             snapshots.failures()
         if loop.k == 1:  # the first tick may have compiled the blocks: it is not timed

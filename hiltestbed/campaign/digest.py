@@ -16,18 +16,8 @@ if TYPE_CHECKING:
 BLOCK = 128  # rows between two updates of the hashes: 64 runs take 5 MB
 
 
-class _Rows:
-    """An array of BLOCK rows that takes row k of a longer one."""
-
-    def __init__(self, shape: tuple[int, ...]) -> None:
-        self.block = np.zeros((BLOCK, *shape))
-
-    def __setitem__(self, k: int, row: Array) -> None:
-        self.block[k % BLOCK] = row
-
-
 class TraceDigest:
-    """Stands in for a Trace: takes the same rows, and gives `sha256(i)` of run i in place of them.
+    """Stands in for a Trace: takes the same rows, a block at a time, and gives `sha256(i)` of run i in place of them.
 
     The hash covers every column but `t`, row by row in the order of the trace file, as little-endian float64; a run that ended
     early is hashed up to the row in which it did.
@@ -39,18 +29,13 @@ class TraceDigest:
         self._hashes = [hashlib.sha256() for _ in range(n)]
         self._done = 0
         self.length = np.zeros(n, dtype=int)  # set by the simulation when it ends
-        self.data = {group.name: _Rows((n, len(group.parts))) for group in groups(loop.plant.units).values()}
-        self._contact = np.zeros((BLOCK, n))
+        self.data = {group.name: np.zeros((BLOCK, n, len(group.parts))) for group in groups(loop.plant.units).values()}
+        self.contact = np.zeros((BLOCK, n), dtype=bool)
 
-    @property
-    def contact(self) -> TraceDigest:
-        """Takes the contact of row k, the last of a row to be written."""
-        return self
-
-    def __setitem__(self, k: int, row: Array) -> None:
-        self._contact[k % BLOCK] = row
-        if (k + 1) % BLOCK == 0:
-            self._take(k + 1)
+    def filled(self, ticks: int) -> None:
+        """The first ``ticks`` rows are written: take the block that is full."""
+        if ticks - self._done == BLOCK:
+            self._take(ticks)
 
     def _take(self, end: int) -> None:
         """Hash the rows from the last block's end to `end`."""
@@ -58,8 +43,8 @@ class TraceDigest:
         for i, digest in enumerate(self._hashes):
             rows = min(count, self._trouble[i][0] + 1 - self._done) if i in self._trouble else count
             if rows > 0:
-                parts = [self.data[name].block[:rows, i] for name in GROUPS]
-                digest.update(_matrix(parts, self._contact[:rows, i]))
+                parts = [self.data[name][:rows, i] for name in GROUPS]
+                digest.update(_matrix(parts, self.contact[:rows, i]))
         self._done = end
 
     def run(self, i: int) -> None:

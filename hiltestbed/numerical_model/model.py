@@ -105,11 +105,11 @@ class NumericalModel:
         return out
 
     @cached_property
-    def _nominal(self) -> tuple[Call, Callable[[], None]]:
+    def _nominal(self) -> tuple[Call, Callable[[float], None]]:
         """A step in which nothing departs, before and after the bodies accelerate."""
         flyers = self.flyers
         seen = Call(_load, self.q, self.v, self._port, GIVEN, self._tau, *flyers.seen)
-        return seen, bound(_go_on, self.q, flyers.acceleration, self.tick, self.v, self._port, self.pose, self.twist)
+        return seen, bound(_go_on, self.q, flyers.acceleration, ..., self.v, self._port, self.pose, self.twist)
 
     def advance(self, wrench: Array) -> None:
         """One step under ``wrench`` ``(n, 6)``, active on passive, in P at P's origin: twists, then poses."""
@@ -117,7 +117,7 @@ class NumericalModel:
             load, go_on = self._nominal
             load.on(wrench)()
             self.flyers.solve()
-            go_on()
+            go_on(self.tick)
             return
         if self._resisted is not None:
             self._resisted[:] = wrench
