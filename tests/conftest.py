@@ -6,9 +6,12 @@ worker so that none is compiled twice, then the longest, so that at the end no w
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+
+from hiltestbed import plugins
 
 HERE = Path(__file__).parent
 QUICK = (  # files and folders below tests
@@ -73,3 +76,19 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             place = item.path.relative_to(HERE).as_posix()
             if not any(place == quick or place.startswith(f"{quick}/") for quick in QUICK):
                 item.add_marker(pytest.mark.slow)
+
+
+@pytest.fixture
+def tables_as_shipped(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """What a test loads is taken out of the tables again: other tests walk the vocabulary that is shipped."""
+    monkeypatch.delenv(plugins.ENVIRONMENT, raising=False)
+    before = [(registry, dict(registry)) for registry in plugins._REGISTRIES]
+    loaded = dict(plugins._LOADED)
+    yield
+    for registry, classes in before:
+        registry._found = classes
+    plugins._LOADED.clear()
+    plugins._LOADED.update(loaded)
+    monkeypatch.delenv(plugins.ENVIRONMENT, raising=False)
+    for refresh in plugins._DEPENDENTS:
+        refresh()

@@ -45,6 +45,7 @@ def pages(reference: ModuleType) -> dict[str, str]:
     return reference.pages() | module("gallery_pages").pages()
 
 
+@pytest.mark.usefixtures("tables_as_shipped")
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: str(p.relative_to(ROOT)))
 def test_the_blocks_of_a_page_run_one_after_the_other(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """In one folder and one namespace, as a reader would type them."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -26,20 +25,7 @@ EXAMPLES = Path(__file__).parents[2] / "examples" / "plugins"
 IDEAL = {"rig.platform.tracking": "ideal"}
 
 
-@pytest.fixture(autouse=True)
-def _only_here(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """What a test loads is taken out of the tables again: other tests walk the vocabulary that is shipped."""
-    monkeypatch.delenv(plugins.ENVIRONMENT, raising=False)
-    before = [(registry, dict(registry)) for registry in plugins._REGISTRIES]
-    loaded = dict(plugins._LOADED)
-    yield
-    for registry, classes in before:
-        registry._found = classes
-    plugins._LOADED.clear()
-    plugins._LOADED.update(loaded)
-    monkeypatch.delenv(plugins.ENVIRONMENT, raising=False)
-    for refresh in plugins._DEPENDENTS:
-        refresh()
+pytestmark = pytest.mark.usefixtures("tables_as_shipped")
 
 
 def command(*arguments: str, cwd: Path | None = None, env: dict[str, str] | None = None) -> subprocess.CompletedProcess[str]:
