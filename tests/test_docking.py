@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from hiltestbed.scenario import Scenario, load_scenario
 from hiltestbed.simulation import run, simulate
+from tests.slow import SLOW
 
 SCENARIOS = Path(__file__).parents[1] / "scenarios"
 
@@ -72,6 +73,7 @@ def test_a_docking_turned_about_the_axis_is_the_same_docking(turn_deg: float) ->
     assert batch.outcomes[0]["captured_at"] == batch.outcomes[1]["captured_at"]
 
 
+@SLOW
 def test_a_ring_down_gives_stiffness_and_damping_of_all_six_axes() -> None:
     """Captured, 5 ms delay, noise: k within 1 %, c within 5 %. That one axis does not load another is tests/contact/test_mount.py's."""
     result = run(docking("13-ring-down"))

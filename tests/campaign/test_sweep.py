@@ -19,7 +19,7 @@ from hiltestbed.campaign.store import Store
 from hiltestbed.campaign.sweep import case_scenario, read_sweep, sweep
 from hiltestbed.errors import HiltestbedError, InputError
 from hiltestbed.scenario import scenario_sha256
-from tests.slow import slow
+from tests.slow import SLOW, slow
 
 DEADLINE = 120.0  # [s] for what takes a few: a busy machine compiles slowly
 
@@ -137,6 +137,7 @@ def test_ended_in_every_way_it_goes_on_to_the_same_bytes(
     assert (out / "cases.parquet").read_bytes() == expected
 
 
+@SLOW
 def test_on_a_cluster_with_a_worker_killed_the_same_bytes(file: Path, tmp_path: Path, expected: bytes) -> None:
     """A scheduler and two workers on the loopback address, started as a user starts them."""
     pytest.importorskip("distributed")

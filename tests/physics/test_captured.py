@@ -39,7 +39,7 @@ def _ring_downs(tracking: str, compensation: str) -> Batch:
 
 @pytest.mark.parametrize(
     ("tracking", "compensation"),
-    [("ideal", "phase_lead"), slow("servo", "phase_lead"), slow("ideal", "resynchronised"), ("servo", "resynchronised")],
+    [("ideal", "phase_lead"), slow("servo", "phase_lead"), slow("ideal", "resynchronised"), slow("servo", "resynchronised")],
 )
 def test_each_axis_is_found_through_the_delay(tracking: str, compensation: str) -> None:
     batch = _ring_downs(tracking, compensation)

@@ -19,6 +19,7 @@ from hiltestbed.scenario import Scenario, scenario_from
 from hiltestbed.simulation import run
 from hiltestbed.state import arrays_of
 from tests.platform.rigs import scenario
+from tests.slow import slow
 
 
 def nine_axes(tracking: str = "servo", upper: str = "servo", **keys: Any) -> Scenario:
@@ -121,7 +122,7 @@ def test_coming_home_and_leaving_again_leaves_no_step() -> None:
     assert np.linalg.norm(result["wrench"].reshape(-1, 6)[:, :3], axis=1).max() < 5e-4 * 120.0 * GRAVITY
 
 
-@pytest.mark.parametrize("tracking", ["ideal", "servo"])
+@pytest.mark.parametrize("tracking", ["ideal", slow("servo")])
 def test_docking_is_what_it_is_without_an_upper_platform_bit_for_bit(tracking: str) -> None:
     approach = {"gap": 0.01, "velocity": [0.003, 0.0, 0.03], "attitude_deg": [2.0, -1.0, 3.0]}
     with_upper = run(nine_axes(tracking, approach=approach, duration=0.5)).trace
