@@ -62,7 +62,7 @@ def _cache() -> Finding:
     above = next(path for path in (folder, *folder.parents) if path.exists())
     if not os.access(above, os.W_OK):
         return Finding("compiled kernels", f"{folder} cannot be written: every run compiles anew; set NUMBA_CACHE_DIR", False)
-    return Finding("compiled kernels", f"in {folder}" if compiled() else "none yet: the first run compiles them, half a minute or so", True)
+    return Finding("compiled kernels", f"in {folder}" if compiled() else "none yet: the first run compiles them, a minute or so", True)
 
 
 def _viewer() -> Finding:

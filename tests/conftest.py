@@ -6,6 +6,7 @@ worker so that none is compiled twice, then the longest, so that at the end no w
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -79,16 +80,21 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 @pytest.fixture
-def tables_as_shipped(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """What a test loads is taken out of the tables again: other tests walk the vocabulary that is shipped."""
-    monkeypatch.delenv(plugins.ENVIRONMENT, raising=False)
+def tables_as_shipped() -> Iterator[None]:
+    """What a test loads is taken out of the tables again: other tests walk the vocabulary that is shipped.
+
+    Loading also leaves the modules in the environment, for processes that are started; they are gone afterwards as well.
+    """
+    asked = os.environ.pop(plugins.ENVIRONMENT, None)
     before = [(registry, dict(registry)) for registry in plugins._REGISTRIES]
     loaded = dict(plugins._LOADED)
     yield
+    os.environ.pop(plugins.ENVIRONMENT, None)
+    if asked is not None:
+        os.environ[plugins.ENVIRONMENT] = asked
     for registry, classes in before:
         registry._found = classes
     plugins._LOADED.clear()
     plugins._LOADED.update(loaded)
-    monkeypatch.delenv(plugins.ENVIRONMENT, raising=False)
     for refresh in plugins._DEPENDENTS:
         refresh()

@@ -55,7 +55,7 @@ def run(
     from hiltestbed.kernels import compiled
 
     if not compiled():
-        print("compiling the inner loops: once after the install, half a minute or so", file=sys.stderr)
+        print("compiling the inner loops: once after the install, a minute or so", file=sys.stderr)
     with progress_bar(spec.name, spec.duration) as progress:
         result = simulate(spec, progress=progress)
     write_run(result, folder, rerun=not no_rerun)

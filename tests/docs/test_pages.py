@@ -52,7 +52,6 @@ def test_the_blocks_of_a_page_run_one_after_the_other(page: Path, tmp_path: Path
     pytest.importorskip("pandas")
     pytest.importorskip("matplotlib").use("Agg")
     monkeypatch.chdir(tmp_path)
-    monkeypatch.delenv("HILTESTBED_PLUGINS", raising=False)
     namespace: dict[str, object] = {}
     for block in BLOCK.finditer(page.read_text()):
         if block["skip"]:
