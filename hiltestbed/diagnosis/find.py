@@ -18,7 +18,7 @@ from hiltestbed.diagnosis.investigate import Findings
 from hiltestbed.diagnosis.isolability import isolability
 from hiltestbed.diagnosis.learned.finding import learned_on
 from hiltestbed.diagnosis.learned_law import Learned
-from hiltestbed.diagnosis.plain import LINK_NAMES, plain
+from hiltestbed.diagnosis.plain import LINK_NAMES, listed, plain
 from hiltestbed.diagnosis.report.evidence import link_series
 from hiltestbed.diagnosis.result import Cause, Finding, Heldout, Interval, Isolable, Parameter, Ranked
 from hiltestbed.diagnosis.search import Explanation, Progress, Search
@@ -191,17 +191,10 @@ def _ranking(name: str, e: Explanation) -> list[Ranked]:
             continue
         seen.add(key)
         gain = heldout(e.residual, f, None) if len(out) < CHECKED else None
-        words = "; ".join(_words(effect) for effect in f.effects())
+        words = "; ".join(listed(effect.parameters()) for effect in f.effects())
         after, adequate = gain.rms_after if gain else None, e.adequate if f is e.chosen else None
         out.append(Ranked(f.kinds, f.score - e.chosen.score, name, words, after, adequate))
     return out
-
-
-def _words(effect: Effect) -> str:
-    def text(v: Any) -> str:
-        return f"{v:.4g}" if isinstance(v, float) else "[" + ", ".join(f"{x:.3g}" for x in v) + "]" if isinstance(v, tuple) else str(v)
-
-    return ", ".join(f"{name} {text(v)}" for name, v in effect.parameters().items() if v is not None)
 
 
 def _isolability(findings: Findings, progress: Progress | None) -> tuple[Isolable, ...]:

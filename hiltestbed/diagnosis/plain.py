@@ -43,6 +43,17 @@ def plain(value: Any) -> Any:
     return list(value) if isinstance(value, tuple) else value
 
 
+def listed(parameters: Mapping[str, Any]) -> str:
+    """Parameters of an effect by name, numbers to four digits; what is left out follows from another."""
+
+    def text(v: Any) -> str:
+        if isinstance(v, float):
+            return f"{v:.4g}"
+        return "[" + ", ".join(f"{x:.3g}" for x in v) + "]" if isinstance(v, (list, tuple)) else str(v)
+
+    return ", ".join(f"{name} {text(v)}" for name, v in parameters.items() if v is not None)
+
+
 def told(parameter: Parameter) -> str:
     """An estimate with its interval, where it is one number."""
     estimate, interval = parameter.estimate, parameter.ci95

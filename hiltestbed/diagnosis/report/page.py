@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from hiltestbed.diagnosis.plain import LINK_NAMES
+from hiltestbed.diagnosis.plain import LINK_NAMES, listed
 from hiltestbed.diagnosis.report import pictures
 from hiltestbed.diagnosis.report.certain import certainty_section
 from hiltestbed.diagnosis.report.extend import in_words
@@ -96,10 +96,7 @@ def _cause_table(report: Report, causes: Sequence[Cause], title: str, rivals: bo
 
 def _in_words(explanation: Sequence[Mapping[str, Any]]) -> str:
     """Effects with their parameters."""
-    return " and ".join(
-        f"{entry['kind']} [{', '.join(f'{k} {v:.5g}' if isinstance(v, float) else f'{k} {v}' for k, v in entry.items() if k != 'kind')}]"
-        for entry in explanation
-    )
+    return " and ".join(f"{e['kind']} [{listed({name: v for name, v in e.items() if name != 'kind'})}]" for e in explanation)
 
 
 def _evidence(report: Report, d: Diagnosis) -> None:
