@@ -73,13 +73,19 @@ def together(*calls: Callable[..., Any], telling: int = -1) -> Callable[..., Any
 
     Each takes as many of the numbers that the call is given as it takes by itself.
     """
-    parts = [call for call in calls if isinstance(call, Bound)]
+    parts = [_whole(call) for call in calls]
     table = np.array([part.args[0] for part in parts], dtype=np.int64)
     telling %= len(parts)
     key = (together, telling, *(part.func for part in parts))
     if key not in _calls:
         _calls[key] = _joined([part.func for part in parts], telling)
     return Bound(_calls[key], table, parts)
+
+
+def _whole(call: Callable[..., Any]) -> Bound:
+    if not isinstance(call, Bound):
+        raise TypeError(f"together: {call!r} cannot be joined; allowed is what bound and together give")
+    return call
 
 
 class Call:

@@ -103,6 +103,11 @@ def test_kernels_together_run_in_order_and_one_tells() -> None:
     assert (total[0], other[0]) == (22.0, 6.0)
 
 
+def test_what_cannot_be_joined_is_refused_and_not_left_out() -> None:
+    with pytest.raises(TypeError, match="cannot be joined"):
+        together(bound(_add, ..., np.zeros(1)), lambda amount: None)
+
+
 def test_tables_of_addresses_are_no_state() -> None:
     class Block:
         def __init__(self) -> None:
