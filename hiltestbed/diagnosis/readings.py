@@ -19,6 +19,8 @@ from hiltestbed.diagnosis.residual import Residual, square
 from hiltestbed.diagnosis.search import Explanation
 from hiltestbed.diagnosis.settings import DETECTION, ONE_OF_TWO
 
+LEVERS = (0.5, 0.0, 1.0)  # that are tried first
+
 
 def wrench_link_of(residual: Residual) -> WrenchLink:
     """The link of contact and sensor whose residual it is. Raises TypeError for another."""
@@ -29,17 +31,22 @@ def wrench_link_of(residual: Residual) -> WrenchLink:
 
 def choose_lever(link: WrenchLink, effects: Effects = ()) -> WrenchLink:
     """Where between tip and surface the force acts: the reading of the geometry that the torques bear out, under ``effects``."""
-    if all(r.scenario.mechanism.contact.friction == 0.0 for r in link.runs):
+    if _same_at_any(link):
         return link
 
     def cost(lever: float) -> float:
         r = Residual(link.reading(lever))(effects)
         return float(np.sum(np.minimum(r * r, 100.0)))
 
-    costs = {lever: cost(lever) for lever in (0.5, 0.0, 1.0)}
+    costs = {lever: cost(lever) for lever in LEVERS}
     best = min(costs, key=lambda key: costs[key])
     found: Any = minimize_scalar(cost, bounds=(max(best - 0.5, 0.0), min(best + 0.5, 1.0)), method="bounded", options={"xatol": 0.01})
     return link.reading(float(found.x) if found.fun < costs[best] - ONE_OF_TWO else best)
+
+
+def _same_at_any(link: WrenchLink) -> bool:
+    """Whether no friction tells the levers apart."""
+    return all(r.scenario.mechanism.contact.friction == 0.0 for r in link.runs)
 
 
 def lever_under(residual: Residual, found: Fit) -> Residual:
@@ -48,18 +55,16 @@ def lever_under(residual: Residual, found: Fit) -> Residual:
     The lever is first chosen while nothing is known: torques that a late force gives are no guide to it, and in the wrong place even a
     friction that is the believed one seems to explain something.
     """
-    if JITTER in found.kinds:
+    link = wrench_link_of(residual)
+    if JITTER in found.kinds or _same_at_any(link):
         return residual
-    while True:  # the wrong place has drawn the estimates with it: each step makes the other one better
-        link = wrench_link_of(residual)
-        other = choose_lever(link, found.effects())
-        if other is link:
-            return residual
-        there = Residual(other)
-        again = refit(there, found)
-        if again.chi2 >= square(Residual(link)(found.effects())) - DETECTION * inflation(found):
-            return residual
-        residual, found = there, again
+    before = square(Residual(link)(found.effects()))
+    tried = [refit(Residual(link.reading(lever)), found) for lever in LEVERS]  # the estimates have gone along with the wrong place
+    best = min(tried, key=lambda f: f.chi2)
+    there = Residual(choose_lever(link, best.effects()))
+    while (again := refit(there, best)).chi2 < best.chi2 - ONE_OF_TWO:  # each step makes the other one better
+        best, there = again, Residual(choose_lever(link, again.effects()))
+    return there if again.chi2 < before - DETECTION * inflation(found) else residual
 
 
 def another_lever(explanation: Explanation) -> WrenchLink | None:
