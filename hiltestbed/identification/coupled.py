@@ -14,17 +14,21 @@ with S their motion that does not go with the axis's own, g their coefficients, 
 regressors leave; cov(k, c) = s^2 (A^-1 + A^-1 B S^-1 B^T A^-1) (G. A. F. Seber, A. J. Lee, Linear Regression Analysis, 2nd ed. 2003,
 sections 3.7 and 3.11).
 
-**When they are taken in.** Without coupling drop/s^2 is what noise leaves to any two regressors: chi-square with 2 degrees of freedom where
-the variance s^2 of the noise is known, twice an F with 2 and m = n - 5 where it is estimated, whose tail has a closed form,
+**When they are taken in.** Three questions are put to the sensor's noise, of variance s^2:
 
-    P(drop > D) = (1 + D/(m s^2))^(-m/2),
+- Is there anything for them to explain? Without coupling drop/s^2 is chi-square with 2 degrees of freedom, P(drop > D) = exp(-D/(2 s^2)).
+  It is asked again with every sample: at drop > 4 s^2 ln n each answer is wrong with a chance of 1/n^2, and the sum of those from the
+  eighth sample on is 0.13, however long the record. What is there is found in the end, since drop grows with n.
+- Do they explain all of it? Where springs and dampers are all that acts, what is left over s^2 is chi-square with m = n - 5 degrees of
+  freedom, which exceeds m + 2 sqrt(m ln n) + 2 ln n with a chance below 1/n (B. Laurent, P. Massart, Annals of Statistics 28, 2000,
+  lemma 1). Where more is left, surfaces rub or stops act, and four regressors would fit them as well as two without being any truer:
+  the axis stays as it is.
+- What may the noise still hide? With the same chance chi-square lies below m - 2 sqrt(m ln n), so that what is left counts as more by
+  2 s^2 sqrt(m ln n) when the estimate is judged: few samples cannot show that nothing rubs.
 
-which goes to exp(-D/(2 s^2)), chi-square's own, as m grows. They are taken in where that is less than 1/n: of n samples without coupling,
-less than one would show as much by chance. As n grows this is Schwarz's criterion (Annals of Statistics 6, 1978), drop > 2 s^2 ln n, by
-which the chance of taking in what is not there vanishes, and that of missing what is there too. s^2 is the sensor's, or what is left
-beside four regressors where that is more: then they must explain more than something else hides. Motion that goes with the axis's own has
-nothing left to explain, whatever it couples; within rounding (S below 1e-10 of D, as for the two regressors among themselves) it is left
-out before it is divided by.
+So nothing is taken in where the noise of the force is not known, or none. Motion that goes with the axis's own has nothing left to explain,
+whatever it couples; within rounding (S below 1e-10 of D, as for the two regressors among themselves) it is left out before it is
+divided by. The standard deviations count the noise, not what is hidden in it.
 """
 
 from __future__ import annotations
@@ -81,12 +85,12 @@ def take_in_partner(j, products, own, other, variance, rest, out):
         variance: of the sensor's noise. rest: what k and c in ``out`` leave, times the number of samples.
 
     Returns:
-        What is left then, times the number of samples; ``rest`` where ``out`` stays as it is.
+        Whether it is; what is left of the force then, times the number of samples, at most.
     """
     n = own[0]
     m = n - 5.0
     if m < 1.0:
-        return rest
+        return False, rest
     a11, a12, a22 = own[4] - own[1] * own[1] / n, own[5] - own[1] * own[2] / n, own[6] - own[2] * own[2] / n
     d11, d12, d22 = other[4] - other[1] * other[1] / n, other[5] - other[1] * other[2] / n, other[6] - other[2] * other[2] / n
     b11, b12, b21, b22, e1, e2 = _across(j, products, own, other)
@@ -97,15 +101,16 @@ def take_in_partner(j, products, own, other, variance, rest, out):
     s12 = d12 - b11 * w12 - b21 * w22
     own_det = s11 * s22 - s12 * s12
     if s11 <= ROUNDING * d11 or s22 <= ROUNDING * d22 or own_det <= ROUNDING * s11 * s22:
-        return rest
+        return False, rest
     k, c = out[0], out[1]
     e1, e2 = e1 - b11 * k - b21 * c, e2 - b12 * k - b22 * c
     g1, g2 = (s22 * e1 - s12 * e2) / own_det, (s11 * e2 - s12 * e1) / own_det
     drop = e1 * g1 + e2 * g2
+    surely = math.log(n)
+    if drop <= 4.0 * variance * surely or rest - drop > variance * (m + 2.0 * math.sqrt(m * surely) + 2.0 * surely):
+        return False, rest
     left = max(0.0, rest - drop) / m
-    if drop <= m * max(variance, left) * math.expm1(2.0 * math.log(n) / m):
-        return rest
     out[0], out[1] = k - w11 * g1 - w12 * g2, c - w21 * g1 - w22 * g2
     out[2] = math.sqrt(left * (a22 / det + (w11 * w11 * s22 - 2.0 * w11 * w12 * s12 + w12 * w12 * s11) / own_det))
     out[3] = math.sqrt(left * (a11 / det + (w21 * w21 * s22 - 2.0 * w21 * w22 * s12 + w22 * w22 * s11) / own_det))
-    return rest - drop
+    return True, rest - drop + 2.0 * variance * math.sqrt(m * surely)

@@ -6,7 +6,8 @@ On each axis ``F = k x + c v + b``: the intercept b takes up where the touch is,
 The recursion is kept in its information form (L. Ljung, System Identification, 2nd ed. 1999, eq. 11.12): the sums of products are
 updated, and the estimate solved from them. It is the usual recursion with P0 to infinity, so no P0 biases the estimate.
 
-A latch that is alone on an axis is a spring and a damper. Where joints, stops or surfaces that rub share the load it is not: what k and c
+A latch that is alone on an axis is a spring and a damper, and one that a joint off its place couples with another axis is so beside that
+axis's motion (:mod:`hiltestbed.identification.coupled`). Where joints, stops or surfaces that rub share the load it is not: what k and c
 leave of the force is then more than the sensor's noise, and none are given. None are given either where a latched axis hardly moves.
 
 The methods that it is compared with take other samples: the raw force beside the pose of the same tick, or the force after the phase
@@ -173,7 +174,7 @@ def _solve(ready, ready_normal, captured, place, noise, sums, products, found):
                 continue
             variance = _variance(j, place[i], noise[i]) if held else 0.0
             if held and total > 0.0 and PARTNERS[j] >= 0:
-                rest = take_in_partner(j, products[i], sums[i, j], sums[i, PARTNERS[j]], variance, rest, out)
+                _, rest = take_in_partner(j, products[i], sums[i, j], sums[i, PARTNERS[j]], variance, rest, out)
             told = total > 0.0 and total - rest >= EXPLAINED * total
             if held:
                 told &= rest - sums[i, j, 0] * variance <= HELD_REST * (total - rest)
