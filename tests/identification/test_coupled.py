@@ -14,7 +14,7 @@ from hiltestbed.signals import AXES
 
 SCENARIO = Path(__file__).parents[2] / "scenarios" / "13-ring-down.yaml"
 RATE = 2000
-TICKS = 4000
+TICKS = 2000
 NOISE = np.array([0.3] * 3 + [0.02] * 3)  # [N], [N m]
 OWN_STIFFNESS, OWN_DAMPING = np.array([8e4, 8e4, 2e5, 1.2e4, 1.2e4, 3e4]), np.array([500.0, 500.0, 900.0, 60.0, 60.0, 90.0])
 JOINT, JOINT_DAMPING, BEHIND = 4e4, 250.0, 0.17  # [N/m], [N s/m] of a ball joint, [m] behind the latched place
@@ -75,7 +75,7 @@ def test_a_joint_off_the_latched_place_is_no_part_of_k_and_c() -> None:
 
     Mean and spread within four standard deviations of either: 4/sqrt(N), 4/sqrt(2 N).
     """
-    runs = 150
+    runs = 100
     motion, rate = ring_down(STIFFNESS, DAMPING, np.array([1e-3, -0.8e-3, 1e-3, 2e-3, -1e-3, 2e-3]))
     force = motion @ STIFFNESS.T + rate @ DAMPING.T
     (k, c, k_sd, c_sd), _ = identified(motion, rate, force, runs)
@@ -85,8 +85,8 @@ def test_a_joint_off_the_latched_place_is_no_part_of_k_and_c() -> None:
         np.testing.assert_allclose(off.std(axis=0), 1.0, atol=4.0 / np.sqrt(2.0 * runs))
     for axis in (0, 1, 3, 4):
         bare = two_regressors(motion[:, axis], rate[:, axis], force[:, axis])
-        assert abs(bare[0] - STIFFNESS[axis, axis]) > 20.0 * k_sd[0, axis], AXES[axis]
-        assert abs(bare[1] - DAMPING[axis, axis]) > 20.0 * c_sd[0, axis], AXES[axis]
+        assert abs(bare[0] - STIFFNESS[axis, axis]) > 10.0 * k_sd[0, axis], AXES[axis]
+        assert abs(bare[1] - DAMPING[axis, axis]) > 10.0 * c_sd[0, axis], AXES[axis]
 
 
 def test_motion_that_goes_together_is_explained_by_the_axis_alone() -> None:
@@ -107,7 +107,7 @@ def test_motion_that_goes_together_is_explained_by_the_axis_alone() -> None:
 
 
 def test_without_coupling_the_axis_stays_alone() -> None:
-    """Of six separate springs that all move, no run of any axis is other than by two regressors: chances of 1/4000 each."""
+    """Of six separate springs that all move, no run of any axis is other than by two regressors: chances of 1/n^2 at each of n samples."""
     runs = 20
     motion, rate = ring_down(np.diag(OWN_STIFFNESS), np.diag(OWN_DAMPING), np.array([1e-3, -0.8e-3, 1e-3, 2e-3, -1e-3, 2e-3]))
     force = motion * OWN_STIFFNESS + rate * OWN_DAMPING
