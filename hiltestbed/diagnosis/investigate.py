@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -18,7 +18,6 @@ from hiltestbed.diagnosis.jitter import JITTER, jitter_beside
 from hiltestbed.diagnosis.layout import Layout, compensation_link, dynamics_link, lay_out, platform_link
 from hiltestbed.diagnosis.lines import hum_beside, lines
 from hiltestbed.diagnosis.links import AxisLink, CompensationLink, Link, LinkRun, PlatformLink, WrenchLink
-from hiltestbed.diagnosis.links.base import Effects
 from hiltestbed.diagnosis.paths import BestPath, best_path, make_wrench_link
 from hiltestbed.diagnosis.residual import Residual, square
 from hiltestbed.diagnosis.search import Explanation, Progress, Search
@@ -254,26 +253,39 @@ def _without_end(run: LinkRun, ticks: int) -> LinkRun:
     return replace(run, sigma=sigma)
 
 
-def _choose_lever(link: WrenchLink, effects: Effects = ()) -> WrenchLink:
-    """Where between tip and surface the force acts: the reading of the geometry that the torques bear out, under ``effects``."""
-    if all(r.scenario.mechanism.contact.friction == 0.0 for r in link.runs):
-        return link
+def _choose_lever(link: WrenchLink) -> WrenchLink:
+    """Where between tip and surface the force acts: the reading of the geometry that the torques bear out."""
 
-    def cost(lever: float) -> float:
-        r = Residual(link.reading(lever))(effects)
+    def cost(other: WrenchLink) -> float:
+        r = Residual(other)(())
         return float(np.sum(np.minimum(r * r, 100.0)))
 
-    costs = {lever: cost(lever) for lever in (0.5, 0.0, 1.0)}
+    return _at_lever(link, cost)
+
+
+def _at_lever(link: WrenchLink, cost: Callable[[WrenchLink], float]) -> WrenchLink:
+    """The reading of the lever that costs least; itself where no friction tells the levers apart."""
+    if all(r.scenario.mechanism.contact.friction == 0.0 for r in link.runs):
+        return link
+    costs = {lever: cost(link.reading(lever)) for lever in (0.5, 0.0, 1.0)}
     best = min(costs, key=lambda key: costs[key])
-    found: Any = minimize_scalar(cost, bounds=(max(best - 0.5, 0.0), min(best + 0.5, 1.0)), method="bounded", options={"xatol": 0.01})
+    bounds = (max(best - 0.5, 0.0), min(best + 0.5, 1.0))
+    found: Any = minimize_scalar(lambda lever: cost(link.reading(lever)), bounds=bounds, method="bounded", options={"xatol": 0.01})
     return link.reading(float(found.x) if found.fun < costs[best] - ONE_OF_TWO else best)
 
 
 def _another_lever(explanation: Explanation) -> WrenchLink | None:
-    """The reading of the lever that the best cause bears out, where it leaves clearly less: it was chosen while nothing was known."""
+    """The reading of the lever that the best cause bears out, where it leaves clearly less: it was chosen while nothing was known.
+
+    The numbers of the cause follow the lever: what turns the torques, as a rotation of the sensor does, has gone along with the wrong one.
+    """
     if explanation.adequate or not explanation.singles:
         return None
-    best = explanation.singles[0]
-    other = _choose_lever(_wrench(explanation), best.effects())
-    chi2 = square(explanation.residual.through(other)(best.effects()))
-    return other if chi2 < best.chi2 - DETECTION * inflation(best) else None
+    best, residual = explanation.singles[0], explanation.residual
+
+    def cost(link: WrenchLink) -> float:
+        there = residual.through(link)
+        return square(there(best.effects())) if JITTER in best.kinds else refit(there, best).chi2
+
+    other = _at_lever(_wrench(explanation), cost)
+    return other if cost(other) < best.chi2 - DETECTION * inflation(best) else None
