@@ -1,9 +1,10 @@
 """What happens to the wrench between the contact and the sensor's reading.
 
-The order is the physical one. The wrench arrives late (nominal delay, `sensor.delay`, `sensor.jitter`); the transducer scales
-and mixes axes (`sensor.gain`, `sensor.crosstalk`) and bends them (`sensor.map`); its electronics filter (nominal low-pass, `sensor.lag`,
-then the nominal charge leak, `sensor.highpass`) and add what does not depend on the force (`sensor.bias`, `sensor.drift`, `sensor.hum`,
-noise); the conversion then cuts small forces (`sensor.deadzone`), clips (`sensor.saturation`, the nominal range) and quantises.
+The order is the physical one. The wrench arrives late (nominal delay, `sensor.delay`, `sensor.jitter`); the transducer feels it along its
+own axes (`sensor.rotation`), scales and mixes them (`sensor.gain`, `sensor.crosstalk`) and bends them (`sensor.map`); its electronics
+filter (nominal low-pass, `sensor.lag`, then the nominal charge leak, `sensor.highpass`) and add what does not depend on the force
+(`sensor.bias`, `sensor.drift`, `sensor.hum`, noise); the conversion then cuts small forces (`sensor.deadzone`), clips
+(`sensor.saturation`, the nominal range) and quantises.
 """
 
 from __future__ import annotations

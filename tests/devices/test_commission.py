@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from hiltestbed.devices.commission.folder import write_commission
 from hiltestbed.devices.commission.procedure import Commissioned, commission
@@ -85,6 +86,36 @@ def test_a_bumper_shows_what_its_one_direction_can(bumper: Commissioned) -> None
     assert (leak.source, leak.axis) == ("z", "x")
     assert found["sensor.crosstalk"]["ratio"] == pytest.approx(0.05, abs=3.0 * leak.ci95)
     assert ("rx", "rz") in leak.or_else
+
+
+ASKEW = [2.0, -3.0, 0.0]
+MOUNTED_ASKEW: dict[str, Any] = {
+    "sensor__delay": 0.0063,
+    "effects": [{"kind": "sensor.rotation", "angles_deg": ASKEW}, *HIDDEN["effects"]],
+}
+
+
+@pytest.fixture(scope="module")
+def askew() -> Commissioned:
+    return _measured("02-bumper", BELIEVED, MOUNTED_ASKEW)
+
+
+@SLOW
+def test_a_sensor_that_is_mounted_askew_is_told_beside_delay_gain_and_crosstalk(askew: Commissioned) -> None:
+    """The attitude within 1 % of the angle, and gain and crosstalk as they are in the sensor's own axes."""
+    result = askew
+    assert result.sensor.turn_deg is not None
+    assert np.linalg.norm(np.subtract(result.sensor.turn_deg, ASKEW)) < 0.01 * np.linalg.norm(ASKEW)
+    found = {e["kind"]: e for e in result.departures}
+    assert set(found) == {"sensor.delay", "sensor.rotation", "sensor.gain", "sensor.crosstalk", "platform.delay"}
+    assert found["sensor.delay"]["delay"] == pytest.approx(0.0043, rel=0.01)
+    assert (found["sensor.gain"]["axis"], found["sensor.gain"]["factor"] - 1.0) == ("z", pytest.approx(0.08, rel=0.01))
+    assert (found["sensor.crosstalk"]["source"], found["sensor.crosstalk"]["axis"]) == ("z", "x")
+    assert found["sensor.crosstalk"]["ratio"] == pytest.approx(0.05, rel=0.01)
+    assert found["platform.delay"]["delay"] == pytest.approx(0.0035, rel=0.01)
+    assert tuple(result.believed.devices.sensor.attitude_deg) == (0.0, 0.0, 0.0)  # the data are as it was believed to be mounted
+    mounted = quat_from_attitude_deg(result.nominal.devices.sensor.attitude_deg)
+    assert _apart_deg(mounted, Rotation.from_rotvec(ASKEW, degrees=True).as_quat()) < 0.3  # a leak beside a turn, in P's axes
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from hiltestbed.bench.own_sets import HIDDEN, OwnSet, hidden_effect, nominal_of,
 from hiltestbed.diagnosis.investigate import investigate
 from hiltestbed.diagnosis.verdict import Verdict, decide
 from hiltestbed.measured import load_dataset
-from tests.slow import ALL, slow
+from tests.slow import ALL, SLOW, slow
 
 SCENARIOS = sorted(f.stem for f in (Path(__file__).parents[2] / "scenarios").glob("*.yaml"))
 WITHOUT_CONTACT = ("01-free-flight", "12-miss", "14-rendezvous", "15-ring-docking", "16-probe-drogue", "17-gripper")  # to be judged
@@ -40,3 +40,14 @@ def test_what_is_hidden_is_named(scenario: str, kind: str, tmp_path: Path) -> No
     verdict = verdict_of(OwnSet(scenario, (hidden,)), tmp_path)
     assert verdict.verdict in ("named", "ambiguous"), verdict
     assert [kind in (c.effect, *c.indistinguishable_from) for c in verdict.causes] == [True], verdict
+
+
+@SLOW
+def test_a_turned_sensor_is_found_although_the_lever_went_along_with_it(tmp_path: Path) -> None:
+    """A turn about x puts tz on ty, as a contact on another lever does, and the lever is chosen while nothing is known."""
+    own = OwnSet("05-off-centre", ({"kind": "sensor.rotation", "angles_deg": [1.0, 0.0, 0.0]},), single=True)
+    with np.errstate(all="ignore"):
+        explanation = investigate(load_dataset(record_set(own, tmp_path))).explanations["wrench"]
+    assert explanation.adequate
+    assert explanation.chosen.kinds == ("sensor.rotation",)
+    assert explanation.chosen.theta == pytest.approx([1.0, 0.0], abs=0.01)

@@ -12,6 +12,7 @@ EXAMPLES: dict[str, dict[str, Any]] = {
     "sensor.bias": {"force": [1.0, -2.0, 3.0], "torque": [0.1, 0.2, -0.3]},
     "sensor.gain": {"factor": 1.1, "axis": "z"},
     "sensor.crosstalk": {"ratio": 0.05, "source": "z", "axis": "ry"},
+    "sensor.rotation": {"angles_deg": [1.0, -3.0, 5.0]},
     "sensor.deadzone": {"width": 8.0},
     "sensor.saturation": {"limit": 60.0},
     "sensor.hum": {"frequency": 50.0, "amplitude": 2.0, "phase": 0.4, "axis": "all"},

@@ -65,6 +65,7 @@ def figures(result: Commissioned) -> dict[str, Any]:
             "sign": sensor.sign,
             "attitude_deg": attitude_deg_from_quat(sensor.attitude).tolist(),
             "attitude_ci95_deg": sensor.attitude_ci95_deg,
+            "turn_deg": sensor.turn_deg,
             "delay": sensor.delay,
             "delay_ci95": sensor.delay_ci95,
             "gains_and_crosstalk": [vars(n) for n in sensor.numbers],
@@ -77,6 +78,7 @@ def figures(result: Commissioned) -> dict[str, Any]:
             "rig": [_inverse(value) for value in platform.compliance],
         },
         "effects": [e.model_dump(mode="json") for e in result.nominal.effects],
+        "departures": list(result.departures),
     }
 
 

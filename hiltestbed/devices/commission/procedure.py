@@ -23,10 +23,12 @@ from hiltestbed.devices.mounting import Mounting
 from hiltestbed.devices.rehearsal import rehearse
 from hiltestbed.devices.session import Observed, Options, Row, Session
 from hiltestbed.errors import InputError
-from hiltestbed.frames import Array, attitude_deg_from_quat
+from hiltestbed.frames import Array, attitude_deg_from_quat, quat_from_attitude_deg
 from hiltestbed.scenario import Scenario, resolved, scenario_from
+from hiltestbed.sensor.effects.rotation import SensorRotation
 
 FORCE = 100.0  # [N] of a press
+ALIKE = 1e-3  # of a misfit, by which two fits of as many numbers may differ and be alike
 Progress = Callable[[str], None]
 
 
@@ -36,7 +38,8 @@ class Commissioned:
 
     Attributes:
         believed: the scenario as it was given, with what no simulation could have known: mounting and noise of the sensor.
-        nominal: with all that was measured. paths: the motions as they went, by name.
+        nominal: with all that was measured. paths: the motions as they went, by name, the wrench as `believed` has the sensor mounted.
+        departures: what a diagnosis of the motions against `believed` has to find, as under `effects:` in a scenario.
     """
 
     believed: Scenario
@@ -46,6 +49,7 @@ class Commissioned:
     platform: PlatformFit
     paths: dict[str, Path]
     starts: dict[str, Array]
+    departures: tuple[dict[str, Any], ...] = ()
 
 
 def commission(scenario: Scenario, options: Options, force: float = FORCE, progress: Progress = lambda step: None) -> Commissioned:
@@ -93,14 +97,46 @@ def _fitted(scenario: Scenario, planned: Sequence[Motion], rows: dict[str, list[
         if motion.touches:
             shown = np.array([row.shown for row in rows[motion.name]]) - observed.shown
             touched.append(Shown(Expected(scenario, poses), shown))
-    sensor = fit_sensor(touched, np.array(scenario.devices.sensor.position), noise)
-    believed = _mounted(scenario, sensor, noise)
-    mounting = Mounting(believed.devices)
+    position = np.array(scenario.devices.sensor.position)
+    sensor = fit_sensor(touched, position, noise)
     begin = round(SETTLED / scenario.tick)  # what the travel to a motion left is no part of it
-    paths = {motion.name: _path(rows[motion.name][begin:], mounting, observed.shown, motion.touches) for motion in planned}
-    platform = fit_platform(list(paths.values()), scenario.tick)
+
+    def paths(mounted: Scenario) -> dict[str, Path]:
+        mounting = Mounting(mounted.devices)
+        return {m.name: _path(rows[m.name][begin:], mounting, observed.shown, m.touches) for m in planned}
+
+    corrected = _mounted(scenario, sensor, noise)
+    found = paths(corrected)
+    platform = fit_platform(list(found.values()), scenario.tick)
+    nominal = _nominal(corrected, sensor, platform)
     starts = {motion.name: motion.start for motion in planned}
-    return Commissioned(believed, _nominal(believed, sensor, platform), observed, sensor, platform, paths, starts)
+    turned = _turned(scenario, sensor, touched, noise)
+    if turned is None:
+        return Commissioned(corrected, nominal, observed, sensor, platform, found, starts, _departures(nominal, corrected))
+    believed = _mounted(scenario, None, noise)
+    departures = _departures(_nominal(believed, turned, platform), believed)
+    return Commissioned(believed, nominal, observed, turned, platform, paths(believed), starts, departures)
+
+
+def _turned(scenario: Scenario, sensor: SensorFit, touched: Sequence[Shown], noise: Array) -> SensorFit | None:
+    """The sensor with gains and crosstalk in its own axes, where these are turned a little against what the scenario says.
+
+    None where they are not, where the sign or the attitude is another one altogether, or where gains in P's axes explain more.
+    """
+    mounted = scenario.devices.sensor
+    if sensor.sign != mounted.sign:
+        return None
+    found = fit_sensor(touched, np.array(mounted.position), noise, quat_from_attitude_deg(mounted.attitude_deg))
+    most = SensorRotation.searched("angles_deg")[1]
+    if not found.turned() or max(map(abs, found.turn_deg or ())) > most:
+        return None
+    return found if (len(found.numbers), found.misfit) <= (len(sensor.numbers), (1.0 + ALIKE) * sensor.misfit) else None
+
+
+def _departures(nominal: Scenario, believed: Scenario) -> tuple[dict[str, Any], ...]:
+    """The effects of ``nominal``, and what its sensor is later than that of ``believed``."""
+    late = nominal.sensor.delay - believed.sensor.delay
+    return ({"kind": "sensor.delay", "delay": late}, *(effect.model_dump(mode="json") for effect in nominal.effects))
 
 
 def _path(rows: list[Row], mounting: Mounting, tare: Array, touches: bool) -> Path:
@@ -110,9 +146,11 @@ def _path(rows: list[Row], mounting: Mounting, tare: Array, touches: bool) -> Pa
     return Path(np.array([row.command for row in rows]), np.array([row.pose for row in rows]), wrench, touches)
 
 
-def _mounted(scenario: Scenario, sensor: SensorFit, noise: Array) -> Scenario:
+def _mounted(scenario: Scenario, sensor: SensorFit | None, noise: Array) -> Scenario:
+    """With the noise and, where the sensor is given, its sign and attitude."""
     data = resolved(scenario)
-    data["devices"]["sensor"] |= {"attitude_deg": attitude_deg_from_quat(sensor.attitude).tolist(), "sign": sensor.sign}
+    if sensor is not None:
+        data["devices"]["sensor"] |= {"attitude_deg": attitude_deg_from_quat(sensor.attitude).tolist(), "sign": sensor.sign}
     data["sensor"] |= {"noise": float(np.max(noise[:3])), "torque_noise": float(np.max(noise[3:]))}
     return scenario_from(data)
 
@@ -128,9 +166,10 @@ def _nominal(believed: Scenario, sensor: SensorFit, platform: PlatformFit) -> Sc
 
 
 def effects_of(sensor: SensorFit, platform: PlatformFit) -> list[dict[str, Any]]:
-    """Gains, crosstalk, delay and scale as effects, where they differ from none by more than their intervals."""
+    """Turn, gains, crosstalk, delay and scale as effects, where they differ from none by more than their intervals."""
     gains = {n.axis: n.value for n in sensor.numbers if n.source == n.axis}
-    found: list[dict[str, Any]] = [{"kind": "sensor.gain", "axis": axis, "factor": value} for axis, value in gains.items()]
+    found: list[dict[str, Any]] = [{"kind": "sensor.rotation", "angles_deg": list(sensor.turn_deg or ())}] if sensor.turned() else []
+    found += [{"kind": "sensor.gain", "axis": axis, "factor": value} for axis, value in gains.items()]
     for n in sensor.numbers:  # after the gains: what leaks is what the source shows
         if n.source != n.axis:
             found.append({"kind": "sensor.crosstalk", "source": n.source, "axis": n.axis, "ratio": n.value / gains.get(n.source, 1.0)})

@@ -18,14 +18,16 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from hiltestbed.devices.commission.expected import Expected
-from hiltestbed.frames import Array, rotation_matrix
+from hiltestbed.frames import Array, rotation_matrix, rotation_vectors
 from hiltestbed.signals import AXES
 
 ROWS = 6000  # of all motions together, that a fit is made on
 WORTH = 0.2  # part of the remaining square that one more number has to explain
 SIGNIFICANT = 4.0  # standard deviations by which it has to differ from none
 LEAST = 5e-4  # of a gain or a crosstalk
+LEAST_TURN = 0.1  # [deg] of the axes against those that were given: 2e-3 of the force shows across it
 MOST = 8  # of them
+FAR = 5.0  # times another number that explains as much: then it is the less likely one
 TIE = 0.9  # part of the best one's gain from which on another explains as much
 LONGEST = 0.05  # [s]
 FLOOR = 1e-5  # of the largest reading: what is taken for noise where there is none
@@ -62,7 +64,10 @@ class SensorFit:
 
     Attributes:
         sign: of the wrench. attitude: quaternion (4,) of the sensor's frame in P. numbers: gains and crosstalk, in P.
-        residual, reading: (6,) rms that is left, and of the reading itself, in the sensor's frame.
+        residual, reading: (6,) rms that is left, and of the reading itself, in the sensor's frame. misfit: sum of squares, in units of the
+        noise.
+        turn_deg: (3,) rotation vector of the sensor's axes against those that were given, whose gains and crosstalk the numbers are then;
+        None: the numbers are those of P's axes.
     """
 
     sign: int
@@ -73,15 +78,26 @@ class SensorFit:
     numbers: tuple[Number, ...]
     residual: list[float]
     reading: list[float]
+    misfit: float = 0.0
+    turn_deg: tuple[float, ...] | None = None
+
+    def turned(self) -> bool:
+        """Whether the axes differ from those that were given by more than the interval."""
+        if self.turn_deg is None:
+            return False
+        spread = [SIGNIFICANT / 1.96 * ci95 for ci95 in self.attitude_ci95_deg]
+        return any(abs(angle) > max(LEAST_TURN, s) for angle, s in zip(self.turn_deg, spread, strict=True))
 
 
-def fit_sensor(motions: Sequence[Shown], position: Array, noise: Array) -> SensorFit:
+def fit_sensor(motions: Sequence[Shown], position: Array, noise: Array, given: Array | None = None) -> SensorFit:
     """The sensor that explains all ``motions``.
 
     Args:
         position: (3,) of the sensor's origin in P, as believed. noise: (6,) standard deviation of its channels.
+        given: quaternion (4,) of its frame in P, as believed: gains and crosstalk are then those of its own axes, behind the turn; None:
+            of P's axes, before it.
     """
-    data = _Data(motions, position, noise)
+    data = _Data(motions, position, noise, None if given is None else rotation_matrix(given))
     sign, rotation, delay = data.first_guess()
     chosen: list[Element] = []
     others: list[list[Element]] = []
@@ -108,6 +124,8 @@ def fit_sensor(motions: Sequence[Shown], position: Array, noise: Array) -> Senso
         numbers=numbers,
         residual=data.rms(best).tolist(),
         reading=np.sqrt(np.mean(data.reading**2, axis=0)).tolist(),
+        misfit=best.square,
+        turn_deg=None if data.given is None else tuple(np.degrees(rotation_vectors(_quaternion(best.rotation @ data.given.T))).tolist()),
     )
 
 
@@ -132,7 +150,8 @@ class _Fit:
 
 
 class _Data:
-    def __init__(self, motions: Sequence[Shown], position: Array, noise: Array) -> None:
+    def __init__(self, motions: Sequence[Shown], position: Array, noise: Array, given: Array | None) -> None:
+        self.given = given
         total = sum(len(m.reading) for m in motions)
         every = max(total // ROWS, 1)
         self._parts = [(m.expected, np.arange(every, len(m.reading), every).astype(float), m.reading) for m in motions]
@@ -150,7 +169,7 @@ class _Data:
             square = self.reading * self._weight
             for sign in (1, -1):
                 rotation = _wahba(felt, sign * self.reading, self._weight)
-                turned = sign * np.concatenate([felt[:, :3] @ rotation, felt[:, 3:] @ rotation], axis=1) * self._weight
+                turned = sign * _turned(felt, rotation) * self._weight
                 found.append((float(np.sum((square - turned) ** 2)), sign, rotation, float(delay)))
         return min(found, key=lambda item: item[0])[1:]
 
@@ -172,22 +191,27 @@ class _Data:
         """The number that would take most of the square away, to first order and beside those that ``fit`` has; then its equals.
 
         Where several would do as well, what leaks from a force goes before what leaks from a torque: a turn and a leak of the force look
-        like another turn and a leak of the torque, where the force has one direction only.
+        like another turn and a leak of the torque, where the force has one direction only. A number that has to be five times another's
+        goes last: where a turn puts a little of fz on x, a gain of 2 does what a leak of 5 % does.
         """
         calibration = _calibration(chosen, fit.p[4:])
         left = ((self.reading - sign * self._shown(fit.rotation, fit.delay, calibration)) * self._weight).ravel()
         basis, _ = np.linalg.qr(fit.jacobian)
-        gains = {}
+        gains, sizes = {}, {}
         for candidate in ((i, j) for i in range(6) for j in range(6)):
             if candidate in chosen:
                 continue
             column = (sign * self._shown(fit.rotation, fit.delay, _calibration([candidate], [1.0]) - np.eye(6)) * self._weight).ravel()
             own = column - basis @ (basis.T @ column)
             square = float(own @ own)
-            gains[candidate] = float(own @ left) ** 2 / square if square > 1e-9 * float(column @ column) else 0.0
+            told = square > 1e-9 * float(column @ column)
+            gains[candidate] = float(own @ left) ** 2 / square if told else 0.0
+            if told and (candidate[0] > 2) == (candidate[1] > 2):  # a pure number
+                sizes[candidate] = abs(float(own @ left)) / square
         most = max(gains.values())
         equal = [c for c in gains if gains[c] >= TIE * most]
-        return sorted(equal, key=lambda c: (c[0] != c[1], c[0] > 2, c[1] > 2, -gains[c]))
+        least = min((sizes[c] for c in equal if c in sizes), default=0.0)
+        return sorted(equal, key=lambda c: (sizes.get(c, 0.0) > FAR * least, c[0] != c[1], c[0] > 2, c[1] > 2, -gains[c]))
 
     def rms(self, fit: _Fit) -> Array:
         """(6,) rms that is left of each channel."""
@@ -202,8 +226,10 @@ class _Data:
         return np.concatenate([wrench[:, :3], wrench[:, 3:] - np.cross(self._position, wrench[:, :3])], axis=1)
 
     def _shown(self, rotation: Array, delay: float, calibration: Array) -> Array:
-        felt = self._at_sensor(self._wrench(delay) @ calibration.T)
-        return np.concatenate([felt[:, :3] @ rotation, felt[:, 3:] @ rotation], axis=1)
+        wrench = self._wrench(delay)
+        if self.given is None:
+            return _turned(self._at_sensor(wrench @ calibration.T), rotation)
+        return _turned(self._at_sensor(_turned(wrench, rotation @ self.given.T) @ calibration.T), self.given)
 
 
 def _calibration(chosen: Sequence[Element], values: Sequence[float] | Array) -> Array:
@@ -212,6 +238,11 @@ def _calibration(chosen: Sequence[Element], values: Sequence[float] | Array) -> 
     for (i, j), value in zip(chosen, values, strict=True):
         out[j, i] += value
     return out
+
+
+def _turned(wrench: Array, rotation: Array) -> Array:
+    """(N, 6) a wrench along the axes of a frame whose rotation matrix is given."""
+    return np.concatenate([wrench[:, :3] @ rotation, wrench[:, 3:] @ rotation], axis=1)
 
 
 def _centred(values: Array) -> Array:

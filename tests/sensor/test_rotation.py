@@ -1,0 +1,86 @@
+"""A sensor that is mounted turned: against an independent rotation, beside gain and crosstalk, and told from a crosstalk."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from hiltestbed.diagnosis.fit import nothing
+from hiltestbed.diagnosis.intervals import intervals
+from hiltestbed.diagnosis.residual import Residual, square
+from hiltestbed.diagnosis.search import Search
+from hiltestbed.effects import EFFECTS, Effect
+from hiltestbed.effects.search import Scales
+from hiltestbed.sensor.parameters import SensorParameters
+from tests.diagnosis.made import NOISE, H, contact_link, effect
+
+ANGLES = (4.0, -7.0, 12.0)
+WRENCH = np.array([1.0, -2.0, 300.0, 4.0, 5.0, -6.0])
+GAIN = {"kind": "sensor.gain", "axis": "z", "factor": 1.1}
+LEAK = {"kind": "sensor.crosstalk", "source": "z", "axis": "x", "ratio": 0.05}
+TURN = {"kind": "sensor.rotation", "angles_deg": ANGLES}
+SCALES = Scales(force=300.0, depth=3e-3, stiffness=1e5, tick=H, noise=NOISE, slow=0.02, fast=0.1, duration=0.5, substeps=4)
+
+
+def shown(*effects: dict) -> np.ndarray:
+    """(6,) what a sensor without delay makes of WRENCH."""
+    made = [EFFECTS[e["kind"]](**e) for e in effects]
+    return SensorParameters(1e-3).with_effects(made).calibration @ WRENCH
+
+
+def felt(*turns: tuple[float, float, float]) -> np.ndarray:
+    """(6,) WRENCH in a frame that was turned by each of the rotation vectors in its turn, about the axes that are believed."""
+    frame = Rotation.identity()
+    for turn in turns:
+        frame = Rotation.from_rotvec(turn, degrees=True) * frame
+    return np.concatenate([frame.inv().apply(WRENCH[:3]), frame.inv().apply(WRENCH[3:])])
+
+
+def test_force_and_torque_are_read_along_the_turned_axes() -> None:
+    assert shown(TURN) == pytest.approx(felt(ANGLES), abs=1e-12)
+    assert np.linalg.norm(shown(TURN)[:3]) == pytest.approx(np.linalg.norm(WRENCH[:3]), rel=1e-14)
+
+
+def test_a_second_turn_is_about_the_axes_that_are_believed() -> None:
+    second = (0.0, 90.0, 0.0)
+    assert shown(TURN, {"kind": "sensor.rotation", "angles_deg": second}) == pytest.approx(felt(ANGLES, second), abs=1e-12)
+
+
+@pytest.mark.parametrize("order", [(TURN, GAIN, LEAK), (GAIN, TURN, LEAK), (GAIN, LEAK, TURN)], ids=["first", "between", "last"])
+def test_gain_and_crosstalk_are_those_of_the_turned_axes_wherever_the_turn_stands(order: tuple[dict, ...]) -> None:
+    expected = felt(ANGLES)
+    expected[2] *= GAIN["factor"]
+    expected[0] += LEAK["ratio"] * expected[2]
+    assert shown(*order) == pytest.approx(expected, abs=1e-12)
+
+
+def _found(hidden: Effect) -> tuple[Residual, list]:
+    residual = Residual(contact_link([hidden]))
+    candidates = [c for kind in ("sensor.rotation", "sensor.crosstalk", "sensor.gain") for c in EFFECTS[kind].candidates(SCALES)]
+    return residual, Search(tuple(candidates)).extend(residual, nothing(residual))
+
+
+def test_a_turn_about_a_lateral_axis_is_found_and_none_is_made_up_about_the_axis_of_the_load() -> None:
+    residual, fits = _found(effect("sensor.rotation", angles_deg=(2.0, -3.0, 0.0)))
+    best, ends = fits[0], intervals(residual, fits[0]).ends
+    assert best.kinds == ("sensor.rotation",)
+    assert len(best.theta) == 2  # the third is no part of it
+    assert best.effects()[0].parameters()["angles_deg"][2] == 0.0
+    assert np.all((ends[:, 0] < (2.0, -3.0)) & (ends[:, 1] > (2.0, -3.0)))
+
+
+def test_a_crosstalk_is_no_turn() -> None:
+    """One number goes before two: where a turn about y by as much fits, but for the cosine, the crosstalk is simpler."""
+    _, fits = _found(effect("sensor.crosstalk", source="z", axis="x", ratio=0.005))
+    assert fits[0].kinds == ("sensor.crosstalk",)
+    turns = [f for f in fits if f.kinds == ("sensor.rotation",)]
+    assert turns
+    assert min(f.chi2 for f in turns) - fits[0].chi2 < 4.0  # 0.005 rad: 1 - cos is 4 mN of 300 N
+    assert min(f.score for f in turns) > fits[0].score
+
+
+def test_about_the_axis_of_the_load_a_turn_changes_nothing() -> None:
+    residual = Residual(contact_link())
+    turned = residual([effect("sensor.rotation", angles_deg=(0.0, 0.0, 8.0))])
+    assert square(turned - residual(())) < 1e-20 * square(turned)
