@@ -19,9 +19,10 @@ import numpy as np
 from hiltestbed.bounce import LAGS, SWINGS, Bounce
 from hiltestbed.contact.directions import time_of_touch
 from hiltestbed.contact.sides import sides_of
+from hiltestbed.frames import attitude_deg_from_quat, pose_step
 from hiltestbed.loop import Loop
 from hiltestbed.metrics import along_impulse
-from hiltestbed.numerical_model.bodies import effective_mass, mobility
+from hiltestbed.numerical_model.bodies import approach_state, effective_mass, mobility
 from hiltestbed.scenario import Scenario, resolved, scenario_from
 
 LEAD = 0.1  # [s] of uniform motion before the touch
@@ -45,12 +46,13 @@ class FirstContact:
         """``touch``: when it comes at the earliest [s]; ``ideal``: on a rig that follows exactly."""
         self._data, self._ideal = resolved(scenario), scenario.rig.platform.reference() if ideal else None
         self._feeds, self._inverse = scenario.compensation.motion.feeds, mobility(scenario)
-        self._mass, self._lead = effective_mass(scenario), touch
-        if not any(scenario.approach.rate_deg):  # A's origin goes straight
-            self._lead = min(touch, LEAD)
-            skipped, approach = touch - self._lead, scenario.approach
-            x, y, z = (skipped * v for v in approach.velocity)
-            self._data["approach"] |= {"gap": approach.gap - z, "offset": [approach.offset[0] + x, approach.offset[1] + y]}
+        self._mass, self._lead = effective_mass(scenario), min(touch, LEAD)
+        if touch > LEAD:
+            start, pose = approach_state(scenario), np.empty(7)
+            pose_step(start[:7], start[7:], touch - LEAD, pose)
+            x, y, z = (float(v) for v in pose[:3])
+            attitude = attitude_deg_from_quat(pose[3:]).tolist()
+            self._data["approach"] |= {"gap": -z, "offset": [x, y], "attitude_deg": attitude}
 
     def played(self, cases: Sequence[Case], lag: float) -> list[Bounce | None]:
         """How each case ends, on a rig with that lag [s]; None where it has not parted in time, or is lost."""
