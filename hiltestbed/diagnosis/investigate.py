@@ -5,10 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 from hiltestbed.diagnosis import judges
 from hiltestbed.diagnosis.all_rows import on_all_rows
@@ -18,11 +16,11 @@ from hiltestbed.diagnosis.jitter import JITTER, jitter_beside
 from hiltestbed.diagnosis.layout import Layout, compensation_link, dynamics_link, lay_out, platform_link
 from hiltestbed.diagnosis.lines import hum_beside, lines
 from hiltestbed.diagnosis.links import AxisLink, CompensationLink, Link, LinkRun, PlatformLink, WrenchLink
-from hiltestbed.diagnosis.links.base import Effects
 from hiltestbed.diagnosis.paths import BestPath, best_path, make_wrench_link
-from hiltestbed.diagnosis.residual import Residual, square
+from hiltestbed.diagnosis.readings import another_lever, at_a_point, choose_lever, lever_under, on_a_grid, wrench_link_of
+from hiltestbed.diagnosis.residual import Residual
 from hiltestbed.diagnosis.search import Explanation, Progress, Search
-from hiltestbed.diagnosis.settings import DETECTION, MOST_NOISE, ONE_OF_TWO, RECORD_LEFT
+from hiltestbed.diagnosis.settings import DETECTION, MOST_NOISE, RECORD_LEFT
 from hiltestbed.diagnosis.stiction import stick_starts
 from hiltestbed.effects.search import Candidate, Scales
 from hiltestbed.effects.table import EFFECTS
@@ -120,26 +118,26 @@ def _explain_compensation(
 def _investigate_wrench(layout: Layout, found: dict[str, Explanation], whole: dict[str, Link], progress: Progress | None) -> None:
     """Contact and sensor, which are one link to the data; and the compensation again where the record proves to be stamped late."""
     path = best_path(layout, found.get("platform"))
-    link = _choose_lever(make_wrench_link(layout, path, layout.rows, decimate="compensation" not in found))
+    link = choose_lever(make_wrench_link(layout, path, layout.rows, decimate="compensation" not in found))
     scales = replace(layout.scales, lines=lines(link))
     unseen = ("platform",) if link.commands else ()  # what it does is in the path then
     candidates = _candidates(scales, (*WRENCH, *unseen) if "compensation" in found else (*WRENCH, *unseen, "log"))
     residual, given = Residual(link), _stamped_late(layout, link, found.get("compensation"))
     if given:  # which the contact alone cannot tell from a late sensor
         candidates = tuple(c for c in candidates if c.kind != "sensor.delay")
-    search = Search(candidates, special=(jitter_beside, hum_beside), progress=_told(progress, "contact and sensor"))
+    search = Search(candidates, special=(jitter_beside, hum_beside), progress=_told(progress, "contact and sensor"), reread=lever_under)
     explanation = search.explain(residual, given[0] if given else None)
-    if not given and (levered := _another_lever(explanation)):
+    if not given and (levered := another_lever(explanation)):
         explanation = search.explain(Residual(levered))
-    if not given and (pointed := _at_a_point(explanation)):
+    if not given and (pointed := at_a_point(explanation)):
         explanation = search.explain(Residual(pointed))
     if given and not explanation.adequate and _other_reading_betters(explanation, given[1]):
         explanation = search.explain(residual, given[1])
-    elif not given and (other := _on_a_grid(explanation)):
+    elif not given and (other := on_a_grid(explanation)):
         explanation = search.explain(Residual(other))
     if given:
         explanation = replace(explanation, candidates=(*candidates, *given[0].causes))
-    chosen = _wrench(explanation)
+    chosen = wrench_link_of(explanation.residual)
     if tuple(run.rows for run in chosen.runs) != tuple(layout.rows):
         everything = make_wrench_link(layout, path, layout.rows)
         explanation = on_all_rows(explanation, everything.reading(chosen.lever, chosen.grid, chosen.blunt))
@@ -147,42 +145,6 @@ def _investigate_wrench(layout: Layout, found: dict[str, Explanation], whole: di
     whole["wrench"] = make_wrench_link(layout, path, layout.whole).reading(chosen.lever, chosen.grid, chosen.blunt)
     if given:
         _settle_compensation(layout, path, found, whole, progress)
-
-
-def _wrench(explanation: Explanation) -> WrenchLink:
-    """The link of contact and sensor that an explanation was found on."""
-    link = explanation.residual.link
-    if not isinstance(link, WrenchLink):
-        raise TypeError(f"an explanation of the link {link.name} (got {type(link).__name__}); allowed is a WrenchLink")
-    return link
-
-
-def _at_a_point(explanation: Explanation) -> WrenchLink | None:
-    """The link where the tip touches with its foremost point, if what was found, nothing, or a tilt fits better there.
-
-    In the MJCF a plane is met by a ball: where the bodies turn, or the port is tilted, it is met beside that point. A facility may compute
-    it at the point.
-    """
-    link = _wrench(explanation)
-    if not explanation.departs or JITTER in explanation.chosen.kinds or not all(r.scenario.mechanism.flat for r in link.runs):
-        return None
-    other = link.reading(blunt=0.0)
-    there = explanation.residual.through(other)
-    tilts = [c for c in explanation.candidates if c.kind == "contact.misalignment"]
-    fits = [nothing(there), *([refit(there, explanation.chosen)] if explanation.chosen.causes else [])]
-    fits += [fit(there, (c,), c.grid) for c in tilts]
-    return other if min(f.score for f in fits) < explanation.chosen.score - ONE_OF_TWO else None
-
-
-def _on_a_grid(explanation: Explanation) -> WrenchLink | None:
-    """The link where readings lie between the instants of the believed physics, if what was found, or nothing, fits better there."""
-    link = _wrench(explanation)
-    if not explanation.departs or JITTER in explanation.chosen.kinds:
-        return None
-    other = link.reading(grid=link.runs[0].scenario.substeps)
-    there = explanation.residual.through(other)
-    fits = [nothing(there), *([refit(there, explanation.chosen)] if explanation.chosen.causes else [])]
-    return other if min(f.score for f in fits) < explanation.chosen.score - ONE_OF_TWO else None
 
 
 def _stamped_late(layout: Layout, link: WrenchLink, compensation: Explanation | None) -> list[Fit]:
@@ -220,7 +182,7 @@ def _settle_compensation(
     skew = log_parameters(effects).skew
     if not skew or not explanation.adequate:
         return
-    ticks, chosen = round(skew / layout.scales.tick), _wrench(explanation)
+    ticks, chosen = round(skew / layout.scales.tick), wrench_link_of(explanation.residual)
     in_time = [e for e in effects if e.link != "log"]
     links = []
     for rows in (layout.rows, layout.whole):
@@ -252,28 +214,3 @@ def _without_end(run: LinkRun, ticks: int) -> LinkRun:
     sigma = run.sigma.copy()
     sigma[len(sigma) - ticks :] = np.inf
     return replace(run, sigma=sigma)
-
-
-def _choose_lever(link: WrenchLink, effects: Effects = ()) -> WrenchLink:
-    """Where between tip and surface the force acts: the reading of the geometry that the torques bear out, under ``effects``."""
-    if all(r.scenario.mechanism.contact.friction == 0.0 for r in link.runs):
-        return link
-
-    def cost(lever: float) -> float:
-        r = Residual(link.reading(lever))(effects)
-        return float(np.sum(np.minimum(r * r, 100.0)))
-
-    costs = {lever: cost(lever) for lever in (0.5, 0.0, 1.0)}
-    best = min(costs, key=lambda key: costs[key])
-    found: Any = minimize_scalar(cost, bounds=(max(best - 0.5, 0.0), min(best + 0.5, 1.0)), method="bounded", options={"xatol": 0.01})
-    return link.reading(float(found.x) if found.fun < costs[best] - ONE_OF_TWO else best)
-
-
-def _another_lever(explanation: Explanation) -> WrenchLink | None:
-    """The reading of the lever that the best cause bears out, where it leaves clearly less: it was chosen while nothing was known."""
-    if explanation.adequate or not explanation.singles:
-        return None
-    best = explanation.singles[0]
-    other = _choose_lever(_wrench(explanation), best.effects())
-    chi2 = square(explanation.residual.through(other)(best.effects()))
-    return other if chi2 < best.chi2 - DETECTION * inflation(best) else None

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
@@ -30,6 +30,7 @@ LAGS = 64  # rows, over which a correlation is summed at most
 SMOOTH = 9  # rows of the running mean of a reading in contact
 CLIPPED = 4.0  # robust standard deviations at which a sample counts for its correlation with others
 FILLED = 1.0  # of a step, from which noise makes its error independent of the signal and from row to row
+ROUNDED = 1.01  # of a step, to which it is read from a record
 SETTLED = 0.05  # [s] after a contact in which a reading still shows it
 FAR_TAIL = 4.0  # robust standard deviations, beyond which 6e-5 of normal samples lie
 THIRD = 20.0  # variance of third differences of white noise
@@ -49,6 +50,7 @@ class ForceNoise:
         share: of the reading, that is noise beside. tail: variance of the square of a softened sample, 2 for normal noise.
         baseline: degree of the polynomial by which the readings differ from run to run, -1 for none; tones: [rad] a row, of another phase
             in each run, see :mod:`hiltestbed.diagnosis.aside`.
+        step: [N] in which the force is read, where the scenario states none as large; 0 where it does, or noise fills it.
     """
 
     level: Array
@@ -59,6 +61,7 @@ class ForceNoise:
     tail: float = NORMAL
     baseline: int = -1
     tones: tuple[float, ...] = ()
+    step: float = 0.0
 
     def words(self) -> tuple[str, ...]:
         """What was assumed, in sentences; none for white noise of one level."""
@@ -75,6 +78,8 @@ class ForceNoise:
             out.append("the force holds tones of another phase in each run, as of mains: they are taken out of what is left")
         if self.share:
             out.append(f"the noise of the force grows with the reading: {100.0 * self.share:.2g} % of it beside its level")
+        if self.step:
+            out.append(f"the force is read in steps of {self.step:.3g} N, unstated in sensor.quantisation: they are taken for noise")
         return tuple(out)
 
 
@@ -85,6 +90,14 @@ def softened(z: Array, heavy: bool) -> Array:
 
 def force_noise(runs: Sequence[MeasuredRun]) -> ForceNoise:
     """The noise of the force on record; white where free flight is too short to tell."""
+    found = _noise(runs)
+    step = max((run.record.steps[name] for run in runs for name in CHANNELS[:3] if in_steps(run, name)), default=0.0)
+    stated = not step or step <= ROUNDED * max(run.scenario.sensor.quantisation for run in runs)
+    return found if stated else replace(found, step=step)
+
+
+def _noise(runs: Sequence[MeasuredRun]) -> ForceNoise:
+    """Without its steps."""
     still = ForceNoise(np.zeros(6), 1.0, False, tuple(np.zeros(6) for _ in runs), 0.0)
     free = [_free(run) for run in runs]
     if sum(len(x) for x in free) < ENOUGH_FREE:

@@ -33,6 +33,7 @@ from hiltestbed.frames import Array
 
 Judge = Callable[[Residual, Effects], dict[str, Leftover]]
 Special = Callable[[Residual, Fit], Fit | None]  # a hypothesis that is made from what a fit leaves
+Reread = Callable[[Residual, Fit], Residual]  # the reading of a link that a fit bears out; the residual itself where it is that one
 Progress = Callable[[str], None]
 
 
@@ -74,6 +75,7 @@ class Search:
     judge: Judge = contact_leftovers
     special: tuple[Special, ...] = ()
     progress: Progress | None = None
+    reread: Reread | None = None  # asked with the best cause alone, before further ones are sought beside it
     beside: float = SELECTION  # what a further cause must take off chi-square where those found leave noise; infinite: none is sought
 
     def explain(self, residual: Residual, given: Fit | None = None) -> Explanation:
@@ -88,6 +90,8 @@ class Search:
             null = refit(residual, null)
             singles = [again(residual, f) for f in first_of_each(singles, "kinds")[:BEAM]]
             before = self.judge(residual, null.effects())
+        if singles and not given and self.reread and (other := self.reread(residual, singles[0])) is not residual:
+            return replace(self, reread=None).explain(other)
         singles += [f for make in self.special if (f := make(residual, null)) is not None]  # under the weights that a better mean has left
         singles.sort(key=_order)
         best = singles[0] if singles else null
@@ -138,7 +142,10 @@ class Search:
         """The same search; where the best that was found leaves noise, for causes that make a rival of it out of ``base``."""
         best = min(found, key=lambda f: f.score, default=base)
         foreign = set(base.kinds) - set(best.kinds)
-        if not foreign or not all(left.noise for left in self.judge(residual, best.effects()).values()):
+        if not foreign:
+            return self
+        left = self.judge(residual.wary(best.effects()), best.effects())  # as it is judged when its turn comes
+        if not all(channel.noise for channel in left.values()):
             return self
         return replace(self, candidates=tuple(c for c in self.candidates if c.kind in best.kinds))
 

@@ -6,7 +6,8 @@ On each axis ``F = k x + c v + b``: the intercept b takes up where the touch is,
 The recursion is kept in its information form (L. Ljung, System Identification, 2nd ed. 1999, eq. 11.12): the sums of products are
 updated, and the estimate solved from them. It is the usual recursion with P0 to infinity, so no P0 biases the estimate.
 
-A latch that is alone on an axis is a spring and a damper. Where joints, stops or surfaces that rub share the load it is not: what k and c
+A latch that is alone on an axis is a spring and a damper, and one that a joint off its place couples with another axis is so beside that
+axis's motion (:mod:`hiltestbed.identification.coupled`). Where joints, stops or surfaces that rub share the load it is not: what k and c
 leave of the force is then more than the sensor's noise, and none are given. None are given either where a latched axis hardly moves.
 
 The methods that it is compared with take other samples: the raw force beside the pose of the same tick, or the force after the phase
@@ -24,6 +25,7 @@ from numba import njit
 from hiltestbed.bound import GIVEN, Call
 from hiltestbed.compensation.force_methods.phase_lead import PhaseLeadBlock
 from hiltestbed.frames import Array
+from hiltestbed.identification.coupled import PAIRS, PARTNERS, PRODUCTS, accumulate_pairs, take_in_partner
 from hiltestbed.identification.samples import NORMAL, ContactSamples
 
 MINIMUM_SAMPLES = 8
@@ -52,6 +54,7 @@ class RecursiveLeastSquares:
         self._lead = lead
         self.forgetting = np.array(forgetting)
         self._sums = np.zeros((n, 7, SUMS))
+        self._products = np.zeros((n, PAIRS, PRODUCTS))
         self._found = np.full((4, n, 7), np.nan)
         self._used = np.zeros((n, 7))
         self.stiffness, self.damping, self.stiffness_sd, self.damping_sd = self._found[:, :, :NORMAL]
@@ -60,7 +63,7 @@ class RecursiveLeastSquares:
         self._noise = source.noise**2
         self._estimated = Call(
             _estimate, source.held.changes, self._changes, source.ready, source.ready_normal, source.whole, self.forgetting, GIVEN,
-            source.place, self._noise, self._sums, self._found, self._used,
+            source.place, self._noise, self._sums, self._products, self._found, self._used,
         )  # fmt: skip
 
     @property
@@ -76,31 +79,33 @@ class RecursiveLeastSquares:
 
 
 @njit(cache=True)
-def _estimate(changes, seen, ready, ready_normal, sample, forgetting, captured, place, noise, sums, found, used):
-    _begin_anew(changes, seen, sums, found, used)
-    _accumulate(ready, ready_normal, sample, forgetting, sums, used)
-    _solve(ready, ready_normal, captured, place, noise, sums, found)
+def _estimate(changes, seen, ready, ready_normal, sample, forgetting, captured, place, noise, sums, products, found, used):
+    _begin_anew(changes, seen, sums, products, found, used)
+    _accumulate(ready, ready_normal, sample, forgetting, captured, sums, products, used)
+    _solve(ready, ready_normal, captured, place, noise, sums, products, found)
 
 
 @njit(cache=True)
-def _begin_anew(changes, seen, sums, found, used):
+def _begin_anew(changes, seen, sums, products, found, used):
     """Forget the six axes of the runs in which a latch has closed or a phase of capture has begun: the mechanism is another one."""
     for i in range(changes.shape[0]):
         if changes[i] == seen[i]:
             continue
         seen[i] = changes[i]
-        sums[i, :NORMAL], used[i, :NORMAL] = 0.0, 0.0
+        sums[i, :NORMAL], products[i], used[i, :NORMAL] = 0.0, 0.0, 0.0
         found[:, i, :NORMAL] = np.nan
 
 
 @njit(cache=True)
-def _accumulate(ready, ready_normal, sample, forgetting, sums, samples):
+def _accumulate(ready, ready_normal, sample, forgetting, captured, sums, products, samples):
     for i in range(sample.shape[0]):
         for j in range(7):
             if not (ready[i] if j < NORMAL else ready_normal[i]):
                 continue
             _add(sums[i, j], sample[i, j], forgetting[i])
             samples[i, j] += 1.0
+        if ready[i] and captured[i]:
+            accumulate_pairs(sample[i], forgetting[i], products[i])
 
 
 @njit(cache=True)
@@ -157,7 +162,7 @@ def _fit(sums, out):
 
 
 @njit(cache=True)
-def _solve(ready, ready_normal, captured, place, noise, sums, found):
+def _solve(ready, ready_normal, captured, place, noise, sums, products, found):
     out = np.empty(4)
     for i in range(sums.shape[0]):
         for j in range(7):
@@ -167,8 +172,11 @@ def _solve(ready, ready_normal, captured, place, noise, sums, found):
             held = captured[i] and j < NORMAL
             if total <= 0.0 and not held:
                 continue
+            variance = _variance(j, place[i], noise[i]) if held else 0.0
+            if held and total > 0.0 and PARTNERS[j] >= 0:
+                _, rest = take_in_partner(j, products[i], sums[i, j], sums[i, PARTNERS[j]], variance, rest, out)
             told = total > 0.0 and total - rest >= EXPLAINED * total
             if held:
-                told &= rest - sums[i, j, 0] * _variance(j, place[i], noise[i]) <= HELD_REST * (total - rest)
+                told &= rest - sums[i, j, 0] * variance <= HELD_REST * (total - rest)
             for q in range(4):
                 found[q, i, j] = out[q] if told else np.nan

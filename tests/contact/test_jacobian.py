@@ -82,8 +82,14 @@ def test_the_sum_over_the_springs_is_what_the_wrench_says(name: str, until: floa
 
 
 def test_the_summary_has_the_truth_of_every_axis_once_it_is_held() -> None:
-    """Weld of 1e6 N/m on 0.4 m, a ball joint of 1e5 N/m 0.17 m behind it, twelve pads of 2e5 N/m on 0.4 m; the rod is at its end."""
+    """Weld of 1e6 N/m on 0.4 m, a ball joint of 1e5 N/m 0.17 m behind it, twelve pads of 2e5 N/m on 0.4 m; the rod is at its end.
+
+    Identified are rx and ry, within four standard deviations of 0.11 and 0.4 %, although the joint couples them with y and x by 17 kN.
+    """
     told = run(load_scenario(SCENARIOS / "16-probe-drogue.yaml", {"duration": 13.0})).summary["identification"]
     by_hand = [1.1e6, 1.1e6, 1e6 + 1e5 + 12 * 2e5, *[0.16e6 + 1e5 * 0.17**2 + 6 * 2e5 * 0.16] * 2, 0.16e6]
     for axis, true in zip(AXES, by_hand, strict=True):
         assert told[axis]["stiffness_true"] == pytest.approx(true, rel=2e-3), axis
+    for axis in ("rx", "ry"):
+        assert told[axis]["stiffness"] == pytest.approx(told[axis]["stiffness_true"], rel=4.0 * 0.0011), axis
+        assert told[axis]["damping"] == pytest.approx(told[axis]["damping_true"], rel=4.0 * 0.004), axis

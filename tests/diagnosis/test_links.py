@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -89,6 +90,25 @@ def test_a_reading_hangs_on_the_facilitys_instants_where_one_lies_at_the_touch()
     assert near[touch, 2] == pytest.approx(12.0, rel=0.1)
     assert near[touch + 1 : touch + 150, 2].max() < 0.2
     assert clear[: touch + 150, 2].max() < 0.2
+
+
+def test_a_reading_at_the_edge_of_a_dead_zone_hangs_on_the_noise() -> None:
+    """The spread of 400,000 draws of the noise about the reading without noise, to some parts of sigma/w, which its size differs from w."""
+    sigma, width = 2.0, 60.0
+    link = contact_link(seed=None)
+    runs = [replace(run, sigma=np.full_like(run.sigma, sigma)) for run in link.runs]
+    zone = effect("sensor.deadzone", width=width)
+    plain, read = link.shown(0)[:, 2], link.shown(0, [zone])[:, 2]
+    spread = WrenchLink(runs, link.paths).doubt(0, [zone])
+    assert spread is not None
+    crosses = np.diff(read > 0.0, prepend=False) | np.diff(read > 0.0, append=False)  # there it hangs on the instant, too
+    edge = np.flatnonzero((np.abs(plain - width) < 3.5 * sigma) & ~crosses)
+    assert len(edge) > 2
+    noisy = plain[edge] + sigma * np.random.default_rng(4).standard_normal((400_000, len(edge)))
+    off = np.where(np.abs(noisy) < width, 0.0, noisy) - read[edge]
+    expected = np.sqrt(np.mean(off**2, axis=0))
+    np.testing.assert_allclose(np.hypot(spread[edge, 2], np.where(read[edge] > 0.0, sigma, 0.0)), expected, rtol=0.12)
+    assert spread[plain < width - 8.0 * sigma, 2].max() < 2e-6  # 60 N times the root of Q(8)
 
 
 def test_a_pose_there_and_back() -> None:

@@ -121,5 +121,17 @@ def test_outliers_count_by_their_logarithm_and_the_level_allows_for_them() -> No
     assert np.all(np.diff(softened(np.linspace(-50, 50, 101), True)) > 0.0)  # a descent from afar still feels its way
 
 
+@pytest.mark.parametrize(("stated", "told"), [(0.0, 2.0), (1.0, 2.0), (2.0, 0.0), (2.01, 0.0)])
+def test_steps_that_the_scenario_does_not_state_are_told(stated: float, told: float) -> None:
+    runs = [run(n) for n in white(8)]
+    for one in runs:
+        one.record.steps["wrench_meas.fz"] = 2.0
+        one.survey.noise = {"wrench_meas.fz": SimpleNamespace(white=0.3)}  # type: ignore[misc]
+        one.scenario.sensor.quantisation = stated  # type: ignore[misc]
+    noise = force_noise(runs)
+    assert noise.step == told
+    assert any("steps of 2 N" in words for words in noise.words()) == bool(told)
+
+
 def test_too_short_a_flight_tells_nothing() -> None:
     assert force_noise([run(n) for n in white(7)[:0]]).words() == ()

@@ -7,6 +7,7 @@ from copy import copy
 from dataclasses import replace
 
 import numpy as np
+from scipy.special import ndtr
 
 from hiltestbed.contact.latch import latch_limits
 from hiltestbed.contact.mount_dynamics import MountDynamics
@@ -148,12 +149,13 @@ class WrenchLink(Link):
         return np.asarray(mean), np.sqrt(np.maximum(np.asarray(square) - np.asarray(mean) ** 2, 0.0))
 
     def doubt(self, i: int, effects: Effects) -> Array | None:
-        """(N, 6) how far a reading hangs on what lies between two instants of the physics: large where a touch or a jump does."""
+        """(N, 6) how far a reading hangs on what a replay does not know: what lies between two instants of the physics, which is much
+        where a touch or a jump does, and the noise by which a force at the edge of a dead zone is read or not."""
         s = self.runs[i].scenario
         step = s.tick / min(s.substeps, 4)
         late = self.lateness(i, effects)
         if late < step:
-            return np.zeros((self.runs[i].rows, 6))
+            return self._at_the_edge(i, effects)
         shifts = [[*effects, Later(delay=d)] for d in (-step, step)]
         early, after, now = self.predict([(i, shifts[0]), (i, shifts[1]), (i, effects)])
         out = np.abs(early + after - 2.0 * now)
@@ -163,4 +165,16 @@ class WrenchLink(Link):
             jump = np.concatenate([np.zeros(first), self.jumps[i]])[:rows]
             touched = np.concatenate([np.zeros(first, dtype=bool), self.paths[i][:, 2] > -jump.max(initial=0.0)])[:rows]
             out[:, 2] += s.mechanism.contact.stiffness * np.where(touched, jump, 0.0)
-        return out
+        return np.hypot(out, self._at_the_edge(i, effects))
+
+    def _at_the_edge(self, i: int, effects: Effects) -> Array:
+        """(N, 6) spread of what a dead zone makes of the noise before it: its width w, times the root of the chance to be read as no
+        replay without noise reads it, which of a force f is Q(| |f| - w | / sigma), Q of the standard normal."""
+        lane, run = self._lane(i, effects), self.runs[i]
+        width = lane.sensor.deadzone
+        if not width.any():
+            return np.zeros((run.rows, 6))
+        through = lane.sensor.copy()
+        through.deadzone = np.zeros(6)
+        force = replay_wrench(self._felt, [lane._replace(sensor=through)], self.grid)[0][: run.rows]
+        return width * np.sqrt(ndtr(-np.abs(np.abs(force) - width) / run.sigma))

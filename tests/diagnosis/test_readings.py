@@ -1,0 +1,96 @@
+"""Where between tip and surface the force acts is chosen under what was found, and is no departure by itself."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hiltestbed.diagnosis.fit import Fit, fit, nothing
+from hiltestbed.diagnosis.links import LinkRun, WrenchLink
+from hiltestbed.diagnosis.readings import another_lever, choose_lever, lever_under
+from hiltestbed.diagnosis.residual import Residual
+from hiltestbed.diagnosis.search import Explanation, Search
+from hiltestbed.effects import EFFECTS
+from hiltestbed.effects.search import Candidate, Scales
+from hiltestbed.scenario import scenario_from
+
+from .made import NOISE, STIFFNESS, H, bounce, effect, reread, scenario
+
+FRICTION, ACTS_AT = 0.1, 0.0  # of 3 mm of depth and 29 N of friction: 0.09 N m between surface and tip
+TORQUE_NOISE = 1e-3  # [N m]
+LATE = 0.0028  # [s]
+SCALES = Scales(force=300.0, depth=3e-3, stiffness=STIFFNESS, tick=H, noise=NOISE, slow=0.03, fast=0.03)
+
+
+def sliding(lever: float) -> WrenchLink:
+    """A late sensor on a tip that slides across the surface while it pushes; read with the force at ``lever``, which acts at ACTS_AT."""
+    told = scenario().model_dump(mode="json")
+    told["mechanism"]["contact"]["friction"] = FRICTION
+    s = scenario_from(told)
+    path = bounce()
+    path[:, 0] = 0.02 * np.sin(7.0 * H * np.arange(len(path)))
+    sigma = np.tile([NOISE] * 3 + [TORQUE_NOISE] * 3, (len(path), 1))
+    link = WrenchLink([LinkRun(s, np.zeros((len(path), 6)), sigma, path[:, 2] > 0.0)], [path])
+    shown = link.reading(ACTS_AT).shown(0, [effect("sensor.delay", delay=LATE)])
+    return reread(link, [shown + sigma * np.random.default_rng(3).standard_normal(shown.shape)]).reading(lever)
+
+
+def candidates(*kinds: str) -> tuple[Candidate, ...]:
+    return tuple(c for kind in kinds for c in EFFECTS[kind].candidates(SCALES))
+
+
+def alone(residual: Residual, kind: str) -> Fit:
+    (c,) = candidates(kind)
+    return fit(residual, (c,), c.grid)
+
+
+def test_the_lever_is_chosen_under_the_cause_that_was_found() -> None:
+    link = sliding(1.0)
+    residual = Residual(link)
+    found = lever_under(residual, alone(residual, "sensor.delay"))
+    assert isinstance(found.link, WrenchLink)
+    assert found.link.lever == pytest.approx(ACTS_AT, abs=0.03)
+    assert alone(found, "sensor.delay").theta[0] == pytest.approx(LATE, abs=5e-6)
+
+
+def test_a_lever_that_is_borne_out_already_stays() -> None:
+    residual = Residual(sliding(ACTS_AT))
+    assert lever_under(residual, alone(residual, "sensor.delay")) is residual
+
+
+def test_a_friction_that_is_the_believed_one_is_not_named_for_the_lever_that_it_brings() -> None:
+    link = sliding(1.0)
+    search = Search(candidates("sensor.delay", "contact.surface_friction"))
+    without = search.explain(Residual(link))
+    assert set(without.chosen.kinds) == {"sensor.delay", "contact.surface_friction"}  # as if the friction departed
+    found = replace(search, reread=lever_under).explain(Residual(link))
+    assert found.chosen.kinds == ("sensor.delay",)
+    assert found.adequate
+
+
+def test_a_cause_that_pays_for_its_lever_alone_is_found_at_the_end_too() -> None:
+    residual = Residual(sliding(1.0))
+    pair = (*candidates("sensor.delay"), next(c for c in candidates("contact.surface_friction") if c.variant.get("lever") == ACTS_AT))
+    both = fit(residual, pair, [(LATE, FRICTION)])
+    explanation = Explanation(residual, pair, nothing(residual), both, True, True, {}, {})
+    other = another_lever(explanation)
+    assert other is not None
+    assert other.lever == ACTS_AT
+
+
+def test_a_friction_that_departs_is_not_taken_for_a_lever() -> None:
+    link = sliding(1.0)
+    more = effect("contact.surface_friction", {"lever": ACTS_AT}, coefficient=2.0 * FRICTION)
+    residual = Residual(reread(link, [link.shown(0, [more])]).reading(1.0))
+    (c,) = [c for c in candidates("contact.surface_friction") if c.variant.get("lever") == ACTS_AT]
+    found = fit(residual, (c,), c.grid)
+    assert another_lever(Explanation(residual, (c,), nothing(residual), found, True, True, {}, {})) is None
+
+
+def test_without_friction_there_is_no_lever_to_choose() -> None:
+    link = sliding(1.0)
+    smooth = [replace(run, scenario=scenario()) for run in link.runs]
+    same = WrenchLink(smooth, link.paths)
+    assert choose_lever(same) is same
