@@ -110,6 +110,10 @@ class Tally:
         """``(n,)`` runs whose rebound speed is known."""
         return ~np.isnan(self._speeds[:, 1, 2])
 
+    def first_contact(self, i: int) -> tuple[Array, Array, Array]:
+        """Of run ``i``: impulse (6,) of the wrench that was used in the first contact, about A; twists (6,) before and after it, or NaN."""
+        return self._first_impulse[i], self._speeds[i, 0], self._speeds[i, 1]
+
     def figures(self, i: int) -> ContactFigures:
         """The figures of run ``i``."""
         approach, rebound = (None if math.isnan(v) else float(v) for v in self._speeds[i, :, 2])

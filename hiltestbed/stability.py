@@ -13,6 +13,9 @@ simulator", IEEE Trans. Industrial Electronics 62(10), 2015.
 A contact that pulls is as stable as that. One that only pushes begins with a step, in which the rig makes energy however much damping is
 left of what stays: it is stable where its bounce (:mod:`hiltestbed.bounce`) ends slower than it began, too.
 
+The first contact of the approach is played besides (:mod:`hiltestbed.trial`): with the dry friction of the drives, which no response
+holds, and with surfaces that curve and rub. What is told of its bounce is that.
+
 Where a contact acts in other directions as well (:mod:`hiltestbed.contact.directions`), each is judged so, with the parts of G and Y along
 it (:mod:`hiltestbed.rig_response`); the verdict is that of the one that bears the least further delay. A method that makes up for the
 platform does so from the first touch on along the line that it meets first; on a surface that is not flat a later touch has another line,
@@ -29,16 +32,19 @@ from typing import Any
 
 import numpy as np
 
-from hiltestbed.bounce import Bounce, bounce, lag_of
 from hiltestbed.contact.directions import Direction, directions, insertion
+from hiltestbed.contact.sides import sides_of
 from hiltestbed.frames import Array
 from hiltestbed.ledger import force_path_delay
 from hiltestbed.numerical_model.bodies import mobility
+from hiltestbed.rebounds import Rebounds
 from hiltestbed.rig_response import EXACT, Complex, RigResponse, measured_response, six_axis_response
 from hiltestbed.scenario import Scenario, load_scenario
+from hiltestbed.trial import FirstContact, first_contact
 
 NEUTRAL = 5e-3  # of the energy of a bounce, as of a run (:mod:`hiltestbed.assessment`)
 HALVINGS = 20  # of a delay or a stiffness that is sought
+LATER = "along the normal of a later touch"
 WIDEST = 1e3  # times the stiffness, up to and down to which its limit is looked for
 
 
@@ -70,6 +76,7 @@ class Stability:
     turns: bool
     rebound: float | None
     rig_energy: float | None
+    caveat: str | None
 
     def sentence(self) -> str:
         """The verdict, with what to act on."""
@@ -80,7 +87,8 @@ class Stability:
         parts = [f"{head}: net damping {self.net_damping:+.4g} {damping} of {self.damping:.4g}"]
         if self.rebound is not None and self.rig_energy is not None and self.rig_energy > NEUTRAL:
             made = f"{100.0 * self.rig_energy:.{0 if self.rig_energy >= 0.1 else 1}f} %"
-            parts.append(f"the rig makes {made} of a bounce's energy, which ends at {self.rebound:.3g} times its speed")
+            but = f" ({self.caveat})" if self.caveat else ""
+            parts.append(f"the rig makes {made} of a bounce's energy, which ends at {self.rebound:.3g} times its speed{but}")
         if self.largest_delay is not None:
             size, left = f"{1e3 * abs(self.largest_delay):.3g} ms", f"now left: {1e3 * round(self.delay, 9):.3g} ms"
             parts.append(f"largest delay {size} ({left})" if self.largest_delay >= 0.0 else f"without any delay {size} too late ({left})")
@@ -103,7 +111,10 @@ def stability(scenario: Scenario) -> dict[str, Any] | None:
         said = f"not judged with {force.kind}, which adds a force of its own; without it {bare[0].sentence()}"
         return dict.fromkeys(asdict(bare[0])) | {"compensated": True, "directions": [], "verdict": said, "uncompensated": without}
     corrects = scenario.compensation.force.corrects_platform or scenario.compensation.motion.corrects_force
-    found = worst_of(scenario, force_path_delay(scenario, compensated=True), compensated=True, exact=corrects)
+    left = force_path_delay(scenario, compensated=True)
+    if not corrects and left == bare[0].delay:
+        return told([replace(judged, compensated=True) for judged in bare]) | {"uncompensated": without}
+    found = worst_of(scenario, left, compensated=True, exact=corrects)
     return told(found) | {"uncompensated": without} if found is not None else None
 
 
@@ -118,14 +129,15 @@ def worst_of(scenario: Scenario, delay: float, compensated: bool, exact: bool = 
     ``exact``: the compensation makes up for the platform.
     """
     ways = directions(scenario)
-    judged = [judge(scenario, EXACT, delay, compensated, way) for way in ways] if exact else []
+    played = first_contact(scenario, exact) if any(way.first for way in ways) else None
+    judged = [judge(scenario, EXACT, delay, compensated, way, played) for way in ways] if exact else []
     if exact:  # what is met later, elsewhere on the surface, is not
-        ways = [replace(way, name="along the normal of a later touch") for way in ways if way.slant]
+        ways = [replace(way, name=LATER, first=False) for way in ways if way.slant]
     if len(ways) == 1 and not ways[0].slant:
-        judged += [judge(scenario, measured_response(scenario), delay, compensated, ways[0])]
+        judged += [judge(scenario, measured_response(scenario), delay, compensated, ways[0], played)]
     elif ways:
         six, inverse = six_axis_response(scenario), mobility(scenario)
-        judged += [judge(scenario, six.along(way.row, inverse), delay, compensated, way) for way in ways]
+        judged += [judge(scenario, six.along(way.row, inverse), delay, compensated, way, played) for way in ways]
     return sorted((j for j in judged if j is not None), key=_left) or None
 
 
@@ -142,19 +154,25 @@ def _left(judged: Stability) -> float:
 
 
 def judge(
-    scenario: Scenario, response: RigResponse, delay: float, compensated: bool = True, way: Direction | None = None
+    scenario: Scenario,
+    response: RigResponse,
+    delay: float,
+    compensated: bool = True,
+    way: Direction | None = None,
+    played: FirstContact | None = None,
 ) -> Stability | None:
     """The stability of a scenario's contact ``way`` (the insertion) on a rig of that response with a force that is ``delay`` [s] late;
-    None where its frequency was not measured."""
+    None where its frequency was not measured. ``played``: the first contact, which is that of ``way`` where this is the first."""
     contact = insertion(scenario) if way is None else way
     fine = response.finer()
     found = net_damping(fine, contact.mass, contact.stiffness, contact.damping, delay)
     if found is None:
         return None
     frequency, left = found
-    ends = None if contact.pulls else bounce(response, contact.mass, contact.stiffness, contact.damping, delay)
-    stable = left > 0.0 and _slower(ends)
-    largest = _bears(response, fine, contact)
+    rebounds = Rebounds(response, contact, played if contact.first else None)
+    ends = None if contact.pulls else rebounds.first(delay, contact.stiffness)
+    stable = left > 0.0 and (ends is None or ends.rebound < 1.0)
+    largest = _bears(rebounds, fine, contact)
     return Stability(
         stable=stable,
         frequency=frequency,
@@ -164,34 +182,41 @@ def judge(
         largest_delay=largest,
         delay_margin=None if largest is None else largest - delay,
         stiffness=contact.stiffness,
-        largest_stiffness=_largest_stiffness(response, fine, contact, delay, stable),
+        largest_stiffness=_largest_stiffness(rebounds, fine, contact, delay, stable),
         compensated=compensated,
         direction=contact.name,
         turns=contact.turns,
         rebound=ends.rebound if ends else None,
         rig_energy=ends.energy if ends else None,
+        caveat=_caveat(scenario, contact) if ends else None,
     )
 
 
-def _slower(ends: Bounce | None) -> bool:
-    """Whether a bounce ends slower than it began; a contact that pulls has none."""
-    return ends is None or ends.rebound < 1.0
+def _caveat(scenario: Scenario, contact: Direction) -> str | None:
+    """Why the bounce of a contact is not that of the first one to come."""
+    if contact.name == LATER:
+        return "an upper bound: the line of a later touch is not known, and the platform's lag counts in full"
+    if contact.first:
+        return None
+    if sides_of(scenario.mechanism).rigid:
+        return "of a head-on touch without friction, through the response at one amplitude"
+    return "of its surfaces alone: parts that give way behind them take less force and damp less, to either side"
 
 
-def _bears(response: RigResponse, fine: RigResponse, contact: Direction) -> float | None:
+def _bears(rebounds: Rebounds, fine: RigResponse, contact: Direction) -> float | None:
     """Delay of the force [s] at which a contact gains energy: no damping is left of it, or a bounce ends as fast as it began."""
     most = largest_delay(fine, contact.mass, contact.stiffness, contact.damping)
-
-    def gains(delay: float) -> bool:
-        return not _slower(bounce(response, contact.mass, contact.stiffness, contact.damping, delay))
-
-    if most is None or contact.pulls or not gains(most):
+    if most is None or contact.pulls or rebounds.at(most, contact.stiffness).rebound < 1.0:
         return most
-    low, high = min(0.0, -lag_of(response)), most  # a force that leads by the rig's lag is used when it acts
-    for _ in range(HALVINGS):
-        middle = 0.5 * (low + high)
-        low, high = (low, middle) if gains(middle) else (middle, high)
-    return low
+
+    def seek() -> float:
+        low, high = min(0.0, -rebounds.lag), most  # a force that leads by the rig's lag is used when it acts
+        for _ in range(HALVINGS):
+            middle = 0.5 * (low + high)
+            low, high = (middle, high) if rebounds.slower(middle, contact.stiffness) else (low, middle)
+        return low
+
+    return rebounds.settled(seek, lambda delay: (delay, contact.stiffness))
 
 
 def net_damping(fine: RigResponse, mass: float, stiffness: float, damping: float, delay: float) -> tuple[float, float] | None:
@@ -237,27 +262,30 @@ def _between(balance: Array, k: int) -> float:
     return float(balance[k] / (balance[k] - balance[k + 1]))
 
 
-def _largest_stiffness(response: RigResponse, fine: RigResponse, contact: Direction, delay: float, stable: bool) -> float | None:
+def _largest_stiffness(rebounds: Rebounds, fine: RigResponse, contact: Direction, delay: float, stable: bool) -> float | None:
     """Stiffness [N/m] from which a contact gains energy, above its own where it is stable, else below it."""
 
     def left(factor: float) -> bool | None:
         found = net_damping(fine, contact.mass, contact.stiffness * factor, contact.damping, delay)
         if found is None or found[1] <= 0.0 or contact.pulls:
             return None if found is None else found[1] > 0.0
-        return _slower(bounce(response, contact.mass, contact.stiffness * factor, contact.damping, delay))
+        return rebounds.slower(delay, contact.stiffness * factor)
 
-    factor = 1.0
-    step = 1.25 if stable else 0.8
-    while 1.0 / WIDEST < factor < WIDEST:
-        following = factor * step
-        state = left(following)
-        if state is None:
-            return None
-        if state != stable:
-            inside, outside = (factor, following) if stable else (following, factor)
-            for _ in range(HALVINGS):
-                middle = math.sqrt(inside * outside)
-                inside, outside = (middle, outside) if left(middle) else (inside, middle)
-            return contact.stiffness * inside
-        factor = following
-    return None
+    def seek() -> float | None:
+        factor = 1.0
+        step = 1.25 if stable else 0.8
+        while 1.0 / WIDEST < factor < WIDEST:
+            following = factor * step
+            state = left(following)
+            if state is None:
+                return None
+            if state != stable:
+                inside, outside = (factor, following) if stable else (following, factor)
+                for _ in range(HALVINGS):
+                    middle = math.sqrt(inside * outside)
+                    inside, outside = (middle, outside) if left(middle) else (inside, middle)
+                return contact.stiffness * inside
+            factor = following
+        return None
+
+    return rebounds.settled(seek, lambda stiffness: (delay, stiffness))

@@ -6,15 +6,15 @@ their relative mobility at A, so that x has the mass 1/(J M^-1 J^T).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hiltestbed.contact.parameters import LEVER, OFFSET, PARAMETERS, believed_contacts
-from hiltestbed.contact.sides import sides_of
+from hiltestbed.contact.sides import Sides, sides_of
 from hiltestbed.contact.wrench import LATCH_RADIUS, meet_all
-from hiltestbed.frames import Array
+from hiltestbed.frames import Array, pose_step
 from hiltestbed.numerical_model.bodies import approach_state, effective_mass, mobility
 
 if TYPE_CHECKING:
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 INSERTION = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+STOPS, BEYOND = 400, 0.05  # on the way to the first touch, and how far beyond the nominal one [m]
 ALIKE = 1e-6  # of a direction's components, by which two are one
 
 
@@ -32,7 +33,7 @@ class Direction:
     Attributes:
         name: in words. row: (6,) J. mass: [kg], [kg m^2]. stiffness, damping: along it [N/m, N m/rad], [N s/m, N m s/rad].
         turns: whether it is a turn. pulls: whether the contact pulls as well as pushes. slant: whether it is the normal of a surface that
-        lies askew to the insertion.
+        lies askew to the insertion. first: whether the approach makes its first contact along it.
     """
 
     name: str
@@ -43,6 +44,7 @@ class Direction:
     turns: bool = False
     pulls: bool = False
     slant: bool = False
+    first: bool = False
 
 
 def insertion(scenario: Scenario) -> Direction:
@@ -62,10 +64,12 @@ def directions(scenario: Scenario) -> list[Direction]:
         return _modes(scenario, inverse, "")
     found = [insertion(scenario)]
     touch = first_touch(scenario)
-    if touch is not None and np.abs(touch[0] - INSERTION).max() > ALIKE:
+    if touch is not None and np.abs(touch[0] - INSERTION).max() <= ALIKE:
+        found = [replace(found[0], first=True)]
+    elif touch is not None and np.abs(touch[0] - INSERTION).max() > ALIKE:
         row, stiffness, damping = touch
         mass, slant = 1.0 / float(row @ inverse @ row), bool(np.abs(row[:2]).max() > ALIKE)
-        found.append(Direction("along the normal of the first touch", row, mass, stiffness, damping, slant=slant))
+        found.append(Direction("along the normal of the first touch", row, mass, stiffness, damping, slant=slant, first=True))
     return found + (_modes(scenario, inverse, ", latched") if mechanism.latch is not None else [])
 
 
@@ -88,28 +92,62 @@ def _modes(scenario: Scenario, inverse: Array, when: str) -> list[Direction]:
     return found
 
 
+class _Meeting:
+    """How deep the surfaces of a mechanism that stands still are in each other, from the pose of A in P."""
+
+    def __init__(self, sides: Sides) -> None:
+        self._index, self._values = sides.geometry
+        count = sides.geometry.count
+        self._p = np.ones((count, PARAMETERS))
+        self._p[:, LEVER], self._p[:, OFFSET] = 0.5, 0.0
+        self.frames, self._motions, self._work = np.zeros((2, 7)), np.zeros((2, 6)), np.empty((9, 7))
+        self.frames[1, 6] = 1.0
+        self.depth, self._rate = np.empty(count), np.empty(count)
+        self.point, self.normal, self._slip = np.zeros((count, 3)), np.zeros((count, 3)), np.zeros((count, 3))
+
+    def deepest(self, pose: Array) -> float:
+        """[m] of A at ``pose`` (7,), below 0 while apart; where is in ``depth``, ``point`` and ``normal``."""
+        self.frames[0] = pose
+        meet_all(
+            self._index, self._values, self._p, self.frames, self._motions, self._work, self.depth, self._rate, self.point, self.normal,
+            self._slip,
+        )  # fmt: skip
+        return float(self.depth.max())
+
+
+def time_of_touch(scenario: Scenario) -> float | None:
+    """[s] to the last instant before the first touch of the uniform approach, looked at :data:`STOPS` times; None where the pose alone does
+    not tell, or nothing is met before the run ends."""
+    sides = sides_of(scenario.mechanism)
+    if not sides.rigid or not sides.geometry.count:
+        return None
+    meeting, start = _Meeting(sides), approach_state(scenario)
+    pose, end = start[:7].copy(), scenario.duration
+    ahead = scenario.approach.velocity[2]
+    if ahead > 0.0:  # beyond the nominal touch there is no more to meet than a few centimetres off the axis
+        end = min(end, (scenario.approach.gap + BEYOND) / ahead)
+    times = np.linspace(0.0, end, STOPS)
+    for k, t in enumerate(times):
+        pose_step(start[:7], start[7:], float(t), pose)
+        if meeting.deepest(pose) > 0.0:
+            return float(times[k - 1]) if k else 0.0
+    return None
+
+
 def first_touch(scenario: Scenario) -> tuple[Array, float, float] | None:
     """J of the first contact that the approach, straight along the insertion, makes, and its stiffness and damping; None where the pose
     alone does not tell, or nothing is met within the approach's gap beyond the nominal touch."""
     sides = sides_of(scenario.mechanism)
     if not sides.rigid or not sides.geometry.count:
         return None
-    index, values = sides.geometry
-    count = sides.geometry.count
-    p = np.ones((count, PARAMETERS))
-    p[:, LEVER], p[:, OFFSET] = 0.5, 0.0
-    frames, motions, work = np.zeros((2, 7)), np.zeros((2, 6)), np.empty((9, 7))
-    frames[0], frames[1, 6] = approach_state(scenario)[:7], 1.0
-    depth, rate = np.empty(count), np.empty(count)
-    point, normal, slip = np.zeros((count, 3)), np.zeros((count, 3)), np.zeros((count, 3))
+    meeting, pose = _Meeting(sides), approach_state(scenario)[:7]
 
     def deepest(z: float) -> float:
-        frames[0, 2] = z
-        meet_all(index, values, p, frames, motions, work, depth, rate, point, normal, slip)
-        return float(depth.max())
+        pose[2] = z
+        return meeting.deepest(pose)
 
-    start, end = -abs(scenario.approach.gap), abs(scenario.approach.gap) + 0.05
-    stops = np.linspace(start, end, 400)
+    start, end = -abs(scenario.approach.gap), abs(scenario.approach.gap) + BEYOND
+    stops = np.linspace(start, end, STOPS)
     met = next((k for k, z in enumerate(stops) if deepest(float(z)) > 0.0), 0)
     if met == 0:
         return None
@@ -117,8 +155,8 @@ def first_touch(scenario: Scenario) -> tuple[Array, float, float] | None:
     for _ in range(40):
         middle = 0.5 * (low + high)
         low, high = (low, middle) if deepest(middle) > 0.0 else (middle, high)
-    c = int(np.argmax(depth)) if deepest(high) > 0.0 else 0
-    push, arm = normal[c], point[c] - frames[0, :3]
+    c = int(np.argmax(meeting.depth)) if deepest(high) > 0.0 else 0
+    push, arm = meeting.normal[c], meeting.point[c] - meeting.frames[0, :3]
     row = np.concatenate([push, np.cross(arm, push)])
     row = -row if row[2] < 0.0 else row
     law = scenario.mechanism.contacts()[sides.rules[c]]

@@ -107,11 +107,13 @@ class ServoTracking:
 
     def begin(self, pose_cmd: Array, twist_cmd: Array, accel_cmd: Array) -> None:
         """Start the tick towards ``pose_cmd`` (n, 7), with ``twist_cmd`` and ``accel_cmd`` (n, 6): its first step."""
-        self._goal[:] = pose_cmd
+        goal = pose_cmd
         if self.path.active:
-            self._goal[:, :3] = self.path.advance(int(self._ticks[0]), pose_cmd)[:, -1]
-        self._ticks[0] += 1
-        self.servo.aim(self._goal, twist_cmd, accel_cmd)
+            goal = self._goal
+            goal[:] = pose_cmd
+            goal[:, :3] = self.path.advance(int(self._ticks[0]), pose_cmd)[:, -1]
+            self._ticks[0] += 1
+        self.servo.aim(goal, twist_cmd, accel_cmd)
         self._step(0)
         if self._latecomers.size:
             self._read(self._latecomers, self.substeps - 1)

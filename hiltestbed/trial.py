@@ -1,0 +1,109 @@
+"""The first contact of a scenario, played before the run on its own rig: how it ends, and how much energy the rig makes of it.
+
+A response measured with sines holds at their amplitude and along one direction. Dry friction of seals and gears is no part of it: of drives
+with feed-forward it takes f_c/k_p off the way at each reversal, as much of a slow contact as of a fast one, and holds a leg that has
+stopped. And the normal of a socket turns while a tip slides in it, which changes the mass along it, and rubs. Both are in the blocks of
+the loop, so that the first contact is stepped with them: the scenario's platform, surfaces and vehicles, and a sensor whose one fault is
+to be as late as the force that is used; nothing else compensates. The approach begins :data:`LEAD` before the touch.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from hiltestbed.bounce import LAGS, SWINGS, Bounce
+from hiltestbed.contact.directions import time_of_touch
+from hiltestbed.contact.sides import sides_of
+from hiltestbed.frames import attitude_deg_from_quat, pose_step
+from hiltestbed.loop import Loop
+from hiltestbed.metrics import along_impulse
+from hiltestbed.numerical_model.bodies import approach_state, effective_mass, mobility
+from hiltestbed.scenario import Scenario, resolved, scenario_from
+
+LEAD = 0.1  # [s] of uniform motion before the touch
+SLOWER = 2.0  # times as long as a head-on swing lasts, within which a tip that slides has parted
+NEVER = 1e-12  # [m/s] at which a latch closes: no bounce is that slow
+LOOKS = 10  # ticks between two looks at whether all have parted
+
+
+@dataclass(frozen=True)
+class Case:
+    """A force that is ``delay`` [s] late, in a contact of ``stiffness`` [N/m]."""
+
+    delay: float
+    stiffness: float
+
+
+class FirstContact:
+    """The first contact of a scenario."""
+
+    def __init__(self, scenario: Scenario, touch: float, ideal: bool = False) -> None:
+        """``touch``: when it comes at the earliest [s]; ``ideal``: on a rig that follows exactly."""
+        self._data, self._ideal = resolved(scenario), scenario.rig.platform.reference() if ideal else None
+        self._feeds, self._inverse = scenario.compensation.motion.feeds, mobility(scenario)
+        self._mass, self._lead = effective_mass(scenario), min(touch, LEAD)
+        if touch > LEAD:
+            start, pose = approach_state(scenario), np.empty(7)
+            pose_step(start[:7], start[7:], touch - LEAD, pose)
+            x, y, z = (float(v) for v in pose[:3])
+            attitude = attitude_deg_from_quat(pose[3:]).tolist()
+            self._data["approach"] |= {"gap": -z, "offset": [x, y], "attitude_deg": attitude}
+
+    def played(self, cases: Sequence[Case], lag: float) -> list[Bounce | None]:
+        """How each case ends, on a rig with that lag [s]; None where it has not parted in time, or is lost."""
+        loop = Loop([self._scenario(case, lag) for case in cases])
+        found: list[Bounce | None] = [None] * len(cases)
+        ticks = max(s.ticks for s in loop.scenarios)
+        while loop.k < ticks and loop.alive.any():
+            try:
+                loop.step()
+            except ZeroDivisionError:  # numbers so far from any rig that they have no ratio
+                break
+            if loop.k % LOOKS:
+                continue
+            parted = loop.tally.rebounded & loop.alive
+            for i in np.flatnonzero(parted):
+                found[i] = found[i] or self._ended(loop, int(i))
+            if parted[loop.alive].all():
+                break
+        return found
+
+    def _ended(self, loop: Loop, i: int) -> Bounce | None:
+        impulse, before, after = loop.tally.first_contact(i)
+        rebound = along_impulse(impulse, before, after)
+        if rebound is None:
+            return None
+        energy = 0.5 * float(impulse @ before) ** 2 / float(impulse @ self._inverse @ impulse)
+        return Bounce(rebound, float(loop.tally.energy[i]) / energy)
+
+    def _scenario(self, case: Case, lag: float) -> Scenario:
+        data = self._data
+        links = ("contact.",) if self._ideal else ("contact.", "platform.")
+        lasts = SWINGS * math.pi * math.sqrt(self._mass / case.stiffness) + LAGS * max(case.delay + lag, 0.0)
+        mechanism: dict[str, Any] = data["mechanism"] | {"contact": data["mechanism"]["contact"] | {"stiffness": case.stiffness}}
+        if mechanism.get("latch"):
+            mechanism["latch"] = mechanism["latch"] | {"speed": NEVER}
+        changed = {
+            "name": "first contact", "description": "", "seed": 0, "mechanism": mechanism, "sensor": {"delay": case.delay},
+            "duration": self._lead + min(SLOWER * lasts, data["duration"]), "identification": {"kind": "none"}, "monitoring": None,
+            "compensation": {"force": {"kind": "none"}, "motion": {"kind": "feedforward" if self._feeds else "none"}},
+            "safety": dict.fromkeys(data["safety"]), "effects": [e for e in data["effects"] if e["kind"].startswith(links)],
+        }  # fmt: skip
+        if self._ideal:
+            changed["rig"] = data["rig"] | {"platform": self._ideal, "upper": data["rig"]["upper"] | {"tracking": "ideal"}}
+            changed["compensation"]["motion"] = {"kind": "none"}
+        return scenario_from(data | changed)
+
+
+def first_contact(scenario: Scenario, ideal: bool = False) -> FirstContact | None:
+    """What can be played of a scenario; None where it is held from the start or nothing is met, and where parts move or MuJoCo finds the
+    contacts: there the first contact is part of the capture."""
+    if scenario.mechanism.captured or not sides_of(scenario.mechanism).rigid:
+        return None
+    touch = time_of_touch(scenario)
+    return None if touch is None else FirstContact(scenario, touch, ideal)
