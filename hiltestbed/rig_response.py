@@ -23,6 +23,7 @@ from hiltestbed.scenario import Scenario, resolved, scenario_from
 Complex = NDArray[np.complex128]
 LINES = 100  # [Hz] sines at 1, 2, ... Hz
 PERIOD = 1.0  # [s] of their sum, measured after as long a lead-in
+MOST_INSTANTS = 1_000_000  # of the physics, that a measurement may take: a minute
 SWING, PULL = 1e-3, 0.3  # [m], [m/s^2] a sine's amplitude and acceleration, at most
 PUSH = 20.0  # [N] of a sine of the force
 ARM = 0.6  # [m] by which an angle is a length, and a force a torque: the height of a docking mechanism
@@ -86,6 +87,15 @@ def six_axis_response(scenario: Scenario) -> SixAxisResponse:
     return SixAxisResponse(found.frequency, np.swapaxes(found.follows, 1, 2), np.swapaxes(found.yields, 1, 2))
 
 
+def beyond_measure(scenario: Scenario) -> str | None:
+    """Why the loop of a scenario is not judged, where its physics is so finely divided that it would take minutes; else None."""
+    instants = 2.0 * PERIOD * scenario.rate * scenario.substeps
+    if instants <= MOST_INSTANTS:
+        return None
+    most = MOST_INSTANTS / (2.0 * PERIOD)
+    return f"{instants:.3g} steps of the physics would be needed; with a physics_rate up to {most:.3g} Hz it is"
+
+
 def _exact(scenario: Scenario) -> bool:
     return scenario.rig.platform.tracking == "ideal" and not any(e.link == "platform" for e in scenario.effects)
 
@@ -128,7 +138,11 @@ class _Pushes:
 def _measure(scenario: Scenario, axes: Sequence[int]) -> SixAxisResponse:
     """``follows`` and ``yields`` (L, len(axes), 6): the answer of every axis to a motion or a force along one of ``axes``."""
     tick, m = scenario.tick, scenario.substeps
+    still = np.zeros((1, len(axes), 6), dtype=complex)
+    still[0, range(len(axes)), list(axes)] = 1.0
     lines = np.arange(1, int(min(LINES, 0.1 * scenario.rate)) + 1)
+    if not len(lines):  # a loop so slow that no sine of the lowest frequency is ten of its ticks long
+        return SixAxisResponse(np.zeros(1), still, np.zeros_like(still))
     phase = -math.pi * lines * (lines - 1) / len(lines)  # Schroeder's: the sum has no peak
     w = 2.0 * math.pi * lines / PERIOD
     size = np.minimum(SWING, PULL / w**2)
@@ -172,8 +186,6 @@ def _measure(scenario: Scenario, axes: Sequence[int]) -> SixAxisResponse:
     # The force of the instants t_k, the first of which is the start: one row later than the pose that is reached at the end of a tick.
     force = np.fft.rfft(np.roll(push[::m], -1))[lines]
     yields = -answer[:, 1::2] / (force[:, None, None] / scale)
-    still = np.zeros((1, len(axes), 6), dtype=complex)
-    still[0, range(len(axes)), list(axes)] = 1.0
     return SixAxisResponse(
         np.concatenate([[0.0], lines / PERIOD]),
         np.concatenate([still, follows]),

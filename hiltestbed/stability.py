@@ -26,7 +26,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -38,7 +38,7 @@ from hiltestbed.frames import Array
 from hiltestbed.ledger import force_path_delay
 from hiltestbed.numerical_model.bodies import mobility
 from hiltestbed.rebounds import Rebounds
-from hiltestbed.rig_response import EXACT, Complex, RigResponse, measured_response, six_axis_response
+from hiltestbed.rig_response import EXACT, Complex, RigResponse, beyond_measure, measured_response, six_axis_response
 from hiltestbed.scenario import Scenario, load_scenario
 from hiltestbed.trial import FirstContact, first_contact
 
@@ -102,6 +102,8 @@ def stability(scenario: Scenario) -> dict[str, Any] | None:
     or the contact swings faster than the rig was measured."""
     if scenario.rig.platform.physical:
         return None
+    if why := beyond_measure(scenario):
+        return _unjudged(f"not judged: {why}") | {"uncompensated": None}
     bare = worst_of(scenario, force_path_delay(scenario, compensated=False), compensated=False)
     if bare is None:
         return None
@@ -109,13 +111,18 @@ def stability(scenario: Scenario) -> dict[str, Any] | None:
     force = scenario.compensation.force
     if force.adds_force:
         said = f"not judged with {force.kind}, which adds a force of its own; without it {bare[0].sentence()}"
-        return dict.fromkeys(asdict(bare[0])) | {"compensated": True, "directions": [], "verdict": said, "uncompensated": without}
+        return _unjudged(said) | {"uncompensated": without}
     corrects = scenario.compensation.force.corrects_platform or scenario.compensation.motion.corrects_force
     left = force_path_delay(scenario, compensated=True)
     if not corrects and left == bare[0].delay:
         return told([replace(judged, compensated=True) for judged in bare]) | {"uncompensated": without}
     found = worst_of(scenario, left, compensated=True, exact=corrects)
     return told(found) | {"uncompensated": without} if found is not None else None
+
+
+def _unjudged(said: str) -> dict[str, Any]:
+    """No figure, and ``said`` for a verdict."""
+    return dict.fromkeys(f.name for f in fields(Stability)) | {"compensated": True, "directions": [], "verdict": said}
 
 
 def told(judged: list[Stability]) -> dict[str, Any]:

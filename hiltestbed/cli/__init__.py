@@ -4,6 +4,35 @@ Exit status: 0 done; 2 bad input; 3 the simulation diverged or a safety limit st
 standard output, progress and messages to standard error. A command imports what it needs when it runs, so that --help is quick.
 """
 
-from hiltestbed.cli.program import app, main
+from __future__ import annotations
+
+import sys
+from typing import TYPE_CHECKING, Any
+
+from hiltestbed import interrupt
+
+if TYPE_CHECKING:
+    from hiltestbed.cli.program import app
 
 __all__ = ["app", "main"]
+
+
+def main() -> None:
+    """Entry point: Ctrl-C while the program is still being loaded ends it in a word as well."""
+    interrupt.install()
+    try:
+        from hiltestbed.cli.program import main as program
+    except BaseException:
+        if not interrupt.asked():
+            raise
+        print("interrupted", file=sys.stderr)
+        sys.exit(1)
+    program()
+
+
+def __getattr__(name: str) -> Any:
+    if name != "app":
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from hiltestbed.cli.program import app
+
+    return app

@@ -1,5 +1,5 @@
 """`python -m hiltestbed.cli`."""
 
-from hiltestbed.cli.program import main
+from hiltestbed.cli import main
 
 main()

@@ -27,6 +27,7 @@ from hiltestbed.frames import rotation_vector
 from hiltestbed.gallery import shipped
 from hiltestbed.scenario import load_scenario, scenario_from
 from hiltestbed.simulation import run
+from hiltestbed.stability import stability
 from hiltestbed.validation import validate
 from hiltestbed.yaml_source import Source
 from tests.slow import ALL
@@ -127,3 +128,27 @@ def test_a_name_that_no_file_system_takes_is_no_file(tmp_path: Path, key: str) -
     (tmp_path / "d.yaml").write_text(f"scenario: {names['scenario']}\nruns: [{{file: {names['file']}}}]\n")
     _, faults = check_file(tmp_path / "d.yaml")
     assert any("names no file" in str(fault) for fault in faults)
+
+
+def test_a_frame_that_rings_beyond_all_steps_is_refused() -> None:
+    with pytest.raises(InputError, match=r"rings so fast .* give a lower frequency"):
+        load_scenario("02-bumper", {"effects": [{"kind": "frame.mode", "frequency": 1e9, "damping_ratio": 0.1, "mass": 20.0}]})
+    with pytest.raises(InputError, match="rings so fast"):
+        load_scenario("02-bumper", {"effects": [{"kind": "frame.mode", "frequency": 30.0, "damping_ratio": 0.1, "mass": 1e-9}]})
+
+
+def test_a_loop_too_slow_for_any_sine_is_not_judged() -> None:
+    slow = {"rate": 1.25, "physics_rate": 2.5, "duration": 8.0}
+    assert stability(load_scenario("07-single-drive", slow)) is None
+
+
+def test_physics_too_fine_to_measure_the_rig_is_said_and_not_waited_for() -> None:
+    judged = stability(load_scenario("15-ring-docking", {"physics_rate": 4e6, "duration": 0.003}))
+    assert judged is not None
+    assert judged["stable"] is None
+    assert judged["verdict"].startswith("not judged: 8e+06 steps of the physics")
+
+
+def test_instruments_older_than_any_run_are_refused() -> None:
+    with pytest.raises(InputError, match=r"identification.*lag"):
+        load_scenario("02-bumper", {"identification": {"kind": "instrumental", "lag": 429862305}})

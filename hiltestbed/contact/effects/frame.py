@@ -6,15 +6,18 @@ import math
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Literal
 
+from hiltestbed.contact.law import MODE_STEP
 from hiltestbed.effects.base import Effect, quantity
 from hiltestbed.effects.search import Candidate, Scales, candidate
 from hiltestbed.plugins import register
 
 if TYPE_CHECKING:
     from hiltestbed.contact.parameters import ContactParameters
+    from hiltestbed.scenario import Scenario
 
 HEAVY = 10.0 / (6.0 * math.pi) ** 2  # [s^2] of the contact's stiffness: a frame ten times as stiff that rings at 3 Hz
 LITTLE = 0.01  # of the contact's stiffness: the softest frame of a captured mechanism that is searched
+MOST_STEPS = 1000  # of a ringing frame in one instant of the physics: half a millisecond of computing
 
 
 @register
@@ -67,6 +70,16 @@ class FrameMode(Effect):
     def apply(self, p: ContactParameters) -> None:
         p.mode, p.mode_damping, p.mode_mass = 2.0 * math.pi * self.frequency, self.damping_ratio, self.mass
         p.reaction = float(self.variant.get("reads") == "reaction")
+
+    def unfit(self, scenario: Scenario) -> str | None:
+        fastest = math.hypot(2.0 * math.pi * self.frequency, math.sqrt(scenario.mechanism.contact.stiffness / self.mass))
+        steps = fastest * scenario.tick / scenario.substeps / MODE_STEP
+        if steps > MOST_STEPS:
+            return (
+                f"rings so fast that each instant of the physics takes {steps:.3g} steps (allowed: {MOST_STEPS}); "
+                "give a lower frequency, a larger mass, a higher physics_rate, or frame.compliance, which is its limit"
+            )
+        return None
 
     @classmethod
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:

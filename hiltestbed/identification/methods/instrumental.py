@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 MINIMUM_SAMPLES = 12
 MINIMUM_TRAVEL = 1e-6  # [m, rad] standard deviation of x below which an axis is not excited
+LONGEST = 10_000  # ticks: seconds at any rate of a loop
 
 
 @register
@@ -31,7 +32,7 @@ class Instrumental(Identifier):
     """Batch least squares with instrument variables: the yardstick where the pose is noisy."""
 
     kind: Literal["instrumental"] = "instrumental"
-    lag: Annotated[int, Field(ge=1)] = Field(default=2, description="Ticks by which the instruments are older than the samples")
+    lag: Annotated[int, Field(ge=1, le=LONGEST)] = Field(default=2, description="Ticks by which the instruments are older than the samples")
 
     @classmethod
     def start(cls, scenarios: Sequence[Scenario]) -> InstrumentVariables:
