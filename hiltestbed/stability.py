@@ -25,7 +25,7 @@ and the platform's lag in full until that is known.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
@@ -136,7 +136,7 @@ def worst_of(scenario: Scenario, delay: float, compensated: bool, exact: bool = 
     ``exact``: the compensation makes up for the platform.
     """
     ways = directions(scenario)
-    played = first_contact(scenario, exact) if any(way.first for way in ways) else None
+    played = first_contact(scenario, exact) if any(way.first for way in ways) and not _computes(scenario, ways, exact) else None
     judged = [judge(scenario, EXACT, delay, compensated, way, played) for way in ways] if exact else []
     if exact:  # what is met later, elsewhere on the surface, is not
         ways = [replace(way, name=LATER, first=False) for way in ways if way.slant]
@@ -146,6 +146,13 @@ def worst_of(scenario: Scenario, delay: float, compensated: bool, exact: bool = 
         six, inverse = six_axis_response(scenario), mobility(scenario)
         judged += [judge(scenario, six.along(way.row, inverse), delay, compensated, way, played) for way in ways]
     return sorted((j for j in judged if j is not None), key=_left) or None
+
+
+def _computes(scenario: Scenario, ways: Sequence[Direction], exact: bool) -> bool:
+    """Whether the first contact is a spring and a damper along one line on a rig that follows exactly: what is computed is then so."""
+    straight = len(ways) == 1 and not ways[0].slant and scenario.mechanism.contact.friction == 0.0
+    straight &= not any(e.link == "contact" for e in scenario.effects)
+    return straight and (exact or measured_response(scenario) is EXACT)
 
 
 def stability_of_file(path: str | Path, set: Mapping[str, Any] | None = None) -> dict[str, Any] | None:

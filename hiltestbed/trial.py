@@ -4,7 +4,8 @@ A response measured with sines holds at their amplitude and along one direction.
 with feed-forward it takes f_c/k_p off the way at each reversal, as much of a slow contact as of a fast one, and holds a leg that has
 stopped. And the normal of a socket turns while a tip slides in it, which changes the mass along it, and rubs. Both are in the blocks of
 the loop, so that the first contact is stepped with them: the scenario's platform, surfaces and vehicles, and a sensor whose one fault is
-to be as late as the force that is used; nothing else compensates. The approach begins :data:`LEAD` before the touch.
+to be as late as the force that is used; nothing else compensates. Vehicles that an FMU holds, which begins where it will, are those of
+`spacecraft`. The approach begins :data:`LEAD` before the touch.
 """
 
 from __future__ import annotations
@@ -90,6 +91,7 @@ class FirstContact:
             mechanism["latch"] = mechanism["latch"] | {"speed": NEVER}
         changed = {
             "name": "first contact", "description": "", "seed": 0, "mechanism": mechanism, "sensor": {"delay": case.delay},
+            "numerical_model": {"kind": "free_flyers"},
             "duration": self._lead + min(SLOWER * lasts, data["duration"]), "identification": {"kind": "none"}, "monitoring": None,
             "compensation": {"force": {"kind": "none"}, "motion": {"kind": "feedforward" if self._feeds else "none"}},
             "safety": dict.fromkeys(data["safety"]), "effects": [e for e in data["effects"] if e["kind"].startswith(links)],

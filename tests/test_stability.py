@@ -18,6 +18,7 @@ from hiltestbed.numerical_model.bodies import effective_mass
 from hiltestbed.platform.pss33.settings import Pss33
 from hiltestbed.signals import Trace
 from hiltestbed.stability import EXACT, RigResponse, judge, largest_delay, measured_response, net_damping, stability
+from tests.slow import slow
 
 SCENARIOS = Path(__file__).parents[1] / "scenarios"
 BAND, ZETA, LATE = 10.0, 0.7, 0.006  # of the platform: natural frequency [Hz], damping ratio, delay [s]
@@ -327,8 +328,8 @@ RUBBING = {
 SMOOTH = {"drive": {"kind": "hydraulic", "friction": {"coulomb": 0.0, "stiction": 0.0, "stribeck_speed": 0.005, "viscous": 600.0}}}
 
 
-@pytest.mark.parametrize("motion", ["none", "feedforward"])
-@pytest.mark.parametrize("name", list(RUBBING))
+@pytest.mark.parametrize("motion", ["feedforward", slow("none")])
+@pytest.mark.parametrize("name", ["seals", slow("gears"), slow("sliders")])
 def test_dry_friction_of_the_drives_is_in_the_bounce_that_is_foretold(name, motion) -> None:
     """At 5 mm/s, where it takes most: rebound and energy of the run."""
     kind, drive = RUBBING[name]
@@ -353,7 +354,7 @@ def test_friction_makes_more_of_a_slow_bounce_and_nothing_without_it_hangs_on_th
     assert rebound[0.05, True] == pytest.approx(rebound[0.05, False], rel=0.03)
 
 
-@pytest.mark.parametrize("name", ["seals", "sliders"])
+@pytest.mark.parametrize("name", ["sliders", slow("seals")])
 def test_drives_that_rub_bear_the_delay_that_is_told(name) -> None:
     """Runs with a little less delay end slower than they began, with a little more faster."""
     kind, drive = RUBBING[name]
@@ -365,8 +366,8 @@ def test_drives_that_rub_bear_the_delay_that_is_told(name) -> None:
         assert (done["cor"] > 1.0) is faster, factor
 
 
-@pytest.mark.parametrize("friction", [0.0, 0.1, 0.3])
-@pytest.mark.parametrize("tilt", [[2.0, 0.0, 0.0], [4.0, -3.0, 0.0]])
+@pytest.mark.parametrize("friction", [0.1, slow(0.0), slow(0.3)])
+@pytest.mark.parametrize("tilt", [[4.0, -3.0, 0.0], slow([2.0, 0.0, 0.0])])
 def test_a_tip_that_slides_in_its_socket_ends_as_foretold(tilt, friction) -> None:
     """Centred, tilted: the normal turns by up to half a right angle while the tip slides to the bottom. Along the impulse of the run."""
     keys = {"approach.offset": [0.0, 0.0], "approach.attitude_deg": tilt, "approach.gap": 0.03, "duration": 1.0}

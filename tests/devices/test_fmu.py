@@ -210,6 +210,18 @@ def test_the_half_tick_of_a_force_that_is_held_is_what_the_ledger_says(tmp_path:
     assert change == pytest.approx(0.25 * math.pi * contact_frequency(scenario) * scenario.tick, rel=0.05)
 
 
+def test_the_bounce_of_a_users_model_is_foretold_with_the_vehicles_that_are_given(tmp_path: Path) -> None:
+    from hiltestbed.scenario import load_scenario
+    from hiltestbed.stability import stability
+
+    rubs = SHORT | {"mechanism.contact.friction": 0.1}  # played, and not computed
+    own = {"numerical_model": {"kind": "fmu", "file": str(_vehicles(tmp_path, 0))}}
+    ours, theirs = stability(load_scenario(RIG, rubs)), stability(load_scenario(RIG, rubs | own))
+    assert ours is not None
+    assert theirs is not None
+    assert theirs["rebound"] == pytest.approx(ours["rebound"], rel=0.02)  # half a tick later
+
+
 def test_an_fmu_that_starts_elsewhere_is_refused(tmp_path: Path) -> None:
     from hiltestbed.scenario import load_scenario
     from hiltestbed.simulation import run
