@@ -36,7 +36,7 @@ class Rebounds:
     def at(self, delay: float, stiffness: float) -> Bounce:
         """Played, a force that leads as one without delay beside what is computed of both; computed where nothing is played or parts."""
         through = self._computed(delay, stiffness)
-        found = self._played.played([Case(max(delay, 0.0), stiffness)], self.lag)[0] if self._played else None
+        found = self._played.played(Case(max(delay, 0.0), stiffness), self.lag) if self._played else None
         if found is None:
             return through
         beside = through if delay >= 0.0 else self._computed(0.0, stiffness)

@@ -34,8 +34,9 @@ import numpy as np
 
 from hiltestbed.contact.directions import Direction, directions, insertion
 from hiltestbed.contact.sides import sides_of
+from hiltestbed.effects import by_link
 from hiltestbed.frames import Array
-from hiltestbed.ledger import force_path_delay
+from hiltestbed.ledger import contact_frequency, force_path_delay
 from hiltestbed.numerical_model.bodies import mobility
 from hiltestbed.rebounds import Rebounds
 from hiltestbed.rig_response import EXACT, Complex, RigResponse, beyond_measure, measured_response, six_axis_response
@@ -207,11 +208,13 @@ def judge(
 
 
 def _caveat(scenario: Scenario, contact: Direction) -> str | None:
-    """Why the bounce of a contact is not that of the first one to come."""
+    """Why the bounce of a contact is not that of the first one to come, or what acts on that one and is not in it."""
     if contact.name == LATER:
         return "an upper bound: the line of a later touch is not known, and the platform's lag counts in full"
     if contact.first:
-        return None
+        w = contact_frequency(scenario)
+        left_out = sorted({e.kind for e in by_link(scenario.effects, "sensor", "dynamics") if e.worth(scenario, w) is None})
+        return f"without {', '.join(left_out)}" if left_out else None
     if sides_of(scenario.mechanism).rigid:
         return "of a head-on touch without friction, through the response at one amplitude"
     return "of its surfaces alone: parts that give way behind them take less force and damp less, to either side"

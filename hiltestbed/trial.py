@@ -11,7 +11,6 @@ to be as late as the force that is used; nothing else compensates. Vehicles that
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,6 +19,7 @@ import numpy as np
 from hiltestbed.bounce import LAGS, SWINGS, Bounce
 from hiltestbed.contact.directions import time_of_touch
 from hiltestbed.contact.sides import sides_of
+from hiltestbed.errors import InputError
 from hiltestbed.frames import attitude_deg_from_quat, pose_step
 from hiltestbed.loop import Loop
 from hiltestbed.metrics import along_impulse
@@ -29,7 +29,7 @@ from hiltestbed.scenario import Scenario, resolved, scenario_from
 LEAD = 0.1  # [s] of uniform motion before the touch
 SLOWER = 2.0  # times as long as a head-on swing lasts, within which a tip that slides has parted
 NEVER = 1e-12  # [m/s] at which a latch closes: no bounce is that slow
-LOOKS = 10  # ticks between two looks at whether all have parted
+LOOKS = 10  # ticks between two looks at whether they have parted
 
 
 @dataclass(frozen=True)
@@ -46,6 +46,9 @@ class FirstContact:
     def __init__(self, scenario: Scenario, touch: float, ideal: bool = False) -> None:
         """``touch``: when it comes at the earliest [s]; ``ideal``: on a rig that follows exactly."""
         self._data, self._ideal = resolved(scenario), scenario.rig.platform.reference() if ideal else None
+        links = ("contact",) if ideal else ("contact", "platform")
+        pairs = zip(scenario.effects, self._data["effects"], strict=True)
+        self._effects = [keys for effect, keys in pairs if effect.link in links]
         self._feeds, self._inverse = scenario.compensation.motion.feeds, mobility(scenario)
         self._mass, self._lead = effective_mass(scenario), min(touch, LEAD)
         if touch > LEAD:
@@ -55,36 +58,31 @@ class FirstContact:
             attitude = attitude_deg_from_quat(pose[3:]).tolist()
             self._data["approach"] |= {"gap": -z, "offset": [x, y], "attitude_deg": attitude}
 
-    def played(self, cases: Sequence[Case], lag: float) -> list[Bounce | None]:
-        """How each case ends, on a rig with that lag [s]; None where it has not parted in time, or is lost."""
-        loop = Loop([self._scenario(case, lag) for case in cases])
-        found: list[Bounce | None] = [None] * len(cases)
-        ticks = max(s.ticks for s in loop.scenarios)
-        while loop.k < ticks and loop.alive.any():
+    def played(self, case: Case, lag: float) -> Bounce | None:
+        """How a case ends, on a rig with that lag [s]; None where it has not parted in time, is lost, or no scenario may be so."""
+        try:
+            loop = Loop([self._scenario(case, lag)])
+        except InputError:  # a limit is sought among stiffnesses that the effects of the contact may not bear
+            return None
+        while loop.k < loop.scenarios[0].ticks and loop.alive[0]:
             try:
                 loop.step()
             except ZeroDivisionError:  # numbers so far from any rig that they have no ratio
-                break
-            if loop.k % LOOKS:
-                continue
-            parted = loop.tally.rebounded & loop.alive
-            for i in np.flatnonzero(parted):
-                found[i] = found[i] or self._ended(loop, int(i))
-            if parted[loop.alive].all():
-                break
-        return found
+                return None
+            if loop.k % LOOKS == 0 and loop.tally.rebounded[0] and loop.alive[0]:
+                return self._ended(loop)
+        return None
 
-    def _ended(self, loop: Loop, i: int) -> Bounce | None:
-        impulse, before, after = loop.tally.first_contact(i)
+    def _ended(self, loop: Loop) -> Bounce | None:
+        impulse, before, after = loop.tally.first_contact(0)
         rebound = along_impulse(impulse, before, after)
         if rebound is None:
             return None
         energy = 0.5 * float(impulse @ before) ** 2 / float(impulse @ self._inverse @ impulse)
-        return Bounce(rebound, float(loop.tally.energy[i]) / energy)
+        return Bounce(rebound, float(loop.tally.energy[0]) / energy)
 
     def _scenario(self, case: Case, lag: float) -> Scenario:
         data = self._data
-        links = ("contact.",) if self._ideal else ("contact.", "platform.")
         lasts = SWINGS * math.pi * math.sqrt(self._mass / case.stiffness) + LAGS * max(case.delay + lag, 0.0)
         mechanism: dict[str, Any] = data["mechanism"] | {"contact": data["mechanism"]["contact"] | {"stiffness": case.stiffness}}
         if mechanism.get("latch"):
@@ -94,7 +92,7 @@ class FirstContact:
             "numerical_model": {"kind": "free_flyers"},
             "duration": self._lead + min(SLOWER * lasts, data["duration"]), "identification": {"kind": "none"}, "monitoring": None,
             "compensation": {"force": {"kind": "none"}, "motion": {"kind": "feedforward" if self._feeds else "none"}},
-            "safety": dict.fromkeys(data["safety"]), "effects": [e for e in data["effects"] if e["kind"].startswith(links)],
+            "safety": dict.fromkeys(data["safety"]), "effects": self._effects,
         }  # fmt: skip
         if self._ideal:
             changed["rig"] = data["rig"] | {"platform": self._ideal, "upper": data["rig"]["upper"] | {"tracking": "ideal"}}

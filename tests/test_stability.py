@@ -18,6 +18,7 @@ from hiltestbed.numerical_model.bodies import effective_mass
 from hiltestbed.platform.pss33.settings import Pss33
 from hiltestbed.signals import Trace
 from hiltestbed.stability import EXACT, RigResponse, judge, largest_delay, measured_response, net_damping, stability
+from hiltestbed.trial import Case, first_contact
 from tests.slow import slow
 
 SCENARIOS = Path(__file__).parents[1] / "scenarios"
@@ -387,3 +388,38 @@ def test_a_bounce_that_is_not_the_first_contacts_says_to_which_side_it_is() -> N
     moving = stability(load_scenario(SCENARIOS / "16-probe-drogue.yaml"))
     assert moving is not None
     assert "to either side" in moving["directions"][0]["caveat"]
+
+
+@pytest.mark.parametrize(
+    "gives",
+    [
+        {"kind": "frame.mode", "frequency": 12.0, "damping_ratio": 0.02, "mass": 10.0},
+        {"kind": "frame.compliance", "stiffness": 2.0e4},
+        slow({"kind": "contact.relaxation", "stiffness": 2.0e4, "time_constant": 0.05}),
+    ],
+)
+def test_what_gives_way_behind_the_contact_is_in_the_bounce_that_is_foretold(gives) -> None:
+    """A frame takes part of the deflection, and its part of the damper's work: the rebound is 0.91 without it."""
+    s = load_scenario(SCENARIOS / "02-bumper.yaml", {"effects": [gives], "compensation": {"force": {"kind": "none"}}})
+    said, done = stability(s), run(s).summary
+    assert said is not None
+    assert abs(done["cor"] - 0.907) > 0.01
+    assert said["rebound"] == pytest.approx(done["cor"], rel=1e-3)
+    assert said["caveat"] is None
+
+
+def test_what_is_not_in_the_bounce_that_is_foretold_is_said() -> None:
+    """A gain that is not believed makes another stiffness of the model's contact; a delay is in the force that is late."""
+    hidden = [{"kind": "sensor.gain", "factor": 1.3}, {"kind": "sensor.delay", "delay": 0.001}]
+    said = stability(load_scenario(SCENARIOS / "02-bumper.yaml", {"effects": hidden}))
+    assert said is not None
+    assert said["caveat"] == "without sensor.gain"
+
+
+def test_a_stiffness_that_an_effect_of_the_contact_does_not_bear_is_not_played() -> None:
+    """A frame of a gram on a spring of 1 GN/m would ring in 1,250 steps an instant, which no scenario may."""
+    ringing = {"kind": "frame.mode", "frequency": 1.0e4, "damping_ratio": 0.1, "mass": 1e-3}
+    played = first_contact(load_scenario(SCENARIOS / "02-bumper.yaml", {"effects": [ringing]}))
+    assert played is not None
+    assert played.played(Case(0.0, 1.0e5), 0.0) is not None
+    assert played.played(Case(0.0, 1.0e9), 0.0) is None

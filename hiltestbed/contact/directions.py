@@ -66,7 +66,7 @@ def directions(scenario: Scenario) -> list[Direction]:
     touch = first_touch(scenario)
     if touch is not None and np.abs(touch[0] - INSERTION).max() <= ALIKE:
         found = [replace(found[0], first=True)]
-    elif touch is not None and np.abs(touch[0] - INSERTION).max() > ALIKE:
+    elif touch is not None:
         row, stiffness, damping = touch
         mass, slant = 1.0 / float(row @ inverse @ row), bool(np.abs(row[:2]).max() > ALIKE)
         found.append(Direction("along the normal of the first touch", row, mass, stiffness, damping, slant=slant, first=True))
