@@ -96,7 +96,6 @@ def _common_first(arguments: list[str]) -> list[str]:
 
 
 def _run() -> int:
-    interrupt.install()
     try:
         app(_common_first(sys.argv[1:]))
     except SystemExit as ended:  # what typer ends with: 2 for a wrong call, 130 after Ctrl-C

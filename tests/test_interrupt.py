@@ -1,0 +1,75 @@
+"""Ctrl-C at the moments at which Python loses or garbles it; what the program itself leaves is in the tests of its commands."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+LATE = """
+import os, signal, sys
+from hiltestbed import interrupt
+class Late:
+    def __del__(self, kill=os.kill, process=os.getpid()): kill(process, 2)
+sys.held = Late()  # until the modules are taken down, which is the last thing
+interrupt.install()
+sys.exit(3)
+"""
+
+
+def test_ctrl_c_in_the_last_instant_leaves_the_status_as_it_is() -> None:
+    ended = subprocess.run([sys.executable, "-c", LATE], capture_output=True, timeout=60)
+    assert (ended.returncode, ended.stderr) == (3, b"")
+
+
+THROUGH_TEXT = """
+import os, sys
+from hiltestbed import interrupt
+interrupt.install()
+try:
+    exec("os.kill(os.getpid(), 2)")
+except KeyboardInterrupt:
+    sys.exit(1)
+"""
+
+
+def test_ctrl_c_that_passed_through_an_exec_leaves_the_status_as_it_is(tmp_path: Path) -> None:
+    (tmp_path / "through_text.py").write_text(THROUGH_TEXT)
+    ended = subprocess.run([sys.executable, "-m", "through_text"], capture_output=True, timeout=60, cwd=tmp_path)
+    assert (ended.returncode, ended.stderr) == (1, b"")
+
+
+COMPILING = """
+import os, time
+from hiltestbed import interrupt
+interrupt.install()
+compiler = {"__name__": "llvmlite.binding.executionengine", "os": os, "time": time}
+exec("def work():\\n    os.kill(os.getpid(), 2)\\n    time.sleep(0.3)\\n    print('compiled', flush=True)", compiler)
+try:
+    compiler["work"]()
+    time.sleep(30.0)
+except KeyboardInterrupt:
+    print("interrupted")
+"""
+
+
+def test_ctrl_c_waits_for_llvm() -> None:
+    ended = subprocess.run([sys.executable, "-c", COMPILING], capture_output=True, timeout=20, text=True)
+    assert (ended.returncode, ended.stdout, ended.stderr) == (0, "compiled\ninterrupted\n", "")
+
+
+EARLY = """
+import os, sys
+class Early:
+    def find_spec(self, name, *rest):
+        if name == "hiltestbed.cli.program":
+            os.kill(os.getpid(), 2)
+sys.meta_path.insert(0, Early())
+from hiltestbed.cli import main
+main()
+"""
+
+
+def test_ctrl_c_while_the_program_is_being_loaded_ends_it_in_a_word() -> None:
+    ended = subprocess.run([sys.executable, "-c", EARLY], capture_output=True, timeout=60)
+    assert (ended.returncode, ended.stderr) == (1, b"interrupted\n")
