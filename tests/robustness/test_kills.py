@@ -38,3 +38,23 @@ def test_half_a_folder_is_a_fault(tmp_path: Path) -> None:
     (tmp_path / "out" / "summary.json").write_text('{"half')
     with pytest.raises(ValueError, match="Unterminated"):
         kills._complete_or_absent(tmp_path / "out", Command(lambda a, b: [], frozenset()), "half")
+
+
+@pytest.mark.parametrize(
+    ("files", "excused"),
+    [
+        (["<frozen importlib._bootstrap>", "/usr/lib/python3/signal.py"], True),
+        ([f"{kills.PACKAGE}/__init__.py", f"{kills.PACKAGE}/kernel_cache.py"], True),
+        ([f"{kills.PACKAGE}/cli/__init__.py"], False),
+        ([f"{kills.PACKAGE}/campaign/__init__.py"], False),
+        ([f"{kills.PACKAGE}/__init__.py", "/usr/lib/python3/multiprocessing/spawn.py"], False),
+        (["/usr/lib/python3/concurrent/futures/process.py"], False),
+    ],
+)
+def test_a_traceback_is_excused_only_before_the_programs_first_line(files, excused) -> None:
+    err = (
+        "Traceback (most recent call last):\n"
+        + "".join(f'  File "{file}", line 3, in f\n    x\n' for file in files)
+        + "KeyboardInterrupt\n"
+    )
+    assert kills.in_pythons_own_start(err) is excused

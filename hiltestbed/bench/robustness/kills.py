@@ -10,6 +10,7 @@ import contextlib
 import hashlib
 import json
 import os
+import re
 import shutil
 import signal
 import socket
@@ -28,7 +29,9 @@ PATIENCE = 900.0  # [s] after which a command hangs; compiling is over by then
 ENDS = 120.0  # [s] within which an interrupted command has to be gone
 TWICE = 0.3  # [s] between two interruptions, at most
 AGAIN = 0.5  # part of the trials after which the same command is given once more
-PROGRAM = os.path.join("hiltestbed", "cli", "")  # what is in each traceback from the program's first line on
+FRAME = re.compile(r'File "([^"]+)", line')
+PACKAGE = Path(__file__).parents[2]
+BEFORE = {"__init__.py", "kernel_cache.py"}  # of the package: what is imported before the program can take Ctrl-C
 RUN = {"scenario.yaml", "summary.json", "trace.parquet", "report.html"}
 CAMPAIGN = """scenario: {base}
 set: {{duration: 0.2}}
@@ -71,7 +74,7 @@ def kill(rng: Generator, folder: Path, only: str | None = None) -> str:
             hard, part = bool(rng.random() < 0.5), float(rng.uniform(0.02, 1.0))
             err = _ended_early(process, part * lasts, hard, float(rng.uniform(0.0, TWICE)))
         how = f"{name}, {'killed' if hard else 'interrupted'} after {part:.2f} of {lasts:.1f} s"
-        if "Traceback" in err and PROGRAM in err:  # before that Python itself is interrupted
+        if "Traceback" in err and not in_pythons_own_start(err):
             raise KillError(f"{how}: {err[-300:]}")
         _complete_or_absent(out, command, how)
         if rng.random() < AGAIN:
@@ -82,6 +85,16 @@ def kill(rng: Generator, folder: Path, only: str | None = None) -> str:
             if not out.exists() or (command.same and digest(out / command.same) != whole):
                 raise KillError(f"{how}, given again: the result is not that of a command left alone")
     return "survived"
+
+
+def in_pythons_own_start(err: str) -> bool:
+    """Whether Ctrl-C came before the program's first line, while Python itself was starting: no program can put that in a word.
+
+    Then nothing of the package but what is imported with it is in the traceback, and no process that it has started.
+    """
+    files = [Path(file) for file in FRAME.findall(err)]
+    own = [file.relative_to(PACKAGE) for file in files if file.is_relative_to(PACKAGE)]
+    return all(str(file) in BEFORE for file in own) and not any({"multiprocessing", "concurrent"} & set(file.parts) for file in files)
 
 
 def started(arguments: list[str]) -> subprocess.Popen[bytes]:
