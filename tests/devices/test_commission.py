@@ -124,6 +124,7 @@ def test_a_sensor_that_is_mounted_askew_is_told_beside_delay_gain_and_crosstalk(
 def test_where_nothing_is_hidden_nothing_is_found(name: str, believed: dict[str, Any]) -> None:
     result = _measured(name, believed, {})
     assert _effects(result) == {}
+    assert result.departures == ()
     assert result.nominal.sensor.delay == pytest.approx(0.002, abs=3e-5)
     assert np.abs(attitude_deg_from_quat(result.sensor.attitude)).max() < 0.1
 

@@ -28,7 +28,8 @@ from hiltestbed.scenario import Scenario, resolved, scenario_from
 from hiltestbed.sensor.effects.rotation import SensorRotation
 
 FORCE = 100.0  # [N] of a press
-ALIKE = 1e-3  # of a misfit, by which two fits of as many numbers may differ and be alike
+ALIKE = 1e-3  # of a misfit, by which two fits of as many numbers may differ and be alike: chosen, it only decides which axes are named
+SHORTEST = 1e-4  # [s] of a delay that is named: chosen, a fifth of a tick at 2 kHz
 Progress = Callable[[str], None]
 
 
@@ -112,9 +113,11 @@ def _fitted(scenario: Scenario, planned: Sequence[Motion], rows: dict[str, list[
     starts = {motion.name: motion.start for motion in planned}
     turned = _turned(scenario, sensor, touched, noise)
     if turned is None:
-        return Commissioned(corrected, nominal, observed, sensor, platform, found, starts, _departures(nominal, corrected))
+        return Commissioned(
+            corrected, nominal, observed, sensor, platform, found, starts, _departures(nominal, corrected, sensor.delay_ci95)
+        )
     believed = _mounted(scenario, None, noise)
-    departures = _departures(_nominal(believed, turned, platform), believed)
+    departures = _departures(_nominal(believed, turned, platform), believed, turned.delay_ci95)
     return Commissioned(believed, nominal, observed, turned, platform, paths(believed), starts, departures)
 
 
@@ -133,10 +136,11 @@ def _turned(scenario: Scenario, sensor: SensorFit, touched: Sequence[Shown], noi
     return found if (len(found.numbers), found.misfit) <= (len(sensor.numbers), (1.0 + ALIKE) * sensor.misfit) else None
 
 
-def _departures(nominal: Scenario, believed: Scenario) -> tuple[dict[str, Any], ...]:
-    """The effects of ``nominal``, and what its sensor is later than that of ``believed``."""
+def _departures(nominal: Scenario, believed: Scenario, ci95: float) -> tuple[dict[str, Any], ...]:
+    """The effects of ``nominal``, and by how much its sensor is later than that of ``believed``, where that is more than none."""
     late = nominal.sensor.delay - believed.sensor.delay
-    return ({"kind": "sensor.delay", "delay": late}, *(effect.model_dump(mode="json") for effect in nominal.effects))
+    delay = [{"kind": "sensor.delay", "delay": late}] if late > _least_delay(ci95) else []
+    return (*delay, *(effect.model_dump(mode="json") for effect in nominal.effects))
 
 
 def _path(rows: list[Row], mounting: Mounting, tare: Array, touches: bool) -> Path:
@@ -173,9 +177,14 @@ def effects_of(sensor: SensorFit, platform: PlatformFit) -> list[dict[str, Any]]
     for n in sensor.numbers:  # after the gains: what leaks is what the source shows
         if n.source != n.axis:
             found.append({"kind": "sensor.crosstalk", "source": n.source, "axis": n.axis, "ratio": n.value / gains.get(n.source, 1.0)})
-    if platform.delay > max(1e-4, 2.0 * platform.delay_ci95):
+    if platform.delay > _least_delay(platform.delay_ci95):
         found.append({"kind": "platform.delay", "delay": platform.delay})
     for axis, value, ci95 in zip("xyz", platform.scale or (), platform.scale_ci95 or (), strict=False):
         if abs(value - 1.0) > max(2e-3, 2.0 * ci95):
             found.append({"kind": "platform.scale", "axis": axis, "factor": value})
     return found
+
+
+def _least_delay(ci95: float) -> float:
+    """From which on a delay [s] is one, for the half width of its 95 % interval."""
+    return max(SHORTEST, 2.0 * ci95)
