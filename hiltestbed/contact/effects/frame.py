@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 HEAVY = 10.0 / (6.0 * math.pi) ** 2  # [s^2] of the contact's stiffness: a frame ten times as stiff that rings at 3 Hz
 LITTLE = 0.01  # of the contact's stiffness: the softest frame of a captured mechanism that is searched
-MOST_STEPS = 1000  # of a ringing frame in one instant of the physics: half a millisecond of computing
+MOST_STEPS = 1000  # of a ringing frame in one instant of the physics: about 50 us of computing
 
 
 @register
