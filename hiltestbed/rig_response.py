@@ -23,7 +23,7 @@ from hiltestbed.scenario import Scenario, resolved, scenario_from
 Complex = NDArray[np.complex128]
 LINES = 100  # [Hz] sines at 1, 2, ... Hz
 PERIOD = 1.0  # [s] of their sum, measured after as long a lead-in
-MOST_INSTANTS = 1_000_000  # of the physics, that a measurement may take: a minute
+MOST_INSTANTS = 1_000_000  # of the physics, that a measurement may take: half a minute along one axis, three on six
 SWING, PULL = 1e-3, 0.3  # [m], [m/s^2] a sine's amplitude and acceleration, at most
 PUSH = 20.0  # [N] of a sine of the force
 ARM = 0.6  # [m] by which an angle is a length, and a force a torque: the height of a docking mechanism
