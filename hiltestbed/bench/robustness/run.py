@@ -35,6 +35,7 @@ SLOW = {"kill": 4000.0}  # of kinds whose trials are whole commands
 BEGIN = 600.0  # [s] until the first answer
 CONTAINED = {"file"}  # kinds whose crash ends a process of its own when it is done in earnest
 SHOWN = 50  # faults that are listed
+EACH = 10  # trials of a fault that are
 Progress = Callable[[int, int], None]
 
 
@@ -50,10 +51,9 @@ class Tally:
     busy: int = 0
 
     def fault(self, kind: str, number: int, place: str, text: str) -> None:
-        """Count a fault; the first of each place is kept."""
+        """Count a fault: of each place the first is told, and the number of each."""
         self.ended["failed"] += 1
-        entry = self.faults.setdefault(place, {"kind": kind, "number": number, "fault": text, "times": 0})
-        entry["times"] += 1
+        self.faults.setdefault(place, {"kind": kind, "numbers": [], "fault": text})["numbers"].append(number)
 
 
 def robustness(
@@ -225,9 +225,13 @@ def _result(tallies: dict[str, Tally], wall: float, workers: int) -> BenchResult
     columns = ("kind", "tried", "wanted", "survived", "refused", "remarked", "stopped", "contained", "failed")
     report.table(list(columns), [[str(r[c]) for c in columns] for r in records])
     if faults:
-        rows = [[f["kind"], str(f["number"]), str(f["times"]), f["fault"]] for f in faults[:SHOWN]]
+        rows = [[f["kind"], _few(f["numbers"]), str(len(f["numbers"])), f["fault"]] for f in faults[:SHOWN]]
         report.heading("Faults")
-        report.table(["kind", "trial", "times", "fault"], rows)
+        report.table(["kind", "trials", "times", "fault"], rows)
     lines = [(r["kind"], ", ".join(f"{r[c]} {c}" for c in columns[1:] if r[c])) for r in records]
     lines += [("failed", f"{failed} of {tried}")]
     return BenchResult("robustness", records, summary, report, lines)
+
+
+def _few(numbers: list[int]) -> str:
+    return ", ".join(map(str, numbers[:EACH])) + (", ..." if len(numbers) > EACH else "")
