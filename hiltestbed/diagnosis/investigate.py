@@ -13,7 +13,7 @@ from hiltestbed.diagnosis.all_rows import on_all_rows
 from hiltestbed.diagnosis.driven import ALONG_AN_AXIS, WAY, axis_link, mass_and_force, one_force
 from hiltestbed.diagnosis.fit import Fit, fit, inflation, nothing, refit
 from hiltestbed.diagnosis.jitter import JITTER, jitter_beside
-from hiltestbed.diagnosis.layout import Layout, compensation_link, dynamics_link, lay_out, platform_link
+from hiltestbed.diagnosis.layout import Layout, compensation_link, dynamics_link, lay_out, platform_link, under
 from hiltestbed.diagnosis.lines import hum_beside, lines
 from hiltestbed.diagnosis.links import AxisLink, CompensationLink, Link, LinkRun, PlatformLink, WrenchLink
 from hiltestbed.diagnosis.paths import BestPath, best_path, make_wrench_link
@@ -27,6 +27,7 @@ from hiltestbed.effects.table import EFFECTS
 from hiltestbed.frames import Array
 from hiltestbed.log import log_parameters
 from hiltestbed.measured import MeasuredDataset
+from hiltestbed.replay import follows_exactly
 from hiltestbed.replay.wrench import shifted
 
 RESTARTED = 0.9  # of chi-square, that another reading of the start has to leave at most to be taken
@@ -68,6 +69,7 @@ def investigate(dataset: MeasuredDataset, progress: Progress | None = None) -> F
         whole["compensation"] = compensation_link(layout, layout.whole)
     if "wrench" not in layout.missing:
         _investigate_wrench(layout, found, whole, progress)
+        layout = _settle_platform(layout, found, whole, progress)
     if "dynamics" not in layout.missing:
         if layout.scales.driven is None:
             residual = Residual(dynamics_link(layout, layout.rows))
@@ -197,6 +199,31 @@ def _settle_compensation(
     )  # as the contact has it
     candidates = (*_candidates(layout.scales, ("compensation",)), late_record)
     found["compensation"], whole["compensation"] = _explain_compensation(layout, links[0], candidates, progress), links[1]
+
+
+def _settle_platform(layout: Layout, found: dict[str, Explanation], whole: dict[str, Link], progress: Progress | None) -> Layout:
+    """The platform again, where the sensor has proved to show another wrench than the one that the drives bear; the layout with that one.
+
+    What was recorded is changed by the difference of two replays, with what was found of the sensor and without: what the replay does not
+    know of the contact is the same in both.
+    """
+    explanation, platform = found["wrench"], found.get("platform")
+    effects = explanation.chosen.effects()
+    in_truth = [e for e in effects if e.link not in ("sensor", "log")]
+    if platform is None or not platform.departs or not explanation.adequate or len(in_truth) == len(effects):
+        return layout
+    if all(follows_exactly(r.scenario) for r in layout.runs):
+        return layout
+    wrench = whole["wrench"]
+    everything = range(len(layout.runs))
+    shown, borne = wrench.predict([(i, effects) for i in everything]), wrench.predict([(i, in_truth) for i in everything])
+    readings = [r.record.filled("wrench_meas") + b - s for r, b, s in zip(layout.runs, borne, shown, strict=True)]
+    again = under(layout, readings)
+    if again is None:
+        return layout
+    found["platform"] = _explain_platform(again, platform_link(again, again.rows), _told(progress, "platform under the force found"))
+    whole["platform"] = platform_link(again, again.whole)
+    return again
 
 
 def _as_read(run: LinkRun, modelled: Array, in_time: Array, ticks: int) -> Array:

@@ -80,16 +80,32 @@ def lay_out(dataset: MeasuredDataset) -> Layout:
     missing = _lacking(runs)
     given = None
     if "platform" not in missing:
-        found = [deflection(run, noise.get("wrench_meas.fz", 0.0)) for run in runs]
-        lost = next((i for i, d in enumerate(found) if d is None), None)
-        if lost is None:
-            given = tuple(d for d in found if d is not None)
-        else:
-            missing["platform"] = f"the believed rig cannot follow the command on record in {runs[lost].name}"
+        given, lost = _deflections(runs, noise)
+        if lost is not None:
+            missing["platform"] = f"the believed rig cannot follow the command on record in {lost.name}"
     scales = _scales(runs, noise)
     if "dynamics" not in missing and all(is_driven(r.record, r.scenario) for r in runs):
         scales = replace(scales, driven=regression(runs))
     return Layout(runs, tuple(_rows(r) for r in runs), scales, noise, force, given, missing)
+
+
+def under(layout: Layout, readings: Sequence[Array]) -> Layout | None:
+    """The same where the believed sensors would have shown ``readings`` (N, 6) of each run; None where the rig cannot follow then."""
+    given, lost = _deflections(layout.runs, layout.noise, readings)
+    return replace(layout, deflection=given) if lost is None else None
+
+
+def _deflections(
+    runs: Sequence[MeasuredRun], noise: Mapping[str, float], readings: Sequence[Array] | None = None
+) -> tuple[tuple[Deflection, ...] | None, MeasuredRun | None]:
+    """Of each run how the believed rig departs from its command, or the first run in which it cannot follow that."""
+    found = []
+    for i, run in enumerate(runs):
+        one = deflection(run, noise.get("wrench_meas.fz", 0.0), readings[i] if readings is not None else None)
+        if one is None:
+            return None, run
+        found.append(one)
+    return tuple(found), None
 
 
 def _lacking(runs: Sequence[MeasuredRun]) -> dict[str, str]:

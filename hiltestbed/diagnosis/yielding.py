@@ -37,24 +37,25 @@ class Deflection:
     noise: float = 0.0
 
 
-def deflection(run: MeasuredRun, noise: float) -> Deflection | None:
+def deflection(run: MeasuredRun, noise: float, reading: Array | None = None) -> Deflection | None:
     """Where the believed rig takes A beside its command; None where it cannot follow it.
 
     What is not known takes whole blocks of rows the same way, and is counted like white noise that is larger by the root of a block.
-    noise: [N] of the force. The force is read as much earlier as the believed sensor is late; where none was measured, the pose tells
-    nothing once A has reached P.
+    noise: [N] of the force. reading: (N, 6) what the believed sensor would show; None: the record. It is read as much earlier as the
+    believed sensor is late; where none was measured, the pose tells nothing once A has reached P.
     """
     scenario, command = run.scenario, np.ascontiguousarray(run.record.filled("pose_cmd"))
     if follows_exactly(scenario):
         return Deflection(np.zeros((len(command), 6)), np.zeros((len(command), 6)))
-    reading = run.record.filled("wrench_meas") if run.record.has("wrench_meas") else np.zeros((len(command), 6))
+    recorded = run.record.filled("wrench_meas") if run.record.has("wrench_meas") else np.zeros((len(command), 6))
+    reading = recorded if reading is None else reading
     late = scenario.sensor.delay / scenario.tick
     touching = run.survey.touching(len(reading), round(late), GATE_SIGMA * noise)[:, None]  # else the reading is noise: nothing bears
     wrench = shifted(np.where(touching, reading, 0.0), late)
     rates = run.record.filled("twist_cmd") if run.record.has("twist_cmd") else None
     told = flat_pose(np.vstack([approach_state(scenario)[:7], command[:-1]]))
     reached = _as_told(run)
-    path = replay_rig(scenario, command, rates, borne(scenario, wrench), reading, reached)
+    path = replay_rig(scenario, command, rates, borne(scenario, wrench), recorded, reached)
     if path is None:
         return None
     away = flat_pose(path) - told
@@ -69,7 +70,7 @@ def deflection(run: MeasuredRun, noise: float) -> Deflection | None:
     if noise > 0.0:
         shaken = wrench.copy()
         shaken[:, :3] += np.where(touching, noise * np.random.default_rng(0).standard_normal((len(wrench), 3)), 0.0)
-        noisy = replay_rig(scenario, command, rates, borne(scenario, shaken), reading, reached)
+        noisy = replay_rig(scenario, command, rates, borne(scenario, shaken), recorded, reached)
         passed = np.std(flat_pose(noisy) - flat_pose(path), axis=0) if noisy is not None else passed
         doubt = np.hypot(doubt, passed * math.sqrt(max(1.0, _memory(scenario) / scenario.tick)))
     return Deflection(away, doubt, float(passed[:3].max()))

@@ -51,3 +51,11 @@ def test_a_turned_sensor_is_found_although_the_lever_went_along_with_it(tmp_path
     assert explanation.adequate
     assert explanation.chosen.kinds == ("sensor.rotation",)
     assert explanation.chosen.theta == pytest.approx([1.0, 0.0], abs=0.01)
+
+
+@SLOW
+def test_a_platform_that_bears_another_force_than_the_sensor_shows_is_not_blamed(tmp_path: Path) -> None:
+    """A part of fz that shows on fy is no load of the drives: under the record's wrench the platform seems to depart by 1e-6 of its way."""
+    crosstalk = {"kind": "sensor.crosstalk", "source": "z", "axis": "y", "ratio": 0.15}
+    verdict = verdict_of(OwnSet("05-off-centre", (crosstalk,), single=True), tmp_path)
+    assert (verdict.verdict, verdict.link, [c.effect for c in verdict.causes]) == ("named", "sensor", ["sensor.crosstalk"])
