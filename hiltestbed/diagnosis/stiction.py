@@ -28,10 +28,10 @@ def stick_starts(link: PlatformLink, noise: float, substeps: int) -> dict[int, l
     """Instants a tick to starts for stiction [m], none where the platform departs too little; noise: of the pose [m]."""
     speeds = [float(np.max(np.abs(np.diff(c[:, :3], axis=0)))) for c in link.commands]
     i = int(np.argmin(speeds))
-    counted = np.isfinite(link.runs[i].sigma[1:, :3])
+    sigma = link.runs[i].sigma[1:, :3]
     departed = np.abs(link.runs[i].measured - link.shown(i))[1:, :3]
-    away = float(np.max(departed[counted], initial=0.0)) - noise
-    if away <= CLEAR * noise:
+    away = float(np.max(departed[np.isfinite(sigma)], initial=0.0)) - noise
+    if away <= CLEAR * noise or not (departed > CLEAR * sigma).any():  # within what is not known of how the drives give way
         return {}
     rows = link.runs[i].rows
     count = max(SCANNED // 5, min(SCANNED, SCANNED * LONGEST // rows))
