@@ -40,6 +40,7 @@ def realtime(quick: bool = False, progress: Callable[[int, int], None] | None = 
         "cycles": worst.cycles,
         "granted": worst.granted,
         "refused": worst.refused,
+        "stolen": worst.stolen,
     }
     lines = [(_label(m), _figures(m)) for m in measured]
     lines += [("granted", ", ".join(worst.granted) or "nothing"), *((f"refused: {name}", why) for name, why in worst.refused.items())]
@@ -56,7 +57,8 @@ def _figures(m: Steadiness) -> str:
     late = (
         f"wake-up median {1e6 * wake.percentiles['50']:.0f}, 99.9 % {1e6 * wake.percentiles['99.9']:.0f}, worst {1e6 * wake.worst:.0f} us"
     )
-    return f"{m.missed} of {m.cycles} missed, {late}{trip}"
+    taken = f", {100.0 * m.stolen:.2g} % of the processors taken by the hypervisor" if m.stolen else ""
+    return f"{m.missed} of {m.cycles} missed, {late}{trip}{taken}"
 
 
 def _report(measured: list[Steadiness], lines: list[tuple[str, str]]) -> Report:
@@ -76,6 +78,7 @@ def _report(measured: list[Steadiness], lines: list[tuple[str, str]]) -> Report:
     report.figure(figure, "How late a cycle begins.")
     report.text(
         "A cycle misses its deadline where its work, or the device's answer, is not done when the next one is due. Measure on the machine "
-        "and in the state in which it is to be used; a quiet hour says nothing about a busy one."
+        "and in the state in which it is to be used; a quiet hour says nothing about a busy one. Where a hypervisor takes processors away "
+        "(steal time), no setting of this system gets them back."
     )
     return report

@@ -51,6 +51,7 @@ class Steadiness:
         cycles, skipped, missed: number begun; skipped because of overruns; that missed their deadline.
         wake_up: from due time to start of a cycle. round_trip: from command to echo, None without a device.
         granted, refused: of the real-time settings requested.
+        stolen: part of the processors' time in which the hypervisor of a virtual machine ran others; None where the system does not say.
     """
 
     rate: float
@@ -62,6 +63,7 @@ class Steadiness:
     round_trip: Times | None
     granted: list[str]
     refused: dict[str, str]
+    stolen: float | None
 
     def record(self) -> dict[str, Any]:
         """As plain data for a file."""
@@ -84,6 +86,7 @@ def measure(
     clock = CycleClock(rate, cycles)
     round_trips = np.zeros(cycles)
     echo = _Echo(rate, priority) if device else None
+    before = _processors()
     try:
         with prepared(cpu, priority) as given:
             missed = _run(clock, cycles, round_trips, echo.client if echo else None, work)
@@ -101,6 +104,7 @@ def measure(
         round_trip=_times(answered) if device else None,
         granted=given.granted,
         refused=given.refused,
+        stolen=_stolen(before, _processors()),
     )
 
 
@@ -126,6 +130,24 @@ def _run(
         clock.done()
         missed += not answered or clock.left() < 0.0
     return missed
+
+
+def _processors() -> list[int] | None:
+    """What all processors have done since the start, in the columns of the ``cpu`` line of /proc/stat (proc_stat(5)); None without it."""
+    try:
+        with open("/proc/stat", encoding="ascii") as file:
+            columns = file.readline().split()[1:9]
+    except OSError:
+        return None
+    return [int(c) for c in columns] if len(columns) == 8 else None
+
+
+def _stolen(before: list[int] | None, after: list[int] | None) -> float | None:
+    """The part of the time between two such lines in their last column, ``steal``."""
+    if before is None or after is None:
+        return None
+    spent = [b - a for a, b in zip(before, after, strict=True)]
+    return spent[-1] / sum(spent) if sum(spent) else 0.0
 
 
 def _times(values: NDArray[np.float64]) -> Times:

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hiltestbed.devices.bench import measure
+from hiltestbed.devices.bench import _stolen, measure
 from hiltestbed.devices.clock import CycleClock
 from hiltestbed.devices.realtime import prepared
 from hiltestbed.devices.recorder import Recorder
@@ -165,3 +165,11 @@ def test_the_measurement_accounts_for_every_cycle(device: bool) -> None:
 def test_a_measurement_that_cannot_be_made() -> None:
     with pytest.raises(InputError, match=r"cannot be made \(got 0.5 Hz for 1 s\); allowed are 1 to 20000 Hz and up to a day"):
         measure(0.5, 1.0)
+
+
+def test_what_a_hypervisor_takes_away_is_told() -> None:
+    """user, nice, system, idle, iowait, irq, softirq, steal: 3 of 200 ticks went to others; a system without the line says nothing."""
+    assert _stolen([10, 0, 5, 100, 0, 0, 0, 7], [60, 0, 12, 240, 0, 0, 0, 10]) == pytest.approx(3.0 / 200.0)
+    assert _stolen(None, None) is None
+    found = measure(1000.0, 0.1).stolen
+    assert found is None or 0.0 <= found <= 1.0
