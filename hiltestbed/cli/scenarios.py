@@ -35,8 +35,12 @@ def run(
     hiltestbed run my-rig.yaml --set sensor.delay=0.010 --out runs/late
     """
     start = time.monotonic()
+    from hiltestbed.cli import ahead
+    from hiltestbed.kernels import compiled
     from hiltestbed.progress import progress_bar
 
+    first = not compiled()
+    ahead.begin(scenario, sets, case)
     spec = read_scenario(scenario, sets, case)
     label = spec.name if case is None else f"{scenario.stem}-case-{case}"
     folder = out if out is not None else free_folder(Path("runs") / safe_name(label))
@@ -52,9 +56,7 @@ def run(
     for warning in warnings(spec):
         print(printable(f"{spec.name}: warning: {warning}"), file=sys.stderr)
 
-    from hiltestbed.kernels import compiled
-
-    if not compiled():
+    if first:
         print("compiling the inner loops: once after the install, a minute or so", file=sys.stderr)
     with progress_bar(spec.name, spec.duration) as progress:
         result = simulate(spec, progress=progress)

@@ -1,0 +1,82 @@
+"""Compiles what a first run needs later, in a process beside it.
+
+The first run after an install compiles its blocks in the order in which a tick calls them, on one core. What identifies, and what keeps
+figures and rows, does not hang on the blocks before it, so that another core can compile it meanwhile: Numba finds it on disk when its
+turn comes. Nothing waits for the process, and nothing is wrong without it: what it has not done by then is compiled by the run itself.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
+
+from hiltestbed.kernels import compiled, cores
+
+if TYPE_CHECKING:
+    from hiltestbed.loop import Side
+    from hiltestbed.scenario import Scenario
+
+_running: list[subprocess.Popen[bytes]] = []  # held: one that is let go of while it runs is warned of
+
+
+def begin(scenario: Path, sets: list[str] | None, case: int | None) -> None:
+    """Start it for what `run` was called with, unless no kernel or no core is left."""
+    if compiled() or cores() < 2:
+        return
+    with contextlib.suppress(OSError):
+        order = [sys.executable, "-m", __name__]
+        process = subprocess.Popen(order, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        assert process.stdin is not None
+        process.stdin.write(json.dumps([str(scenario), sets, case]).encode())
+        process.stdin.close()
+        _running.append(process)
+
+
+def compile_later_blocks(scenario: Scenario) -> None:
+    """Call the blocks of a loop that do not hang on its rig, and then what is asked of the rig when the run is over."""
+    from hiltestbed.loop import Loop
+    from hiltestbed.rig_response import measured_response
+    from hiltestbed.signals import Trace
+
+    loop = Loop([scenario], side=_no_rig)
+    if loop.identification:
+        loop.identification.update(loop.sensor.reading, loop.plant.pose_act, loop.plant.twist_act)
+    loop._kept(Trace(1, 1, scenario.rate, loop.plant.units))(0)
+    loop.safety.passed(loop.plant, loop._pose_before, loop.tally.energy)
+    measured_response(scenario)
+
+
+def _no_rig(scenarios: Sequence[Scenario], nthread: int) -> Side:
+    """Arrays of the kinds that a rig has, which nothing moves."""
+    import numpy as np
+
+    from hiltestbed.safety import Safety
+    from hiltestbed.sensor.sensor import Sensor
+
+    wrench, pose, twist, joints, no = (np.zeros(shape) for shape in ((1, 2, 6), (1, 7), (1, 6), (1, 3), (1,)))
+    rig: Any = SimpleNamespace(
+        pose_act=pose, pose_W=pose, twist_act=twist, wrench_sub=wrench, contact=no > 0.0, captured=no > 0.0, diverged=no > 0.0,
+        slider_cmd=joints, slider_act=joints.copy(), upper_cmd=joints.copy(), upper_act=joints.copy(), units=("m",) * 3, phases=None,
+        physical=False, reset=lambda pose, twist: None, joint_limit_passed=lambda: False,
+    )  # fmt: skip
+    return Sensor(scenarios, [np.random.default_rng(s.seed) for s in scenarios]), rig, Safety(scenarios)
+
+
+def main() -> None:
+    """Without looking how the parts lie to each other at the start: that is compiled, and the run looks at it meanwhile."""
+    from hiltestbed.cli.options import read_scenario
+    from hiltestbed.contact import findings
+
+    findings.faults = lambda scenario: ()
+    scenario, sets, case = json.load(sys.stdin)
+    compile_later_blocks(read_scenario(Path(scenario), sets, case))
+
+
+if __name__ == "__main__":
+    main()
