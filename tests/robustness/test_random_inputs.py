@@ -152,3 +152,10 @@ def test_physics_too_fine_to_measure_the_rig_is_said_and_not_waited_for() -> Non
 def test_instruments_older_than_any_run_are_refused() -> None:
     with pytest.raises(InputError, match=r"identification.*lag"):
         load_scenario("02-bumper", {"identification": {"kind": "instrumental", "lag": 429862305}})
+
+
+@pytest.mark.parametrize("gap", [-2.0e8, 2.0e8])
+def test_a_start_half_way_to_the_moon_is_refused(gap: float) -> None:
+    """On a rig of slides that are solved stride by stride, 5 cm each."""
+    with pytest.raises(InputError, match="travel|reach"):
+        load_scenario(shipped("scenarios") / "21-own-rig.yaml", {"approach.gap": gap})

@@ -20,6 +20,7 @@ from hiltestbed.platform.facilities.newton import CLOSE, ITERATIONS, equations, 
 from hiltestbed.platform.facilities.tree import HINGE, SLIDE, build_tree
 
 STRIDE = 0.05  # [m], [rad] of a tool between two solutions on the way to a far pose
+MOST_STRIDES = 10_000  # of a path, which are the longer beyond: what reaches so far runs straight, or is not reached
 LEVER = 0.5  # [m] makes a rotation a length: half the height of a docking mechanism
 SLOWEST = 0.02  # [m/s] a direction in which the drives at full speed move the tool less than this is lost
 LOOSEST = 100.0  # ratio of the best direction to the usual past which the drives do not hold the tool, of the usual to the worst likewise
@@ -116,7 +117,7 @@ class Kinematics:
         for t in range(len(goal)):
             twist_between(begin[t], goal[t], 1.0, twists[t])
         span = max(float(np.abs(twists).max(initial=0.0)), float(np.abs(values - begin_values).max(initial=0.0)))
-        steps, worst = max(1, math.ceil(span / STRIDE)), 0.0
+        steps, worst = _strides(span), 0.0
         at = np.empty_like(goal)
         for s in range(1, steps + 1):
             for t in range(len(goal)):
@@ -153,7 +154,7 @@ class Kinematics:
         for i, goal in enumerate(joints):
             q = (self.home if start is None else start).copy()
             begin, nothing = q[self.q], np.empty((0, 7))
-            steps = max(1, math.ceil(float(np.abs(goal - begin).max()) / STRIDE))
+            steps = _strides(float(np.abs(goal - begin).max()))
             for s in range(1, steps + 1):
                 newton(self._forward, q, nothing, begin + (goal - begin) * (s / steps), self._forward_work, CLOSE, ITERATIONS)
             out[i] = self.poses(q)
@@ -264,6 +265,11 @@ class Kinematics:
         return (
             f"out of reach: {self.tools[t]} cannot stand at {_at(np.atleast_2d(poses)[t])}; on the way there it gets to {_at(reached[t])}"
         )
+
+
+def _strides(way: float) -> int:
+    """In how many parts a path is gone whose tools or joints move by so much [m], [rad]."""
+    return max(1, math.ceil(min(way / STRIDE, MOST_STRIDES)))
 
 
 def _ranges(model: mujoco.MjModel, others: set[str]) -> list[tuple[str, int, float, float, bool]]:
