@@ -12,7 +12,7 @@ from hiltestbed.diagnosis.describe import describe
 from hiltestbed.diagnosis.fit import Fit
 from hiltestbed.diagnosis.grow import far_off, grow
 from hiltestbed.diagnosis.heldout import heldout, placebo_of
-from hiltestbed.diagnosis.in_part import explained, holding
+from hiltestbed.diagnosis.in_part import borne_out, explained, holding
 from hiltestbed.diagnosis.intervals import intervals
 from hiltestbed.diagnosis.investigate import Findings
 from hiltestbed.diagnosis.isolability import isolability
@@ -38,6 +38,8 @@ def find(findings: Findings, progress: Progress | None = None) -> Finding:
     if progress:
         progress("intervals and left-out runs")
     findings, nearest = _nearest(findings, verdict, progress)
+    if verdict.verdict == "unknown" and not nearest:  # more causes than were searched together do explain it
+        verdict = decide(findings)
     verdict, share = _in_part(findings, verdict, nearest)
     verdict, share, learned, law = _learned(findings, verdict, share, progress)
     certain = Certainties(findings.explanations)
@@ -69,7 +71,10 @@ def find(findings: Findings, progress: Progress | None = None) -> Finding:
 
 
 def _nearest(findings: Findings, verdict: Verdict, progress: Progress | None) -> tuple[Findings, tuple[Named, ...]]:
-    """Where a link departs without a name: the effects that come nearest on the link that is worst, as many as pay."""
+    """Where a link departs without a name: the effects that come nearest on the link that is worst, as many as pay.
+
+    None where these leave noise alone, and each of them is borne out: the findings have them for the explanation of that link then.
+    """
     if verdict.verdict != "unknown":
         return findings, ()
     open_ = {n: e for n, e in findings.explanations.items() if e.departs and not e.adequate and e.chosen.causes}
@@ -78,7 +83,10 @@ def _nearest(findings: Findings, verdict: Verdict, progress: Progress | None) ->
     name = max(open_, key=lambda n: open_[n].worst)
     if name in MEASURED and far_off(open_[name]):
         grown = _grown(open_[name], progress)
-        findings = replace(findings, explanations={**findings.explanations, name: grown})
+        whole = borne_out(replace(grown, adequate=all(left.noise for left in grown.leftovers.values())))
+        findings = replace(findings, explanations={**findings.explanations, name: whole or grown})
+        if whole:
+            return findings, ()
     fit = findings.explanations[name].chosen
     return findings, tuple(Named(kind, name, fit, index) for index, kind in enumerate(fit.kinds))
 

@@ -17,7 +17,7 @@ from hiltestbed.diagnosis.links import WrenchLink
 from hiltestbed.diagnosis.links.base import Effects
 from hiltestbed.diagnosis.residual import Residual, square
 from hiltestbed.diagnosis.search import Explanation
-from hiltestbed.diagnosis.settings import DETECTION, ONE_OF_TWO
+from hiltestbed.diagnosis.settings import AMBIGUITY, DETECTION, ONE_OF_TWO
 
 LEVERS = (0.5, 0.0, 1.0)  # that are tried first
 
@@ -107,11 +107,23 @@ def at_a_point(explanation: Explanation) -> WrenchLink | None:
 
 
 def on_a_grid(explanation: Explanation) -> WrenchLink | None:
-    """The link where readings lie between the instants of the believed physics, if what was found, or nothing, fits better there."""
-    link = wrench_link_of(explanation.residual)
-    if not explanation.departs or JITTER in explanation.chosen.kinds:
+    """The link where readings lie between the instants of the believed physics, if what was found, or nothing, fits better there.
+
+    A record that is stamped late lies between its own rows; where that is what was found, a sensor as late of a facility that computes its
+    contact once a row does as well, and is tried.
+    """
+    link, chosen = wrench_link_of(explanation.residual), explanation.chosen
+    if not explanation.departs or JITTER in chosen.kinds:
         return None
     other = link.reading(grid=link.runs[0].scenario.substeps)
     there = explanation.residual.through(other)
-    fits = [nothing(there), *([refit(there, explanation.chosen)] if explanation.chosen.causes else [])]
-    return other if min(f.score for f in fits) < explanation.chosen.score - ONE_OF_TWO else None
+    fits = [nothing(there), *([refit(there, chosen)] if chosen.causes else [])]
+    if min(f.score for f in fits) < chosen.score - ONE_OF_TWO:
+        return other
+    late = next((c for c in explanation.candidates if c.kind == "sensor.delay"), None)
+    if late is None or "log.skew" not in chosen.kinds:
+        return None
+    other = link.reading(grid=1)
+    causes = tuple(late if c.kind == "log.skew" else c for c in chosen.causes)
+    found = fit(explanation.residual.through(other), causes, [chosen.theta], tries=1)
+    return other if found.score < chosen.score + AMBIGUITY * inflation(chosen) else None

@@ -157,5 +157,5 @@ def test_instruments_older_than_any_run_are_refused() -> None:
 @pytest.mark.parametrize("gap", [-2.0e8, 2.0e8])
 def test_a_start_half_way_to_the_moon_is_refused(gap: float) -> None:
     """On a rig of slides that are solved stride by stride, 5 cm each."""
-    with pytest.raises(InputError, match="travel|reach"):
+    with pytest.raises(InputError, match=r"travel|reach"):
         load_scenario(shipped("scenarios") / "21-own-rig.yaml", {"approach.gap": gap})
