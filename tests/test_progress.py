@@ -10,6 +10,8 @@ import pytest
 from hiltestbed.bench.contacts import Contact, bounce, effort
 from hiltestbed.progress import Pace
 
+from .slow import SLOW
+
 
 def pace_of(times: list[float], done: list[float]) -> Pace:
     clock = iter(times)
@@ -71,6 +73,7 @@ def test_the_first_time_that_is_told_is_right_by_a_factor_of_two(spread) -> None
     assert right >= 0.93 * 200
 
 
+@SLOW
 def test_the_effort_of_a_batch_is_what_it_takes() -> None:
     """Processor time of small and large batches, ideal and servo, within a factor of two of the ratio that is assumed."""
     cases = [[Contact(f, 0.005, 0.05, tracking=t)] * n for f, t, n in ((2.0, "ideal", 4), (1.0, "ideal", 48), (2.0, "servo", 16))]
