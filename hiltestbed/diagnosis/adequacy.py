@@ -7,6 +7,7 @@ smooth misfit far below the noise shows. Samples of one block count once, so tha
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -42,6 +43,11 @@ class Leftover:
     def excess(self) -> float:
         """How far the worse figure lies above its limit: 1 is just there."""
         return max(self.variance / self.variance_limit, self.block / self.block_limit)
+
+
+def noise_alone(leftovers: Mapping[str, Leftover]) -> bool:
+    """Whether what is left passes for noise on every channel."""
+    return all(left.noise for left in leftovers.values())
 
 
 def leftover(residuals: list[Array], tail: float = 2.0, rows: int = FLOOR_ROWS) -> Leftover:

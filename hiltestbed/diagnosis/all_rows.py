@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from hiltestbed.diagnosis.adequacy import JITTER, contact_leftovers
+from hiltestbed.diagnosis.adequacy import JITTER, contact_leftovers, noise_alone
 from hiltestbed.diagnosis.fit import fit, inflation, nothing, refit
 from hiltestbed.diagnosis.heldout import placebo_of
 from hiltestbed.diagnosis.links import WrenchLink
@@ -29,7 +29,7 @@ def on_all_rows(found: Explanation, link: WrenchLink) -> Explanation:
     fits = sorted((refit(residual, f) for f in near[:PARTNERS]), key=lambda f: f.score) or [refit(residual, chosen)]
     best = fits[0]
     leftovers = contact_leftovers(residual, best.effects())
-    if not all(left.noise for left in leftovers.values()):
+    if not noise_alone(leftovers):
         return found
     fewer = [fit(residual, causes, [theta], tries=1) for causes, theta in map(best.without, range(len(best.causes))) if causes]
     placebo = placebo_of(found.singles, best)

@@ -39,6 +39,7 @@ def decimated(link: WrenchLink) -> WrenchLink:
         None,
         link.rates and [_means(r, count) for r in link.rates],
     )
+    out.of_rows = count
     return out.reading(lever=link.lever, blunt=link.blunt)
 
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 from hiltestbed.diagnosis import judges
-from hiltestbed.diagnosis.adequacy import contact_leftovers
+from hiltestbed.diagnosis.adequacy import contact_leftovers, noise_alone
 from hiltestbed.diagnosis.certainty import Certainties
 from hiltestbed.diagnosis.describe import describe
 from hiltestbed.diagnosis.fit import Fit
@@ -32,16 +32,41 @@ CHECKED = 3  # of them, scored on left-out runs
 MEASURED = ("platform", "wrench")  # links whose output is measured: what they leave is judged by its noise
 
 
-def find(findings: Findings, progress: Progress | None = None) -> Finding:
-    """What is wrong with the simulation of these data."""
+@dataclass(frozen=True)
+class Judged:
+    """What is said of a set, before intervals and pictures.
+
+    Attributes:
+        findings: with the explanation that grew, where one did. verdict: with its causes. nearest: the effects that come nearest where the
+            worst link departs without a name. share: of the departure that those named in part carry. learned: the law that was learned
+            beside the causes, if any. law: the effect that extends the model by it.
+    """
+
+    findings: Findings
+    verdict: Verdict
+    nearest: tuple[Named, ...]
+    share: float | None
+    learned: Learned | None
+    law: tuple[Effect, ...]
+
+
+def judge(findings: Findings, progress: Progress | None = None) -> Judged:
+    """The verdict, with the causes that were found where no few together explain a link."""
     verdict = decide(findings)
-    if progress:
-        progress("intervals and left-out runs")
     findings, nearest = _nearest(findings, verdict, progress)
     if verdict.verdict == "unknown" and not nearest:  # more causes than were searched together do explain it
         verdict = decide(findings)
     verdict, share = _in_part(findings, verdict, nearest)
     verdict, share, learned, law = _learned(findings, verdict, share, progress)
+    return Judged(findings, verdict, nearest, share, learned, law)
+
+
+def find(findings: Findings, progress: Progress | None = None) -> Finding:
+    """What is wrong with the simulation of these data."""
+    judged = judge(findings, progress)
+    findings, verdict, nearest, law = judged.findings, judged.verdict, judged.nearest, judged.law
+    if progress:
+        progress("intervals and left-out runs")
     certain = Certainties(findings.explanations)
     causes = tuple(cause_of(findings, c, certain, verdict.causes) for c in verdict.causes)
     once = {c.effect: c for c in [*nearest, *verdict.causes]}  # a record stamped late shows on two links
@@ -63,8 +88,8 @@ def find(findings: Findings, progress: Progress | None = None) -> Finding:
         not_judged={LINK_NAMES[name]: why for name, why in verdict.not_judged.items()},
         partial=tuple(cause_of(findings, c, certain) for c in nearest),
         partial_gain=gain_of(findings, nearest),
-        explained=share,
-        learned=learned,
+        explained=judged.share,
+        learned=judged.learned,
         assumed=findings.layout.force.words(),
         certainty=tuple(certain),
     )
@@ -83,7 +108,7 @@ def _nearest(findings: Findings, verdict: Verdict, progress: Progress | None) ->
     name = max(open_, key=lambda n: open_[n].worst)
     if name in MEASURED and far_off(open_[name]):
         grown = _grown(open_[name], progress)
-        whole = borne_out(replace(grown, adequate=all(left.noise for left in grown.leftovers.values())))
+        whole = borne_out(replace(grown, adequate=noise_alone(grown.leftovers)))
         findings = replace(findings, explanations={**findings.explanations, name: whole or grown})
         if whole:
             return findings, ()

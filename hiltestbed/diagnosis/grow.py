@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from hiltestbed.diagnosis.adequacy import JITTER
+from hiltestbed.diagnosis.adequacy import JITTER, noise_alone
 from hiltestbed.diagnosis.fit import Fit, fit, inflation
 from hiltestbed.diagnosis.heldout import left_out
 from hiltestbed.diagnosis.residual import Residual
@@ -26,13 +26,13 @@ def far_off(found: Explanation) -> bool:
 
 
 def grow(found: Explanation, search: Search) -> Fit:
-    """The best that several causes do, beside the best that was found."""
+    """The best that several causes do, beside the best that was found: as many as pay, and no more once they leave noise alone."""
     residual = found.residual
     best = min([found.chosen, *found.singles, *found.more], key=lambda f: f.score)
     if JITTER in best.kinds:  # noise, beside which nothing is weighed
         return best
     before = carried(residual, best)
-    while len(best.causes) < MOST_CAUSES_IN_PART:
+    while len(best.causes) < MOST_CAUSES_IN_PART and not noise_alone(search.judge(residual, best.effects())):
         for more in search.extend(residual, best, TRIED):
             after = carried(residual, more) if _pays(more, best) else math.inf
             if after < before + math.log(1.0 - WORTH):

@@ -11,22 +11,25 @@ from dataclasses import replace
 
 import numpy as np
 
-from hiltestbed.diagnosis.adequacy import JITTER, contact_leftovers
+from hiltestbed.diagnosis.adequacy import JITTER, contact_leftovers, noise_alone
 from hiltestbed.diagnosis.fit import Fit, at_bound, fit, inflation
 from hiltestbed.diagnosis.grow import carried
 from hiltestbed.diagnosis.residual import Residual
 from hiltestbed.diagnosis.search import Explanation, Search, first_of_each
 from hiltestbed.diagnosis.settings import AMBIGUITY, AS_GOOD, CARRIED, INVARIANT, MOST_RUNS, PARTNERS, WORTH_IN_PART
+from hiltestbed.effects.search import Candidate
+from hiltestbed.frames import Array
 
 LEAST_RUNS = 3
 LEAST_LONG_RUNS = 2  # of which each holds many witnesses
+SIZES = (1.0, 0.7, 1.4)  # chosen: of a cause, from which it is fitted to a run alone, well beyond what may differ from run to run
 
 
 def holding(found: Explanation) -> tuple[int, ...]:
     """Numbers of the causes of the chosen fit that hold; none where too few runs can tell."""
     if not _tells(found):
         return ()
-    alone = _alone(found)
+    alone = in_each_run(found)
     return tuple(i for i in range(len(found.chosen.causes)) if _same(found, alone, i) and _pays_without_rival(found, i))
 
 
@@ -37,7 +40,7 @@ def borne_out(found: Explanation) -> Explanation | None:
     """
     if not found.adequate or not _tells(found):
         return None
-    alone, residual, chosen = _alone(found), found.residual, found.chosen
+    alone, residual, chosen = in_each_run(found), found.residual, found.chosen
     fewer, rivals = [], []
     for i, cause in enumerate(chosen.causes):
         rest = _without(found, i)
@@ -51,28 +54,56 @@ def borne_out(found: Explanation) -> Explanation | None:
         close = [f for f in others if f.score < near]
         rivals.append(tuple(first_of_each([f for f in close if _noise(residual, f)], "kinds")))
         fewer.append(rest)
-    return replace(found, rivals=tuple(rivals), more=(*found.more, *fewer))
+    known = replace(found, rivals=tuple(rivals), more=(*found.more, *fewer))
+    return known.with_the_other_clock(contact_leftovers)
 
 
 def _noise(residual: Residual, found: Fit) -> bool:
-    return all(left.noise for left in contact_leftovers(residual, found.effects()).values())
+    return noise_alone(contact_leftovers(residual, found.effects()))
 
 
 def _tells(found: Explanation) -> bool:
     """Whether there are enough runs, and enough of the departure is carried over to those left out."""
-    least = LEAST_LONG_RUNS if found.residual.link.witnesses else LEAST_RUNS
-    few = len(found.residual.runs) < least or not found.chosen.causes
+    few = len(found.residual.runs) < _least(found) or not found.chosen.causes
     return not few and JITTER not in found.chosen.kinds and explained(found) >= CARRIED
 
 
-def _alone(found: Explanation) -> list[Fit]:
-    """The chosen causes, fitted to each run alone."""
-    return [fit(found.residual.on([i]), found.chosen.causes, [found.chosen.theta], tries=1) for i in found.residual.runs]
+def in_each_run(found: Explanation) -> list[list[Fit]]:
+    """Of each run alone, the chosen causes as they fit it, started where they are, smaller and larger: all that fit as well as the best."""
+    out, chosen = [], found.chosen
+    for i in found.residual.runs:
+        run = found.residual.on([i])
+        fits = [fit(run, chosen.causes, [_resized(chosen, size)], tries=1) for size in SIZES]
+        best = min(fits, key=lambda f: f.chi2)
+        out.append([f for f in fits if f.chi2 <= best.chi2 + AMBIGUITY * inflation(best)])
+    return out
 
 
-def _same(found: Explanation, alone: list[Fit], index: int) -> bool:
+def _resized(chosen: Fit, size: float) -> Array:
+    """The parameters of a fit with each cause ``size`` times as large."""
+    theta = chosen.theta.copy()
+    for i, cause in enumerate(chosen.causes):
+        at = [sum(len(c.names) for c in chosen.causes[:i]) + j for j in _leading(cause)]
+        theta[at] = _neutral(cause) + size * (theta[at] - _neutral(cause))
+    return theta
+
+
+def _leading(cause: Candidate) -> list[int]:
+    """Which of a cause's parameters are its size."""
+    return [j for j, name in enumerate(cause.names) if name.partition(".")[0] == cause.effect.leading] or list(range(len(cause.names)))
+
+
+def _neutral(cause: Candidate) -> float:
+    return 1.0 if cause.effect.leading == "factor" else 0.0
+
+
+def _same(found: Explanation, alone: list[list[Fit]], index: int) -> bool:
     chosen = found.chosen
-    return not at_bound(chosen.causes[index], chosen.part(index)) and same_in_each(chosen, alone, index)
+    return not at_bound(chosen.causes[index], chosen.part(index)) and same_in_each(chosen, alone, index, _least(found))
+
+
+def _least(found: Explanation) -> int:
+    return LEAST_LONG_RUNS if found.residual.link.witnesses else LEAST_RUNS
 
 
 def explained(found: Explanation) -> float:
@@ -81,17 +112,20 @@ def explained(found: Explanation) -> float:
     return 1.0 - max(after, 0.0) / before if before > 0.0 else 0.0
 
 
-def same_in_each(chosen: Fit, alone: list[Fit], index: int) -> bool:
-    """Whether most runs alone give the leading parameter of a cause its size in all."""
+def same_in_each(chosen: Fit, alone: list[list[Fit]], index: int, least: int) -> bool:
+    """Whether most runs alone give a cause its size in all, and ``least`` of them do.
+
+    A run that any size fits as well says nothing of it.
+    """
     cause = chosen.causes[index]
-    leading = [j for j, name in enumerate(cause.names) if name.partition(".")[0] == cause.effect.leading] or list(range(len(cause.names)))
-    neutral = 1.0 if cause.effect.leading == "factor" else 0.0
+    leading, neutral = _leading(cause), _neutral(cause)
     size = chosen.part(index)[leading] - neutral
     scale = float(np.linalg.norm(size))
     if not leading or scale == 0.0:
         return False
-    off = [float(np.linalg.norm(f.part(index)[leading] - neutral - size)) for f in alone]
-    return sum(o <= INVARIANT * scale for o in off) >= MOST_RUNS * len(off)
+    off = [[float(np.linalg.norm(f.part(index)[leading] - neutral - size)) <= INVARIANT * scale for f in fits] for fits in alone]
+    same, other = sum(all(near) for near in off), sum(not any(near) for near in off)
+    return same >= max(least, MOST_RUNS * (same + other))
 
 
 def _pays_without_rival(found: Explanation, index: int) -> bool:

@@ -17,7 +17,16 @@ from hiltestbed.diagnosis.layout import Layout, compensation_link, dynamics_link
 from hiltestbed.diagnosis.lines import hum_beside, lines
 from hiltestbed.diagnosis.links import AxisLink, CompensationLink, Link, LinkRun, PlatformLink, WrenchLink
 from hiltestbed.diagnosis.paths import BestPath, best_path, make_wrench_link
-from hiltestbed.diagnosis.readings import another_lever, at_a_point, choose_lever, lever_under, on_a_grid, wrench_link_of
+from hiltestbed.diagnosis.readings import (
+    another_lever,
+    at_a_point,
+    choose_lever,
+    choose_steps,
+    lever_under,
+    on_a_grid,
+    other_steps,
+    wrench_link_of,
+)
 from hiltestbed.diagnosis.residual import Residual
 from hiltestbed.diagnosis.search import Explanation, Progress, Search
 from hiltestbed.diagnosis.settings import DETECTION, MOST_NOISE, RECORD_LEFT
@@ -120,7 +129,7 @@ def _explain_compensation(
 def _investigate_wrench(layout: Layout, found: dict[str, Explanation], whole: dict[str, Link], progress: Progress | None) -> None:
     """Contact and sensor, which are one link to the data; and the compensation again where the record proves to be stamped late."""
     path = best_path(layout, found.get("platform"))
-    link = choose_lever(make_wrench_link(layout, path, layout.rows, decimate="compensation" not in found))
+    link = choose_steps(choose_lever(make_wrench_link(layout, path, layout.rows, decimate="compensation" not in found)))
     scales = replace(layout.scales, lines=lines(link))
     unseen = ("platform",) if link.commands else ()  # what it does is in the path then
     candidates = _candidates(scales, (*WRENCH, *unseen) if "compensation" in found else (*WRENCH, *unseen, "log"))
@@ -131,6 +140,8 @@ def _investigate_wrench(layout: Layout, found: dict[str, Explanation], whole: di
     explanation = search.explain(residual, given[0] if given else None)
     if not given and (levered := another_lever(explanation)):
         explanation = search.explain(Residual(levered))
+    if not given and (stepped := other_steps(explanation)):
+        explanation = search.explain(Residual(stepped))
     if not given and (pointed := at_a_point(explanation)):
         explanation = search.explain(Residual(pointed))
     if given and not explanation.adequate and _other_reading_betters(explanation, given[1]):
@@ -142,9 +153,9 @@ def _investigate_wrench(layout: Layout, found: dict[str, Explanation], whole: di
     chosen = wrench_link_of(explanation.residual)
     if tuple(run.rows for run in chosen.runs) != tuple(layout.rows):
         everything = make_wrench_link(layout, path, layout.rows)
-        explanation = on_all_rows(explanation, everything.reading(chosen.lever, chosen.grid, chosen.blunt))
+        explanation = on_all_rows(explanation, everything.as_read(chosen))
     found["wrench"] = explanation
-    whole["wrench"] = make_wrench_link(layout, path, layout.whole).reading(chosen.lever, chosen.grid, chosen.blunt)
+    whole["wrench"] = make_wrench_link(layout, path, layout.whole).as_read(chosen)
     if given:
         _settle_compensation(layout, path, found, whole, progress)
 
@@ -188,7 +199,7 @@ def _settle_compensation(
     in_time = [e for e in effects if e.link != "log"]
     links = []
     for rows in (layout.rows, layout.whole):
-        wrench = make_wrench_link(layout, path, rows).reading(chosen.lever, chosen.grid, chosen.blunt)
+        wrench = make_wrench_link(layout, path, rows).as_read(chosen)
         everything = range(len(wrench.runs))
         late, prompt = wrench.predict([(i, effects) for i in everything]), wrench.predict([(i, in_time) for i in everything])
         used = [_as_read(run, a, b, ticks) for run, a, b in zip(wrench.runs, late, prompt, strict=True)]

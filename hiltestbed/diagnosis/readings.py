@@ -17,7 +17,7 @@ from hiltestbed.diagnosis.links import WrenchLink
 from hiltestbed.diagnosis.links.base import Effects
 from hiltestbed.diagnosis.residual import Residual, square
 from hiltestbed.diagnosis.search import Explanation
-from hiltestbed.diagnosis.settings import AMBIGUITY, DETECTION, ONE_OF_TWO
+from hiltestbed.diagnosis.settings import DETECTION, ONE_OF_TWO
 
 LEVERS = (0.5, 0.0, 1.0)  # that are tried first
 
@@ -47,6 +47,24 @@ def choose_lever(link: WrenchLink, effects: Effects = ()) -> WrenchLink:
 def _same_at_any(link: WrenchLink) -> bool:
     """Whether no friction tells the levers apart."""
     return all(r.scenario.mechanism.contact.friction == 0.0 for r in link.runs)
+
+
+def choose_steps(link: WrenchLink, effects: Effects = ()) -> WrenchLink:
+    """Whether a mount is stepped as MuJoCo does it or is right by itself: the reading that leaves less under ``effects``."""
+    if not link.stepped:
+        return link
+    exact = link.reading(exact=effects)
+    return exact if square(Residual(exact)(effects)) < square(Residual(link)(effects)) - ONE_OF_TWO else link
+
+
+def other_steps(explanation: Explanation) -> WrenchLink | None:
+    """The link with a mount that is right by itself, if what was found fits better there, or than with what other effects make of it."""
+    link, chosen = wrench_link_of(explanation.residual), explanation.chosen
+    if not link.stepped or not explanation.departs or not chosen.causes or JITTER in chosen.kinds:
+        return None
+    other = link.reading(exact=chosen.effects())
+    there = explanation.residual.through(other)
+    return other if refit(there, chosen).score < chosen.score - DETECTION * inflation(chosen) else None
 
 
 def lever_under(residual: Residual, found: Fit) -> Residual:
@@ -107,23 +125,11 @@ def at_a_point(explanation: Explanation) -> WrenchLink | None:
 
 
 def on_a_grid(explanation: Explanation) -> WrenchLink | None:
-    """The link where readings lie between the instants of the believed physics, if what was found, or nothing, fits better there.
-
-    A record that is stamped late lies between its own rows; where that is what was found, a sensor as late of a facility that computes its
-    contact once a row does as well, and is tried.
-    """
-    link, chosen = wrench_link_of(explanation.residual), explanation.chosen
-    if not explanation.departs or JITTER in chosen.kinds:
+    """The link where readings lie between the instants of the believed physics, if what was found, or nothing, fits better there."""
+    link = wrench_link_of(explanation.residual)
+    if not explanation.departs or JITTER in explanation.chosen.kinds:
         return None
     other = link.reading(grid=link.runs[0].scenario.substeps)
     there = explanation.residual.through(other)
-    fits = [nothing(there), *([refit(there, chosen)] if chosen.causes else [])]
-    if min(f.score for f in fits) < chosen.score - ONE_OF_TWO:
-        return other
-    late = next((c for c in explanation.candidates if c.kind == "sensor.delay"), None)
-    if late is None or "log.skew" not in chosen.kinds:
-        return None
-    other = link.reading(grid=1)
-    causes = tuple(late if c.kind == "log.skew" else c for c in chosen.causes)
-    found = fit(explanation.residual.through(other), causes, [chosen.theta], tries=1)
-    return other if found.score < chosen.score + AMBIGUITY * inflation(chosen) else None
+    fits = [nothing(there), *([refit(there, explanation.chosen)] if explanation.chosen.causes else [])]
+    return other if min(f.score for f in fits) < explanation.chosen.score - ONE_OF_TWO else None

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hiltestbed.diagnosis.adequacy import JITTER, Leftover, contact_leftovers
+from hiltestbed.diagnosis.adequacy import JITTER, Leftover, contact_leftovers, noise_alone
 from hiltestbed.diagnosis.fit import Fit, bounds_of, differences, effects_at, fit, inflation, nothing, refit, scales
 from hiltestbed.diagnosis.jitter import again
 from hiltestbed.diagnosis.links.base import Effects
@@ -35,6 +35,9 @@ Judge = Callable[[Residual, Effects], dict[str, Leftover]]
 Special = Callable[[Residual, Fit], Fit | None]  # a hypothesis that is made from what a fit leaves
 Reread = Callable[[Residual, Fit], Residual]  # the reading of a link that a fit bears out; the residual itself where it is that one
 Progress = Callable[[str], None]
+
+
+CLOCKS = {"sensor.delay", "log.skew"}
 
 
 @dataclass(frozen=True)
@@ -66,6 +69,27 @@ class Explanation:
         """How far the worst channel lies above what passes for noise."""
         return max((left.excess for left in self.leftovers.values()), default=0.0)
 
+    def with_the_other_clock(self, judge: Judge) -> Explanation:
+        """A late sensor and a record that is stamped late as rivals of each other, where both are hypotheses.
+
+        They are so where nothing shows what became of the force: only how a facility reads between its rows could tell them apart, and
+        that is not known.
+        """
+        clocks = [c for c in self.candidates if c.kind in CLOCKS and not c.variant]
+        if self.chosen.causes == () or {c.kind for c in clocks} != CLOCKS:
+            return self
+        rivals = list(self.rivals or ((),) * len(self.chosen.causes))
+        for i, cause in enumerate(self.chosen.causes):
+            other = next((c for c in clocks if c.kind != cause.kind), None)
+            if cause.kind not in CLOCKS or other is None or CLOCKS & {*self.chosen.kinds[:i], *self.chosen.kinds[i + 1 :]}:
+                continue
+            causes = (*self.chosen.causes[:i], other, *self.chosen.causes[i + 1 :])
+            late = fit(self.residual, causes, [self.chosen.theta], tries=1)
+            known = any(other.kind in f.kinds for f in rivals[i])
+            if not known and noise_alone(judge(self.residual, late.effects())):
+                rivals[i] = (*rivals[i], late)
+        return replace(self, rivals=tuple(rivals))
+
 
 @dataclass(frozen=True)
 class Search:
@@ -84,7 +108,7 @@ class Search:
         null = refit(residual, given) if given else nothing(residual)
         before = self.judge(residual, null.effects())
         singles = self.extend(residual, null)
-        adequate_null = all(left.noise for left in before.values())
+        adequate_null = noise_alone(before)
         if singles and (wary := residual.wary(singles[0].effects())) is not residual:
             residual = wary
             null = refit(residual, null)
@@ -110,7 +134,7 @@ class Search:
     ) -> Explanation:
         """Further causes beside the best so far, until none pays."""
         leftovers = self.judge(residual, chosen.effects())
-        adequate = all(left.noise for left in leftovers.values())
+        adequate = noise_alone(leftovers)
         more: list[Fit] = []
         level = first_of_each(singles, "kinds")
         for count in range(1, 1 if given else MOST_CAUSES):
@@ -133,7 +157,7 @@ class Search:
                 break
             chosen, level = found[0], found
             leftovers = self.judge(residual, chosen.effects())
-            adequate = all(left.noise for left in leftovers.values())
+            adequate = noise_alone(leftovers)
         null = nothing(residual)
         result = Explanation(residual, self.candidates, null, chosen, adequate, True, leftovers, before, (*singles, *known), tuple(more))
         return result if not (adequate and chosen.causes) else with_rivals(result, self.judge)
@@ -145,7 +169,7 @@ class Search:
         if not foreign:
             return self
         left = self.judge(residual.wary(best.effects()), best.effects())  # as it is judged when its turn comes
-        if not all(channel.noise for channel in left.values()):
+        if not noise_alone(left):
             return self
         return replace(self, candidates=tuple(c for c in self.candidates if c.kind in best.kinds))
 
@@ -291,6 +315,6 @@ def with_rivals(found: Explanation, judge: Judge) -> Explanation:
         shared = [kind in f.kinds for kind in chosen.kinds]
         if sum(shared) != len(shared) - 1 or _limit_of(found.residual, chosen, shared.index(False), f):
             continue
-        if all(left.noise for left in judge(found.residual, f.effects()).values()):
+        if noise_alone(judge(found.residual, f.effects())):
             rivals[shared.index(False)].append(f)
-    return replace(found, rivals=tuple(map(tuple, rivals)))
+    return replace(found, rivals=tuple(map(tuple, rivals))).with_the_other_clock(judge)

@@ -12,6 +12,7 @@ import numpy as np
 
 from hiltestbed.diagnosis.links import PlatformLink
 from hiltestbed.diagnosis.residual import Residual, square
+from hiltestbed.frames import Array
 from hiltestbed.platform.effects.tracking import PlatformFriction
 
 SCANNED = 500  # sticks, on the slowest run
@@ -22,6 +23,7 @@ INSTANTS = (2, 3, 4, 5, 6, 8, 10, 13, 16, 20, 28, 40, 60, 100, 200)  # a tick: f
 LIKELY = 2  # of them, beside those of the believed physics, that are searched to the end
 FINEST = 1e-5  # of a stick
 CLEAR = 6.0  # times the noise: a departure that may be a stick
+TOGETHER = 1.5  # mean square of the departures over that of the noise: a stick of s adds some (s/sigma)^2 / 3, noise is known to a fifth
 
 
 def stick_starts(link: PlatformLink, noise: float, substeps: int) -> dict[int, list[float]]:
@@ -29,9 +31,11 @@ def stick_starts(link: PlatformLink, noise: float, substeps: int) -> dict[int, l
     speeds = [float(np.max(np.abs(np.diff(c[:, :3], axis=0)))) for c in link.commands]
     i = int(np.argmin(speeds))
     sigma = link.runs[i].sigma[1:, :3]
+    known = np.isfinite(sigma)
     departed = np.abs(link.runs[i].measured - link.shown(i))[1:, :3]
-    away = float(np.max(departed[np.isfinite(sigma)], initial=0.0)) - noise
-    if away <= CLEAR * noise or not (departed > CLEAR * sigma).any():  # within what is not known of how the drives give way
+    away = float(np.max(departed[known], initial=0.0)) - noise
+    alone = away > CLEAR * noise and bool((departed > CLEAR * sigma).any())  # beyond what is not known of how the drives give way
+    if not alone and _mean_square(departed[known] / sigma[known]) <= TOGETHER:
         return {}
     rows = link.runs[i].rows
     count = max(SCANNED // 5, min(SCANNED, SCANNED * LONGEST // rows))
@@ -45,6 +49,10 @@ def stick_starts(link: PlatformLink, noise: float, substeps: int) -> dict[int, l
         near = [float(tried[j]) for j in np.argsort(costs)[:6]]
         starts[instants] = finest_sticks(Residual(link), near, float(tried[1] / tried[0]) - 1.0, instants)
     return starts
+
+
+def _mean_square(values: Array) -> float:
+    return square(values) / max(1, len(values))
 
 
 def finest_sticks(residual: Residual, near: Sequence[float], step: float, instants: int) -> list[float]:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
 
-from hiltestbed.diagnosis.fit import fit
-from hiltestbed.diagnosis.in_part import at_bound, explained, holding, same_in_each
+from hiltestbed.diagnosis.adequacy import contact_leftovers
+from hiltestbed.diagnosis.fit import fit, nothing
+from hiltestbed.diagnosis.in_part import at_bound, explained, holding, in_each_run, same_in_each
 from hiltestbed.diagnosis.report.page import TITLES
 from hiltestbed.diagnosis.residual import Residual
 from hiltestbed.diagnosis.result import VERDICTS
@@ -51,8 +53,34 @@ def test_a_cause_has_one_size_in_each_run_and_a_stand_in_has_not() -> None:
     steps = [run.measured + 200.0 * v * run.touching[:, None] * (np.arange(6) == 2) for run, v in zip(growing.runs, SPEEDS, strict=True)]
     for residual, same in ((steady, True), (Residual(reread(growing, steps)), False)):
         chosen = fit(residual, (preload,), preload.grid)
-        alone = [fit(residual.on([i]), (preload,), preload.grid) for i in residual.runs]
-        assert same_in_each(chosen, alone, 0) is same
+        alone = [[fit(residual.on([i]), (preload,), preload.grid)] for i in residual.runs]
+        assert same_in_each(chosen, alone, 0, 3) is same
+
+
+def test_a_run_that_any_size_fits_says_nothing_of_it() -> None:
+    """Three of five tell: as many as asked agree, one more than there are does not; and one that differs is too many then."""
+    preload = candidates("contact.preload")[0]
+    residual = Residual(contact_link([effect("contact.preload", force=6.0)], speeds=SPEEDS))
+    chosen = fit(residual, (preload,), preload.grid)
+    larger = replace(chosen, theta=1.4 * chosen.theta)
+    alone = [[chosen], [chosen], [chosen], [chosen, larger], [larger, chosen]]
+    assert same_in_each(chosen, alone, 0, 3)
+    assert not same_in_each(chosen, alone, 0, 4)
+    assert not same_in_each(chosen, [*alone, [larger]], 0, 3)
+
+
+def test_a_size_that_the_runs_do_not_bear_on_is_the_same_in_none() -> None:
+    """Damping makes a force of 8 N and more of each touch: what is below is not met, neither the end of a dead zone nor a bias within it.
+
+    Both stay where a fit starts, in every run alone too; a stiffness is found again.
+    """
+    stiffness, zone, bias = (candidates(kind)[0] for kind in ("contact.stiffness", "sensor.deadzone", "sensor.bias"))
+    residual = Residual(contact_link([effect("contact.stiffness", factor=1.1), effect("sensor.deadzone", width=5.0)], speeds=SPEEDS))
+    chosen = fit(residual, (stiffness, zone, bias), [[1.1, 5.0, 0.0, -3.0, 0.0, 0.0, 0.0, 0.0]], tries=1)
+    assert chosen.part(2)[1] == -3.0
+    none = contact_leftovers(residual, chosen.effects())
+    found = Explanation(residual, chosen.causes, nothing(residual), chosen, True, True, none, none, (chosen,))
+    assert [same_in_each(chosen, in_each_run(found), i, 3) for i in range(3)] == [True, False, False]
 
 
 @pytest.mark.parametrize(("factor", "there"), [(1.3, False), (20.0, True)])

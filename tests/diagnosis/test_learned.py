@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -99,6 +100,19 @@ def test_the_curve_of_a_sensor_is_told_from_that_of_a_contact_by_other_known_spr
     knots = np.array(law.effect.parameters()["reading"])
     assert np.abs(knots[:, 1] - (knots[:, 0] - 4e-4 * knots[:, 0] ** 2)).max() < 0.01 * knots[-1, 0]
     assert equation(law) is not None
+
+
+def test_a_run_in_which_nothing_touches_bears_nothing_on_the_curve_of_a_sensor() -> None:
+    touched = recorded(linear, lambda f: f - 4e-4 * f**2, springs=(1.0, 1.0, 0.5, 1.0, 2.0)).link
+    assert isinstance(touched, WrenchLink)
+    first, apart = touched.runs[0], touched.paths[0] - [0.0, 0.0, 0.5, 0.0, 0.0, 0.0, 0.0]
+    noise = NOISE * np.random.default_rng(7).standard_normal(first.measured.shape)
+    missed = replace(first, measured=noise, touching=np.zeros(len(apart), dtype=bool))
+    law, _ = learned(Residual(WrenchLink([*touched.runs, missed], [*touched.paths, apart])))
+    assert law.effect.kind == "sensor.map"
+    assert law.effect.parameters()["reading"] == pytest.approx(
+        np.array(learned(Residual(touched))[0].effect.parameters()["reading"]), rel=0.01
+    )
 
 
 def test_the_answer_of_a_platform_to_a_step_is_recovered() -> None:

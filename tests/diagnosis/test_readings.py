@@ -9,14 +9,14 @@ import pytest
 
 from hiltestbed.diagnosis.fit import Fit, fit, nothing
 from hiltestbed.diagnosis.links import LinkRun, WrenchLink
-from hiltestbed.diagnosis.readings import another_lever, choose_lever, lever_under
+from hiltestbed.diagnosis.readings import another_lever, choose_lever, choose_steps, lever_under
 from hiltestbed.diagnosis.residual import Residual
 from hiltestbed.diagnosis.search import Explanation, Search
 from hiltestbed.effects import EFFECTS
 from hiltestbed.effects.search import Candidate, Scales
 from hiltestbed.scenario import scenario_from
 
-from .made import NOISE, STIFFNESS, H, bounce, effect, reread, scenario
+from .made import NOISE, STIFFNESS, H, bounce, contact_link, effect, reread, scenario
 
 FRICTION, ACTS_AT = 0.1, 0.0  # of 3 mm of depth and 29 N of friction: 0.09 N m between surface and tip
 TORQUE_NOISE = 1e-3  # [N m]
@@ -94,3 +94,33 @@ def test_without_friction_there_is_no_lever_to_choose() -> None:
     smooth = [replace(run, scenario=scenario()) for run in link.runs]
     same = WrenchLink(smooth, link.paths)
     assert choose_lever(same) is same
+
+
+def mounted(instants: int) -> WrenchLink:
+    """A bounce on a mount that is stepped ``instants`` times a tick."""
+    told = scenario().model_dump(mode="json")
+    told["mechanism"]["mount"] = {
+        "stiffness": [3e5, 3e5, 1e5, 2e4, 2e4, 2e4], "damping": [2e3, 2e3, 1e3, 200.0, 200.0, 200.0],
+    }  # fmt: skip
+    told["physics_rate"] = instants * told["rate"]
+    path = bounce()
+    return WrenchLink([LinkRun(scenario_from(told), np.zeros((len(path), 6)), np.full((len(path), 6), NOISE), path[:, 2] > 0.0)], [path])
+
+
+def test_a_mount_is_right_whatever_its_steps_where_the_data_bear_that_out() -> None:
+    """Steps of first order miss half a step of the swing; extrapolated, what is left is of second order, and of the touch."""
+    link, true = mounted(4), mounted(256).shown(0)
+    missed = np.abs(link.shown(0) - true).max()
+    assert np.abs(link.reading(exact=()).shown(0) - true).max() < 0.15 * missed
+    assert choose_steps(reread(link, [true])).exact == ()
+    assert choose_steps(reread(link, [link.shown(0)])).exact is None
+    assert choose_steps(contact_link()).exact is None
+
+
+def test_a_late_sensor_and_a_late_record_are_rivals_where_nothing_shows_what_became_of_the_force() -> None:
+    residual = Residual(contact_link([effect("sensor.delay", delay=LATE)]))
+    both = Search(candidates("sensor.delay", "log.skew", "contact.stiffness")).explain(residual)
+    assert both.adequate
+    assert {both.chosen.kinds, both.rivals[0][0].kinds} == {("sensor.delay",), ("log.skew",)}
+    alone = Search(candidates("sensor.delay", "contact.stiffness")).explain(residual)
+    assert (alone.chosen.kinds, alone.rivals) == (("sensor.delay",), ((),))

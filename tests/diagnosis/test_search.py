@@ -74,6 +74,20 @@ def test_a_stick_is_found_to_where_the_last_jump_ends() -> None:
     assert finest_sticks(residual, [2e-3], 1e-3, 4) == [2e-3]  # no better than none at all: left as it is
 
 
+def test_a_stick_of_some_three_times_the_noise_is_found_by_all_its_rows() -> None:
+    """No row lies six times the noise away; the mean square of them all is twice that of the noise and more."""
+    stick = 3.3 * POSE_NOISE
+    link = platform_link([effect("platform.friction", {"instants": 20}, stick=stick)], speeds=(0.0011, 0.0017))
+    departed = max(float(np.abs(run.measured - link.shown(i)).max()) for i, run in enumerate(link.runs))
+    assert departed < 7.0 * POSE_NOISE
+    residual, starts = Residual(link), stick_starts(link, POSE_NOISE, 4)
+    found = [(square(residual([effect("platform.friction", {"instants": n}, stick=s)])), s) for n, near in starts.items() for s in near]
+    count = np.count_nonzero(residual(()))
+    left, best = min(found)
+    assert left < count + 4.0 * math.sqrt(2.0 * count)
+    assert best == pytest.approx(stick, rel=0.01)  # a command so slow tells little of the instants a tick
+
+
 def test_a_platform_that_follows_its_command_has_no_stick() -> None:
     assert stick_starts(platform_link(), POSE_NOISE, 4) == {}
 

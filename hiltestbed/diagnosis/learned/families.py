@@ -166,10 +166,11 @@ def sensor_families(residual: Residual, known: Effects) -> Iterator[SensorCurve]
         if left[j] < 0.1 * left.max():
             continue
         felt = [link.shown(i, known)[link.runs[i].touching, j] for i in residual.runs]
-        most = max(float(np.max(np.abs(f), initial=0.0)) for f in felt)
+        least, highest = min(float(f.min(initial=0.0)) for f in felt), max(float(f.max(initial=0.0)) for f in felt)
+        most = max(-least, highest)
         if most > 0.0:
-            both = min(float(np.min(f, initial=0.0)) for f in felt) < -0.1 * most and max(float(f.max()) for f in felt) > 0.1 * most
-            sign = 1.0 if max(float(f.max()) for f in felt) >= 0.1 * most else -1.0
+            both = least < -0.1 * most and highest > 0.1 * most
+            sign = 1.0 if highest >= 0.1 * most else -1.0
             ends = (-most, most) if both else (0.0, most) if sign > 0.0 else (-most, 0.0)
             levels = HELD_LEVELS if both else PUSHED_LEVELS
             yield SensorCurve((Block("reading", np.linspace(*ends, FINE), True, levels),), most, WRENCH_AXES[j])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import replace
@@ -14,6 +15,7 @@ from hiltestbed.contact.mount_dynamics import MountDynamics
 from hiltestbed.contact.parameters import ContactParameters, believed_contacts, contact_rows
 from hiltestbed.contact.sides import sides_of
 from hiltestbed.diagnosis.links.base import Effects, Lane, Later, Link, LinkRun, padded
+from hiltestbed.diagnosis.settings import BLOCK
 from hiltestbed.frames import Array, pose_step
 from hiltestbed.log import log_parameters
 from hiltestbed.numerical_model.bodies import approach_state
@@ -25,6 +27,7 @@ from hiltestbed.scenario import Scenario
 from hiltestbed.sensor.parameters import SensorParameters
 
 NODES = np.linspace(-2.75, 2.75, 12)  # of a standard normal
+FINER = 4  # times as many steps, from which those of no length are extrapolated
 WEIGHTS = np.exp(-0.5 * NODES**2) / np.sum(np.exp(-0.5 * NODES**2))
 
 
@@ -45,6 +48,8 @@ class WrenchLink(Link):
         its foremost point does. grid: instants a tick between which a late
         reading lies on a straight line, as a facility has it that computes its contact step by step; None: it is that of the instant at
         which it left the contact. The rate of a contact jumps from one tick to the next, so that the two differ.
+        of_rows: of the record, whose mean each row is. exact: None: a mount is stepped as MuJoCo does it, which is right to the first
+        order; else it is right itself, by what these effects make of the difference.
     """
 
     name = "wrench"
@@ -58,6 +63,9 @@ class WrenchLink(Link):
         self.runs, self.paths, self.jumps, self.rates = runs, paths, jumps, rates
         self.lever, self.blunt, self.grid = 0.5, 1.0, None
         self.commands: Sequence[Array] | None = None
+        self.of_rows = 1
+        self.exact: Effects | None = None
+        self._step_error: list[Array] | None = None
         self._believed = [_numbers(r.scenario, self.lever, self.blunt) for r in runs]
         scenarios = [r.scenario for r in runs]
         first, before = scenarios[0], np.empty((len(runs), 7))
@@ -69,7 +77,9 @@ class WrenchLink(Link):
             MountDynamics.of(scenarios), first.substeps, self.lever, self.blunt, None if rates is None else padded(rates), creep_of(first),
         )  # fmt: skip
 
-    def reading(self, lever: float | None = None, grid: int | None = None, blunt: float | None = None) -> WrenchLink:
+    def reading(
+        self, lever: float | None = None, grid: int | None = None, blunt: float | None = None, exact: Effects | None = None
+    ) -> WrenchLink:
         """The same link with another reading of what is not known of the facility."""
         out = copy(self)
         lever, blunt = self.lever if lever is None else lever, self.blunt if blunt is None else blunt
@@ -77,7 +87,28 @@ class WrenchLink(Link):
             out.lever, out.blunt, out._felt = lever, blunt, replace(self._felt, lever=lever, blunt=blunt)
             out._believed = [_numbers(r.scenario, lever, blunt) for r in self.runs]
         out.grid = self.grid if grid is None else grid
+        out.exact = self.exact if exact is None else exact
+        if out.exact is not None:
+            out._step_error = out._missed_by_steps(out.exact)
         return out
+
+    def as_read(self, other: WrenchLink) -> WrenchLink:
+        """The same link with the reading of another one, which may have fewer rows."""
+        grid = None if other.grid is None else max(1, round(other.grid * self.of_rows / other.of_rows))
+        return self.reading(other.lever, grid, other.blunt, other.exact)
+
+    @property
+    def stepped(self) -> bool:
+        """Whether a mount is integrated, so that its steps matter."""
+        return self._felt.mount is not None
+
+    def _missed_by_steps(self, effects: Effects) -> list[Array]:
+        """(N, 6) of each run what a mount's steps of first order miss: what a quarter of them changes, extrapolated (L. F. Richardson,
+        Phil. Trans. A 210, 1911)."""
+        finer = replace(self._felt, substeps=FINER * self._felt.substeps)
+        lanes = [self._lane(i, effects) for i in range(len(self.runs))]
+        coarse, fine = (replay_wrench(felt, lanes, self.grid) for felt in (self._felt, finer))
+        return [(f - c)[: r.rows] * FINER / (FINER - 1.0) for f, c, r in zip(fine, coarse, self.runs, strict=True)]
 
     def commanded(self, commands: Sequence[Array]) -> WrenchLink:
         """The same link where nobody measured the paths: they are what the platform made of ``commands`` (N, 7), its effects included."""
@@ -106,7 +137,10 @@ class WrenchLink(Link):
 
     def _felt_by(self, lanes: Sequence[Lane]) -> list[Array]:
         found = replay_wrench(self._felt, [self._lane(i, effects) for i, effects in lanes], self.grid)
-        return [reading[: self.runs[i].rows] for reading, (i, _) in zip(found, lanes, strict=True)]
+        shown = [reading[: self.runs[i].rows] for reading, (i, _) in zip(found, lanes, strict=True)]
+        if self._step_error is None:
+            return shown
+        return [reading + self._step_error[i] for reading, (i, _) in zip(shown, lanes, strict=True)]
 
     def _lane(self, i: int, effects: Effects) -> FeltLane:
         links = {e.link for e in effects}
@@ -150,12 +184,18 @@ class WrenchLink(Link):
 
     def doubt(self, i: int, effects: Effects) -> Array | None:
         """(N, 6) how far a reading hangs on what a replay does not know: what lies between two instants of the physics, which is much
-        where a touch or a jump does, and the noise by which a force at the edge of a dead zone is read or not."""
+        where a touch or a jump does; the noise by which a force at the edge of a dead zone is read or not; and what is added for the
+        steps of a mount, which is that of other effects: it goes the same way for many rows, and counts like noise that is larger by the
+        root of a block."""
+        of_steps = 0.0 if self._step_error is None else math.sqrt(BLOCK) * np.abs(self._step_error[i])
+        return np.hypot(np.hypot(self._between_instants(i, effects), self._at_the_edge(i, effects)), of_steps)
+
+    def _between_instants(self, i: int, effects: Effects) -> Array:
         s = self.runs[i].scenario
         step = s.tick / min(s.substeps, 4)
         late = self.lateness(i, effects)
         if late < step:
-            return self._at_the_edge(i, effects)
+            return np.zeros((self.runs[i].rows, 6))
         shifts = [[*effects, Later(delay=d)] for d in (-step, step)]
         early, after, now = self.predict([(i, shifts[0]), (i, shifts[1]), (i, effects)])
         out = np.abs(early + after - 2.0 * now)
@@ -165,7 +205,7 @@ class WrenchLink(Link):
             jump = np.concatenate([np.zeros(first), self.jumps[i]])[:rows]
             touched = np.concatenate([np.zeros(first, dtype=bool), self.paths[i][:, 2] > -jump.max(initial=0.0)])[:rows]
             out[:, 2] += s.mechanism.contact.stiffness * np.where(touched, jump, 0.0)
-        return np.hypot(out, self._at_the_edge(i, effects))
+        return out
 
     def _at_the_edge(self, i: int, effects: Effects) -> Array:
         """(N, 6) spread of what a dead zone makes of the noise before it: its width w, times the root of the chance to be read as no
