@@ -120,9 +120,8 @@ def diagnosis(
 def one_set(task: Task) -> dict[str, Any]:
     """Draw a set, write it, diagnose it from its files, and compare."""
     from hiltestbed.bench.independent_rig import draw_set, write_set
-    from hiltestbed.diagnosis.find import cause_of, gain_of
+    from hiltestbed.diagnosis.find import cause_of, gain_of, judge
     from hiltestbed.diagnosis.investigate import investigate
-    from hiltestbed.diagnosis.verdict import decide
     from hiltestbed.measured import load_dataset
 
     options: dict[str, Any] = {"names": task.names} if task.names else {}
@@ -130,8 +129,8 @@ def one_set(task: Task) -> dict[str, Any]:
     start = time.process_time()
     with tempfile.TemporaryDirectory() as folder:
         write_set(folder, hidden)
-        findings = investigate(load_dataset(Path(folder) / "dataset.yaml"))
-    verdict = decide(findings)
+        judged = judge(investigate(load_dataset(Path(folder) / "dataset.yaml")))
+    findings, verdict = judged.findings, judged.verdict
     causes = [cause_of(findings, c) for c in verdict.causes]
     gain = gain_of(findings, verdict.causes)
     truth = [e["kind"] for e in hidden.effects]
@@ -229,6 +228,8 @@ def summarise(records: Sequence[dict[str, Any]]) -> dict[str, Any]:
         "pair_rate": _rate(by_kind["pair"]),
         "false_alarm_rate": 1.0 - _rate(by_kind["healthy"]) if by_kind["healthy"] else 0.0,
         "foreign_unknown_rate": _rate(by_kind["foreign"]),
+        "foreign_named_rate": sum(bool(r["causes"]) for r in by_kind["foreign"]) / max(1, len(by_kind["foreign"])),
+        "named_in_part_wrong_rate": wrong_in_part(records),
         "healthy_taken_off": max((r["alarm"]["taken_off"] for r in by_kind["healthy"]), default=None),
         "healthy_excess": max((r["alarm"]["excess"] for r in by_kind["healthy"]), default=None),
         "abstention_rate": sum(r["verdict"] == "unknown" for r in hidden) / max(1, len(hidden)),
@@ -248,6 +249,15 @@ def summarise(records: Sequence[dict[str, Any]]) -> dict[str, Any]:
         "confusion": confusion(by_kind["single"] + dockings["single"]),
         "smallest_found": smallest(records),
     }
+
+
+def wrong_in_part(records: Sequence[dict[str, Any]]) -> float | None:
+    """Share of the causes named in part that were not hidden; None where none was named in part."""
+    said = [
+        bool({c["effect"], *c["indistinguishable_from"]} & {e["kind"] for e in r["hidden"]})
+        for r in records for c in r["causes"] if r["verdict"] == "named_in_part"
+    ]  # fmt: skip
+    return 1.0 - sum(said) / len(said) if said else None
 
 
 def noise_alarms(records: Sequence[dict[str, Any]]) -> dict[str, str]:

@@ -15,6 +15,8 @@ RATES = {
     "pair_rate": "two hidden effects, both named",
     "false_alarm_rate": "healthy rigs that were extended",
     "foreign_unknown_rate": "effects outside the vocabulary, unknown with the right link",
+    "foreign_named_rate": "effects outside the vocabulary, for which one of the vocabulary was named",
+    "named_in_part_wrong_rate": "causes named in part that were not hidden, of all sets",
     "abstention_rate": "hidden effects on which it abstained",
     "docking_named_rate": "one hidden effect in a docking, named",
     "docking_pair_rate": "two hidden effects in a docking, both named",

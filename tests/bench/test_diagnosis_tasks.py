@@ -54,6 +54,21 @@ def test_bumpers_dockings_and_noises_are_counted_apart() -> None:
     assert diagnosis_report([], summary) is not None
 
 
+def test_false_names_are_counted_in_part_and_for_what_no_name_is_right() -> None:
+    def said(task: Task, verdict: str, *names: str) -> dict[str, Any]:
+        causes = [{"effect": name, "indistinguishable_from": [], "probability": 1.0} for name in names]
+        return record(task, verdict, False) | {"causes": causes}
+
+    in_part = said(Task(1, "single", ("sensor.delay",)), "named_in_part", "sensor.delay", "sensor.gain")
+    foreign = [Task(s, "foreign", ("unknown.play",)) for s in (2, 3, 4)]
+    summary = summarise(
+        [in_part, said(foreign[0], "named_in_part", "sensor.lag"), said(foreign[1], "unknown"), said(foreign[2], "unknown")]
+    )
+    assert summary["named_in_part_wrong_rate"] == pytest.approx(2 / 3)
+    assert summary["foreign_named_rate"] == pytest.approx(1 / 3)
+    assert summarise([said(foreign[0], "unknown")])["named_in_part_wrong_rate"] is None
+
+
 def test_stated_probabilities_are_counted_against_what_was_hidden() -> None:
     def said(name: str, probability: float) -> dict[str, Any]:
         found = record(Task(1, "single", ("sensor.delay",)), "named", True)
