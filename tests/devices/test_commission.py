@@ -118,6 +118,21 @@ def test_a_sensor_that_is_mounted_askew_is_told_beside_delay_gain_and_crosstalk(
     assert _apart_deg(mounted, Rotation.from_rotvec(ASKEW, degrees=True).as_quat()) < 0.3  # a leak beside a turn, in P's axes
 
 
+@SLOW
+def test_a_diagnosis_of_the_dataset_says_the_same_of_a_sensor_that_is_mounted_askew(askew: Commissioned, tmp_path: Path) -> None:
+    """Four causes on one link; without a loop a late record cannot be told from a late sensor."""
+    folder = write_commission(askew, tmp_path / "facility")
+    found = {c.effect: c for c in diagnose(folder / "dataset.yaml").causes}
+    late = next(c for kind, c in found.items() if kind in ("sensor.delay", "log.skew"))
+    assert {late.effect, *late.indistinguishable_from} == {"sensor.delay", "log.skew"}
+    assert set(found) == {late.effect, "sensor.rotation", "sensor.gain", "sensor.crosstalk", "platform.delay"}
+    assert late.parameters["delay"].estimate == pytest.approx(0.0043, rel=0.01)
+    assert np.linalg.norm(np.subtract(found["sensor.rotation"].parameters["angles_deg"].estimate, ASKEW)) < 0.01 * np.linalg.norm(ASKEW)
+    assert found["sensor.gain"].parameters["factor"].estimate == pytest.approx(1.08, rel=0.01)
+    assert found["sensor.crosstalk"].parameters["ratio"].estimate == pytest.approx(0.05, rel=0.01)
+    assert found["platform.delay"].parameters["delay"].estimate == pytest.approx(0.0035, rel=0.01)
+
+
 @pytest.mark.parametrize(
     ("name", "believed"), [slow("02-bumper", BELIEVED), ("13-ring-down", CAPTURED), slow("03-bumper-delay-uncompensated", BELIEVED)]
 )
