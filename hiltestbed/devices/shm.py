@@ -68,7 +68,7 @@ class _Inbox:
     def __init__(self, counts) -> None:
         self.box: Mailbox | None = None
         self.counts = counts
-        self.sequence = Sequence(counts, bits=63)
+        self.sequence = Sequence(counts, bits=63, longest_gap=1 << 61)  # any: a mailbox keeps the newest message, however long nobody reads
 
     def open(self, box: Mailbox) -> None:
         self.box = box

@@ -42,6 +42,20 @@ def test_a_number_that_cannot_follow_is_not_believed() -> None:
     assert sequence.newest == 6
 
 
+def test_a_reader_that_has_paused_goes_on_with_the_second_record() -> None:
+    judged, counts, sequence = _follow([5, 20_000, 20_001, 20_002])
+    assert judged == [True, False, True, True]
+    assert (counts[Event.MALFORMED], counts[Event.LOST]) == (1, 20_000 - 6)
+    assert sequence.newest == 20_002
+
+
+def test_a_device_that_counts_from_the_start_again_goes_on_with_the_second_record() -> None:
+    judged, counts, sequence = _follow([4_000_000, 0, 4_000_001, 7, 3, 4, 5])
+    assert judged == [True, False, True, False, False, True, True]
+    assert (counts[Event.MALFORMED], counts[Event.LOST]) == (3, 0)
+    assert sequence.newest == 4_000_003
+
+
 def test_a_stream_with_losses_and_swaps_is_accounted_for() -> None:
     """Every record is new, lost or out of order; those that are both lost at first and late after are counted as both."""
     rng = np.random.default_rng(8)

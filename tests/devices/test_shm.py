@@ -11,7 +11,7 @@ import pytest
 
 from hiltestbed.devices.interface import DeviceError, Event
 from hiltestbed.devices.mailbox import attach, make
-from hiltestbed.devices.table import platform_client, platform_server, sensor_client
+from hiltestbed.devices.table import platform_client, platform_server, sensor_client, sensor_server
 from hiltestbed.errors import InputError
 from tests.devices.running import START
 
@@ -55,6 +55,20 @@ def test_a_reader_gets_whole_messages_from_another_process() -> None:
         writer.wait(30)
         writer.stdout.close()
     assert writer.returncode == 0
+
+
+def test_a_reader_that_has_paused_gets_the_newest_message() -> None:
+    """However many were written meanwhile: a process may stand still for longer than a writer takes for 10,000 messages."""
+    name = _name("paused")
+    with sensor_server(f"shm://{name}") as server:
+        server.publish(np.zeros(6), 0.0)
+        with sensor_client(f"shm://{name}") as client:
+            for k in range(2, 15_001):
+                server.publish(np.full(6, float(k)), 1e-3 * k)
+            assert client.poll()
+            assert client.reading.sequence == 15_000
+            assert client.counts[Event.LOST] == 15_000 - 2
+            assert client.counts[Event.MALFORMED] == 0
 
 
 def test_a_platform() -> None:
