@@ -9,12 +9,14 @@ from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hiltestbed.errors import InputError
-from hiltestbed.frames import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+    from hiltestbed.frames import Array
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 _POSE = ("px", "py", "pz", "qx", "qy", "qz", "qw")
@@ -112,7 +114,7 @@ class Trace:
         return RunTrace(self.t[:rows], data, self.contact[:rows, i], self.joints)
 
 
-class RunTrace(dict[str, Array]):
+class RunTrace(dict[str, NDArray[np.float64]]):
     """One run: ``t`` ``(rows,)``, ``data`` group name to ``(rows, parts)``, ``contact`` ``(rows,)``.
 
     A dict of column names to columns, so that ``pandas.DataFrame(trace)`` has a column a column; the name of a group gives the whole

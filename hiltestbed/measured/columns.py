@@ -10,12 +10,15 @@ import struct
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hiltestbed.errors import Fault, InputError
-from hiltestbed.frames import Array
 from hiltestbed.signals import GROUPS
+
+if TYPE_CHECKING:
+    from hiltestbed.frames import Array
 
 # What the parsers of foreign formats raise when the bytes are not what the header promises, beside errors of their own.
 BROKEN = (OSError, EOFError, ValueError, LookupError, TypeError, AttributeError, RuntimeError, OverflowError, struct.error)

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Set
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from hiltestbed.errors import MissingExtra
-from hiltestbed.frames import Array
 from hiltestbed.measured.columns import BROKEN, Columns, as_numbers, refuse_large, split_matrix, unreadable
+
+if TYPE_CHECKING:
+    from hiltestbed.frames import Array
 
 
 def read(path: Path, wanted: Set[str]) -> Columns:

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Set
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hiltestbed.frames import Array
 from hiltestbed.measured.columns import BROKEN, Columns, as_numbers, refuse_large, split_matrix, unreadable
 from hiltestbed.measured.hdf5_file import read_datasets
+
+if TYPE_CHECKING:
+    from hiltestbed.frames import Array
 
 HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 
