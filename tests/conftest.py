@@ -7,12 +7,13 @@ worker so that none is compiled twice, then the longest, so that at the end no w
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+import sys
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
-from hiltestbed import plugins
+from hiltestbed import cli, plugins
 
 HERE = Path(__file__).parent
 QUICK = (  # files and folders below tests
@@ -98,3 +99,18 @@ def tables_as_shipped() -> Iterator[None]:
     plugins._LOADED.update(loaded)
     for refresh in plugins._DEPENDENTS:
         refresh()
+
+
+@pytest.fixture
+def call(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., tuple[int, str, str]]:
+    """Runs one command in this process: (exit status, standard output, standard error)."""
+
+    def run(*arguments: str) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, "argv", ["hiltestbed", *arguments])
+        with pytest.raises(SystemExit) as ended:
+            cli.main()
+        captured = capsys.readouterr()
+        assert "Traceback" not in captured.out + captured.err
+        return int(ended.value.code or 0), captured.out, captured.err
+
+    return run

@@ -13,7 +13,6 @@ from xml.etree import ElementTree
 
 import pytest
 
-from hiltestbed import cli
 from hiltestbed.cli.options import complete
 from hiltestbed.scenario import load_scenario
 
@@ -40,21 +39,6 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     Path("d.yaml").write_text(DATASET)
     Path("run.csv").write_text("t\n0\n")
     return tmp_path
-
-
-@pytest.fixture
-def call(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
-    """Runs one command in this process: (exit status, standard output, standard error)."""
-
-    def run(*arguments: str) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, "argv", ["hiltestbed", *arguments])
-        with pytest.raises(SystemExit) as ended:
-            cli.main()
-        captured = capsys.readouterr()
-        assert "Traceback" not in captured.out + captured.err
-        return int(ended.value.code or 0), captured.out, captured.err
-
-    return run
 
 
 def test_run_writes_the_folder_and_prints_a_table(folder: Path, call) -> None:
