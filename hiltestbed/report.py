@@ -29,7 +29,7 @@ h1 { font-size: 1.7rem; margin-bottom: .2rem } h2 { margin-top: 2.2rem; border-b
 p.lead { font-size: 1.15rem; border-left: 4px solid var(--accent); padding: .3rem .9rem; background: var(--shade) }
 table { border-collapse: collapse; margin: 1rem 0; font-variant-numeric: tabular-nums } th, td { padding: .25rem .7rem; text-align: right }
 th { background: var(--shade); border-bottom: 2px solid var(--line) } td { border-bottom: 1px solid var(--line) }
-th:first-child, td:first-child { text-align: left } figure { margin: 1.2rem 0 } figure img { max-width: 100% }
+th:first-child, td:first-child, .words { text-align: left } figure { margin: 1.2rem 0 } figure img { max-width: 100% }
 figcaption, .soft { color: var(--soft); font-size: .92rem } pre { background: var(--shade); padding: .6rem .9rem; white-space: pre-wrap }
 .scroll { overflow-x: auto } th { overflow-wrap: normal; vertical-align: bottom } td { overflow-wrap: break-word; max-width: 22rem }
 p.warning { border-left: 4px solid #d55e00; padding: .3rem .9rem; background: #fdf3ec }
@@ -71,9 +71,13 @@ class Report:
 
     def table(self, header: Sequence[str], rows: Sequence[Sequence[object]], caption: str = "") -> None:
         """Cells are escaped; numbers should come formatted."""
-        head = Markup("").join(Markup("<th>{}</th>").format(cell) for cell in header)
+        opening = [' class="words"' if i and _words([row[i] for row in rows if i < len(row)]) else "" for i in range(len(header))]
+        head = Markup("").join(Markup(f"<th{of}>{{}}</th>").format(cell) for of, cell in zip(opening, header, strict=True))
         body = Markup("").join(
-            Markup("<tr>{}</tr>").format(Markup("").join(Markup("<td>{}</td>").format(_cell(cell)) for cell in row)) for row in rows
+            Markup("<tr>{}</tr>").format(
+                Markup("").join(Markup(f"<td{of}>{{}}</td>").format(_cell(cell)) for of, cell in zip(opening, row, strict=False))
+            )
+            for row in rows
         )
         below = Markup('<p class="soft">{}</p>').format(caption) if caption else Markup("")
         self._parts.append(Markup('<div class="scroll"><table><tr>{}</tr>{}</table></div>{}').format(head, body, below))
@@ -111,6 +115,12 @@ def _as_svg(figure: Figure) -> bytes:
     with rc_context({"svg.hashsalt": "hiltestbed"}):
         figure.savefig(data, format="svg", bbox_inches="tight", metadata={"Date": None, "Creator": None})
     return data.getvalue()
+
+
+def _words(cells: Sequence[object]) -> bool:
+    """Whether a column holds text for the most part: numbers stand under each other at their ends, words at their beginnings."""
+    firsts = [str(cell)[:1] for cell in cells if str(cell)]
+    return 2 * sum(first.isalpha() for first in firsts) > len(firsts)
 
 
 def _cell(cell: object) -> Markup:
