@@ -133,13 +133,18 @@ def _investigate_wrench(layout: Layout, found: dict[str, Explanation], whole: di
     scales = replace(layout.scales, lines=lines(link))
     unseen = ("platform",) if link.commands else ()  # what it does is in the path then
     candidates = _candidates(scales, (*WRENCH, *unseen) if "compensation" in found else (*WRENCH, *unseen, "log"))
-    residual, given = Residual(link), _stamped_late(layout, link, found.get("compensation"))
+    given = _stamped_late(layout, link, found.get("compensation"))
     if given:  # which the contact alone cannot tell from a late sensor
         candidates = tuple(c for c in candidates if c.kind != "sensor.delay")
+        link = wrench_link_of(lever_under(Residual(link), given[0]))
+        given = _stamped_late(layout, link, found["compensation"])
+    residual = Residual(link)
     search = Search(candidates, special=(jitter_beside, hum_beside), progress=_told(progress, "contact and sensor"), reread=lever_under)
     explanation = search.explain(residual, given[0] if given else None)
-    if not given and (levered := another_lever(explanation)):
-        explanation = search.explain(Residual(levered))
+    if levered := another_lever(explanation):
+        residual = Residual(levered)
+        given = _stamped_late(layout, levered, found["compensation"]) if given else []
+        explanation = search.explain(residual, given[0] if given else None)
     if not given and (stepped := other_steps(explanation)):
         explanation = search.explain(Residual(stepped))
     if not given and (pointed := at_a_point(explanation)):

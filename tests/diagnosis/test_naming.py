@@ -44,6 +44,15 @@ def test_that_a_facility_takes_the_tip_for_a_point_is_no_cause(seed, effect):
     assert [c["effect"] for c in record["causes"]] == [effect]
 
 
+@SLOW
+def test_in_a_docking_a_record_that_is_stamped_late_is_no_friction():
+    """A lever that was chosen under a late record is wrong, and a friction that is the believed one pays for the right one."""
+    record = one_set(Task(500_017, "single", ("log.skew",), design="docking"))
+    assert record["right"], record
+    assert [c["effect"] for c in record["causes"]] == ["log.skew"]
+    assert record["intervals_held"] == record["intervals"] == 1
+
+
 @pytest.mark.parametrize("seed", [100, slow(104)])
 def test_two_hidden_effects_are_both_named(seed):
     assert one_set(Task(seed, "pair"))["right"]
