@@ -152,6 +152,20 @@ def _lags_later(summary: dict[str, Any]) -> bool:
     return any(way["direction"].endswith("later touch") and (way.get("rig_energy") or 0.0) > NEUTRAL for way in ways)
 
 
+def _cure(source: str, ledger: list[dict[str, Any]]) -> str:
+    """What takes a delay out of which the ledger has the ``source``."""
+    if source.startswith("effects."):
+        return (
+            "the loop does not know of it; state it where the scenario describes the rig, or have it estimated with "
+            "--set 'compensation.force={kind: resynchronised, delay: estimate}'"
+        )
+    if source.startswith("platform."):
+        return "take it out with --set 'compensation.motion={kind: feedforward}'"
+    if any(entry["source"] == "compensation.resynchronised" for entry in ledger):
+        return "no further compensation takes it out; make it smaller"
+    return "compensate it, for example with --set 'compensation.force={kind: resynchronised}'"
+
+
 def _advice(summary: dict[str, Any]) -> list[str]:
     if summary["status"] != "completed":
         return [
@@ -167,7 +181,7 @@ def _advice(summary: dict[str, Any]) -> list[str]:
         if largest is not None and total["delay"] > 0.0:
             out.append(
                 f"The delays that are left add up to {1e3 * total['delay']:.3g} ms, the largest is {largest['source']} "
-                f"({1e3 * largest['delay']:.3g} ms): compensate it, for example with --set 'compensation.force={{kind: resynchronised}}'."
+                f"({1e3 * largest['delay']:.3g} ms): {_cure(largest['source'], summary['delay_ledger'])}."
             )
         if is_active(summary) and _lags_later(summary):
             out.append(

@@ -53,14 +53,14 @@ class Registry(Mapping[str, type[T]], Generic[T]):
     def add(self, cls: type[T]) -> type[T]:
         """Enter a class under its kind. Raises InputError where a part is missing or the name is taken."""
         kind = kind_of(cls)
-        where = f"{cls.__module__}.{cls.__qualname__}"
+        where = _place(cls)
         if kind is None:
             raise InputError(f"plugin class {where}: lacks `kind`; give it as kind: Literal['name'] = 'name'")
         lacking = [part for part in getattr(cls, "PARTS", ()) if not _has(cls, part)]
         if lacking:
             raise InputError(
                 f"plugin class {where}: the {self.what} {kind!r} lacks {', '.join(lacking)}; "
-                f"see {self.base.__module__}.{self.base.__name__} for what each part is"
+                f"what each part is says the documentation (Plugins), and {self.base.__module__}.{self.base.__name__}"
             )
         known = self._found.get(kind)
         if known is not None and (known.__module__, known.__qualname__) != (cls.__module__, cls.__qualname__):
@@ -103,6 +103,11 @@ def kind_of(cls: type) -> str | None:
     return names[0] if len(names) == 1 and isinstance(names[0], str) else None
 
 
+def _place(cls: type) -> str:
+    """Where a class is written: its file, or its module where there is none."""
+    return f"{getattr(sys.modules.get(cls.__module__), '__file__', None) or cls.__module__}: {cls.__qualname__}"
+
+
 def _has(cls: type, part: str) -> bool:
     """Whether a class brings a part of its own: a docstring, or an attribute that is not the placeholder of the base class."""
     if part == "docstring":
@@ -127,7 +132,7 @@ def register(cls: type[T]) -> type[T]:
                     refresh()
             return cls
     bases = ", ".join(f"{r.base.__module__}.{r.base.__name__}" for r in _REGISTRIES)
-    raise InputError(f"plugin class {cls.__module__}.{cls.__qualname__}: derives from nothing that can be added; allowed are {bases}")
+    raise InputError(f"plugin class {_place(cls)}: derives from nothing that can be added; allowed are {bases}")
 
 
 def depends(refresh: Callable[[], None]) -> Callable[[], None]:

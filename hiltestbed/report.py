@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import base64
 import io
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from textwrap import shorten
 from typing import TYPE_CHECKING
 
 from jinja2 import Environment
@@ -91,7 +92,7 @@ class Report:
         image = Markup('<div class="scroll"><img alt="{}" style="--wide: {}" src="{}"></div>').format(caption, wide, source)
         self._parts.append(Markup("<figure>{}<figcaption>{}</figcaption></figure>").format(image, caption))
         if FIGURES_APART.get():
-            name = f"{len(self._apart) + 1:02d}-{safe_name(caption)[:LONGEST_NAME].strip('-')}"
+            name = f"{len(self._apart) + 1:02d}-{safe_name(shorten(caption, LONGEST_NAME, placeholder=''))}"
             self._apart.append((name, data.getvalue(), _as_svg(figure)))
 
     def html(self) -> str:
@@ -115,6 +116,11 @@ def _as_svg(figure: Figure) -> bytes:
     with rc_context({"svg.hashsalt": "hiltestbed"}):
         figure.savefig(data, format="svg", bbox_inches="tight", metadata={"Date": None, "Creator": None})
     return data.getvalue()
+
+
+def provenance(versions: Mapping[str, str], plugins: Mapping[str, str]) -> list[tuple[str, str]]:
+    """Rows of a table: each package with its version, each plugin with the start of its hash."""
+    return [*versions.items(), *((f"plugin {name}", digest[:16]) for name, digest in plugins.items())]
 
 
 def _words(cells: Sequence[object]) -> bool:

@@ -12,7 +12,7 @@ from hiltestbed.assessment import CLOSE, NEUTRAL, assess, energy_share, identifi
 from hiltestbed.energy import energy_generated
 from hiltestbed.labelled import PALETTE, shade_contacts
 from hiltestbed.notebook import number
-from hiltestbed.report import Report, new_figure
+from hiltestbed.report import Report, new_figure, provenance
 from hiltestbed.result import Run
 from hiltestbed.scenario import Scenario
 from hiltestbed.signals import RunTrace
@@ -50,9 +50,7 @@ def run_report(run: Run) -> Report:
     report.items(judged.advice or ("Nothing here calls for it.",))
     report.heading("How it was made")
     rows = [("scenario", summary["scenario_sha256"][:16]), ("seed", summary["seed"])]
-    rows += [(name, version) for name, version in summary["versions"].items()]
-    rows += [(f"plugin {name}", digest[:16]) for name, digest in summary.get("plugins", {}).items()]
-    report.table(("what", "version, or start of the SHA-256"), rows)
+    report.table(("what", "version, or start of the SHA-256"), rows + provenance(summary["versions"], summary.get("plugins", {})))
     return report
 
 

@@ -44,6 +44,7 @@ def _warnings(scenario: Scenario) -> Iterator[str]:
                 f"the contact lasts {instants:.2g} steps of the physics: its peak and impulse are wrong by percents; "
                 f"take a physics_rate above {4 * FEWEST_INSTANTS / lasts:.3g} Hz"
             )
+        yield from _too_far(scenario)
     late = scenario.sensor.delay + sum(float(getattr(e, "delay", 0.0)) for e in scenario.effects if e.link != "log")
     if late > lasts:
         yield (
@@ -64,6 +65,19 @@ def _warnings(scenario: Scenario) -> Iterator[str]:
     yield from _too_deep(scenario, frequency)
     for keys, why in given_in_vain(scenario):
         yield f"{', '.join(keys)}: {'has' if len(keys) == 1 else 'have'} no effect: {why}"
+
+
+def _too_far(scenario: Scenario) -> Iterator[str]:
+    """A head-on approach that the run ends before it has led to a touch."""
+    approach = scenario.approach
+    if not scenario.mechanism.flat or any(approach.attitude_deg) or any(approach.rate_deg) or not approach.velocity[2] > 0.0:
+        return
+    touch = approach.gap / approach.velocity[2]
+    if touch >= scenario.duration:
+        yield (
+            f"nothing touches: the gap of {1e3 * approach.gap:.3g} mm takes {touch:.3g} s at {approach.velocity[2]:.3g} m/s, the run lasts "
+            f"{scenario.duration:.3g} s; take a longer duration or a smaller gap"
+        )
 
 
 def _too_deep(scenario: Scenario, frequency: float) -> Iterator[str]:

@@ -89,10 +89,10 @@ class Stability:
         if self.rebound is not None and self.rig_energy is not None and self.rig_energy > NEUTRAL:
             made = f"{100.0 * self.rig_energy:.{0 if self.rig_energy >= 0.1 else 1}f} %"
             but = f" ({self.caveat})" if self.caveat else ""
-            parts.append(f"the rig makes {made} of a bounce's energy, which ends at {self.rebound:.3g} times its speed{but}")
+            parts.append(f"the rig makes {made} of a bounce's energy, which ends at {self.rebound:.4g} times its speed{but}")
         if self.largest_delay is not None:
-            size, left = f"{1e3 * abs(self.largest_delay):.3g} ms", f"now left: {1e3 * round(self.delay, 9):.3g} ms"
-            parts.append(f"largest delay {size} ({left})" if self.largest_delay >= 0.0 else f"without any delay {size} too late ({left})")
+            size, now = f"{1e3 * abs(self.largest_delay):.3g} ms", f"uncompensated now: {1e3 * round(self.delay, 9):.3g} ms"
+            parts.append(f"largest delay {size} ({now})" if self.largest_delay >= 0.0 else f"the platform alone is {size} too late ({now})")
         if self.largest_stiffness is not None:
             parts.append(f"largest stiffness {self.largest_stiffness:.3g} {stiffness} (now {self.stiffness:.3g} {stiffness})")
         return "; ".join(parts)

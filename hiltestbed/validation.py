@@ -257,7 +257,8 @@ def _message(detail: ErrorDetails) -> str:
         return f"unknown value{nearest(str(detail['input']), choices)} (got {got}); allowed: {', '.join(choices)}"
     if kind == "union_tag_invalid":
         choices = sorted(context["expected_tags"].replace("'", "").split(", "))
-        return f"unknown kind{nearest(str(context['tag']), choices)} (got {context['tag']!r}); allowed: {', '.join(choices)}"
+        allowed = f"allowed: {', '.join(choices)}; one of your own needs --plugin"
+        return f"unknown kind{nearest(str(context['tag']), choices)} (got {context['tag']!r}); {allowed}"
     if kind == "union_tag_not_found":
         return f"has no kind (got {got}); give it as {{kind: ...}}"
     if kind in ("too_short", "too_long"):

@@ -162,6 +162,15 @@ def test_friction_makes_more_of_a_slow_bounce_and_nothing_without_it_hangs_on_th
     assert rebound[0.05, True] == pytest.approx(rebound[0.05, False], rel=0.03)
 
 
+def test_the_first_contact_is_the_same_however_long_the_run_is() -> None:
+    """Also where it ends before the touch at 0.3 s."""
+    kind, drive = RUBBING["sliders"]
+    told = [stability(slow_bounce(kind, drive, 0.02).model_copy(update={"duration": duration})) for duration in (0.8, 0.2)]
+    first, second = ({key: said[key] for key in ("rebound", "rig_energy", "largest_delay", "stable")} for said in told if said is not None)
+    assert first == second
+    assert first["rebound"] != pytest.approx(bounce(EXACT, 1.0, 1.0, 0.0, 0.0).rebound, rel=1e-3)  # it was played, friction and all
+
+
 @pytest.mark.parametrize("name", ["sliders", slow("seals")])
 def test_drives_that_rub_bear_the_delay_that_is_told(name) -> None:
     """Runs with a little less delay end slower than they began, with a little more faster."""

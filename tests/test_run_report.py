@@ -121,6 +121,23 @@ def test_activity_is_warned_of_from_where_it_shows_in_the_rebound() -> None:
     assert "active" in assess(_made(0.99 * limit)).energy
 
 
+@pytest.mark.parametrize(
+    ("ledger", "advised"),
+    [
+        ({"sensor.delay": 5.0}, "{kind: resynchronised}"),
+        ({"sensor.delay": 5.0, "effects.sensor.delay": 7.5, "compensation.resynchronised": -5.0}, "delay: estimate"),
+        ({"sensor.delay": 2.0, "platform.servo": 15.0}, "compensation.motion={kind: feedforward}"),
+        ({"sensor.delay": 5.0, "coupling": 6.0, "compensation.resynchronised": -5.0}, "no further compensation"),
+    ],
+)
+def test_what_is_advised_takes_out_the_delay_that_is_largest(ledger: dict[str, float], advised: str) -> None:
+    entries = [{"source": name, "delay": 1e-3 * delay} for name, delay in ledger.items()]
+    total = {"source": "total", "delay": 1e-3 * sum(ledger.values())}
+    (first, *_) = assess(_made(0.2, delay_ledger=[*entries, total])).advice
+    assert advised in first
+    assert max(ledger, key=lambda name: ledger[name]) in first
+
+
 @pytest.mark.parametrize(("made", "advised"), [(0.2, True), (0.001, False)])
 def test_a_lag_that_counts_on_later_touches_is_advised_on(made, advised) -> None:
     ways = [{"direction": "along the normal of a later touch", "rig_energy": made}]

@@ -19,6 +19,7 @@ COLUMNS = (
     ("delay_off", "delay off 20 %"),
     ("delay_jitter", "delay jitters"),
 )
+GRID = (("frequency", 1.0), ("delay", 1e3), ("damping_ratio", 1.0))  # keys of a record, with the factor to the unit that is shown
 SMALLEST, LARGEST = 1e-3, 1.0  # |ln e/e_ref| at the ends of the colour scale
 NOTHING = 5e-4  # what rounds to 0.000 is neither too fast nor too slow
 COLORS = "RdBu_r"
@@ -36,21 +37,32 @@ def cor_report(records: Sequence[dict[str, Any]], summary: dict[str, Any]) -> Re
     _leaderboard(report, board)
     report.heading("Over the grid")
     report.figure(_heat_maps(records), "ln(e/e_ref) with ideal tracking and the delay known; the largest over the damping ratios.")
+    report.text(_grid(records))
     report.heading("Where the rig becomes active")
     report.figure(
         _boundary(summary["boundary"]),
-        "ln e over delay and the frequency of the contact, of k = mu (2 pi f)^2, at a damping ratio of 0.05; black: e = 1.",
+        "ln e over delay and the frequency of the contact, of k = mu (2 pi f)^2, at a damping ratio of 0.05; black: e = 1. No "
+        "compensation, the field's usual one and the default; a plugin is in the table and the maps above.",
     )
     report.text(
-        "Orange: the delay at which a closed contact becomes unstable, tau = atan(c w_c/k)/w_c with "
+        "Orange, the same in each map: the delay at which a closed contact becomes unstable without compensation, "
+        "tau = atan(c w_c/k)/w_c with "
         "w_c^2 = (c^2 + sqrt(c^4 + 4 mu^2 k^2))/(2 mu^2); a bounce reaches e = 1 there to first order."
     )
     _random_rigs(report, summary["random_rigs"])
     return report
 
 
+def _grid(records: Sequence[dict[str, Any]]) -> str:
+    """What was varied."""
+    exact = [r for r in records if r["delay_knowledge"] == "exact" and r["tracking"] == "ideal"]
+    each = len({(r["frequency"], r["delay"], r["damping_ratio"]) for r in exact})
+    frequencies, delays, ratios = (", ".join(f"{v:g}" for v in sorted({f * r[key] for r in exact})) for key, f in GRID)
+    return f"{each} contacts a method: frequencies {frequencies} Hz, delays {delays} ms, damping ratios {ratios}."
+
+
 def _leaderboard(report: Report, board: Sequence[dict[str, Any]]) -> None:
-    header = ["method", "contact", *(title for _, title in COLUMNS), "energy / approach", "peak force", "e <= 1", "us a sim-tick"]
+    header = ["method", "contact", *(title for _, title in COLUMNS), "energy / approach", "peak force", "e <= 1", "\N{MICRO SIGN}s a tick"]
     rows = []
     for row in board:
         cells = [_error(row, key) for key, _ in COLUMNS]
@@ -60,15 +72,16 @@ def _leaderboard(report: Report, board: Sequence[dict[str, Any]]) -> None:
         header,
         rows,
         "Largest |ln(e/e_ref)| over the grid. Ideal tracking and the delay known unless the column says otherwise; a dash: not measured; "
-        "none: some contact of the grid gave no rebound, the method is unstable there. "
-        "Energy that the rig created, largest, over the energy of approach; largest error of the peak force.",
+        "lost: some contact of the grid gave no rebound. e <= 1: share of the contacts whose rebound is no faster than the approach. "
+        "Energy that the rig created, largest, over the energy of approach; largest error of the peak force. "
+        "Time: what a tick of one run in a batch takes beyond the numerical model.",
     )
 
 
 def _error(row: dict[str, Any], key: str) -> str:
-    """The largest error; a dash where nothing was measured under the condition, `none` where a run gave no rebound."""
+    """The largest error; a dash where nothing was measured under the condition, `lost` where a run gave no rebound."""
     value = row[key]
-    return f"{value:.4f}" if value is not None else "none" if row["runs"][key] else "-"
+    return f"{value:.4f}" if value is not None else "lost" if row["runs"][key] else "-"
 
 
 def _heat_maps(records: Sequence[dict[str, Any]]):
@@ -121,7 +134,7 @@ def _heat_map(axis, values: np.ndarray, norm: Any, frequencies: Sequence[float],
 def cell_text(value: float) -> str:
     """A cell's number with its sign; 0 without one where it rounds to nothing."""
     if np.isnan(value):
-        return "none"
+        return "lost"
     return "0" if abs(value) < NOTHING else f"{value:+.3f}"
 
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from hiltestbed import plugins
 from hiltestbed.recording import whole_folder
-from hiltestbed.report import Report
+from hiltestbed.report import Report, provenance
 from hiltestbed.versions import versions
 
 BENCH, REPORT = "bench.json", "report.html"
@@ -33,10 +35,14 @@ class BenchResult:
     lines: list[tuple[str, str]] = field(default_factory=list)
 
 
-def write_bench(result: BenchResult, path: str | Path) -> Path:
-    """Write the folder of a benchmark and return its path."""
-    path = Path(path)
-    content = {"name": result.name, "versions": versions(), "records": result.records, "summary": result.summary}
+def write_bench(result: BenchResult, path: str | Path, options: Mapping[str, object] | None = None) -> Path:
+    """Write the folder of a benchmark and return its path; ``options``: what it was called with, by the names of the command line."""
+    path, options = Path(path), dict(options or {})
+    made = {"options": options, "versions": versions(), "plugins": plugins.loaded()}
+    content = {"name": result.name, **made, "records": result.records, "summary": result.summary}
+    result.report.heading("How it was made")
+    called = " ".join(["bench", result.name, *(f"--{name}" if value is True else f"--{name} {value}" for name, value in options.items())])
+    result.report.table(("what", "version, or start of the SHA-256"), [("command", called), *provenance(made["versions"], made["plugins"])])
     with whole_folder(path, mark=BENCH) as folder:
         (folder / BENCH).write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
         result.report.write(folder / REPORT)

@@ -58,7 +58,8 @@ def bench(
     with count_bar(f"bench {name}") as progress:
         more: dict[str, Any] = {k: v for k, v in (("minutes", minutes), ("workers", workers)) if v is not None}
         result = getattr(import_module(BENCHES[name]), name)(quick=quick, progress=progress, **chosen, **more)
-    write_bench(result, folder)
+    called = {"quick": True} if quick else {}
+    write_bench(result, folder, called | chosen | {"for" if k == "minutes" else k: v for k, v in more.items()})
     if as_json:
         print(json.dumps({"name": name, "folder": str(folder), "summary": result.summary}, allow_nan=False))
     else:

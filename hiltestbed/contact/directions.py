@@ -116,8 +116,9 @@ class _Meeting:
 
 
 def time_of_touch(scenario: Scenario) -> float | None:
-    """[s] to the last instant before the first touch of the uniform approach, looked at :data:`STOPS` times; None where the pose alone does
-    not tell, or nothing is met before the run ends."""
+    """[s] to the last instant before the first touch of the uniform approach, looked at :data:`STOPS` times, whether or not the run ends
+    before it; None where the pose alone does not tell, or nothing is met: a few centimetres beyond the nominal touch, or, of an approach
+    that does not lead there, within the run."""
     sides = sides_of(scenario.mechanism)
     if not sides.rigid or not sides.geometry.count:
         return None
@@ -125,7 +126,7 @@ def time_of_touch(scenario: Scenario) -> float | None:
     pose, end = start[:7].copy(), scenario.duration
     ahead = scenario.approach.velocity[2]
     if ahead > 0.0:  # beyond the nominal touch there is no more to meet than a few centimetres off the axis
-        end = min(end, (scenario.approach.gap + BEYOND) / ahead)
+        end = (scenario.approach.gap + BEYOND) / ahead
     times = np.linspace(0.0, end, STOPS)
     for k, t in enumerate(times):
         pose_step(start[:7], start[7:], float(t), pose)

@@ -77,7 +77,7 @@ def test_random_rigs_and_the_page(records: list[dict]) -> None:
 
 
 def test_cells_that_round_to_nothing_have_no_sign_and_no_colour() -> None:
-    assert [cell_text(v) for v in (0.0, 4e-4, -4e-4, 0.0012, -0.25, math.nan)] == ["0", "0", "0", "+0.001", "-0.250", "none"]
+    assert [cell_text(v) for v in (0.0, 4e-4, -4e-4, 0.0012, -0.25, math.nan)] == ["0", "0", "0", "+0.001", "-0.250", "lost"]
 
 
 def test_a_map_and_the_board_tell_no_rebound_from_not_measured(records: list[dict]) -> None:

@@ -54,6 +54,7 @@ ABSURD = {
     "a delay longer than the contact": ({"sensor.delay": 0.5}, "longer than the contact"),
     "a fly and a station": ({"spacecraft.target.mass": 1e9}, "times the mass of the other"),
     "a penetration deeper than the tip": ({"approach.velocity": [0, 0, 3.0], "mechanism.contact.stiffness": 1e4}, "mm across"),
+    "a run that ends before the touch": ({"duration": 0.3}, "nothing touches: the gap of 10 mm takes"),
     "a damper that stops within a step": ({"mechanism.contact.damping": 1e8}, "chatters"),
 }
 
