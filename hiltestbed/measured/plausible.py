@@ -30,6 +30,8 @@ CORRELATION = -0.5
 QUAT_NORM = 0.01
 QUAT_NORM_NOTE = 1e-3
 TURNED_DEG = 30.0  # the platform turns by 10 deg at most
+ARM = (0.8, 1.25)  # of the torque of a push beside the axis: effects change it by less, or not both torques alike
+SURE = 0.9  # of the variance of a torque, that the push beside the axis has to explain
 LEVER_LIMIT = 20.0  # [m] from torque over force: no rig is that large
 
 
@@ -43,6 +45,7 @@ def contradictions(record: Record, found: Survey, scenario: Scenario) -> list[Re
         *copies_and_constants(record, found, scenario),
         *_forces(record, found, scenario),
         *_torques(record, found),
+        *_arms(record, found, scenario),
     ]
 
 
@@ -233,3 +236,40 @@ def _torques(record: Record, found: Survey) -> Iterator[Remark]:
             if axis[0] == "t" and peak > max(MOVED * found.noise[name].rms, LEVER_LIMIT * largest):
                 text = f"peaks at {peak:.4g} N m against {largest:.4g} N of force: a lever arm of {peak / largest:.3g} m, another unit?"
                 yield _error("lever", record, name, text, scale_fix(name, 1e-3), torque=peak, force=largest)
+
+
+def _arms(record: Record, found: Survey, scenario: Scenario) -> Iterator[Remark]:
+    """Torques of a plane that is met beside the axis: about P's origin tx = y fz and ty = -x fz, of the place (x, y) of A."""
+    place = next((name for name in ("pose_act", "pose_cmd") if name in record.data), None)
+    if place is None or scenario.mechanism.captured or not scenario.mechanism.flat:
+        return
+    x, y = record.data[place][:, 0], record.data[place][:, 1]
+    for group in ("wrench_meas", "wrench_comp"):
+        names = [f"{group}.{axis}" for axis in ("fz", "tx", "ty")]
+        if not set(names) <= set(record.columns()):
+            continue
+        force, tx, ty = (record.column(name) - baseline(record, found, name) for name in names)
+        made = y * force, -x * force
+        if np.nanmax(force) < -np.nanmin(force) or any(
+            np.nanmax(np.abs(m)) < 2 * MOVED * found.noise[name].rms for m, name in zip(made, names[1:], strict=True)
+        ):
+            continue
+        own, crossed = [_share(m, t) for m, t in zip(made, (tx, ty), strict=True)], [_share(made[1], tx), _share(made[0], ty)]
+        if all(-ARM[1] < share < -ARM[0] for share in own):
+            for name, share in zip(names[1:], own, strict=True):
+                text = f"is {share:.2f} times what the force beside the axis turns about P's origin: the sign is the other way round"
+                yield _error("sign", record, name, text, scale_fix(name, -1.0), share=share)
+        elif all(ARM[0] < abs(share) < ARM[1] for share in crossed) and not any(ARM[0] < share < ARM[1] for share in own):
+            text = f"is what the force beside the axis turns about the other axis, and {names[2]} is what belongs here: they are exchanged"
+            yield _error(
+                "axes", record, names[1], text, f"exchange the columns of {names[1]} and {names[2]}", shares=min(map(abs, crossed))
+            )
+
+
+def _share(made: Array, torque: Array) -> float:
+    """How many times ``made`` a torque is; 0 where it follows something else."""
+    known = np.isfinite(made) & np.isfinite(torque)
+    m, t = made[known], torque[known]
+    size = float(m @ m)
+    share = float(m @ t) / size if size > 0.0 else 0.0
+    return share if float(np.sum((t - share * m) ** 2)) < (1.0 - SURE) * float(t @ t) else 0.0

@@ -335,3 +335,38 @@ def test_a_run_is_called_by_its_file(tmp_path: Path) -> None:
     found = examine(bounce.write_dataset(tmp_path, whole, files=("logs/run_0.parquet",)))
     assert found.names == ["logs/run_0.parquet", f"{tmp_path.name}/run_0.parquet"]
     assert any("not in logs/run_0.parquet" in str(remark) for remark in found.remarks)
+
+
+def _beside_the_axis(x: float, y: float, **torques: tuple[str, float]) -> dict[str, np.ndarray]:
+    """A bounce at (x, y) [m] with its torques; ``torques``: what stands in a column instead: another torque, times a factor."""
+    table = bounce.columns()
+    for group in ("pose_cmd", "pose_act"):
+        table[f"{group}.px"] = table[f"{group}.px"] * 0.0 + x
+        table[f"{group}.py"] = table[f"{group}.py"] + y
+    for group in ("wrench_meas", "wrench_comp"):
+        force = table[f"{group}.fz"]
+        true = {"tx": y * force + table[f"{group}.tx"], "ty": -x * force + table[f"{group}.ty"]}
+        table |= {f"{group}.{name}": values for name, values in true.items()}
+        if group == "wrench_meas":
+            table |= {f"{group}.{name}": factor * true[other] for name, (other, factor) in torques.items()}
+    return table
+
+
+@pytest.mark.parametrize(
+    ("torques", "check"),
+    [
+        ({}, None),
+        ({"tx": ("tx", -1.0), "ty": ("ty", -1.0)}, "sign"),
+        ({"tx": ("ty", 1.0), "ty": ("tx", 1.0)}, "axes"),
+        ({"tx": ("tx", -1.0)}, None),  # of one alone a leak from the force may do so
+        ({"tx": ("tx", 1.5), "ty": ("ty", 1.5)}, None),
+    ],
+)
+def test_torques_follow_the_force_beside_the_axis(torques, check, tmp_path: Path) -> None:
+    """tx = y fz, ty = -x fz: about P's origin, of a plane."""
+    path = bounce.write_dataset(tmp_path, _beside_the_axis(0.08, -0.06, **torques))
+    beside = bounce.SCENARIO.replace("approach: {", "approach: {offset: [0.08, -0.06], ").replace(f"[{bounce.SIDE}, 0.0,", "[0.0, 0.0,")
+    (tmp_path / "nominal.yaml").write_text(beside)
+    found = [(r.check, r.channel) for r in examine(path).remarks if r.severity == "error" and r.channel.startswith("wrench_meas.t")]
+    expected = {None: [], "sign": [("sign", "wrench_meas.tx"), ("sign", "wrench_meas.ty")], "axes": [("axes", "wrench_meas.tx")]}[check]
+    assert found == expected
