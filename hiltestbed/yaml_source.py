@@ -52,6 +52,10 @@ class Source:
         for end in range(len(path), -1, -1):
             if path[:end] in self.overridden:
                 return Fault(f"--set {dotted(path[:end])}", None, None, key, message)
+        if path and path not in self.marks:  # a key that the file does not hold came with what is set below it
+            for below in sorted(self.overridden, key=dotted):
+                if below[: len(path)] == path:
+                    return Fault(f"--set {dotted(below)}", None, None, key, message)
         for end in range(len(path), -1, -1):
             if path[:end] in self.marks:
                 line, column = self.marks[path[:end]]

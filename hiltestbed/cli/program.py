@@ -53,6 +53,8 @@ def _root(
 
 
 for group in (scenarios, studies, devices):
+    for command in group.app.registered_commands:
+        command.epilog = "With every command: --plugin MODULE, --figures (hiltestbed --help says what they do)."
     app.add_typer(group.app)
 
 

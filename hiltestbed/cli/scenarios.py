@@ -109,7 +109,7 @@ def check(
         for (file, one), judged in zip(found, stable, strict=True):
             print("\n".join(str(fault) for fault in one.faults) if one.faults else f"{file}: {one.kind}: no faults")
             print(printable("".join(f"{file}: {remark}\n" for remark in one.remarks)), end="")
-            print(f"{file}: needs {one.budget}\n" if one.budget else "", end="")
+            print(f"{file}: needs {one.budget}\n" if one.budget and not one.faults else "", end="")
             print(f"{file}: {judged['verdict']}\n" if judged else "", end="")
     if any(one.faults for _, one in found):
         raise typer.Exit(2)

@@ -113,7 +113,8 @@ def _fault(record: Record, name: str, start: Start) -> Iterator[Remark]:
     size = start.unit
     if size is not None:
         text = f"{seen}: {factor_text(size, 'm')}"
-        yield Remark("error", record.run, name, text, scale_fix(name, likely_scale(size, "m")), evidence, "unit")
+        fix = f"{scale_fix(name, likely_scale(size, 'm'))}; or set the approach of this run, if it was another: set: {{approach.gap: ...}}"
+        yield Remark("error", record.run, name, text, fix, evidence, "unit")
     elif start.reversed:
         yield Remark("error", record.run, name, f"{seen}: the sign is the other way round", scale_fix(name, -1.0), evidence, "sign")
     elif name == "pose_cmd.pz" and start.speed is not None and not 1 / OTHER_SPEED < start.speed < OTHER_SPEED:

@@ -195,6 +195,7 @@ def test_set_overrides_keys_items_and_what_the_file_leaves_out(file: Path) -> No
     ("key", "value", "words"),
     [
         ("sensor.dely", "1", "did you mean 'delay'"),
+        ("aproach.gap", "1", "did you mean 'approach'"),
         ("sensor.delay", "-1", "allowed is >= 0"),
         ("approach.velocity.7", "0", "has 3 items"),
         ("approach.velocity.x", "0", "is a list"),

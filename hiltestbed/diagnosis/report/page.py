@@ -44,7 +44,9 @@ def _summary(d: Diagnosis) -> str:
         _mean([f.cor for f in row]) for row in (d.closed_loop.measured, d.closed_loop.nominal, d.closed_loop.extended)
     )
     if measured is not None and nominal is not None:
-        text = f"In closed loop the coefficient of restitution is {measured:.4f} measured and {nominal:.4f} simulated"
+        runs = sum(f.cor is not None for f in d.closed_loop.measured)
+        mean = f"In closed loop the coefficient of restitution is{f', on average over {runs} runs,' if runs > 1 else ''}"
+        text = f"{mean} {measured:.4f} measured and {nominal:.4f} simulated"
         parts.append(text + (f", {extended:.4f} with the extended model." if d.finding.extends and extended is not None else "."))
     if d.next_experiment:
         parts.append("What is open, and the run that would settle it, stands under Next experiment.")
@@ -159,7 +161,7 @@ def _gain(report: Report, d: Diagnosis) -> None:
     report.text(
         "The same runs in closed loop, through one rule: speeds from the commanded pose, stiffness and damping from pose and force."
     )
-    report.figure(figure)
+    report.figure(figure, "Rebound and peak force of each run.")
     sources = ("measured", "nominal", "extended") if d.finding.extends else ("measured", "nominal")
     names = {"cor": "CoR", "peak_force": "peak [N]", "stiffness": "k [N/m]", "damping": "c [N s/m]"}
     for pair, caption in ((("cor", "peak_force"), ""), (("stiffness", "damping"), FITTED)):
@@ -191,9 +193,10 @@ def _isolability(report: Report, table: Sequence[Isolable]) -> None:
         for i in sorted(table, key=lambda i: (i.effect.partition(".")[0], i.effect))
     ]  # fmt: skip
     report.table(
-        ("effect", "parameter", "size that is found", "would look the same"),
+        ("effect", "parameter", "size that is found", "looks the same at that size"),
         rows,
-        "From the sensitivities of the replayed links to each effect, with these runs, channels and noise. Factors: departure from 1.",
+        "From the sensitivities of the replayed links to each effect, with these runs, channels and noise. Factors: departure from 1. "
+        "What looks the same at the smallest size that is found may be told apart at a larger one.",
     )
 
 
@@ -201,7 +204,7 @@ def _channels(report: Report, d: Diagnosis) -> None:
     if not d.residuals:
         return
     report.heading("Every channel")
-    report.figure(pictures.channels_overview(d.residuals))
+    report.figure(pictures.channels_overview(d.residuals), "What is left on each channel, in units of its noise.")
     rows = [
         (r.channel, r.unit, _number(r.noise_floor), _number(r.rms), _number(r.rms_free), _number(r.rms_contact), _number(r.rms_after),
          _yes(r.white), _number(r.rms_extended), _yes(r.white_extended))
