@@ -141,9 +141,18 @@ def identified(summary: dict[str, Any]) -> dict[str, dict[str, Any]]:
 
 
 def largest_delay(summary: dict[str, Any]) -> dict[str, Any] | None:
-    """The entry of the delay ledger that costs most damping, the sum left out; None where nothing delays."""
-    entries = [entry for entry in summary["delay_ledger"] if entry["source"] != "total" and entry["delay"] > 0.0]
-    return max(entries, key=lambda entry: entry["delay"], default=None)
+    """The entry of the delay ledger that costs most damping, less what the compensation takes off the sensor's and the platform's, the sum
+    left out; None where nothing delays."""
+    entries = [entry for entry in summary["delay_ledger"] if entry["source"] != "total"]
+    taken = {entry["source"]: -entry["delay"] for entry in entries if entry["source"].startswith("compensation.")}
+    off = {"platform": taken.pop("compensation.platform", 0.0), "sensor": sum(taken.values())}
+    left = []
+    for entry in entries:
+        link = entry["source"].partition(".")[0]
+        less = min(off.get(link, 0.0), entry["delay"])
+        off[link] = off.get(link, 0.0) - less
+        left.append(entry | {"delay": entry["delay"] - less})
+    return max((entry for entry in left if entry["delay"] > 0.0), key=lambda entry: entry["delay"], default=None)
 
 
 def _lags_later(summary: dict[str, Any]) -> bool:
@@ -160,7 +169,10 @@ def _cure(source: str, ledger: list[dict[str, Any]]) -> str:
             "--set 'compensation.force={kind: resynchronised, delay: estimate}'"
         )
     if source.startswith("platform."):
-        return "take it out with --set 'compensation.motion={kind: feedforward}'"
+        return (
+            "take it out with --set 'compensation.motion={kind: feedforward}', or with --set 'compensation.force={kind: resynchronised}', "
+            "which makes up for the platform as well"
+        )
     if any(entry["source"] == "compensation.resynchronised" for entry in ledger):
         return "no further compensation takes it out; make it smaller"
     return "compensate it, for example with --set 'compensation.force={kind: resynchronised}'"

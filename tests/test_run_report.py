@@ -138,6 +138,15 @@ def test_what_is_advised_takes_out_the_delay_that_is_largest(ledger: dict[str, f
     assert max(ledger, key=lambda name: ledger[name]) in first
 
 
+def test_a_delay_that_is_taken_out_is_not_advised_on() -> None:
+    """Of 5 ms that the compensation takes out and 2 ms that nobody knows of, the 2 ms are left."""
+    delays = {"sensor.delay": 5.0, "effects.sensor.delay": 2.0, "compensation.resynchronised": -5.0, "platform.servo": 4.0}
+    delays |= {"compensation.platform": -4.0, "total": 2.0}
+    (first, *_) = assess(_made(0.2, delay_ledger=[{"source": name, "delay": 1e-3 * delay} for name, delay in delays.items()])).advice
+    assert "the largest is effects.sensor.delay (2 ms)" in first
+    assert "delay: estimate" in first
+
+
 @pytest.mark.parametrize(("made", "advised"), [(0.2, True), (0.001, False)])
 def test_a_lag_that_counts_on_later_touches_is_advised_on(made, advised) -> None:
     ways = [{"direction": "along the normal of a later touch", "rig_energy": made}]
