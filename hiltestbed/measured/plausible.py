@@ -240,13 +240,14 @@ def _torques(record: Record, found: Survey) -> Iterator[Remark]:
 
 def _arms(record: Record, found: Survey, scenario: Scenario) -> Iterator[Remark]:
     """Torques of a plane that is met beside the axis: about P's origin tx = y fz and ty = -x fz, of the place (x, y) of A."""
-    place = next((name for name in ("pose_act", "pose_cmd") if name in record.data), None)
+    columns = set(record.columns())
+    place = next((name for name in ("pose_act", "pose_cmd") if {f"{name}.px", f"{name}.py"} <= columns), None)
     if place is None or scenario.mechanism.captured or not scenario.mechanism.flat:
         return
     x, y = record.data[place][:, 0], record.data[place][:, 1]
     for group in ("wrench_meas", "wrench_comp"):
         names = [f"{group}.{axis}" for axis in ("fz", "tx", "ty")]
-        if not set(names) <= set(record.columns()):
+        if not set(names) <= columns:
             continue
         force, tx, ty = (record.column(name) - baseline(record, found, name) for name in names)
         made = y * force, -x * force

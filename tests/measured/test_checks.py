@@ -370,3 +370,8 @@ def test_torques_follow_the_force_beside_the_axis(torques, check, tmp_path: Path
     found = [(r.check, r.channel) for r in examine(path).remarks if r.severity == "error" and r.channel.startswith("wrench_meas.t")]
     expected = {None: [], "sign": [("sign", "wrench_meas.tx"), ("sign", "wrench_meas.ty")], "axes": [("axes", "wrench_meas.tx")]}[check]
     assert found == expected
+
+
+def test_where_the_place_beside_the_axis_was_not_logged_no_torque_is_held_against_it(tmp_path: Path) -> None:
+    table = {name: values for name, values in _beside_the_axis(0.08, -0.06).items() if name[-2:] not in ("px", "py")}
+    assert not [r for r in examine(bounce.write_dataset(tmp_path, table)).remarks if r.severity == "error"]
