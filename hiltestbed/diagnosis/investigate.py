@@ -136,14 +136,15 @@ def _investigate_wrench(layout: Layout, found: dict[str, Explanation], whole: di
     given = _stamped_late(layout, link, found.get("compensation"))
     if given:  # which the contact alone cannot tell from a late sensor
         candidates = tuple(c for c in candidates if c.kind != "sensor.delay")
-        link = wrench_link_of(lever_under(Residual(link), given[0]))
-        given = _stamped_late(layout, link, found["compensation"])
+        levered = wrench_link_of(lever_under(Residual(link), given[0]))
+        if levered is not link:
+            link, given = levered, _stamped_late(layout, levered, found["compensation"]) or given
     residual = Residual(link)
     search = Search(candidates, special=(jitter_beside, hum_beside), progress=_told(progress, "contact and sensor"), reread=lever_under)
     explanation = search.explain(residual, given[0] if given else None)
     if levered := another_lever(explanation):
         residual = Residual(levered)
-        given = _stamped_late(layout, levered, found["compensation"]) if given else []
+        given = given and (_stamped_late(layout, levered, found["compensation"]) or given)
         explanation = search.explain(residual, given[0] if given else None)
     if not given and (stepped := other_steps(explanation)):
         explanation = search.explain(Residual(stepped))
