@@ -72,11 +72,11 @@ class Report:
 
     def table(self, header: Sequence[str], rows: Sequence[Sequence[object]], caption: str = "") -> None:
         """Cells are escaped; numbers should come formatted."""
-        opening = [' class="words"' if i and _words([row[i] for row in rows if i < len(row)]) else "" for i in range(len(header))]
+        opening = [' class="words"' if i and _words([row[i] for row in rows]) else "" for i in range(len(header))]
         head = Markup("").join(Markup(f"<th{of}>{{}}</th>").format(cell) for of, cell in zip(opening, header, strict=True))
         body = Markup("").join(
             Markup("<tr>{}</tr>").format(
-                Markup("").join(Markup(f"<td{of}>{{}}</td>").format(_cell(cell)) for of, cell in zip(opening, row, strict=False))
+                Markup("").join(Markup(f"<td{of}>{{}}</td>").format(_cell(cell)) for of, cell in zip(opening, row, strict=True))
             )
             for row in rows
         )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from copy import deepcopy
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -40,10 +41,11 @@ def write_bench(result: BenchResult, path: str | Path, options: Mapping[str, obj
     path, options = Path(path), dict(options or {})
     made = {"options": options, "versions": versions(), "plugins": plugins.loaded()}
     content = {"name": result.name, **made, "records": result.records, "summary": result.summary}
-    result.report.heading("How it was made")
+    page = deepcopy(result.report)
+    page.heading("How it was made")
     called = " ".join(["bench", result.name, *(f"--{name}" if value is True else f"--{name} {value}" for name, value in options.items())])
-    result.report.table(("what", "version, or start of the SHA-256"), [("command", called), *provenance(made["versions"], made["plugins"])])
+    page.table(("what", "version, or start of the SHA-256"), [("command", called), *provenance(made["versions"], made["plugins"])])
     with whole_folder(path, mark=BENCH) as folder:
         (folder / BENCH).write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
-        result.report.write(folder / REPORT)
+        page.write(folder / REPORT)
     return path
