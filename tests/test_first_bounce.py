@@ -168,7 +168,6 @@ def test_the_first_contact_is_the_same_however_long_the_run_is() -> None:
     told = [stability(slow_bounce(kind, drive, 0.02).model_copy(update={"duration": duration})) for duration in (0.8, 0.2)]
     first, second = ({key: said[key] for key in ("rebound", "rig_energy", "largest_delay", "stable")} for said in told if said is not None)
     assert first == second
-    assert first["rebound"] != pytest.approx(bounce(EXACT, 1.0, 1.0, 0.0, 0.0).rebound, rel=1e-3)  # it was played, friction and all
 
 
 @pytest.mark.parametrize("name", ["sliders", slow("seals")])

@@ -27,7 +27,7 @@ class Sequence:
 
     def restart(self) -> None:
         """Accept any number next: the device restarts its counter."""
-        self.newest = -1
+        self.newest = self._resumed = -1
 
     def judge(self, number: int) -> bool:
         """Whether ``number`` is newer than all before; anything else is counted."""
