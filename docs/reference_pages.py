@@ -115,6 +115,11 @@ def _takes(about: Mapping[str, Any]) -> str:
     return " ".join(filter(None, [str(about.get("type", "anything")), limits]))
 
 
+ACT_ON = {  # link to what holds for all of its effects
+    "platform": ("They act on the commanded position, on each of the three translations alike; the attitude follows its command.", ""),
+}
+
+
 def effects() -> str:
     """The vocabulary."""
     from hiltestbed.effects import EFFECTS
@@ -123,7 +128,7 @@ def effects() -> str:
     lines = ["# Effects", "", "One vocabulary for `effects:` in a scenario and for the causes of a diagnosis.", ""]
     for link in LINKS:
         mine = {kind: cls for kind, cls in EFFECTS.items() if cls.link == link}
-        lines += [f"## {link}", ""] if mine else []
+        lines += [f"## {link}", "", *ACT_ON.get(link, ())] if mine else []
         for kind, cls in mine.items():
             lines += [f"### `{kind}`", "", cls.meaning(), "", f"- Equation: `{cls.equation}`", f"- Source: {cls.reference}"]
             if cls.resembles:

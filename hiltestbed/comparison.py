@@ -17,7 +17,7 @@ from hiltestbed.scenario import resolved
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-FIGURES = {  # figure of the summary to its unit
+FIGURES = {  # figure of the summary, with the keys that lead to it, to its unit
     "cor": "",
     "cor_reference": "",
     "cor_log_error": "",
@@ -25,6 +25,8 @@ FIGURES = {  # figure of the summary to its unit
     "peak_force": "N",
     "contact_duration": "s",
     "tracking_error": "m",
+    "stability.net_damping": "N s/m",  # per rad of a contact that turns
+    "stability.largest_delay": "s",
 }
 TEXTS = ("status", "outcome")
 SILENT = ("name", "description")  # keys that change nothing
@@ -95,7 +97,7 @@ def compare(runs: Sequence[Run | str | Path]) -> Comparison:
     flat = [_flat(resolved(run.scenario)) for run in read]
     keys = [key for key in dict.fromkeys(key for one in flat for key in one) if key not in SILENT]
     differences = {key: [one.get(key) for one in flat] for key in keys if any(one.get(key) != flat[0].get(key) for one in flat[1:])}
-    figures = {name: [run.summary[name] for run in read] for name in (*TEXTS, *FIGURES)}
+    figures = {name: [_figure(run.summary, name) for run in read] for name in (*TEXTS, *FIGURES)}
     labels = [run.summary["name"] if isinstance(given, Run) else Path(given).name for given, run in zip(runs, read, strict=True)]
     return Comparison(tuple(_told_apart(labels)), read, differences, figures)
 
@@ -109,6 +111,14 @@ def _flat(data: Any, path: str = "") -> dict[str, Any]:
     else:
         return {path: data}
     return {key: value for name, below in items for key, value in _flat(below, f"{path}.{name}" if path else str(name)).items()}
+
+
+def _figure(summary: Mapping[str, Any], name: str) -> Any:
+    """The figure that the dotted ``name`` leads to; None where a part on the way is None or absent."""
+    found: Any = summary
+    for key in name.split("."):
+        found = None if found is None else found.get(key)
+    return found
 
 
 def _told_apart(labels: Sequence[str]) -> list[str]:

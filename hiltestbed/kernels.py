@@ -5,8 +5,13 @@ Numba keeps compiled loops on disk; the first run after an install makes them.
 
 from __future__ import annotations
 
+import functools
 import os
+import sys
+import time
 from pathlib import Path
+
+PATIENCE = 1.0  # [s] of compiling, after which the user is told what he waits for
 
 
 def cores() -> int:
@@ -24,3 +29,33 @@ def cache_folder() -> Path:
 def compiled() -> bool:
     """Whether a run has been made with this installation, so that its kernels are on disk."""
     return any(cache_folder().glob("metrics._update-*.nbc"))
+
+
+@functools.cache
+def tell_of_compiling() -> None:
+    """From now on say on standard error, once, that inner loops are being compiled, should that take longer than :data:`PATIENCE`."""
+    from numba.core import event
+
+    class Told(event.Listener):
+        spent = begun = 0.0
+        depth, told = 0, False  # one kernel compiles those that it calls
+
+        def on_start(self, _: event.Event) -> None:
+            self.begun = self.begun if self.depth else time.monotonic()
+            self.depth += 1
+            self._tell()
+
+        def on_end(self, _: event.Event) -> None:
+            self._tell()
+            self.depth -= 1
+            if not self.depth:
+                self.spent += time.monotonic() - self.begun
+
+        def _tell(self) -> None:
+            if not self.told and self.spent + time.monotonic() - self.begun > PATIENCE:
+                self.told = True
+                clear = "\r\x1b[K" if sys.stderr.isatty() else ""
+                sys.stderr.write(f"{clear}compiling inner loops: once after the install, a minute or so\n")
+                sys.stderr.flush()
+
+    event.register("numba:compile", Told())

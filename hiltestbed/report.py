@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import io
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from textwrap import shorten
@@ -17,6 +18,7 @@ from hiltestbed.folders import FIGURES_APART, safe_name
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+DOTTED = re.compile(r"(?<=[a-z0-9_])\.(?=[a-z_])")  # the dots of a key, of a scenario or of a file
 LONGEST_NAME = 48  # characters of a caption, that a figure's file is called by
 
 _PAGE = Environment(autoescape=True).from_string("""<!doctype html>
@@ -73,7 +75,7 @@ class Report:
     def table(self, header: Sequence[str], rows: Sequence[Sequence[object]], caption: str = "") -> None:
         """Cells are escaped; numbers should come formatted."""
         opening = [' class="words"' if i and _words([row[i] for row in rows]) else "" for i in range(len(header))]
-        head = Markup("").join(Markup(f"<th{of}>{{}}</th>").format(cell) for of, cell in zip(opening, header, strict=True))
+        head = Markup("").join(Markup(f"<th{of}>{{}}</th>").format(_cell(cell)) for of, cell in zip(opening, header, strict=True))
         body = Markup("").join(
             Markup("<tr>{}</tr>").format(
                 Markup("").join(Markup(f"<td{of}>{{}}</td>").format(_cell(cell)) for of, cell in zip(opening, row, strict=True))
@@ -130,8 +132,9 @@ def _words(cells: Sequence[object]) -> bool:
 
 
 def _cell(cell: object) -> Markup:
-    """Escaped; a number and its per cent stay together."""
-    return escape(str(cell).replace(" %", "\N{NO-BREAK SPACE}%"))
+    """Escaped; a number and its per cent stay together, and a dotted key breaks after a dot."""
+    text = escape(str(cell).replace(" %", "\N{NO-BREAK SPACE}%"))
+    return Markup(DOTTED.sub(".<wbr>", text))
 
 
 def new_figure(width: float = 8.0, height: float = 4.0, **subplots: object):

@@ -6,7 +6,9 @@ import time
 
 import numpy as np
 import pytest
+from numba.core.event import trigger_event
 
+from hiltestbed import kernels
 from hiltestbed.bench.contacts import Contact, bounce, effort
 from hiltestbed.progress import Pace
 
@@ -85,3 +87,12 @@ def test_the_effort_of_a_batch_is_what_it_takes() -> None:
         bounce([c.scenario({"kind": "none"}) for c in contacts])
         paces.append((time.process_time() - start) / effort(contacts))
     assert max(paces) < 2.0 * min(paces), paces
+
+
+def test_compiling_is_told_once_and_only_where_it_takes_long(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    kernels.tell_of_compiling.__wrapped__()
+    for patience, told in ((3600.0, 0), (0.0, 1), (0.0, 0)):
+        monkeypatch.setattr(kernels, "PATIENCE", patience)
+        with trigger_event("numba:compile"), trigger_event("numba:compile"):
+            time.sleep(0.001)
+        assert capsys.readouterr().err.count("compiling") == told

@@ -130,6 +130,9 @@ def test_compare_says_which_keys_differ_and_what_they_did(late: hiltestbed.Run, 
     assert both.differences["compensation.force.kind"] == ["none", "phase_lead"]
     assert not any(key.startswith(("spacecraft", "sensor")) for key in both.differences)
     assert both.figures["cor"] == [late.summary["cor"], right.summary["cor"]]
+    net = [run.summary["stability"]["net_damping"] for run in (late, right)]
+    assert both.figures["stability.net_damping"] == net
+    assert net[0] < net[1]
     assert list(both.to_pandas().index) == ["late", right.summary["name"]]
     assert len(both.plot().lines) == 2
     with pytest.raises(InputError, match="two or more"):

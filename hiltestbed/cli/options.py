@@ -42,9 +42,11 @@ def read_scenario(file: Path, sets: list[str] | None, case: int | None = None) -
     """The scenario in a file, or of one case of the campaign in it; another kind of file is named, not taken for a faulty scenario."""
     from hiltestbed.check import file_kind
     from hiltestbed.gallery import campaign_names, find_scenario, refuse_unknown, scenario_names
+    from hiltestbed.kernels import tell_of_compiling
     from hiltestbed.scenario import scenario_from
     from hiltestbed.yaml_source import read_source
 
+    tell_of_compiling()
     refuse_unknown(file, scenario_names() if case is None else campaign_names())
     source = read_source(find_scenario(file))
     kind = file_kind(source)

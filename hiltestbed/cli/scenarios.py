@@ -36,10 +36,8 @@ def run(
     """
     start = time.monotonic()
     from hiltestbed.cli import ahead
-    from hiltestbed.kernels import compiled
     from hiltestbed.progress import progress_bar
 
-    first = not compiled()
     ahead.begin(scenario, sets, case)
     spec = read_scenario(scenario, sets, case)
     label = spec.name if case is None else f"{scenario.stem}-case-{case}"
@@ -56,8 +54,6 @@ def run(
     for warning in warnings(spec):
         print(printable(f"{spec.name}: warning: {warning}"), file=sys.stderr)
 
-    if first:
-        print("compiling the inner loops: once after the install, a minute or so", file=sys.stderr)
     with progress_bar(spec.name, spec.duration) as progress:
         result = simulate(spec, progress=progress)
     write_run(result, folder, rerun=not no_rerun)
@@ -87,8 +83,10 @@ def check(
     """
     from hiltestbed.check import look_at
     from hiltestbed.gallery import find_scenario
+    from hiltestbed.kernels import tell_of_compiling
     from hiltestbed.stability import stability_of_file
 
+    tell_of_compiling()
     changes = overrides(sets)
     paths = [find_scenario(file) for file in files]
     found = [(file, look_at(path, changes)) for file, path in zip(files, paths, strict=True)]

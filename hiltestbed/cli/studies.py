@@ -50,11 +50,13 @@ def bench(
     if (minutes is not None or workers is not None) and name != "robustness":
         raise InputError(f"bench {name}: --for and --workers are options of bench robustness alone; leave them out")
     from hiltestbed.bench.result import BENCH, write_bench
+    from hiltestbed.kernels import tell_of_compiling
     from hiltestbed.progress import count_bar
     from hiltestbed.recording import refuse_foreign
 
     folder = out if out is not None else free_folder(Path("runs") / f"bench-{name}")
     refuse_foreign(folder, BENCH)
+    tell_of_compiling()
     with count_bar(f"bench {name}") as progress:
         more: dict[str, Any] = {k: v for k, v in (("minutes", minutes), ("workers", workers)) if v is not None}
         result = getattr(import_module(BENCHES[name]), name)(quick=quick, progress=progress, **chosen, **more)
@@ -88,12 +90,13 @@ def sweep(
     from hiltestbed.campaign.sweep import default_folder
     from hiltestbed.campaign.sweep import sweep as run_sweep
     from hiltestbed.gallery import campaign_names, find_scenario, refuse_unknown
-    from hiltestbed.kernels import cores
+    from hiltestbed.kernels import cores, tell_of_compiling
     from hiltestbed.progress import case_bar
 
     if workers is not None and scheduler is not None:
         raise InputError("--workers is for this machine and --scheduler for a cluster; allowed is one of the two")
     refuse_unknown(campaign, campaign_names())
+    tell_of_compiling()
     spec = load_campaign(find_scenario(campaign), overrides(sets))
     folder = out if out is not None else default_folder(spec)
     workers = workers if workers is not None else cores()
@@ -126,9 +129,11 @@ def diagnose(
     """
     from hiltestbed.diagnosis.diagnose import diagnose as run_diagnosis
     from hiltestbed.diagnosis.report.folder import DIAGNOSIS
+    from hiltestbed.kernels import tell_of_compiling
     from hiltestbed.progress import step_line
     from hiltestbed.recording import refuse_foreign
 
+    tell_of_compiling()
     label = dataset.stem if dataset.stem != "dataset" else dataset.resolve().parent.name
     folder = out if out is not None else free_folder(Path("runs") / f"diagnosis-{safe_name(label)}")
     refuse_foreign(folder, DIAGNOSIS)

@@ -239,7 +239,7 @@ def _data(report: Report, d: Diagnosis) -> None:
     if not d.remarks:
         report.text("The check of the data found nothing to remark.")
     if d.seconds is not None:
-        report.text(f"Diagnosed in {d.seconds:.1f} s.")
+        report.text(f"Diagnosed in {d.seconds:.1f} s; this page and its pictures are made after that.")
 
 
 def _mean(values: Sequence[float | None]) -> float | None:
