@@ -15,10 +15,12 @@ from operator import is_
 from typing import Any
 
 import numpy as np
-from numba import njit, typeof, types
+from numba import typeof, types
 from numba.core import cgutils
 from numba.extending import intrinsic
 from numba.np.arrayobj import make_array, populate_array
+
+from hiltestbed.jit import njit
 
 WORD = 8  # [bytes] of an entry of the table
 

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from hiltestbed.frames import Array, twist_between
+from hiltestbed.jit import njit
 from hiltestbed.numerical_model.bodies import approach_state
 from hiltestbed.scenario import Scenario
 from hiltestbed.signals import RunTrace

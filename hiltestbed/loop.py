@@ -11,7 +11,6 @@ from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from hiltestbed.bound import bound, together
@@ -22,6 +21,7 @@ from hiltestbed.compensation.motion import MotionCommand
 from hiltestbed.contact.phases import Phases
 from hiltestbed.frames import Array
 from hiltestbed.identification.settings import IDENTIFIERS
+from hiltestbed.jit import njit
 from hiltestbed.metrics import Tally
 from hiltestbed.monitoring import ProcessMonitor
 from hiltestbed.outcome import Outcomes

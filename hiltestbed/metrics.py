@@ -10,11 +10,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from hiltestbed.bound import GIVEN, Call
 from hiltestbed.frames import Array, twist_between
+from hiltestbed.jit import njit
 from hiltestbed.scenario import Scenario
 
 SETTLE_TIME_CONSTANTS = 5.0  # of the low-pass, after which the rebound speed is read: exp(-5) = 0.7 % of the last force is left

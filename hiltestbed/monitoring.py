@@ -19,11 +19,11 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from hiltestbed.frames import Array
 from hiltestbed.identification.least_squares import RecursiveLeastSquares
 from hiltestbed.identification.samples import GATE_SIGMA, ContactSamples
+from hiltestbed.jit import njit
 from hiltestbed.scenario import Scenario
 from hiltestbed.scenario.monitoring import ContactEstimate, Monitoring
 

@@ -7,11 +7,11 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from hiltestbed.bound import GIVEN, Call
 from hiltestbed.frames import Array
+from hiltestbed.jit import njit
 from hiltestbed.scenario import Scenario
 
 LISTED = 64  # contacts of which start, end, impulse and peak are kept; all are counted

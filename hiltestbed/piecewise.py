@@ -7,11 +7,11 @@ from itertools import pairwise
 from typing import Annotated
 
 import numpy as np
-from numba import njit
 from pydantic import AfterValidator, Field, Strict
 from pydantic_core import PydanticCustomError
 
 from hiltestbed.frames import Array
+from hiltestbed.jit import njit
 
 MOST = 18  # knots of a curve
 PACKED = 1 + 2 * MOST  # numbers of a curve in a row: how many knots, their places, their values; the rest is 0

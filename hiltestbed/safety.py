@@ -12,10 +12,10 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numba import njit
 
 from hiltestbed.bound import GIVEN, Call
 from hiltestbed.frames import Array
+from hiltestbed.jit import njit
 from hiltestbed.platform.plant import Plant
 from hiltestbed.platform.pss33.kinematics import Platform, slider
 from hiltestbed.scenario import Scenario

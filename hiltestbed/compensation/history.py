@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from hiltestbed.frames import Array
+from hiltestbed.jit import njit
 
 
 class History:

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 from mujoco.batch import Batch
-from numba import njit
 
 from hiltestbed.bound import bound
 from hiltestbed.contact import solref
@@ -18,6 +17,7 @@ from hiltestbed.contact.mount import Mount
 from hiltestbed.contact.wrench import load_body, to_frame
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array, rotate, rotate_back
+from hiltestbed.jit import njit
 
 if TYPE_CHECKING:
     from hiltestbed.platform.plant import AppliedForce

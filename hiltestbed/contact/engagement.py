@@ -21,7 +21,6 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 from mujoco.batch import Batch
-from numba import njit
 from numpy.typing import NDArray
 
 from hiltestbed.bound import Joined, bound
@@ -59,6 +58,7 @@ from hiltestbed.contact.solref import NO_DAMPING
 from hiltestbed.contact.wrench import add_at, add_contact, law_of, meet_all, tilts
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array, quat_mul, rotate_back
+from hiltestbed.jit import njit
 
 if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
-
 from hiltestbed.contact.composition import FACET
 from hiltestbed.contact.parameters import DAMPING, STIFFNESS
 from hiltestbed.contact.solref import NO_DAMPING
 from hiltestbed.frames import quat_mul, rotate, rotate_back
+from hiltestbed.jit import njit
 
 POINT, NORM, SLIP, PUSH, DRAG, MET = 2, 5, 8, 11, 12, 13  # columns of what a contact met; the first two are penetration and rate
 NO_FRICTION = -1e-9  # [1/s^2] of a stiffness along the surface, per A

@@ -12,13 +12,13 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from hiltestbed.contact.surfaces.mesh import Tree
 from hiltestbed.contact.surfaces.profile import COLUMNS, TURNED, beyond, profile_distance
 from hiltestbed.contact.surfaces.surface import Surface, bounds, segment_distance, signed_distance
 from hiltestbed.frames import Array, rotate, rotate_back
+from hiltestbed.jit import njit
 
 # Columns of a row of `index`: frames of the round and of the surface; 1 where the surface is on the passive side, else -1; kind of the
 # surface; where its parts begin, and how long they are.

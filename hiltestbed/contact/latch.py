@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import njit
 
 from hiltestbed.bound import GIVEN, Call
 from hiltestbed.contact.engagement import Engagement
 from hiltestbed.frames import Array
+from hiltestbed.jit import njit
 
 if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario

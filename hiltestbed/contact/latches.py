@@ -13,7 +13,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from mujoco.batch import Batch
-from numba import njit
 from numpy.typing import NDArray
 
 from hiltestbed.bound import bound
@@ -24,6 +23,7 @@ from hiltestbed.contact.parameters import DAMPING, STIFFNESS
 from hiltestbed.contact.solref import NO_DAMPING
 from hiltestbed.contact.wrench import LATCH_RADIUS, relate_one
 from hiltestbed.frames import Array, quat_exp, quat_mul, quat_mul_conj, rotate, rotation_vector
+from hiltestbed.jit import njit
 
 STIFFER = 1e4  # times the stiffness of a closure: that of MuJoCo's spring between anchors that are so much nearer
 SITE = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])

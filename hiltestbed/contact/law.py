@@ -12,8 +12,6 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
-
 from hiltestbed.contact.parameters import (
     ADHESION,
     ALPHA,
@@ -41,6 +39,7 @@ from hiltestbed.contact.parameters import (
     STOP,
     STOP_STIFFNESS,
 )  # fmt: skip
+from hiltestbed.jit import njit
 from hiltestbed.piecewise import PACKED, along, between, steepest
 
 BRANCH, TOUCHING, DEFLECTION, DEFLECTION_RATE, SLIDER, LEARNED_SLIDER, STATES = 0, 1, 2, 3, 4, 5, 6

@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 from mujoco.batch import Batch
-from numba import njit
 
 from hiltestbed.bound import GIVEN, Call
 from hiltestbed.frames import Array, quat_mul, rotate
+from hiltestbed.jit import njit
 
 if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario

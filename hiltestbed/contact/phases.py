@@ -12,7 +12,6 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 from mujoco.batch import Batch
-from numba import njit
 from numpy.typing import NDArray
 
 from hiltestbed.contact.composition import ACTIVE, Structure
@@ -23,6 +22,7 @@ from hiltestbed.contact.sides import Sides
 from hiltestbed.contact.wrench import relate_one
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array
+from hiltestbed.jit import njit
 
 
 class _Condition(NamedTuple):

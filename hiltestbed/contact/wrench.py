@@ -12,12 +12,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from hiltestbed.contact.geometry import ACTIVE, PASSIVE, ROUND_FRAME, ROW, SIDE, SURFACE_FRAME, meet
 from hiltestbed.contact.law import contact_force
 from hiltestbed.contact.parameters import BLUNT, DAMPING, FRICTION, LEVER, OFFSET, STIFFNESS, TILT_X, TILT_Y
 from hiltestbed.frames import Array, pose_between, quat_mul, rotate, rotate_back, rotation_vector
+from hiltestbed.jit import njit
 
 CREEP = 1e-4  # [m/s] speed below which friction is viscous
 LATCH_RADIUS = 0.15  # [m] of the ring of latches: stiffness against turning is k LATCH_RADIUS^2

@@ -36,7 +36,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+
+from hiltestbed.jit import njit
 
 PAIRS = 2  # x with ry, y with rx
 PARTNERS = np.array([4, 3, -1, 1, 0, -1])  # of each axis; none of z and rz, which lie along the axis of a mechanism

@@ -20,13 +20,13 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numba import njit
 
 from hiltestbed.bound import GIVEN, Call
 from hiltestbed.compensation.force_methods.phase_lead import PhaseLeadBlock
 from hiltestbed.frames import Array
 from hiltestbed.identification.coupled import PAIRS, PARTNERS, PRODUCTS, accumulate_pairs, take_in_partner
 from hiltestbed.identification.samples import NORMAL, ContactSamples
+from hiltestbed.jit import njit
 
 MINIMUM_SAMPLES = 8
 HELD_REST = 1e-3  # part of the force's variance that k x + c v may leave, beside the noise, on an axis of a latch: 3 % of the force

@@ -11,9 +11,9 @@ from __future__ import annotations
 
 import numpy as np
 import pinocchio as pin
-from numba import njit
 
 from hiltestbed.frames import Array, rotate, rotate_back
+from hiltestbed.jit import njit
 
 RUNS_PER_MODEL = (
     6  # Pinocchio's Data holds several (nv, nv, nv) tensors: at 6 runs, nv = 72, 12 MB and 2 ms to make; at 16, 230 MB and 0.2 s

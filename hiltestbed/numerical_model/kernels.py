@@ -9,9 +9,9 @@ bodies with Pinocchio; a prediction needs a copy that can be set back, stepped u
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from hiltestbed.frames import cross, pose_between, quat_exp, quat_mul, quat_normalise, rotate, rotate_back
+from hiltestbed.jit import njit
 
 CHASER, TARGET = 0, 1
 WORK = 9  # rows of scratch that the kernels of one run need

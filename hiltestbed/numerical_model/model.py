@@ -12,12 +12,12 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from hiltestbed.bound import GIVEN, Call, bound
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array, cross, pose_step, rotate, rotate_back
+from hiltestbed.jit import njit
 from hiltestbed.numerical_model.bodies import approach_state, inertia_matrix, port_pose, rest_inertia
 from hiltestbed.numerical_model.free_flyers import FreeFlyers, as_seen, gain_speed
 from hiltestbed.numerical_model.kernels import load_wrench, move, place_at_start, relative_states

@@ -14,8 +14,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from hiltestbed.jit import njit
 from hiltestbed.numerical_model.kernels import CHASER, TARGET, WORK, mobility, relative_motion, wrench_at_A, wrench_at_P
 
 BODY, AXIS, OFFSET, VISCOUS, VISCOUS_BACK, COULOMB, COULOMB_BACK, RISE, STRIBECK, RESISTANCE = range(10)  # columns, and their number

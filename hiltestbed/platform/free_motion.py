@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import njit
 
 from hiltestbed.bound import GIVEN, Call
 from hiltestbed.compensation.measurement import Measurement
 from hiltestbed.frames import Array
+from hiltestbed.jit import njit
 from hiltestbed.numerical_model.bodies import approach_state
 
 if TYPE_CHECKING:

@@ -13,10 +13,10 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import njit
 
 from hiltestbed.effects.table import by_link
 from hiltestbed.frames import Array
+from hiltestbed.jit import njit
 from hiltestbed.platform.parameters import PlatformParameters, stack
 from hiltestbed.platform.step_response import longest_memory, summed_over
 

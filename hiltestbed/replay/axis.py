@@ -9,9 +9,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numba import njit
 
 from hiltestbed.frames import Array
+from hiltestbed.jit import njit
 from hiltestbed.numerical_model.kernels import CHASER, TARGET
 from hiltestbed.numerical_model.parameters import DAMPING, RATIO, STIFFNESS
 from hiltestbed.numerical_model.resistance import AXIS, BETWEEN, BODY, resisting

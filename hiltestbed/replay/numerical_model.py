@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import njit
 
 from hiltestbed.frames import Array
+from hiltestbed.jit import njit
 from hiltestbed.numerical_model.bodies import approach_state, inertia_matrix, port_pose
 from hiltestbed.numerical_model.kernels import load_wrench, move, newton_euler, place_at_start, relative_states
 from hiltestbed.numerical_model.model import hand_on, hang, hung_at_a_place, rests, run_back, swing

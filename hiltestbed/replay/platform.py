@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import njit
 
 from hiltestbed.frames import Array
+from hiltestbed.jit import njit
 from hiltestbed.platform.parameters import stack
 from hiltestbed.platform.response import MEMORY, follow, second_order
 

@@ -12,8 +12,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from hiltestbed.jit import njit
 from hiltestbed.piecewise import along
 
 

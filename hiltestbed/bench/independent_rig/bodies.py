@@ -9,9 +9,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from hiltestbed.bench.independent_rig.rotation import cross, from_attitude, inverse, matrix, product, times, turn
+from hiltestbed.jit import njit
 
 CHASER, TARGET = 0, 1
 R, Q, V, W, AQ, AV = slice(0, 3), slice(3, 7), slice(7, 10), slice(10, 13), slice(13, 16), slice(16, 19)

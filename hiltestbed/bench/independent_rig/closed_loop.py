@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from hiltestbed.bench.independent_rig import bodies as model
 from hiltestbed.bench.independent_rig import compensation as method
@@ -14,6 +13,7 @@ from hiltestbed.bench.independent_rig import six_axes
 from hiltestbed.bench.independent_rig.links import Noise, Records, Rig
 from hiltestbed.bench.independent_rig.measured_pose import all_noisy, noisy, slope
 from hiltestbed.bench.independent_rig.rotation import inverse, product, turn, turn_of
+from hiltestbed.jit import njit
 
 
 @njit(cache=True)

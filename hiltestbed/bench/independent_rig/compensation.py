@@ -21,10 +21,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from hiltestbed.bench.independent_rig.identification import SUMS, estimate, take
 from hiltestbed.bench.independent_rig.rotation import turn_of
+from hiltestbed.jit import njit
 
 LEAD, NONE, PHASE_LEAD, SECOND_ORDER_LEAD, POLYNOMIAL, DEAD_ZONE, SMITH, VIRTUAL, PASSIVITY, RECONSTRUCTION = range(-1, 9)
 METHODS = {

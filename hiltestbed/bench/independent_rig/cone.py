@@ -11,7 +11,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+
+from hiltestbed.jit import njit
 
 FIRST_LOOK = 16  # places along the rod from which the one nearest to the rim is refined
 GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)

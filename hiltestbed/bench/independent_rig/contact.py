@@ -10,7 +10,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+
+from hiltestbed.jit import njit
 
 BRANCH, FRAME, FRAME_V, AGE, SLIDER = range(5)  # states: Maxwell force [N], frame [m], [m/s], time since the touch [s], slider [m]
 STATES = 5

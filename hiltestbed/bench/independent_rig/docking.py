@@ -11,13 +11,13 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from hiltestbed.bench.independent_rig import contact as law_of
 from hiltestbed.bench.independent_rig.cone import Surfaces, clearance, rod_clearance
 from hiltestbed.bench.independent_rig.contact import SLIDING, Contact
 from hiltestbed.bench.independent_rig.mount import Mount
 from hiltestbed.bench.independent_rig.rotation import apply, apply_back, inverse, matrix, product, turn_of
+from hiltestbed.jit import njit
 
 TIP, ROD = 0, 1
 RING = 0.15  # m, radius of the ring of latches: stiffness against turning is that of the latch times its square

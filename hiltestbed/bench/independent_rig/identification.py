@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
+from hiltestbed.jit import njit
 
 SUMS = 10  # 1, x, v, y, xx, xv, vv, xy, vy, yy
 LEAST = 8  # samples

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from hiltestbed.bench.independent_rig.rotation import inverse, product, turn_of
+from hiltestbed.jit import njit
 
 
 @njit(cache=True)

@@ -11,9 +11,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from hiltestbed.bench.independent_rig.rotation import apply, apply_back, matrix, product, turn, turn_of
+from hiltestbed.jit import njit
 
 RIGID = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
 CONE_MASS = 120.0  # kg, with the next two as in models/probe_cone/passive.xml

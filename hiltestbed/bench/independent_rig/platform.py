@@ -10,7 +10,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+
+from hiltestbed.jit import njit
 
 LIMITED, LAG, LAG_V, MODE, MODE_V, PLAY, HELD, COMMAND, SLEWED, SLEWED_V, NEAR, NEAR_V = range(12)
 STATES = 12

@@ -10,7 +10,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+
+from hiltestbed.jit import njit
 
 LAG, HIGH, BEFORE, HELD = range(4)  # states, (4, 6)
 EXPONENTIAL, BACKWARD, TRAPEZOIDAL = range(3)  # schemes of the lag

@@ -10,7 +10,6 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from hiltestbed.bench.independent_rig import bodies as model
 from hiltestbed.bench.independent_rig import compensation as method
@@ -22,6 +21,7 @@ from hiltestbed.bench.independent_rig import sensor as gauge
 from hiltestbed.bench.independent_rig.links import Noise, Records, Rig
 from hiltestbed.bench.independent_rig.measured_pose import all_noisy, noisy, slope
 from hiltestbed.bench.independent_rig.rotation import inverse, product, turn, turn_of
+from hiltestbed.jit import njit
 
 STOPPED = 5e4  # N, at which a facility stops its run: what comes after is not a number
 KEPT = 0.2  # s, for how long the trail is kept beyond the delays: what a stretched or skewed record looks back

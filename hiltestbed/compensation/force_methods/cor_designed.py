@@ -16,13 +16,13 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
-from numba import njit
 from pydantic import Field
 
 from hiltestbed.compensation.force_methods.virtual_contact import add_virtual
 from hiltestbed.compensation.measurement import Measurement
 from hiltestbed.compensation.settings import ForceMethod, Input, force_of
 from hiltestbed.frames import Array
+from hiltestbed.jit import njit
 from hiltestbed.numerical_model.bodies import effective_mass
 from hiltestbed.plugins import register
 from hiltestbed.validation import NotNegative, Positive

@@ -19,12 +19,12 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
-from numba import njit
 from pydantic import Field
 
 from hiltestbed.compensation.measurement import Measurement
 from hiltestbed.compensation.settings import ForceMethod, Input, force_of
 from hiltestbed.frames import Array
+from hiltestbed.jit import njit
 from hiltestbed.numerical_model.model import NumericalModel
 from hiltestbed.plugins import register
 from hiltestbed.validation import NotNegative, Positive

@@ -15,13 +15,13 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
-from numba import njit
 from pydantic import Field
 
 from hiltestbed.bound import GIVEN, Call
 from hiltestbed.compensation.measurement import Measurement
 from hiltestbed.compensation.settings import ForceMethod, Input
 from hiltestbed.frames import Array
+from hiltestbed.jit import njit
 from hiltestbed.plugins import register
 from hiltestbed.validation import NotNegative, Positive
 

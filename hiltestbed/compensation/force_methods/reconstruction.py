@@ -15,7 +15,6 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
-from numba import njit
 from pydantic import Field
 
 from hiltestbed.compensation.force_methods.phase_lead import PhaseLeadBlock
@@ -24,6 +23,7 @@ from hiltestbed.compensation.measurement import Measurement
 from hiltestbed.compensation.resynchronised.captured import CapturedContact, observe
 from hiltestbed.compensation.settings import ForceMethod, Input, force_of
 from hiltestbed.frames import Array
+from hiltestbed.jit import njit
 from hiltestbed.plugins import register
 from hiltestbed.validation import NotNegative, Positive
 

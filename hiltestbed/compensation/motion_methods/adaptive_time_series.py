@@ -15,12 +15,12 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
-from numba import njit
 from pydantic import Field
 
 from hiltestbed.compensation.measurement import Measurement
 from hiltestbed.compensation.settings import Input, MotionMethod, motion_of
 from hiltestbed.frames import Array, pose_step
+from hiltestbed.jit import njit
 from hiltestbed.plugins import register
 from hiltestbed.validation import NotNegative, Positive
 

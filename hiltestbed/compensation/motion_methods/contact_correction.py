@@ -11,12 +11,12 @@ from __future__ import annotations
 from typing import ClassVar, Literal
 
 import numpy as np
-from numba import njit
 
 from hiltestbed.compensation.measurement import Measurement
 from hiltestbed.compensation.settings import Input, MotionMethod
 from hiltestbed.frames import Array, rotate, twist_between
 from hiltestbed.identification.held import add_moment
+from hiltestbed.jit import njit
 from hiltestbed.plugins import register
 
 

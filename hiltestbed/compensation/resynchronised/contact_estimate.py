@@ -21,7 +21,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+
+from hiltestbed.jit import njit
 
 # Columns of a run's row in ``law``.
 STIFFNESS, DAMPING, TOUCH, KNOWN, ARMED, STIFFNESS_SD, DAMPING_SD, FRICTION, LAW = range(9)

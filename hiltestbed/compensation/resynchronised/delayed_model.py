@@ -8,10 +8,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from hiltestbed.compensation.resynchronised import contact_estimate as ce
 from hiltestbed.frames import rotation_vector
+from hiltestbed.jit import njit
 from hiltestbed.numerical_model.kernels import carry, relative_motion, step, wrench_at_A, wrench_at_P
 
 HISTORY = 512  # ticks of a contact that can be run again

@@ -25,7 +25,6 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from hiltestbed.compensation.measurement import Measurement
@@ -36,6 +35,7 @@ from hiltestbed.compensation.resynchronised.predictor import predict
 from hiltestbed.compensation.resynchronised.settings import Resynchronised
 from hiltestbed.compensation.settings import force_of
 from hiltestbed.frames import Array, quat_conj_mul, rotate, rotation_vector
+from hiltestbed.jit import njit
 from hiltestbed.numerical_model.kernels import SCRATCH, mobility, solve, wrench_at_A, wrench_at_P
 from hiltestbed.numerical_model.model import NumericalModel
 

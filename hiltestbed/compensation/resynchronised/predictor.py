@@ -6,11 +6,11 @@ Kernels of :mod:`hiltestbed.compensation.resynchronised` for run ``i``; ``bodies
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from hiltestbed.compensation.resynchronised import contact_estimate as ce
 from hiltestbed.compensation.resynchronised.delayed_model import BEHIND, DONE, along
 from hiltestbed.frames import rotation_vector
+from hiltestbed.jit import njit
 from hiltestbed.numerical_model.kernels import carry, mobility, relative_motion, wrench_at_A, wrench_at_P
 
 

@@ -11,11 +11,11 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from hiltestbed.contact.surfaces.soundness import welded
 from hiltestbed.frames import Array
+from hiltestbed.jit import njit
 
 LEAF = 4  # triangles in a leaf
 DEEPEST = 64  # of the tree: 2^64 leaves

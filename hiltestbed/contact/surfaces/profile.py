@@ -15,9 +15,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from hiltestbed.frames import Array
+from hiltestbed.jit import njit
 
 SEGMENT, ARC = 0.0, 1.0
 # Columns of an element: kind; its two ends; of a segment the direction, the outward normal and the length, of an arc the centre, the

@@ -11,7 +11,8 @@ import math
 
 import mujoco
 import numpy as np
-from numba import njit
+
+from hiltestbed.jit import njit
 
 PLANE = int(mujoco.mjtGeom.mjGEOM_PLANE)
 SPHERE = int(mujoco.mjtGeom.mjGEOM_SPHERE)

@@ -6,7 +6,6 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from hiltestbed.contact.surfaces import mesh, profile, shapes
@@ -16,6 +15,7 @@ from hiltestbed.contact.surfaces.revolution import recognise
 from hiltestbed.contact.surfaces.shapes import shape_distance
 from hiltestbed.contact.surfaces.soundness import Finding, examine
 from hiltestbed.frames import Array
+from hiltestbed.jit import njit
 
 MESH = 7  # beside the kinds of :mod:`shapes`, which are MuJoCo's
 HALVINGS = 5  # of a segment, at which ends a minimum is looked for

@@ -16,11 +16,11 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from numba import njit
 
 from hiltestbed.frames import Array
 from hiltestbed.identification.samples import ContactSamples
 from hiltestbed.identification.settings import Identifier
+from hiltestbed.jit import njit
 from hiltestbed.plugins import register
 
 if TYPE_CHECKING:

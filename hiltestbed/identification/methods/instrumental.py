@@ -11,12 +11,12 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
-from numba import njit
 from pydantic import Field
 
 from hiltestbed.frames import Array
 from hiltestbed.identification.samples import ContactSamples
 from hiltestbed.identification.settings import Identifier, identifier_of
+from hiltestbed.jit import njit
 from hiltestbed.plugins import register
 
 if TYPE_CHECKING:

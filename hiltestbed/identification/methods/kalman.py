@@ -13,12 +13,12 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from numba import njit
 from pydantic import Field
 
 from hiltestbed.frames import Array
 from hiltestbed.identification.samples import ContactSamples
 from hiltestbed.identification.settings import Identifier, identifier_of
+from hiltestbed.jit import njit
 from hiltestbed.plugins import register
 from hiltestbed.validation import NotNegative
 

@@ -18,12 +18,12 @@ from typing import Any, ClassVar
 
 import mujoco
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from hiltestbed.bound import GIVEN, Call
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array, twist_between
+from hiltestbed.jit import njit
 from hiltestbed.platform.facilities.drives import UPRIGHT, relative
 from hiltestbed.platform.facilities.facility import MOUNT, MOUNT_HOME, NOMINAL, TOOL_HOME, Facility, Response, add_carrier
 from hiltestbed.platform.facilities.inverse_dynamics import joint_forces

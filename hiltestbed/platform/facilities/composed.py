@@ -6,12 +6,12 @@ import copy
 
 import mujoco
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from hiltestbed.bound import GIVEN, Call
 from hiltestbed.contact.composition import ACTIVE, PASSIVE, Structure, add_active, add_contact, add_passive
 from hiltestbed.frames import Array, cross, rotate_back
+from hiltestbed.jit import njit
 from hiltestbed.platform.facilities.bodies import PhysicalFacility
 from hiltestbed.platform.facilities.facility import CARRIER, MOUNT, NOMINAL, TOOL_HOME, Facility, stiffen
 from hiltestbed.platform.prs3.payload import load_of

@@ -10,11 +10,11 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from hiltestbed.bound import GIVEN, Call
 from hiltestbed.frames import Array
+from hiltestbed.jit import njit
 from hiltestbed.platform.friction import BRISTLE, STEPS, drag, stribeck
 
 AT_REST = 1e-9  # [m/s], [rad/s] of a drive at the start: less is the rounding of the inverse kinematics, which has no direction

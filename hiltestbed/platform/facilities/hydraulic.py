@@ -27,11 +27,11 @@ from functools import cached_property
 
 import mujoco
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from hiltestbed.bound import GIVEN, Call
 from hiltestbed.frames import Array
+from hiltestbed.jit import njit
 from hiltestbed.platform.facilities.drives import Drives
 from hiltestbed.platform.facilities.force_servo import quantised
 from hiltestbed.platform.facilities.friction import Rubbing

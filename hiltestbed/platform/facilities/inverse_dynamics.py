@@ -9,9 +9,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from hiltestbed.frames import rotate, rotate_back
+from hiltestbed.jit import njit
 from hiltestbed.platform.facilities.tree import FREE, HINGE, SLIDE
 
 

@@ -9,7 +9,7 @@ Euler, driven by them, lands on the plan.
 
 from __future__ import annotations
 
-from numba import njit
+from hiltestbed.jit import njit
 
 START, LEAVE = 0, 1
 

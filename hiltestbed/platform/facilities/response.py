@@ -17,10 +17,10 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from hiltestbed.frames import Array, quat_exp, rotation_vectors
+from hiltestbed.jit import njit
 from hiltestbed.platform.facilities.facility import Response
 from hiltestbed.platform.facilities.settings import ResponseSettings
 

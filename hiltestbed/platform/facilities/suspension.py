@@ -18,11 +18,11 @@ from typing import Any, ClassVar
 
 import mujoco
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from hiltestbed.bound import GIVEN, Call
 from hiltestbed.frames import Array
+from hiltestbed.jit import njit
 from hiltestbed.models import load
 from hiltestbed.platform.facilities.bodies import GRAVITY, SIDES, Bodies, PhysicalFacility
 from hiltestbed.platform.facilities.facility import MOUNT, per_run

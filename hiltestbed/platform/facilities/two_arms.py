@@ -20,11 +20,11 @@ from typing import Any, ClassVar
 
 import mujoco
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from hiltestbed.bound import GIVEN, Call
 from hiltestbed.frames import Array, pose_step, quat_exp, quat_mul, rotate, rotation_vector, twist_between
+from hiltestbed.jit import njit
 from hiltestbed.models import load
 from hiltestbed.platform.facilities.elastic_joint import ElasticJoints
 from hiltestbed.platform.facilities.facility import (

@@ -19,9 +19,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from hiltestbed.frames import Array, quat_mul, rotate, rotation_vector
+from hiltestbed.jit import njit
 from hiltestbed.platform.prs3.geometry import HEAVE, TILT, Upper, place
 
 DOCKING = 0.19  # [m] the cone's rim lies 0.155 m before P's origin; the rest is run in 0.1 s at 0.3 m/s, time to come to rest

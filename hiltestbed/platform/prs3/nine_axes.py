@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
-from numba import njit
 
 from hiltestbed.contact.wrench import relate
 from hiltestbed.frames import Array, pose_step, twist_between
+from hiltestbed.jit import njit
 from hiltestbed.platform.driven import ServoTracking
 from hiltestbed.platform.ideal import IdealTracking
 from hiltestbed.platform.prs3.allocation import compose

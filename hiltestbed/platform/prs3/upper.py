@@ -12,10 +12,10 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from hiltestbed.frames import Array, pose_step, twist_between
+from hiltestbed.jit import njit
 from hiltestbed.platform.prs3.allocation import share
 from hiltestbed.platform.prs3.drives import UpperDrives
 from hiltestbed.platform.prs3.geometry import Upper, inverse, place, slider

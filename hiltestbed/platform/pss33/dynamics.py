@@ -11,9 +11,9 @@ import math
 
 import mujoco
 import numpy as np
-from numba import njit
 
 from hiltestbed.frames import Array, rotate, rotate_back
+from hiltestbed.jit import njit
 
 GRAVITY = 9.81  # [m/s^2], along -z of W
 

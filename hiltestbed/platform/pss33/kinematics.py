@@ -17,9 +17,9 @@ from functools import cache
 
 import mujoco
 import numpy as np
-from numba import njit
 
 from hiltestbed.frames import Array, rotate
+from hiltestbed.jit import njit
 from hiltestbed.platform import model
 
 STEEPEST = 0.05  # cosine between link and slider at which rates are taken where a link does not reach: keeps them finite

@@ -19,11 +19,11 @@ from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from hiltestbed.bound import GIVEN, Call
 from hiltestbed.frames import Array, pose_step, rotate, rotate_back
+from hiltestbed.jit import njit
 from hiltestbed.platform.facilities.reference import LEAVE, START, cubic, sample
 from hiltestbed.platform.friction import DriveFriction
 from hiltestbed.platform.pss33.dynamics import drive_forces, invert, load_constants

@@ -1,0 +1,111 @@
+"""Numba's ``njit``, whose kernels on disk are compiled anew whenever anything that they are made of has changed.
+
+Numba keeps a compiled kernel for as long as the file of its function is the same. What the function calls is compiled into it, and so are
+the constants that it reads: where those come from another file, an update of the program would go on with the old ones. Here a kernel is
+marked by its own code, by all kernels that it calls, and by the value of every constant that any of them reads.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from types import CodeType, FunctionType, ModuleType
+from typing import Any
+
+import numba
+import numpy as np
+from numba.core.dispatcher import Dispatcher
+from numba.core.types import Type
+
+_njit: Any = numba.njit
+_marks: dict[FunctionType, str] = {}
+
+
+def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
+    """``numba.njit`` with its options; a kernel that is kept on disk is marked by all that it is made of."""
+
+    def compiled(function: Any) -> Any:
+        kernel = _njit(**options)(function)
+        if not options.get("cache"):
+            return kernel
+        try:
+            kept = kernel._cache._cache_file
+            kept._source_stamp  # noqa: B018
+        except AttributeError:  # a Numba that keeps kernels in another way: compiled at each start is slow, but never out of date
+            return _njit(**options | {"cache": False})(function)
+        kept._source_stamp = Mark(function)
+        return kernel
+
+    return compiled
+
+
+class Mark:
+    """What a kernel on disk is compared with, told when it is first asked for: by then all that the function names is there."""
+
+    __slots__ = ("_function",)
+
+    def __init__(self, function: FunctionType) -> None:
+        self._function = function
+
+    def __eq__(self, other: object) -> bool:
+        return str(other) == str(self)
+
+    def __hash__(self) -> int:
+        return hash(str(self))
+
+    def __str__(self) -> str:
+        return mark_of(self._function)
+
+    def __reduce__(self) -> tuple[type[str], tuple[str]]:
+        return str, (str(self),)
+
+
+def mark_of(function: FunctionType) -> str:
+    """Hash of a function's code, of all kernels that it calls, and of the constants that any of them reads."""
+    if function not in _marks:
+        reached: dict[FunctionType, str] = {}
+        _reach(function, reached)
+        _marks[function] = hashlib.sha256("\n".join(sorted(reached.values())).encode()).hexdigest()
+    return _marks[function]
+
+
+def _reach(function: FunctionType, reached: dict[FunctionType, str]) -> None:
+    """Add to ``reached`` a function, told in words without those that it calls, and then those."""
+    if function in reached:
+        return
+    reached[function] = ""
+    codes = [function.__code__]
+    parts: list[str] = [f"{function.__module__}.{function.__qualname__}"]
+    called: list[FunctionType] = []
+    space = function.__globals__
+    held = dict(zip(function.__code__.co_freevars, (c.cell_contents for c in function.__closure__ or ()), strict=True))
+    while codes:
+        code = codes.pop()
+        parts += [code.co_code.hex(), repr(code.co_names), repr(code.co_varnames)]
+        codes += [constant for constant in code.co_consts if isinstance(constant, CodeType)]
+        parts += [_told(constant, called) for constant in code.co_consts if not isinstance(constant, CodeType)]
+        for name in (*code.co_names, *code.co_freevars):
+            value = held.get(name, space.get(name))
+            parts.append(f"{name} {_told(value, called)}")
+            if isinstance(value, ModuleType):
+                parts += [f"{name}.{part} {_told(getattr(value, part, None), called)}" for part in code.co_names]
+    parts.append(_told(function.__defaults__, called))
+    reached[function] = "\n".join(parts)
+    for other in called:
+        _reach(other, reached)
+
+
+def _told(value: Any, called: list[FunctionType]) -> str:
+    """A value in words that are the same in every process; what is compiled with it is added to ``called``."""
+    compiled = value.py_func if isinstance(value, Dispatcher) else getattr(value, "_defn", None)  # the latter of an intrinsic
+    if isinstance(compiled, FunctionType):
+        called.append(compiled)
+    if isinstance(value, np.ndarray):
+        return f"{value.dtype} {value.shape} {value.tobytes().hex()}"
+    if isinstance(value, (tuple, list)):
+        return f"{type(value).__qualname__}({', '.join(_told(part, called) for part in value)})"
+    if isinstance(value, frozenset):
+        return f"frozenset({', '.join(sorted(_told(part, called) for part in value))})"
+    if value is None or isinstance(value, (bool, int, float, complex, str, bytes, np.generic)):
+        return repr(value)
+    return str(value) if isinstance(value, Type) else f"{type(value).__module__}.{type(value).__qualname__}"

@@ -1,0 +1,62 @@
+"""A kernel on disk is good for as long as all that it is made of is the same, wherever that is written."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+LAW = """
+from hiltestbed.jit import njit
+
+FACTOR = {factor}
+
+
+@njit(cache=True)
+def law(x):
+    return {sign}FACTOR * x
+"""
+USER = """
+import law as laws
+from hiltestbed.jit import njit
+from law import FACTOR, law
+
+
+@njit(cache=True)
+def force(x):
+    return law(x)
+
+
+@njit(cache=True)
+def constant(x):
+    return FACTOR * x
+
+
+@njit(cache=True)
+def of_module(x):
+    return laws.FACTOR * x
+
+
+print(force(1.0), constant(1.0), of_module(1.0), *(sum(f.stats.cache_hits.values()) for f in (force, constant, of_module)))
+"""
+
+
+def ran(folder: Path, factor: float, sign: str) -> list[float]:
+    (folder / "law.py").write_text(LAW.format(factor=factor, sign=sign))
+    (folder / "user.py").write_text(USER)
+    done = subprocess.run([sys.executable, "-B", "user.py"], cwd=folder, capture_output=True, text=True, check=True)
+    return [float(word) for word in done.stdout.split()]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("kernels")
+
+
+def test_an_old_kernel_is_taken_only_where_nothing_has_changed(folder: Path) -> None:
+    assert ran(folder, 2.0, "") == [2.0, 2.0, 2.0, 0, 0, 0]
+    assert ran(folder, 2.0, "") == [2.0, 2.0, 2.0, 1, 1, 1]
+    assert ran(folder, 3.0, "") == [3.0, 3.0, 3.0, 0, 0, 0]
+    assert ran(folder, 3.0, "-") == [-3.0, 3.0, 3.0, 0, 1, 1]
