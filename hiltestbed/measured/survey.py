@@ -63,7 +63,8 @@ def look(record: Record, scenario: Scenario) -> Survey:
     free = 0 if latched else _free_ticks(record, depth)
     noise = {n: noise_of(record.column(n), free, record.steps.get(n, 0.0), n.startswith("pose")) for n in record.columns()}
     flat = scenario.mechanism.flat
-    spans = [(0, record.ticks)] if latched else _spans(record, depth if flat else None, noise) or _spans(record, depth, noise)
+    by_pose, by_force = (depth, None) if flat else (None, depth)  # each finds what the other misses: a tilted port meets a plane early
+    spans = [(0, record.ticks)] if latched else _spans(record, by_pose, noise) or _spans(record, by_force, noise)
     spans = _held(spans, record, depth, scenario)
     contacts = tuple(_contact(record, span, depth, scenario) for span in spans)
     excited = tuple(name for name in record.columns() if _range(record.column(name)) > MOVED * max(noise[name].white, 1e-300))
@@ -113,11 +114,22 @@ def _free_ticks(record: Record, depth: Array | None) -> int:
         ends += np.flatnonzero(depth > 0)[:1].tolist()
     if "wrench_meas.fz" in record.columns():
         force = _bridged(record.column("wrench_meas.fz"))
-        start = force[np.isfinite(force)][: 2 * FREE_MINIMUM]
-        sigma = max(white_noise(start), float(np.std(start)) if len(start) else 0.0)
-        away = np.abs(force - np.median(start)) > ONSET * sigma if len(start) else np.zeros(record.ticks, dtype=bool)
-        ends += _first_run(away, ONSET_TICKS)
+        still = _still(force[np.isfinite(force)])
+        if len(still):
+            sigma = max(white_noise(still), float(np.std(still)))
+            ends += _first_run(np.abs(force - np.median(still)) > ONSET * sigma, ONSET_TICKS)
     return max(0, int(min(ends)) - 2)
+
+
+def _still(force: Array) -> Array:
+    """The first rows; the quietest ones as long where those are so restless that a touch must lie within them."""
+    rows = 2 * FREE_MINIMUM
+    first = force[:rows]
+    if len(force) < 2 * rows:
+        return first
+    parts = force[: len(force) // rows * rows].reshape(-1, rows)
+    quietest = parts[np.std(parts, axis=1).argmin()]
+    return quietest if np.std(first) > ONSET * np.std(quietest) > 0.0 else first
 
 
 def _first_run(flags: np.ndarray, length: int) -> list[int]:

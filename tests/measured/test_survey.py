@@ -41,3 +41,21 @@ def test_what_a_latch_holds_stays_in_contact_while_its_force_passes_through_zero
         assert spans[0][1] == 8000
     else:  # out of the latch's reach at the end: it held nothing
         assert len(spans) > 2
+
+
+def test_a_tilted_port_that_is_met_in_the_first_rows_before_the_pose_says_so() -> None:
+    """Beside the axis a tilt of 2 degrees brings a plane 5 mm nearer: it is met while pz says that there is a gap, as the record begins."""
+    scenario = load_scenario(find_scenario(Path("02-bumper")))
+    assert scenario.mechanism.flat
+    t = np.arange(1400) / scenario.rate
+    force = np.where((t > 0.004) & (t < 0.1), 300.0 * np.sin(np.pi * (t - 0.004) / 0.096), 0.0)
+    pose, wrench = np.zeros((len(t), 7)), np.random.default_rng(1).standard_normal((len(t), 6))
+    pose[:, 2], pose[:, 6] = -0.0048 + 0.04 * np.minimum(t, 0.05) - 0.04 * np.maximum(t - 0.05, 0.0), 1.0
+    wrench[:, 2] += force
+    valid = {"pose_act": np.ones(pose.shape, bool), "wrench_meas": np.ones(wrench.shape, bool)}
+    found = look(Record(1, Path(), t, {"pose_act": pose, "wrench_meas": wrench}, valid), scenario)
+    late = 2.5e-3 * scenario.rate  # the force is 10 times its noise, with two sigma to spare, after 1 ms
+    assert abs(found.free - 0.004 * scenario.rate) < late
+    assert len(found.contacts) == 1
+    assert abs(found.contacts[0].start - 0.004 * scenario.rate) < late
+    assert abs(found.contacts[0].end - 0.1 * scenario.rate) < late
