@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
-from numba import njit
 from scipy.signal import lfilter
 
 from hiltestbed.contact.composition import PASSIVE, add_side
 from hiltestbed.frames import Array
+from hiltestbed.jit import njit
 
 if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario
@@ -74,7 +74,7 @@ def _inertia(body: Array) -> Array:
 
 
 MASS, CENTRE, INERTIA, BODY = 0, 1, 4, 13  # where each part of a body begins, and its length
-SCRATCH = 10  # rows of 3 that a step of one mount needs
+SCRATCH = 17  # rows of 3 that a step of one mount needs
 
 
 def carried(model: mujoco.MjModel, body: str) -> Array:
@@ -117,7 +117,7 @@ def mount_step(stiffness, damping, body, dt, wrench, q, qd, work):
     Newton and Euler for the body about the point that the slides carry, projected on the joints (R. Featherstone, Rigid Body Dynamics
     Algorithms, 2008, chapter 3). ``q``, ``qd`` (6,) are moved on; ``work`` (SCRATCH, 3) is scratch.
     """
-    axes, turn, inertia = work[0:3], work[3:6], work[6:9]
+    axes, turn, inertia, half = work[0:3], work[3:6], work[6:9], work[10:13]
     w, m = work[9], body[MASS]
     _axes(q, axes, turn)
     ax, ay, az = axes[0], axes[1], axes[2]
@@ -126,13 +126,12 @@ def mount_step(stiffness, damping, body, dt, wrench, q, qd, work):
     cx = turn[0, 0] * body[1] + turn[0, 1] * body[2] + turn[0, 2] * body[3]  # centre of mass from the hinges' point
     cy = turn[1, 0] * body[1] + turn[1, 1] * body[2] + turn[1, 2] * body[3]
     cz = turn[2, 0] * body[1] + turn[2, 1] * body[2] + turn[2, 2] * body[3]
+    for a in range(3):  # turn times inertia times turn transposed, in two products
+        for j in range(3):
+            half[a, j] = turn[a, 0] * body[INERTIA + j] + turn[a, 1] * body[INERTIA + 3 + j] + turn[a, 2] * body[INERTIA + 6 + j]
     for a in range(3):
         for b in range(a, 3):
-            total = 0.0
-            for i in range(3):
-                for j in range(3):
-                    total += turn[a, i] * body[INERTIA + 3 * i + j] * turn[b, j]
-            inertia[a, b] = inertia[b, a] = total
+            inertia[a, b] = inertia[b, a] = half[a, 0] * turn[b, 0] + half[a, 1] * turn[b, 1] + half[a, 2] * turn[b, 2]
     # What the hinges' axes turn each other by: the part of the angular acceleration that no joint's acceleration makes
     ux, uy, uz = qd[3] * ax[0] + qd[4] * ay[0], qd[3] * ax[1] + qd[4] * ay[1], qd[3] * ax[2] + qd[4] * ay[2]
     bx = qd[4] * qd[3] * (ax[1] * ay[2] - ax[2] * ay[1]) + qd[5] * (uy * az[2] - uz * az[1])
@@ -152,53 +151,60 @@ def mount_step(stiffness, damping, body, dt, wrench, q, qd, work):
     fx = wrench[0] - m * (by * cz - bz * cy + w[0] * along - cx * square) - stiffness[0] * q[0] - damping[0] * qd[0]
     fy = wrench[1] - m * (bz * cx - bx * cz + w[1] * along - cy * square) - stiffness[1] * q[1] - damping[1] * qd[1]
     fz = wrench[2] - m * (bx * cy - by * cx + w[2] * along - cz * square) - stiffness[2] * q[2] - damping[2] * qd[2]
-    _accelerate(stiffness, damping, m, cx, cy, cz, dt, (fx, fy, fz), (tx, ty, tz), axes, inertia, q, qd)
+    _accelerate(stiffness, damping, m, cx, cy, cz, dt, (fx, fy, fz), (tx, ty, tz), axes, inertia, q, qd, work[13:16], work[16])
     for j in range(6):
         q[j] += dt * qd[j]
 
 
 @njit(cache=True)
-def _accelerate(stiffness, damping, m, cx, cy, cz, dt, force, torque, axes, inertia, q, qd):
-    """Add ``dt (M + dt C)^-1`` times force (3,) and torque (3,) to the rates, the slides eliminated first: their block is diagonal."""
+def _accelerate(stiffness, damping, m, cx, cy, cz, dt, force, torque, axes, inertia, q, qd, taken, load):
+    """Add ``dt (M + dt C)^-1`` times force (3,) and torque (3,) to the rates, the slides eliminated first: their block is diagonal.
+
+    ``taken`` (3, 3), ``load`` (3,): scratch.
+    """
     ix, iy, iz = 1.0 / (m + dt * damping[0]), 1.0 / (m + dt * damping[1]), 1.0 / (m + dt * damping[2])
     fx, fy, fz = force
-    matrix, side = np.empty((3, 3)), np.empty(3)
-    for a in range(3):
-        wx, wy, wz = axes[a, 0], axes[a, 1], axes[a, 2]
-        px, py, pz = m * (wy * cz - wz * cy), m * (wz * cx - wx * cz), m * (wx * cy - wy * cx)  # force that the hinge's acceleration takes
-        hinge = 3 + a
-        load = wx * torque[0] + wy * torque[1] + wz * torque[2] - stiffness[hinge] * q[hinge] - damping[hinge] * qd[hinge]
-        side[a] = load - (px * ix * fx + py * iy * fy + pz * iz * fz)
-        for b in range(3):
-            vx, vy, vz = axes[b, 0], axes[b, 1], axes[b, 2]
-            rx, ry, rz = m * (vy * cz - vz * cy), m * (vz * cx - vx * cz), m * (vx * cy - vy * cx)
-            total = -(px * ix * rx + py * iy * ry + pz * iz * rz)
-            for i in range(3):
-                total += axes[a, i] * (inertia[i, 0] * vx + inertia[i, 1] * vy + inertia[i, 2] * vz)
-            matrix[a, b] = total + (dt * damping[hinge] if a == b else 0.0)
-    _solve(matrix, side)
-    for a in range(3):
-        wx, wy, wz = axes[a, 0], axes[a, 1], axes[a, 2]
-        fx -= side[a] * m * (wy * cz - wz * cy)
-        fy -= side[a] * m * (wz * cx - wx * cz)
-        fz -= side[a] * m * (wx * cy - wy * cx)
-        qd[3 + a] += dt * side[a]
+    tx, ty, tz = torque
+    for a in range(3):  # the force that a hinge's acceleration takes, and what loads the hinge
+        wx, wy, wz, hinge = axes[a, 0], axes[a, 1], axes[a, 2], 3 + a
+        px, py, pz = m * (wy * cz - wz * cy), m * (wz * cx - wx * cz), m * (wx * cy - wy * cx)
+        taken[a, 0], taken[a, 1], taken[a, 2] = px, py, pz
+        load[a] = wx * tx + wy * ty + wz * tz - stiffness[hinge] * q[hinge] - damping[hinge] * qd[hinge]
+        load[a] -= px * ix * fx + py * iy * fy + pz * iz * fz
+    d00 = _between(axes[0], axes[0], taken[0], taken[0], inertia, ix, iy, iz) + dt * damping[3]
+    d11 = _between(axes[1], axes[1], taken[1], taken[1], inertia, ix, iy, iz) + dt * damping[4]
+    d22 = _between(axes[2], axes[2], taken[2], taken[2], inertia, ix, iy, iz) + dt * damping[5]
+    d01 = _between(axes[0], axes[1], taken[0], taken[1], inertia, ix, iy, iz)
+    d02 = _between(axes[0], axes[2], taken[0], taken[2], inertia, ix, iy, iz)
+    d12 = _between(axes[1], axes[2], taken[1], taken[2], inertia, ix, iy, iz)
+    s0, s1, s2 = _solved(d00, d01, d02, d11, d12, d22, load[0], load[1], load[2])
+    fx -= s0 * taken[0, 0] + s1 * taken[1, 0] + s2 * taken[2, 0]
+    fy -= s0 * taken[0, 1] + s1 * taken[1, 1] + s2 * taken[2, 1]
+    fz -= s0 * taken[0, 2] + s1 * taken[1, 2] + s2 * taken[2, 2]
     qd[0] += dt * ix * fx
     qd[1] += dt * iy * fy
     qd[2] += dt * iz * fz
+    qd[3] += dt * s0
+    qd[4] += dt * s1
+    qd[5] += dt * s2
 
 
 @njit(cache=True)
-def _solve(matrix, x):
-    """``x`` (3,) becomes the solution for itself as right-hand side of a symmetric positive definite ``matrix`` (3, 3)."""
-    a, b, c, d, e, f = matrix[0, 0], matrix[0, 1], matrix[0, 2], matrix[1, 1], matrix[1, 2], matrix[2, 2]
+def _between(w, v, p, r, inertia, ix, iy, iz):
+    """Entry of the hinges' inertia between those about ``w`` and ``v`` (3,), which take the forces ``p`` and ``r`` (3,)."""
+    total = -(p[0] * ix * r[0] + p[1] * iy * r[1] + p[2] * iz * r[2])
+    for i in range(3):
+        total += w[i] * (inertia[i, 0] * v[0] + inertia[i, 1] * v[1] + inertia[i, 2] * v[2])
+    return total
+
+
+@njit(cache=True)
+def _solved(a, b, c, d, e, f, u, v, w):
+    """Solution of a symmetric positive definite matrix (a b c; b d e; c e f) for the right-hand side (u, v, w)."""
     aa, ab, ac = d * f - e * e, c * e - b * f, b * e - c * d
     dd, de, ff = a * f - c * c, b * c - a * e, a * d - b * b
     scale = 1.0 / (a * aa + b * ab + c * ac)
-    u, v, w = x[0], x[1], x[2]
-    x[0] = scale * (aa * u + ab * v + ac * w)
-    x[1] = scale * (ab * u + dd * v + de * w)
-    x[2] = scale * (ac * u + de * v + ff * w)
+    return scale * (aa * u + ab * v + ac * w), scale * (ab * u + dd * v + de * w), scale * (ac * u + de * v + ff * w)
 
 
 @njit(cache=True)

@@ -7,13 +7,13 @@ from collections import OrderedDict
 from dataclasses import dataclass, field
 
 import numpy as np
-from numba import njit
 
 from hiltestbed.contact.geometry import Geometry, arm
 from hiltestbed.contact.mount_dynamics import MountDynamics
 from hiltestbed.contact.parameters import BLUNT, LEVER, OFFSET, PARAMETERS
 from hiltestbed.contact.wrench import meet_all
 from hiltestbed.frames import Array, twist_between
+from hiltestbed.jit import njit
 
 KEPT = 64_000_000  # [byte] of what contacts exerted, for replays that change the sensor alone
 NEAR = 2.5e-3  # [m] by which the surfaces may be nearer than believed for rows to be passed over by geometry alone
@@ -95,15 +95,21 @@ def _meet(index, values, lever, blunt, poses, twists, before, clear, depth, rate
             frames[0], motions[0] = poses[r, k], twists[r, k]
             meet_all(index, values, p, frames, motions, work, depth[r, k], rate[r, k], point[r, k], normal[r, k], slip[r, k])
             last = before[r] if k == 0 else poses[r, k - 1]
-            way, turned = 0.0, 0.0
-            for j in range(3):
-                way += (poses[r, k, j] - last[j]) ** 2
-                turned += (poses[r, k, 3 + j] - last[3 + j]) ** 2
             now = -np.inf
             for c in range(count):
                 now = max(now, depth[r, k, c])
-            clear[r, k] = -max(now, nearest if k > 0 else now) - math.sqrt(way) - 2.0 * longest * math.sqrt(turned)
+            clear[r, k] = -max(now, nearest if k > 0 else now) - way_between(last, poses[r, k], longest)
             nearest = now
+
+
+@njit(cache=True)
+def way_between(last, pose, longest):
+    """By how much the surfaces may come nearer between two poses (7,) of A [m]; ``longest``: from A to what touches."""
+    way, turned = 0.0, 0.0
+    for j in range(3):
+        way += (pose[j] - last[j]) ** 2
+        turned += (pose[3 + j] - last[3 + j]) ** 2
+    return math.sqrt(way) + 2.0 * longest * math.sqrt(turned)
 
 
 @njit(cache=True)

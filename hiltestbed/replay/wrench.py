@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from hiltestbed.contact.geometry import PASSIVE, ROW, SURFACE_FRAME, VALUES, arm, meet
 from hiltestbed.contact.latch import closes
@@ -15,14 +14,16 @@ from hiltestbed.contact.law import STATES
 from hiltestbed.contact.mount import mount_place
 from hiltestbed.contact.mount_dynamics import BODY, SCRATCH, mount_reading, mount_step
 from hiltestbed.contact.parameters import BLUNT, BRANCH_STIFFNESS, DRAG, LEVER, MODE, OFFSET, OVER_STRETCH, TILT_X, TILT_Y
-from hiltestbed.contact.wrench import contact_wrench, held_at, relate_one, surface_wrench, tilts
+from hiltestbed.contact.wrench import contact_wrench, held_at, meet_all, relate_one, surface_wrench, tilts
 from hiltestbed.frames import Array, quat_exp, quat_mul
+from hiltestbed.jit import njit
 from hiltestbed.log import LogParameters
-from hiltestbed.replay.felt import NEAR, ContactKey, Felt
+from hiltestbed.replay.felt import NEAR, ContactKey, Felt, way_between
 from hiltestbed.sensor.chain import condition, passes
 from hiltestbed.sensor.parameters import SensorParameters, stack
 
 WHOLE = 1e-6  # ticks that a delay may be off a whole number
+AT_REST = 1e-9  # [N, N m] that a swinging mount hands on, below which it is taken to stand still
 
 
 class Lane(NamedTuple):
@@ -179,18 +180,30 @@ def _contact(
         sharp &= p[c, BLUNT] == 1.0
     for k in range(poses.shape[0]):
         last = before if k == 0 else poses[k - 1]
-        if not latched and not mounted and last_row[MODE] == 0.0:
-            if lean == 0.0 and reach <= NEAR:
+        if not latched and last_row[MODE] == 0.0:
+            away = math.sqrt(poses[k, 0] ** 2 + poses[k, 1] ** 2 + poses[k, 2] ** 2) + longest
+            if mounted:
+                swing = _reach_of_swing(q, qd, h, away)
+                apart = k > 0 and clear[k] > reach + lean * away + swing
+                if not apart and lean > 0.0 and k > 0:
+                    frames[0], motions[0] = poses[k], ends[k]
+                    mount_place(q, qd, tilt, frames[1], motions[1])
+                    meet_all(index, values, p, frames, motions, work, depth, closing, point, normal, slip)
+                    apart = -depth.max() > reach + swing + way_between(last, poses[k], longest)
+            elif lean == 0.0 and reach <= NEAR:
                 apart = clear[k] > NEAR or (k > 0 and _outside(depths[r, k], depths[r, k - 1], p))
             else:
-                away = math.sqrt(poses[k, 0] ** 2 + poses[k, 1] ** 2 + poses[k, 2] ** 2) + longest
                 apart = clear[k] > reach + lean * away
             if apart:
                 if touched:
                     state[:], wrench[:] = 0.0, 0.0
                     touched = False
+                if mounted:
+                    _swing(stiffness[r], damping[r], body, h, parts, q, qd, joints, sub[k])
                 if latch[1] < 1.5:  # latches may close on a probe that touches nothing
                     frames[0], motions[0] = poses[k], ends[k]
+                    if mounted:
+                        mount_place(q, qd, tilt, frames[1], motions[1])
                     latched = _caught(frames, motions, latch, last_row, wrench, hold, local_pose, local_twist, work)
                 continue
             touched = True
@@ -237,6 +250,38 @@ def _contact(
                 sub[k, s] = wrench
         if not latched and latch[1] < 1.5:
             latched = _caught(frames, motions, latch, last_row, wrench, hold, local_pose, local_twist, work)
+
+
+@njit(cache=True)
+def _reach_of_swing(q, qd, h, away):
+    """By how much a mount that nothing pushes may bring its side nearer within a tick, at a distance ``away`` from its hinges [m].
+
+    It swings no farther than twice where it is and what its rates make of a tick: it is resolved by some ticks a period.
+    """
+    slid, turned = 0.0, 0.0
+    for j in range(3):
+        slid += 2.0 * abs(q[j]) + h * abs(qd[j])
+        turned += 2.0 * abs(q[3 + j]) + h * abs(qd[3 + j])
+    return slid + turned * away
+
+
+@njit(cache=True)
+def _swing(stiffness, damping, body, h, parts, q, qd, joints, sub):
+    """A mount that nothing pushes over one tick, and what it hands on: ``sub`` (m, 6). Below :data:`AT_REST` it stands still."""
+    most = 0.0
+    for j in range(6):
+        most = max(most, stiffness[j] * (abs(q[j]) + h * abs(qd[j])))
+    if most < AT_REST:
+        q[:], qd[:], sub[:] = 0.0, 0.0, 0.0
+        return
+    free, passed = np.zeros(6), 0.0
+    for s in range(parts.shape[0]):
+        if s > 0 and parts[s] == parts[s - 1]:
+            sub[s] = sub[s - 1]
+            continue
+        mount_step(stiffness, damping, body, h * (parts[s] - passed), free, q, qd, joints)
+        passed = parts[s]
+        mount_reading(stiffness, damping, q, qd, sub[s])
 
 
 @njit(cache=True)
