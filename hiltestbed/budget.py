@@ -40,7 +40,7 @@ ROW = 700.0  # [byte] a row of trace.parquet and recording.rrd on disk, both tog
 SHAPES = 2.5e6  # [byte] of a recording and a report, however short the run is
 DIAGNOSED = 6e-3  # [s] a row of a dataset: 6 runs of 900 rows take 10 to 60 s
 FIT = 3.0e4  # [byte] a row of a dataset while links are replayed for many hypotheses
-FILTER_MEMORY = 10.0  # time constants of the sensor's low-pass that the identification remembers
+FILTER_MEMORY = 10.0  # time constants of a low-pass, the sensor's or its own, that the identification remembers
 VARIABLES = {"memory": "HILTESTBED_MEMORY_LIMIT", "disk": "HILTESTBED_DISK_LIMIT", "time": "HILTESTBED_TIME_LIMIT"}
 
 
@@ -147,7 +147,8 @@ def delay_line(scenario: Scenario) -> float:
     late = sum(getattr(effect, "ticks", 0) for effect in scenario.effects)
     longest = float(sum(delays))
     lowpass = scenario.sensor.lowpass
-    remembered = 0.0 if lowpass is None else FILTER_MEMORY / (2.0 * math.pi * lowpass) * scenario.rate * 24 * 8.0
+    constant = max(0.0 if lowpass is None else 1.0 / (2.0 * math.pi * lowpass), scenario.identification.settles)
+    remembered = FILTER_MEMORY * constant * scenario.rate * 28 * 8.0
     return remembered + longest * (scenario.physics_rate * 48.0 + scenario.rate * 8.0 * 80.0) + late * 13 * 8.0
 
 

@@ -15,9 +15,10 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from hiltestbed.errors import Fault, InputError
+from hiltestbed.folders import is_file
 from hiltestbed.scenario import Scenario, scenario_from
 from hiltestbed.validation import Strictly, nearest, validate
-from hiltestbed.yaml_source import KeyPath, Source, is_file, read_source, referenced_source
+from hiltestbed.yaml_source import KeyPath, Source, read_source, referenced_source
 
 Check = Literal["unit", "sign", "axes", "start", "attitude", "lever", "copy", "constant", "shift"]
 

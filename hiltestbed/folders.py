@@ -8,6 +8,14 @@ from pathlib import Path
 FIGURES_APART: ContextVar[bool] = ContextVar("figures_apart", default=False)  # figures of a report beside it as well, as PNG and SVG
 
 
+def is_file(path: Path) -> bool:
+    """Whether a file is there; False for a name that no file system takes."""
+    try:
+        return path.is_file()
+    except (OSError, ValueError):
+        return False
+
+
 def free_folder(path: Path) -> Path:
     """`path`, or the first of path-2, path-3, ... that does not exist."""
     number, candidate = 1, path

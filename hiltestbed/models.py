@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hiltestbed.errors import InputError
+from hiltestbed.folders import is_file
 
 if TYPE_CHECKING:
     import mujoco
@@ -59,7 +60,7 @@ def digest(file: Path) -> str:
 
 def stamp(file: Path) -> tuple[int, ...]:
     """When an MJCF file and each of its meshes were last written [ns]; empty where there is no such file."""
-    if not file.is_file():
+    if not is_file(file):
         return ()
     written = file.stat().st_mtime_ns
     return (written, *(path.stat().st_mtime_ns if path.is_file() else 0 for path in _asset_files(file, written)))

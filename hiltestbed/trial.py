@@ -29,6 +29,7 @@ from hiltestbed.scenario import Scenario, resolved, scenario_from
 
 LEAD = (0.1, 1.0)  # [s] of uniform motion before the touch, at least and at most
 APPROACH = 5e-3  # [m] of it
+LONGEST = 20.0  # [s] of a head-on bounce that is played: of one that takes minutes the run will not see the end either
 SLOWER = 2.0  # times as long as a head-on swing lasts, within which a tip that slides has parted
 NEVER = 1e-12  # [m/s] at which a latch closes: no bounce is that slow
 LOOKS = 10  # ticks between two looks at whether they have parted
@@ -43,7 +44,11 @@ class Case:
 
 
 class FirstContact:
-    """The first contact of a scenario."""
+    """The first contact of a scenario.
+
+    Attributes:
+        playable: it does not last so long that playing it would take longer than the run.
+    """
 
     def __init__(self, scenario: Scenario, touch: float, ideal: bool = False) -> None:
         """``touch``: when it comes at the earliest [s]; ``ideal``: on a rig that follows exactly."""
@@ -55,6 +60,7 @@ class FirstContact:
         speed = max(float(np.linalg.norm(scenario.approach.velocity)), APPROACH / LEAD[1])
         self._mass, self._lead = effective_mass(scenario), min(touch, max(APPROACH / speed, LEAD[0]))
         self._own = self._lasts(scenario.mechanism.contact.stiffness, scenario.sensor.delay)
+        self.playable = self._own <= LONGEST
         if touch > self._lead:
             start, pose = approach_state(scenario), np.empty(7)
             pose_step(start[:7], start[7:], touch - self._lead, pose)
@@ -110,9 +116,12 @@ class FirstContact:
 
 
 def first_contact(scenario: Scenario, ideal: bool = False) -> FirstContact | None:
-    """What can be played of a scenario; None where it is held from the start or nothing is met, and where parts move or MuJoCo finds the
-    contacts: there the first contact is part of the capture."""
+    """What can be played of a scenario; None where it is held from the start, nothing is met or the contact lasts for minutes, and where
+    parts move or MuJoCo finds the contacts: there the first contact is part of the capture."""
     if scenario.mechanism.captured or not sides_of(scenario.mechanism).rigid:
         return None
     touch = time_of_touch(scenario)
-    return None if touch is None else FirstContact(scenario, touch, ideal)
+    if touch is None:
+        return None
+    contact = FirstContact(scenario, touch, ideal)
+    return contact if contact.playable else None

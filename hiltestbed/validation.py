@@ -14,8 +14,9 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, Strict, Valid
 from pydantic_core import ErrorDetails, PydanticCustomError
 
 from hiltestbed.errors import Fault, InputError
+from hiltestbed.folders import is_file
 from hiltestbed.plugins import OneOf
-from hiltestbed.yaml_source import KeyPath, Source, describe, is_file
+from hiltestbed.yaml_source import KeyPath, Source, describe
 
 Model = TypeVar("Model", bound=BaseModel)
 Problem = tuple[KeyPath, str]

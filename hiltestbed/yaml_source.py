@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from hiltestbed.errors import Fault, InputError
+from hiltestbed.folders import is_file
 from hiltestbed.gallery import find_scenario, scenario_names
 
 SIZE_LIMIT = 500_000  # [byte] a scenario is a page or two; a hundred times that is some other file
@@ -155,14 +156,6 @@ def referenced_source(source: Source, key: str = "scenario") -> Source:
         return read_source(find_scenario(name))
     text = f"names no file and no shipped scenario (got {describe(source.data[key])}); looked for {target}"
     raise InputError(source.fault((key,), text))
-
-
-def is_file(path: Path) -> bool:
-    """Whether a file is there; False for a name that no file system takes."""
-    try:
-        return path.is_file()
-    except (OSError, ValueError):
-        return False
 
 
 def _read_text(path: Path) -> str:

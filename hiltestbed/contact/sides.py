@@ -25,6 +25,7 @@ from hiltestbed.contact.geometry import ACTIVE, FRAMES, PASSIVE, Geometry, Place
 from hiltestbed.contact.surfaces import Finding, Surface, of_geom, of_mesh
 from hiltestbed.contact.surfaces.shapes import KINDS
 from hiltestbed.errors import InputError
+from hiltestbed.folders import is_file
 from hiltestbed.frames import Array, quat_from_mujoco
 from hiltestbed.models import stamp
 
@@ -300,7 +301,7 @@ def compiled(file: Path) -> mujoco.MjModel:
 
 def named(file: Path) -> mujoco.MjSpec:
     """The MJCF of one side; geoms and bodies without a name are called by their number. Raises InputError."""
-    if not Path(file).is_file():
+    if not is_file(Path(file)):
         raise InputError(f"{file}: no such file")
     try:
         spec = mujoco.MjSpec.from_file(str(file))

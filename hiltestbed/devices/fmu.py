@@ -24,6 +24,7 @@ import numpy as np
 
 from hiltestbed.devices.interface import Array, DeviceError
 from hiltestbed.errors import Fault, HiltestbedError, InputError, MissingExtra
+from hiltestbed.folders import is_file
 from hiltestbed.validation import nearest
 
 POSE = ("px", "py", "pz", "qx", "qy", "qz", "qw")
@@ -251,7 +252,7 @@ def _described(path: Path) -> Any:
     import fmpy
     from fmpy.validation import validate_fmu
 
-    if not path.is_file() or not zipfile.is_zipfile(path):
+    if not is_file(path) or not zipfile.is_zipfile(path):
         raise InputError(Fault(str(path), None, None, "", "is not an FMU; give a file that a simulation tool has exported"))
     problems = validate_fmu(str(path))
     if problems:

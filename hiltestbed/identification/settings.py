@@ -41,6 +41,11 @@ class Identifier(Strictly):
 
     kind: str
 
+    @property
+    def settles(self) -> float:
+        """Time constant [s] of a filter of the method's own, whose memory is held as samples; 0: it has none."""
+        return 0.0
+
     @classmethod
     @placeholder
     def start(cls, scenarios: Sequence[Scenario]) -> Identification | None:

@@ -28,6 +28,7 @@ from hiltestbed.gallery import shipped
 from hiltestbed.scenario import load_scenario, scenario_from
 from hiltestbed.simulation import run
 from hiltestbed.stability import stability
+from hiltestbed.trial import first_contact
 from hiltestbed.validation import validate
 from hiltestbed.yaml_source import Source
 from tests.slow import ALL
@@ -115,8 +116,9 @@ def test_speeds_beyond_all_bounds_end_in_words() -> None:
     assert result.summary["stop_reason"]
 
 
-def test_a_filter_that_remembers_years_is_refused() -> None:
-    scenario = load_scenario(shipped("scenarios") / "02-bumper.yaml", set={"sensor.lowpass": 1e-7, "duration": 0.05})
+@pytest.mark.parametrize("slow", [{"sensor.lowpass": 1e-7}, {"identification": {"kind": "rls_lead", "lag": 1e6}}])
+def test_a_filter_that_remembers_years_is_refused(slow: dict[str, Any]) -> None:
+    scenario = load_scenario(shipped("scenarios") / "02-bumper.yaml", set=slow | {"duration": 0.05})
     with pytest.raises(InputError, match="of memory"):
         run(scenario)
 
@@ -128,6 +130,26 @@ def test_a_name_that_no_file_system_takes_is_no_file(tmp_path: Path, key: str) -
     (tmp_path / "d.yaml").write_text(f"scenario: {names['scenario']}\nruns: [{{file: {names['file']}}}]\n")
     _, faults = check_file(tmp_path / "d.yaml")
     assert any("names no file" in str(fault) for fault in faults)
+
+
+@pytest.mark.parametrize(
+    "section",
+    [
+        {"rig": {"platform": {"kind": "mjcf", "model": "a" * 300}}},
+        {"mechanism": {"kind": "mjcf", "active": "a" * 300, "passive": "b" * 300}},
+        {"numerical_model": {"kind": "fmu", "file": "a" * 300}},
+    ],
+)
+def test_a_model_of_a_name_that_no_file_system_takes_is_no_file(section: dict[str, Any]) -> None:
+    with pytest.raises(InputError, match=r"no such file|is not an FMU"):
+        run(load_scenario("02-bumper", section | {"duration": 0.05}))
+
+
+def test_a_contact_that_lasts_for_minutes_is_not_played() -> None:
+    """Half a period of 100 kg or more on a spring of 5 mN/m is pi sqrt(100/0.005) = 444 s and more."""
+    soft = load_scenario("02-bumper", {"mechanism.contact.stiffness": 0.005})
+    assert first_contact(soft) is None
+    assert first_contact(load_scenario("02-bumper")) is not None
 
 
 def test_a_frame_that_rings_beyond_all_steps_is_refused() -> None:

@@ -60,6 +60,10 @@ class RlsLead(Identifier):
     )
     lag: Positive = Field(default=0.0005, description="Time constant T2 of the phase lead's pole [s]; its T1 is sensor.delay + T2")
 
+    @property
+    def settles(self) -> float:
+        return self.lag
+
     @classmethod
     def start(cls, scenarios: Sequence[Scenario]) -> RecursiveLeastSquares:
         own = identifier_of(scenarios, cls)

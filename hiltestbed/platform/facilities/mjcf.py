@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hiltestbed.errors import InputError
+from hiltestbed.folders import is_file
 from hiltestbed.frames import Array, rotate
 from hiltestbed.platform.facilities.drives import Drives
 from hiltestbed.platform.facilities.facility import (
@@ -68,7 +69,7 @@ class Mjcf(Facility):
 
     def _read(self) -> mujoco.MjSpec:
         path = self.settings.file()
-        if not path.is_file():
+        if not is_file(path):
             raise self._fault("no such file; give the path of an MJCF file")
         try:
             spec = mujoco.MjSpec.from_file(str(path))

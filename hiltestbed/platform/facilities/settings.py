@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, Strict
 
+from hiltestbed.folders import is_file
 from hiltestbed.platform.kinds import Platform
 from hiltestbed.plugins import register
 from hiltestbed.validation import NotNegative, Positive, Problem, Strictly, Vector2
@@ -298,12 +299,12 @@ class MjcfSettings(Driven):
         from hiltestbed.models import models_folder
 
         given, shipped = Path(self.model), models_folder() / self.model
-        return shipped if not given.is_file() and shipped.is_file() else given
+        return shipped if not is_file(given) and is_file(shipped) else given
 
     def stamp(self) -> Hashable:
         """The file as it stands."""
         path = self.file()
-        return (str(path.resolve()), path.stat().st_mtime_ns) if path.is_file() else None
+        return (str(path.resolve()), path.stat().st_mtime_ns) if is_file(path) else None
 
 
 @register
