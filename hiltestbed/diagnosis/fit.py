@@ -25,6 +25,7 @@ SCANNED = 21  # places within a tenth of a parameter in which chi-square has jum
 FINEST = 1e-3  # of such a parameter: the last step of the search for the lowest jump
 DAMPINGS = 4  # of the descent, tried together
 AT_BOUND = 1e-3  # of the range of a search
+HOPE = 10.0  # times what a descent would still gain if its gains went on shrinking as the last did: with less it is given up
 PATIENCE = 4  # steps of a descent, after which it is given up where steps like the last two would not bring it to the best that is known
 
 Run = Callable[[Sequence[Array] | Array], Array]  # thetas to residuals (H, M)
@@ -171,6 +172,8 @@ def _descend(run: Run, causes: tuple[Candidate, ...], theta: Array, r: Array, ch
         if gain < SETTLED * max(1.0, chi2 / len(r)) or gain < 1e-7 * chi2:
             break
         if step >= PATIENCE and chi2 - max(gain, before) * (ITERATIONS - step) > known:
+            break
+        if gain < before < np.inf and chi2 - HOPE * gain * gain / (before - gain) > known:
             break
         before = gain
     return Fit(causes, theta, chi2, r, jacobian)

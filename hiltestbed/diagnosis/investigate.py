@@ -25,6 +25,7 @@ from hiltestbed.diagnosis.readings import (
     lever_under,
     on_a_grid,
     other_steps,
+    reading_under,
     wrench_link_of,
 )
 from hiltestbed.diagnosis.residual import Residual
@@ -140,7 +141,7 @@ def _investigate_wrench(layout: Layout, found: dict[str, Explanation], whole: di
         if levered is not link:
             link, given = levered, _stamped_late(layout, levered, found["compensation"]) or given
     residual = Residual(link)
-    search = Search(candidates, special=(jitter_beside, hum_beside), progress=_told(progress, "contact and sensor"), reread=lever_under)
+    search = Search(candidates, special=(jitter_beside, hum_beside), progress=_told(progress, "contact and sensor"), reread=reading_under)
     explanation = search.explain(residual, given[0] if given else None)
     if levered := another_lever(explanation):
         residual = Residual(levered)

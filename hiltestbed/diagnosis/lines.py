@@ -21,15 +21,17 @@ Line = tuple[float, float, float]  # [Hz], [N], [rad]
 
 
 def lines(link: WrenchLink) -> dict[str, Line]:
-    """Axis to the strongest line of the readings outside contacts, where it stands out of the noise."""
+    """Axis to the strongest line of the readings outside contacts, where it stands out of the noise; of what is held throughout, within."""
     parts = []
     shown = link.predict([(i, ()) for i in range(len(link.runs))])
+    held = all(run.touching.all() for run in link.runs)
     for run, prediction in zip(link.runs, shown, strict=True):
-        free = ~run.touching & np.isfinite(run.sigma[:, :3]).all(axis=1)
+        free = (run.touching if held else ~run.touching) & np.isfinite(run.sigma[:, :3]).all(axis=1)
         r = np.where(free[:, None], run.measured[:, :3] - prediction[:, :3], 0.0)
         r -= np.where(free[:, None], r[free].mean(axis=0) if free.any() else 0.0, 0.0)
         parts.append((r, free))
-    out = _strongest(link, parts, SLOWEST)
+    longest = max(len(r) for r, _ in parts) * link.runs[0].scenario.tick
+    out = _strongest(link, parts, CYCLES / longest if held else SLOWEST)
     if len(out) > 1:
         out["all"] = out.get("z", next(iter(out.values())))
     return out

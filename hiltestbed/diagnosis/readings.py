@@ -85,6 +85,17 @@ def lever_under(residual: Residual, found: Fit) -> Residual:
     return there if again.chi2 < before - DETECTION * inflation(found) else residual
 
 
+def reading_under(residual: Residual, found: Fit) -> Residual:
+    """With the lever, and then the steps of a mount, that ``found`` bears out; itself where it bears out neither."""
+    levered = lever_under(residual, found)
+    link = wrench_link_of(levered)
+    if not link.stepped or JITTER in found.kinds:
+        return levered
+    here = refit(levered, found)
+    there = Residual(link.reading(exact=here.effects()))
+    return there if refit(there, here).chi2 < here.chi2 - DETECTION * inflation(here) else levered
+
+
 def another_lever(explanation: Explanation) -> WrenchLink | None:
     """The reading of the lever that what was found bears out, where it leaves clearly less or needs a cause less."""
     residual, chosen = explanation.residual, explanation.chosen

@@ -25,6 +25,7 @@ from hiltestbed.diagnosis.settings import (
     SELECTION_INADEQUATE,
     SIMILAR,
     SINGLES,
+    UNDERRATED,
     VARIANT,
     WORTH_A_FIT,
 )
@@ -182,15 +183,17 @@ class Search:
         rated = sorted(self._rate(residual, base), key=lambda item: -item[0])
         fits: list[Fit] = []
         count: dict[str, int] = {}
-        for _, c, starts in rated:
+        for gain, c, starts in rated:
             count[c.kind] = count.get(c.kind, 0) + 1
             if count[c.kind] > SIMILAR or len(fits) >= most or _beaten(c, base, fits):
                 continue
+            best = min((*fits, *beside), key=lambda f: f.chi2, default=base)
+            near = best.chi2 + CLOSE_BY * inflation(best)
+            if base.chi2 - UNDERRATED * gain > near and len({f.causes[-1].kind for f in fits}) >= BEAM:
+                break
             if self.progress:
                 self.progress(" + ".join([*base.kinds, c.kind]))
             together = [np.concatenate([base.theta, s]) for s in starts]
-            best = min((*fits, *beside), key=lambda f: f.chi2, default=base)
-            near = best.chi2 + CLOSE_BY * inflation(best)
             fits.append(fit(residual, (*base.causes, c), together, tries=2 if base.causes else 3, known=near))
         fits += [f for make in special if (f := make(residual, base)) is not None]
         return sorted(fits, key=_order)

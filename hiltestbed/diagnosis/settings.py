@@ -24,6 +24,7 @@ BEAM = 5  # first causes that a second one is sought for
 PARTNERS = 6  # second causes that are fitted beside each
 SIMILAR = 3  # hypotheses of one effect (axes, variants) that are fitted
 SINGLES = 40  # first causes that are fitted
+UNDERRATED = 10.0  # times its linearised gain, that a hypothesis may take off: the most was 3.5, of 553 fits on 18 sets of the rig
 VARIANT = 0.3  # of what the best takes off chi-square: where one reading of an effect takes less, the others are not fitted
 CLOSE_BY = 60.0  # of chi-square: hypotheses this near to the best are fitted to the end, others as long as they may come so near
 NEAR_AN_END = 0.1  # of the range of a parameter: nearer to its end it is tried whether the end itself does as well

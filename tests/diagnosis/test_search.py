@@ -9,7 +9,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
+from hiltestbed.diagnosis import search
 from hiltestbed.diagnosis.fit import fit, nothing
 from hiltestbed.diagnosis.investigate import _as_read
 from hiltestbed.diagnosis.jitter import jitter_beside
@@ -153,6 +155,15 @@ def test_a_hum_shows_as_a_line_outside_contacts() -> None:
     assert amplitude == pytest.approx(0.5, rel=0.1)
 
 
+def test_a_hum_of_what_is_held_throughout_shows_as_a_line_within_the_contact() -> None:
+    link = contact_link([effect("sensor.hum", frequency=61.0, amplitude=0.5, phase=0.3, axis="z")])
+    assert not link.runs[0].touching.all()
+    link.runs = [replace(run, touching=np.ones_like(run.touching)) for run in link.runs]
+    frequency, amplitude, _ = lines(link)["z"]
+    assert frequency == pytest.approx(61.0, abs=0.1)
+    assert amplitude == pytest.approx(0.5, rel=0.05)
+
+
 def test_a_hum_behind_a_dead_zone_is_found_in_the_contact() -> None:
     zone = effect("sensor.deadzone", width=30.0)
     hum = effect("sensor.hum", frequency=130.0, amplitude=1.5, phase=0.4, axis="z")
@@ -197,3 +208,31 @@ def test_where_a_reading_lies_on_the_steps_of_the_facility_the_data_bear_it_out(
         right, wrong = (fit(Residual(reread(link, measured)), (c,), c.grid) for link in (own, other))
         assert right.theta[0] == pytest.approx(delay, rel=1e-4)
         assert right.chi2 < 1e-3 * wrong.chi2
+
+
+def test_what_cannot_come_near_the_best_is_not_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
+    residual = Residual(contact_link([effect("contact.stiffness", factor=1.3)]))
+    candidates = tuple(c for e in EFFECTS.values() if e.link in ("contact", "sensor") for c in e.candidates(SCALES))
+    fitted: list[list[str]] = []
+    best = []
+    for margin in (math.inf, search.UNDERRATED):
+        monkeypatch.setattr(search, "UNDERRATED", margin)
+        fitted.append([])
+        found = Search(candidates, progress=fitted[-1].append).extend(residual, nothing(residual))
+        best.append(found[0])
+        assert found[0].kinds == ("contact.stiffness",)
+    assert best[1].theta == pytest.approx([1.3], rel=1e-3)
+    np.testing.assert_array_equal(best[0].theta, best[1].theta)
+    assert 5 <= len(fitted[1]) < len(fitted[0])
+    assert fitted[1] == fitted[0][: len(fitted[1])]
+
+
+@pytest.mark.parametrize("speed", [0.002, 0.05, 0.3])
+def test_a_damping_that_grows_with_depth_is_sought_to_where_little_is_left_of_a_rebound(speed: float) -> None:
+    """e of F = k x (1 + alpha v): with y = alpha v it is where y - ln(1 + y) has the value of the approach, whatever mass and spring."""
+    (c,) = EFFECTS["contact.hunt_crossley"].candidates(replace(SCALES, slow=speed, fast=speed))
+    most = float(c.high[0]) * speed
+    gone = brentq(lambda y: y + math.log1p(-y) + most - math.log1p(most), 1e-12, 1.0 - 1e-12)
+    assert gone / most < 0.2
+    assert c.low[0] == 0.0
+    assert [1.0 - 2.0 / 3.0 * s[0] * speed > 0.9 for s in c.grid] == [True, True, False, False]  # starts of small losses and of large ones

@@ -35,7 +35,7 @@ class LoopDeadzone(Effect):
 
     @classmethod
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:
-        widths = list(np.geomspace(0.3 * scales.noise, 0.3 * scales.force, 40))
+        widths = list(np.geomspace(0.3 * scales.noise, 0.3 * scales.force, 100))  # by 8 %: a width a tenth off is no better than none
         bounds = {"width": (0.1 * scales.noise, 0.8 * scales.force)}
         for variant in ({}, {"where": "after"}, {"where": "magnitude"}):
             yield candidate(cls, {"width": widths}, bounds=bounds, variant=variant)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Literal
 
@@ -12,6 +13,8 @@ from hiltestbed.plugins import register
 if TYPE_CHECKING:
     from hiltestbed.contact.parameters import ContactParameters
 
+LOSSES = (0.01, 0.05, 0.2, 0.6)  # alpha times the speed of the touch, from which Hunt and Crossley's damping is sought
+MOST_LOSS = 6.0  # up to which it is sought: by e = 1 - 2/3 alpha v next to nothing is left of a rebound at a quarter of it
 STIFFEST = 1e3  # of the secant stiffness: the stiffest spring that drags a slider
 
 
@@ -53,7 +56,11 @@ class ContactHuntCrossley(Effect):
 
     @classmethod
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:
-        yield candidate(cls, {"alpha": [0.2, 1.0, 3.0, 8.0]})
+        speed = math.sqrt(scales.slow * scales.fast)
+        if speed == 0.0:  # of what is held from the start
+            yield candidate(cls, {"alpha": [0.2, 1.0, 3.0, 8.0]})
+        else:  # what counts is alpha times the speed of the touch: it is the rebound's loss, to a factor
+            yield candidate(cls, {"alpha": [a / speed for a in LOSSES]}, bounds={"alpha": (0.0, MOST_LOSS / speed)})
 
 
 @register
