@@ -232,7 +232,7 @@ def test_a_damping_that_grows_with_depth_is_sought_to_where_little_is_left_of_a_
     """e of F = k x (1 + alpha v): with y = alpha v it is where y - ln(1 + y) has the value of the approach, whatever mass and spring."""
     (c,) = EFFECTS["contact.hunt_crossley"].candidates(replace(SCALES, slow=speed, fast=speed))
     most = float(c.high[0]) * speed
-    gone = brentq(lambda y: y + math.log1p(-y) + most - math.log1p(most), 1e-12, 1.0 - 1e-12)
+    gone: Any = brentq(lambda y: y + math.log1p(-y) + most - math.log1p(most), 1e-12, 1.0 - 1e-12)
     assert gone / most < 0.2
     assert c.low[0] == 0.0
     assert [1.0 - 2.0 / 3.0 * s[0] * speed > 0.9 for s in c.grid] == [True, True, False, False]  # starts of small losses and of large ones
