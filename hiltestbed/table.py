@@ -18,8 +18,6 @@ from hiltestbed.errors import printable
 if TYPE_CHECKING:
     from hiltestbed.doctor import Finding
 
-KEY_WIDTH = 32  # characters of a dotted key that are kept on one line, whatever that leaves for the values
-
 
 def print_run(summary: dict[str, Any], folder: Path, recording: bool = True, elapsed: float | None = None) -> None:
     """Prints the summary of a run to standard output, and where it lies; ``elapsed`` [s]: what the whole command took."""
@@ -51,7 +49,7 @@ def print_lines(title: str, lines: list[tuple[str, str]], folder: Path) -> None:
 def print_comparison(names: Sequence[str], rows: Sequence[Sequence[str]], page: Path | None) -> None:
     """Prints runs side by side to standard output."""
     table = _table("runs side by side")
-    table.add_column("", overflow="fold", min_width=min(KEY_WIDTH, max(len(row[0]) for row in rows)))
+    table.add_column("", overflow="fold")
     for name in names:
         table.add_column(escape(name), justify="right", overflow="fold")
     for row in rows:
