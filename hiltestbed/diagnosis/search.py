@@ -189,7 +189,8 @@ class Search:
                 continue
             best = min((*fits, *beside), key=lambda f: f.chi2, default=base)
             near = best.chi2 + CLOSE_BY * inflation(best)
-            if base.chi2 - UNDERRATED * gain > near and len({f.causes[-1].kind for f in fits}) >= BEAM:
+            enough = len({f.causes[-1].kind for f in fits}) >= BEAM or inflation(best) == 1.0  # beside what leaves noise no beam is needed
+            if fits and enough and base.chi2 - UNDERRATED * gain > near:
                 break
             if self.progress:
                 self.progress(" + ".join([*base.kinds, c.kind]))
