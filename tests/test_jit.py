@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+
+import hiltestbed
 
 LAW = """
 from hiltestbed.jit import njit
@@ -60,3 +63,9 @@ def test_an_old_kernel_is_taken_only_where_nothing_has_changed(folder: Path) -> 
     assert ran(folder, 2.0, "") == [2.0, 2.0, 2.0, 1, 1, 1]
     assert ran(folder, 3.0, "") == [3.0, 3.0, 3.0, 0, 0, 0]
     assert ran(folder, 3.0, "-") == [-3.0, 3.0, 3.0, 0, 1, 1]
+
+
+def test_every_kernel_of_the_package_is_marked() -> None:
+    package = Path(hiltestbed.__file__).parent
+    bare = re.compile(r"^\s*(from numba import .*\bnjit\b|@(numba\.)?jit\b)", re.MULTILINE)
+    assert [file.name for file in package.rglob("*.py") if bare.search(file.read_text(encoding="utf-8"))] == []
