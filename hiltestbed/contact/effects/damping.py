@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from hiltestbed.contact.parameters import ContactParameters
 
 LOSSES = (0.01, 0.05, 0.2, 0.6)  # alpha times the speed of the touch, from which Hunt and Crossley's damping is sought
-MOST_LOSS = 6.0  # up to which it is sought: by e = 1 - 2/3 alpha v next to nothing is left of a rebound at a quarter of it
+MOST_LOSS = 6.0  # up to which it is sought: a sixth is left of the speed, where y - ln(1 + y) is the same for y = 6 and y = -6 e
 STIFFEST = 1e3  # of the secant stiffness: the stiffest spring that drags a slider
 
 
