@@ -56,11 +56,8 @@ class ContactHuntCrossley(Effect):
 
     @classmethod
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:
-        speed = math.sqrt(scales.slow * scales.fast)
-        if speed == 0.0:  # of what is held from the start
-            yield candidate(cls, {"alpha": [0.2, 1.0, 3.0, 8.0]})
-        else:  # what counts is alpha times the speed of the touch: it is the rebound's loss, to a factor
-            yield candidate(cls, {"alpha": [a / speed for a in LOSSES]}, bounds={"alpha": (0.0, MOST_LOSS / speed)})
+        speed = math.sqrt(scales.slow * scales.fast)  # what counts is alpha times it: it is the rebound's loss, to a factor
+        yield candidate(cls, {"alpha": [a / speed for a in LOSSES]}, bounds={"alpha": (0.0, MOST_LOSS / speed)})
 
 
 @register
