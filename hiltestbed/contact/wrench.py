@@ -15,7 +15,18 @@ import numpy as np
 
 from hiltestbed.contact.geometry import ACTIVE, PASSIVE, ROUND_FRAME, ROW, SIDE, SURFACE_FRAME, meet
 from hiltestbed.contact.law import contact_force
-from hiltestbed.contact.parameters import BLUNT, DAMPING, FRICTION, LEVER, OFFSET, STIFFNESS, TILT_X, TILT_Y
+from hiltestbed.contact.parameters import (
+    BLUNT,
+    DAMPING,
+    FRICTION,
+    LEVER,
+    OFFSET,
+    SIDE_DAMPING,
+    SIDE_STIFFNESS,
+    STIFFNESS,
+    TILT_X,
+    TILT_Y,
+)
 from hiltestbed.frames import Array, pose_between, quat_mul, rotate, rotate_back, rotation_vector
 from hiltestbed.jit import njit
 
@@ -169,7 +180,7 @@ def latch_wrench(p, dt, pose, twist, hold, state, work, local):
     ``work`` (4, >= 4): scratch.
     """
     turn, q, inverse, f = work[0, :3], work[1, :4], work[2, :4], work[3, :3]
-    k, c = p[STIFFNESS], p[DAMPING]
+    k, c = p[STIFFNESS] * p[SIDE_STIFFNESS], p[DAMPING] * p[SIDE_DAMPING]
     for j in range(3):
         inverse[j] = -hold[3 + j]
         f[j] = k * (pose[j] - hold[j]) + c * twist[j]
@@ -190,7 +201,7 @@ def held_at(pose, wrench, place, p, hold):
     rotate_back(place[3:7], wrench[0:3], f)
     hold[:] = pose
     for j in range(3):
-        hold[j] -= f[j] / p[STIFFNESS]
+        hold[j] -= f[j] / (p[STIFFNESS] if j == 2 else p[STIFFNESS] * p[SIDE_STIFFNESS])
 
 
 @njit(cache=True)

@@ -10,6 +10,7 @@ import pytest
 
 from hiltestbed.contact.law import STATES, contact_force
 from hiltestbed.contact.parameters import PARAMETERS, ContactParameters
+from hiltestbed.contact.wrench import latch_wrench
 from hiltestbed.effects import EFFECTS
 from hiltestbed.frames import Array
 
@@ -106,3 +107,24 @@ def test_a_dead_zone_in_the_curve_over_the_stretch_is_play_that_travels_with_the
     got = law({"contact.map": {"stretch": table}}, x, np.full(1600, 0.1), k=0.0, held=True)
     play = law(friction(500.0, 1e6) | {"contact.backlash": {"width": 2e-3}}, x, np.full(1600, 0.1), k=0.0, held=True)
     np.testing.assert_allclose(got, play, atol=1e-6)
+
+
+@pytest.mark.parametrize("variant", [{}, {"damper": "in series"}, {"damper": "whole rate"}])
+def test_a_frame_gives_way_along_the_insertion_alone(variant: dict[str, str]) -> None:
+    """Of a pair that is held: forces across and moments are those of a rigid frame, however its damper is read."""
+    stiffness, frame = 1e5, 4e5
+    rigid = ContactParameters(stiffness, 900.0, captured=1.0)
+    gives = ContactParameters(stiffness, 900.0, captured=1.0).with_effects(
+        [EFFECTS["frame.compliance"].hypothesis(variant, stiffness=frame)]
+    )
+    hold, half = np.array([0.0, 0, 0, 0, 0, 0, 1]), 1e-3
+    across = np.array([2e-3, -1e-3, 0.0, half, -half, 2 * half, math.sqrt(1.0 - 6 * half**2)]), np.array([0.01, 0.02, 0, 0.1, 0.2, 0.3])
+    along = np.array([0.0, 0, 1e-3, 0, 0, 0, 1]), np.zeros(6)
+
+    def exerted(parameters: ContactParameters, pose: Array, twist: Array) -> Array:
+        out = np.empty(6)
+        latch_wrench(parameters.row(), 1e-4, pose, twist, hold, np.zeros(STATES), np.empty((4, 7)), out)
+        return out
+
+    np.testing.assert_allclose(exerted(gives, *across), exerted(rigid, *across), rtol=1e-12)
+    assert exerted(gives, *along)[2] == pytest.approx(stiffness * frame / (stiffness + frame) * 1e-3, rel=1e-9)

@@ -39,8 +39,11 @@ class FrameCompliance(Effect):
             case "in series":  # the damper sits on the contact's own deflection
                 p.stiffness *= share
                 p.damping *= share * share
+                p.side_stiffness /= share  # the frame gives way along the insertion alone
+                p.side_damping /= share * share
             case "whole rate":  # the spring alone gives, the damper feels the whole rate
                 p.stiffness *= share
+                p.side_stiffness /= share
             case _:
                 p.frame = self.stiffness
 
