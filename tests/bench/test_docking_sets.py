@@ -30,6 +30,7 @@ from hiltestbed.bench.independent_rig import (
     strength,
     write_set,
 )
+from hiltestbed.bench.independent_rig.contact import STATES, Contact, force_on
 from hiltestbed.bench.independent_rig.docking_facility import DockingFacility
 from hiltestbed.bench.independent_rig.docking_sizes import SIZES
 from hiltestbed.bench.independent_rig.generation import PLAIN, rig_of
@@ -217,3 +218,10 @@ def test_wear_goes_on_from_run_to_run() -> None:
     nominal = [rig_of(facility, i, [], PLAIN).contact.stiffness for i in range(4)]
     worn = [rig_of(facility, i, effects, PLAIN).contact.stiffness for i in range(4)]
     np.testing.assert_allclose(np.array(worn) / nominal, 1.0 - 0.03 * np.arange(4))
+
+
+def test_what_a_latch_holds_is_damped_where_its_spring_is_not_stretched() -> None:
+    law, states = Contact(np.array([0.0, 0.0, 1.0]), 2e4, 900.0, 0.0, latched=True), np.zeros(STATES)
+    assert force_on(law, 0.0, 0.01, states) == pytest.approx(9.0)
+    assert force_on(law._replace(play=1e-4), 0.0, 0.01, states) == 0.0
+    assert force_on(law._replace(latched=False), 0.0, 0.01, states) == 0.0

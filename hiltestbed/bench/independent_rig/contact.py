@@ -134,7 +134,8 @@ def force_on(law, x, v, state):
     """Normal force [N] at penetration x [m] and rate v [m/s]; whether it touches is a matter of x, not of what the frame gives."""
     if law.mode_w > 0.0:
         x, v = x - state[FRAME], v - state[FRAME_V]
-    if x == 0.0 or (x < 0.0 and not law.latched):
+    within_play = x == 0.0 and law.play > 0.0
+    if within_play or (x <= 0.0 and not law.latched):  # what a latch holds is damped where its spring is not stretched, too
         return 0.0
     given = law.frame_stiffness > 0.0 and law.mode_w == 0.0
     branch = state[BRANCH]
