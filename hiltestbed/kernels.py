@@ -10,6 +10,7 @@ import os
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 PATIENCE = 1.0  # [s] of compiling, after which the user is told what he waits for
 
@@ -32,8 +33,9 @@ def compiled() -> bool:
 
 
 @functools.cache
-def tell_of_compiling() -> None:
-    """From now on say on standard error, once, that inner loops are being compiled, should that take longer than :data:`PATIENCE`."""
+def tell_of_compiling() -> Any:
+    """From now on say on standard error, once, that inner loops are being compiled, should that take longer than :data:`PATIENCE`; the
+    listener that Numba tells of it."""
     from numba.core import event
 
     class Told(event.Listener):
@@ -58,4 +60,6 @@ def tell_of_compiling() -> None:
                 sys.stderr.write(f"{clear}compiling inner loops: once after the install, a minute or so\n")
                 sys.stderr.flush()
 
-    event.register("numba:compile", Told())
+    listener = Told()
+    event.register("numba:compile", listener)
+    return listener
