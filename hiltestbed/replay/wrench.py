@@ -181,8 +181,8 @@ def _contact(
     for k in range(poses.shape[0]):
         last = before if k == 0 else poses[k - 1]
         if not latched and last_row[MODE] == 0.0:
-            away = math.sqrt(poses[k, 0] ** 2 + poses[k, 1] ** 2 + poses[k, 2] ** 2) + longest
             if mounted:
+                away = _away(poses[k]) + longest
                 swing = _reach_of_swing(q, qd, h, away)
                 apart = k > 0 and clear[k] > reach + lean * away + swing
                 if not apart and lean > 0.0 and k > 0:
@@ -193,13 +193,13 @@ def _contact(
             elif lean == 0.0 and reach <= NEAR:
                 apart = clear[k] > NEAR or (k > 0 and _outside(depths[r, k], depths[r, k - 1], p))
             else:
-                apart = clear[k] > reach + lean * away
+                apart = clear[k] > reach + lean * (_away(poses[k]) + longest)
             if apart:
                 if touched:
                     state[:], wrench[:] = 0.0, 0.0
                     touched = False
                 if mounted:
-                    _swing(stiffness[r], damping[r], body, h, parts, q, qd, joints, sub[k])
+                    _swing(stiffness[r], damping[r], body, h, parts, wrench, q, qd, joints, sub[k])
                 if latch[1] < 1.5:  # latches may close on a probe that touches nothing
                     frames[0], motions[0] = poses[k], ends[k]
                     if mounted:
@@ -253,6 +253,12 @@ def _contact(
 
 
 @njit(cache=True)
+def _away(pose):
+    """How far A is from P's origin [m]."""
+    return math.sqrt(pose[0] ** 2 + pose[1] ** 2 + pose[2] ** 2)
+
+
+@njit(cache=True)
 def _reach_of_swing(q, qd, h, away):
     """By how much a mount that nothing pushes may bring its side nearer within a tick, at a distance ``away`` from its hinges [m].
 
@@ -266,20 +272,20 @@ def _reach_of_swing(q, qd, h, away):
 
 
 @njit(cache=True)
-def _swing(stiffness, damping, body, h, parts, q, qd, joints, sub):
-    """A mount that nothing pushes over one tick, and what it hands on: ``sub`` (m, 6). Below :data:`AT_REST` it stands still."""
+def _swing(stiffness, damping, body, h, parts, nothing, q, qd, joints, sub):
+    """A mount on which ``nothing`` (6,) acts over one tick, and what it hands on: ``sub`` (m, 6). Below :data:`AT_REST` it stands still."""
     most = 0.0
     for j in range(6):
         most = max(most, stiffness[j] * (abs(q[j]) + h * abs(qd[j])))
     if most < AT_REST:
         q[:], qd[:], sub[:] = 0.0, 0.0, 0.0
         return
-    free, passed = np.zeros(6), 0.0
+    passed = 0.0
     for s in range(parts.shape[0]):
         if s > 0 and parts[s] == parts[s - 1]:
             sub[s] = sub[s - 1]
             continue
-        mount_step(stiffness, damping, body, h * (parts[s] - passed), free, q, qd, joints)
+        mount_step(stiffness, damping, body, h * (parts[s] - passed), nothing, q, qd, joints)
         passed = parts[s]
         mount_reading(stiffness, damping, q, qd, sub[s])
 
@@ -313,7 +319,7 @@ def _meet_near(index, values, p, frames, motions, untilted, lean, work, depth, r
     A point turns about P's origin by its distance times the angle, and a penetration changes by no more than that.
     """
     pose, twist, scratch = work[5], work[6][:6], work[:5, :3]
-    away = math.sqrt(frames[0, 0] ** 2 + frames[0, 1] ** 2 + frames[0, 2] ** 2)
+    away = _away(frames[0])
     related = False
     for c in range(depth.shape[0]):
         longest = arm(values[c * VALUES : (c + 1) * VALUES], 1)
