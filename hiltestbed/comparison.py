@@ -25,7 +25,7 @@ FIGURES = {  # figure of the summary, with the keys that lead to it, to its unit
     "peak_force": "N",
     "contact_duration": "s",
     "tracking_error": "m",
-    "stability.net_damping": "N s/m",  # per rad of a contact that turns
+    "stability.net_damping": "N s/m, N m s/rad",  # the latter where the worst direction is one that turns
     "stability.largest_delay": "s",
 }
 TEXTS = ("status", "outcome")
