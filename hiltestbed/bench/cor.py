@@ -11,7 +11,8 @@ from __future__ import annotations
 import statistics
 import time
 from collections.abc import Callable, Sequence
-from typing import Any
+from functools import partial
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -19,11 +20,13 @@ from hiltestbed.bench.contacts import DELAYS, FREQUENCIES, Bounce, Contact, boun
 from hiltestbed.bench.contenders import BEST, CONTENDERS, Contender, contenders
 from hiltestbed.bench.cor_report import cor_report
 from hiltestbed.bench.result import BenchResult
+from hiltestbed.errors import HiltestbedError
 from hiltestbed.loop import Loop
 from hiltestbed.platform.plant import Plant
 from hiltestbed.simulation import log_error, reference_scenario
 
 Progress = Callable[[float, float], None]
+T = TypeVar("T")
 THREADS = 2
 COST_RUNS, COST_TICKS = 64, 300  # the touch is at tick 60, the force arrives at tick 100
 REPORT = 4.0  # of effort: the pictures of the page
@@ -48,30 +51,48 @@ def cor(quick: bool = False, progress: Progress | None = None) -> BenchResult:
     reference = bounce([reference_scenario(c.scenario({"kind": "none"})) for c in contacts], THREADS)
     step(effort(contacts))
     records: list[dict[str, Any]] = []
+    failed: dict[str, str] = {}
     for (tracking, knowledge, contender), share in zip(jobs, efforts, strict=True):
         same = [_under(c, tracking, knowledge) for c in contacts]
-        records += measure(contender, same, reference)
+        records += _unless_failed(contender, failed, partial(measure, contender, same, reference)) or []
         step(share)
     random_records = []
     for contender in random_methods:
-        random_records += measure_random(contender, rigs)
+        random_records += _unless_failed(contender, failed, partial(measure_random, contender, rigs)) or []
         step(random_effort)
     boundary = stability_boundary(points)
     step(boundary_effort)
     costs = {}
     for m in methods:
-        costs[m.name, m.contact] = cost(m, ticks)
+        costs[m.name, m.contact] = _unless_failed(m, failed, partial(cost, m, ticks))
         step(cost_effort)
+    records, random_records = ([r for r in some if r["method"] not in failed] for some in (records, random_records))
     board = leaderboard(records, costs)
-    summary = {"leaderboard": board, "random_rigs": statistics_of(random_records), "boundary": boundary, "best": BEST}
+    summary = {
+        "leaderboard": board, "random_rigs": statistics_of(random_records), "boundary": boundary, "best": BEST, "failed": failed,
+    }  # fmt: skip
     lines = [
         (f"{row['method']} ({row['contact']} contact)", f"|ln e/e_ref| <= {_number(row['largest_log_error'])}")
         for row in board
         if row["largest_log_error"] is not None
     ]
+    lines += [(f"{name}, left out", error) for name, error in failed.items()]
     report = cor_report(records, summary)
     step(REPORT)
     return BenchResult("cor", records + random_records, summary, report, lines)
+
+
+def _unless_failed(contender: Contender, failed: dict[str, str], measured: Callable[[], T]) -> T | None:
+    """What is measured; where a method of the user's raises, None, and ``failed`` gets the reason: the others are measured all the same."""
+    if contender.name in failed:
+        return None
+    try:
+        return measured()
+    except HiltestbedError as error:
+        if not contender.own:
+            raise
+        failed[contender.name] = str(error)
+        return None
 
 
 def _conditions(quick: bool) -> list[tuple[str, str]]:
@@ -215,7 +236,7 @@ def cost(contender: Contender, ticks: int = COST_TICKS) -> float:
     return max(0.0, 1e6 * statistics.median(times) / COST_RUNS)
 
 
-def leaderboard(records: Sequence[dict[str, Any]], costs: dict[tuple[str, str], float]) -> list[dict[str, Any]]:
+def leaderboard(records: Sequence[dict[str, Any]], costs: dict[tuple[str, str], float | None]) -> list[dict[str, Any]]:
     """A row a method and knowledge of the contact, best first; a run that never rebounded counts as unstable and ranks last."""
     rows = []
     for name, contact in dict.fromkeys((r["method"], r["contact"]) for r in records):

@@ -34,6 +34,8 @@ def cor_report(records: Sequence[dict[str, Any]], summary: dict[str, Any]) -> Re
         f"On a first contact, of which nothing is known, {first['method']} leaves |ln(e/e_ref)| <= {first['largest_log_error']:.4f} "
         "over the whole grid."
     )
+    for name, error in summary["failed"].items():
+        report.text(f"{name} is left out; it ended with: {error}")
     _leaderboard(report, board)
     report.heading("Over the grid")
     report.figure(_heat_maps(records), "ln(e/e_ref) with ideal tracking and the delay known; the largest over the damping ratios.")

@@ -71,8 +71,11 @@ def test_random_rigs_and_the_page(records: list[dict]) -> None:
     assert found["resynchronised"]["rebounded"] == 4
     assert found["resynchronised"]["cor_log_error"]["max"] < 0.01
     board = leaderboard(records, {(c.name, c.contact): 0.0 for c in CONTENDERS})
-    page = cor_report(records, {"leaderboard": board, "random_rigs": found, "boundary": stability_boundary(3)}).html()
+    page = cor_report(
+        records, {"leaderboard": board, "random_rigs": found, "boundary": stability_boundary(3), "failed": {"mine": "too steep"}}
+    ).html()
     assert "resynchronised" in page
+    assert "mine is left out; it ended with: too steep" in page
     assert "http" not in page.replace("http://www.w3.org", "")
 
 

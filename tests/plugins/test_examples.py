@@ -18,7 +18,7 @@ from hiltestbed.compensation.settings import FORCE_METHODS
 from hiltestbed.contact.parameters import ContactParameters
 from hiltestbed.contact.settings import MECHANISMS
 from hiltestbed.effects import EFFECTS
-from hiltestbed.errors import InputError
+from hiltestbed.errors import HiltestbedError, InputError
 from hiltestbed.scenario import scenario_from
 from tests.diagnosis.recorded import recorded
 
@@ -84,6 +84,23 @@ def test_the_benchmark_takes_a_compensation_of_the_users() -> None:
     reference = bounce([reference_scenario(c.scenario({"kind": "none"})) for c in contacts])
     (record,) = measure(mine[0], contacts, reference)
     assert record["stable"]
+
+
+def test_a_method_of_the_users_that_raises_is_left_out_and_a_built_in_one_is_not() -> None:
+    from hiltestbed.bench.contenders import BEST, Contender
+    from hiltestbed.bench.cor import _unless_failed
+
+    def breaks() -> list[int]:
+        raise HiltestbedError("mine.py:59: ValueError: too steep")
+
+    failed: dict[str, str] = {}
+    mine, theirs = (Contender(name, "first", lambda c: {}, own=own) for name, own in (("mine", True), (BEST, False)))
+    assert _unless_failed(mine, failed, lambda: [1]) == [1]
+    assert _unless_failed(mine, failed, breaks) is None
+    assert failed == {"mine": "mine.py:59: ValueError: too steep"}
+    assert _unless_failed(mine, failed, lambda: [1]) is None  # it is not tried again
+    with pytest.raises(HiltestbedError, match="too steep"):
+        _unless_failed(theirs, failed, breaks)
 
 
 def test_one_batch_and_many_give_the_same_bytes() -> None:
