@@ -108,19 +108,21 @@ class Search:
         residual = residual.wary(given.effects() if given else ())
         null = refit(residual, given) if given else nothing(residual)
         before = self.judge(residual, null.effects())
-        singles = self.extend(residual, null)
         adequate_null = noise_alone(before)
+        least = SELECTION if given and adequate_null else DETECTION  # that a cause has to take off, in units of the misfit
+        singles = self.extend(residual, null, worth=least if adequate_null else 0.0)
         if singles and (wary := residual.wary(singles[0].effects())) is not residual:
             residual = wary
             null = refit(residual, null)
             singles = [again(residual, f) for f in first_of_each(singles, "kinds")[:BEAM]]
             before = self.judge(residual, null.effects())
-        if singles and not given and self.reread and (other := self.reread(residual, singles[0])) is not residual:
+        shown = not adequate_null or any(null.score - f.score > least * inflation(f) for f in singles[:1])
+        if singles and shown and not given and self.reread and (other := self.reread(residual, singles[0])) is not residual:
             return replace(self, reread=None).explain(other)
         singles += [f for make in self.special if (f := make(residual, null)) is not None]  # under the weights that a better mean has left
         singles.sort(key=_order)
         best = singles[0] if singles else null
-        need = (SELECTION if given and adequate_null else DETECTION) * inflation(best)
+        need = least * inflation(best)
         departs = null.score - best.score > need or not adequate_null
         known = (null,) if given else ()
         if not departs:
@@ -175,9 +177,13 @@ class Search:
         return replace(self, candidates=tuple(c for c in self.candidates if c.kind in best.kinds))
 
     def extend(
-        self, residual: Residual, base: Fit, most: int = SINGLES, special: Sequence[Special] = (), beside: Sequence[Fit] = ()
-    ) -> list[Fit]:
-        """Fits of ``base`` with one more cause, best first; a descent that will not come near the best of ``beside`` is not finished."""
+        self, residual: Residual, base: Fit, most: int = SINGLES, special: Sequence[Special] = (), beside: Sequence[Fit] = (),
+        worth: float = 0.0,
+    ) -> list[Fit]:  # fmt: skip
+        """Fits of ``base`` with one more cause, best first.
+
+        A descent that will not come near the best of ``beside``, or that will not take off ``worth`` of chi-square, is not finished.
+        """
         if JITTER in base.kinds:  # its likelihood is not a sum of squares: it is added to others, not they to it
             return []
         rated = sorted(self._rate(residual, base), key=lambda item: -item[0])
@@ -188,7 +194,7 @@ class Search:
             if count[c.kind] > SIMILAR or len(fits) >= most or _beaten(c, base, fits):
                 continue
             best = min((*fits, *beside), key=lambda f: f.chi2, default=base)
-            near = best.chi2 + CLOSE_BY * inflation(best)
+            near = min(best.chi2 + CLOSE_BY * inflation(best), base.chi2 - worth)
             enough = len({f.causes[-1].kind for f in fits}) >= BEAM or inflation(best) == 1.0  # beside what leaves noise no beam is needed
             if fits and enough and base.chi2 - UNDERRATED * gain > near:
                 break
