@@ -13,6 +13,7 @@ from hiltestbed.bench.independent_rig import bodies as model
 from hiltestbed.bench.independent_rig.cone import Surfaces
 from hiltestbed.bench.independent_rig.contact import Contact
 from hiltestbed.bench.independent_rig.docking import touch_wrench
+from hiltestbed.bench.independent_rig.generation import with_effect
 from hiltestbed.bench.independent_rig.mount import RIGID, carried, mount_of
 from hiltestbed.bench.independent_rig.rotation import matrix
 
@@ -159,9 +160,12 @@ def test_the_lever_of_the_force_is_between_the_surface_and_the_tip() -> None:
     assert abs(torque[0] - torque[2]) > 0.01 * abs(torque[1])
 
 
-def test_a_latch_closes_on_its_condition_and_bears_what_the_contact_bore() -> None:
+@pytest.mark.parametrize("factor", [1.0, 1.3])
+def test_a_latch_closes_on_its_condition_and_bears_what_the_contact_bore(factor: float) -> None:
+    """Also where the contact is stiffer than believed: then so is what holds."""
     latch = {"mechanism.latch": {"depth": 0.004, "angle_deg": 5.0, "speed": 0.03}, "duration": 4.0, "mechanism.contact.damping": 3000.0}
-    rig, records = _run(latch)
+    rig = with_effect(docking_rig(overridden(SCENARIO, latch)), {"kind": "contact.stiffness", "factor": factor})
+    records = simulate(rig, silence(rig.ticks))
     closed = records.captured
     assert 0 < closed < rig.ticks
     assert records.touching[closed:].all()
@@ -170,7 +174,7 @@ def test_a_latch_closes_on_its_condition_and_bears_what_the_contact_bore() -> No
     due = (records.pose_act[1:, 2] >= -0.004) & (speed <= 0.03)
     assert np.flatnonzero(due)[0] + 1 == closed
     elastic = records.physical[closed, :3] - records.physical[closed + 1, :3]
-    jump = 5e4 * np.linalg.norm(np.diff(records.pose_act[closed : closed + 2, :3], axis=0)) + 3000.0 * speed[closed]
+    jump = factor * 5e4 * np.linalg.norm(np.diff(records.pose_act[closed : closed + 2, :3], axis=0)) + 3000.0 * speed[closed]
     assert np.linalg.norm(elastic) < jump + 1e-9
     # It pulls as well: the ring-down has both signs.
     after = records.physical[closed:, :3] - records.physical[-1, :3]

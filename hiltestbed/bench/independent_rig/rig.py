@@ -124,10 +124,14 @@ def _mount(mount: dict | None, kind: str) -> Mount:
 
 
 def with_held(rig: Rig) -> Rig:
-    """The rig with the law of its contact in its latch too; one that closes holds what it caught, where and as it caught it."""
+    """The rig with the law of its contact in its latch too; one that closes holds what it caught, where and as it caught it.
+
+    The latch's other axes have the contact's spring and damper as they are, so that the springs bear on all axes what the contact bore.
+    """
     if rig.docking is None:
         return rig
     law = rig.contact._replace(latched=True, pull=-1.0)
     if not rig.docking.from_start:
         law = law._replace(touch=0.0, preload=0.0, stop_stiffness=0.0)
-    return rig._replace(docking=rig.docking._replace(held=law))
+    others = {"latch_stiffness": rig.contact.stiffness, "latch_damping": rig.contact.damping}
+    return rig._replace(docking=rig.docking._replace(held=law, **others))
