@@ -27,9 +27,7 @@ class Docking(NamedTuple):
     """What stands on both sides of the contact beside its law. SI, in S."""
 
     surfaces: Surfaces
-    held: Contact  # the law along the insertion once latched
-    latch_stiffness: float  # of the other axes
-    latch_damping: float
+    held: Contact  # the law along the insertion once latched; the other axes have its spring and damper alone
     mount: Mount
     captures: bool = False
     latch_depth: float = 0.0  # m before the nominal touch, at most
@@ -127,13 +125,13 @@ def latch_wrench(docking, pose, twist, hold, states, out, seen):
     seen[TIP, 0], seen[TIP, 1] = x, twist[2]
     force = np.empty(3)
     for i in range(2):
-        force[i] = docking.latch_stiffness * (pose[i] - hold[i]) + docking.latch_damping * twist[i]
+        force[i] = law.stiffness * (pose[i] - hold[i]) + law.damping * twist[i]
     along = law_of.force_on(law, x, twist[2], states[TIP])
     force[2] = law_of.carried(law, along, states[TIP])
     add_at(pose[:3], force, out)
     away = turn_of(product(pose[3:7], inverse(hold[3:7])))
     for i in range(3):
-        out[3 + i] += RING * RING * (docking.latch_stiffness * away[i] + docking.latch_damping * twist[3 + i])
+        out[3 + i] += RING * RING * (law.stiffness * away[i] + law.damping * twist[3 + i])
 
 
 @njit(cache=True)
@@ -190,5 +188,5 @@ def close(docking, law, pose, twist, y, states, hold):
     touch_wrench(law, docking.surfaces, local_pose, local_twist, states, wrench, seen)
     hold[:] = local_pose
     for i in range(3):
-        hold[i] -= wrench[i] / docking.latch_stiffness
+        hold[i] -= wrench[i] / docking.held.stiffness
     return True

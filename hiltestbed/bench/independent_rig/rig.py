@@ -108,7 +108,7 @@ def docking_rig(scenario: dict) -> Rig:
 def _docking(mechanism: dict, contact: Contact) -> Docking:
     kind, latch, mount = mechanism["kind"], mechanism.get("latch"), mechanism.get("mount")
     docking = Docking(
-        Surfaces() if kind == "probe_cone" else Surfaces(tip=BUMPER_TIP, flat=True), contact, contact.stiffness, contact.damping,
+        Surfaces() if kind == "probe_cone" else Surfaces(tip=BUMPER_TIP, flat=True), contact,
         _mount(mount, kind), from_start=kind == "latched",
     )  # fmt: skip
     if not latch:
@@ -124,14 +124,10 @@ def _mount(mount: dict | None, kind: str) -> Mount:
 
 
 def with_held(rig: Rig) -> Rig:
-    """The rig with the law of its contact in its latch too; one that closes holds what it caught, where and as it caught it.
-
-    The latch's other axes have the contact's spring and damper as they are, so that the springs bear on all axes what the contact bore.
-    """
+    """The rig with the law of its contact in its latch too; one that closes holds what it caught, where and as it caught it."""
     if rig.docking is None:
         return rig
     law = rig.contact._replace(latched=True, pull=-1.0)
     if not rig.docking.from_start:
         law = law._replace(touch=0.0, preload=0.0, stop_stiffness=0.0)
-    others = {"latch_stiffness": rig.contact.stiffness, "latch_damping": rig.contact.damping}
-    return rig._replace(docking=rig.docking._replace(held=law, **others))
+    return rig._replace(docking=rig.docking._replace(held=law))

@@ -96,7 +96,7 @@ def _shake(law, docking, trail, latched, pose, twist, y, states, dt, scheme, out
     at, half = np.empty(7), np.empty(13)
     meeting.wrench_in_place(law, docking, pose, twist, y, latched, trail.hold, states, wrench, seen)
     rub = law.friction * math.sqrt(wrench[0] ** 2 + wrench[1] ** 2 + wrench[2] ** 2) / law_of.SLIDING
-    stiff = law.stiffness + law.stop_stiffness + law.branch_stiffness + docking.latch_stiffness
+    stiff = law.stiffness + law.stop_stiffness + law.branch_stiffness + docking.held.stiffness
     inner = mounting.inner_steps(docking.mount, stiff, law.damping, rub, dt)
     step = dt / inner
     out[:] = y
