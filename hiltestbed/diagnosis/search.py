@@ -116,8 +116,8 @@ class Search:
             null = refit(residual, null)
             singles = [again(residual, f) for f in first_of_each(singles, "kinds")[:BEAM]]
             before = self.judge(residual, null.effects())
-        shown = not adequate_null or any(null.score - f.score > least * inflation(f) for f in singles[:1])
-        if singles and shown and not given and self.reread and (other := self.reread(residual, singles[0])) is not residual:
+        counts = singles and (not adequate_null or null.score - singles[0].score > least * inflation(singles[0]))
+        if counts and not given and self.reread and (other := self.reread(residual, singles[0])) is not residual:
             return replace(self, reread=None).explain(other)
         singles += [f for make in self.special if (f := make(residual, null)) is not None]  # under the weights that a better mean has left
         singles.sort(key=_order)

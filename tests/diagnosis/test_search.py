@@ -20,6 +20,7 @@ from hiltestbed.diagnosis.links import Link, LinkRun
 from hiltestbed.diagnosis.links.base import Lane
 from hiltestbed.diagnosis.residual import Residual, square
 from hiltestbed.diagnosis.search import Search
+from hiltestbed.diagnosis.settings import DETECTION
 from hiltestbed.diagnosis.stiction import finest_sticks, stick_starts
 from hiltestbed.effects import EFFECTS
 from hiltestbed.effects.search import Scales, candidate
@@ -225,6 +226,23 @@ def test_what_cannot_come_near_the_best_is_not_fitted(monkeypatch: pytest.Monkey
     np.testing.assert_array_equal(best[0].theta, best[1].theta)
     assert 5 <= len(fitted[1]) < len(fitted[0])
     assert fitted[1] == fitted[0][: len(fitted[1])]
+
+
+@pytest.mark.parametrize(("factor", "counts"), [(1.00015, False), (1.1, True)])
+def test_a_descent_that_will_not_count_is_not_finished(factor: float, counts: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Fewer replays, and what counts is found where it was. Of 1.5e-4 of the stiffness, a chi-square of some 20 shows."""
+    residual = Residual(contact_link([effect("contact.stiffness", factor=factor)]))
+    candidates = tuple(c for e in EFFECTS.values() if e.link in ("contact", "sensor") for c in e.candidates(SCALES))
+    null, replays, found = nothing(residual), [0, 0], []
+    many = Residual.many
+    for i, worth in enumerate((0.0, DETECTION)):
+        monkeypatch.setattr(Residual, "many", lambda self, tried, i=i: replays.__setitem__(i, replays[i] + len(tried)) or many(self, tried))
+        found.append(Search(candidates).extend(residual, null, worth=worth)[0])
+    assert all((null.chi2 - f.chi2 > DETECTION) == counts for f in found)
+    if counts:
+        np.testing.assert_array_equal(found[0].theta, found[1].theta)
+    else:
+        assert 0 < replays[1] < replays[0]
 
 
 @pytest.mark.parametrize("speed", [0.002, 0.05, 0.3])
