@@ -22,9 +22,11 @@ if TYPE_CHECKING:
     from hiltestbed.contact.settings import Mechanism
 
 ACTIVE, PASSIVE = "active_", "passive_"
+FLANGE = ACTIVE + "flange"  # the body that carries the active side
 LATCH = "latch"
 # Contact that is a spring and a damper in N/m and N s/m (hiltestbed.contact.solref) needs a small, constant impedance.
 IMPEDANCE = 1e-4
+INVERSE_WEIGHT = 1.0  # [1/kg], [1/(kg m^2)] of the active side, as contact and latch take it
 CONTACT_SOLIMP = (IMPEDANCE, IMPEDANCE, 1e-3, 0.5, 1.0)
 FACET = (0.2, 0.2, 0.25)  # [m] half sizes: a ball that is deeper than its radius still finds the facet's face nearest
 AWAY = 1e3  # [m] where a facet is parked that nothing is near to
@@ -135,19 +137,31 @@ def add_side(
     spec.attach(mechanism.sides()[which], prefix=prefix, frame=body.add_frame(pos=plane + (height - offset), quat=back))
 
 
-def inverse_mass(model: mujoco.MjModel, bodies: NDArray[np.int_], yields: Array) -> Array:
-    """``(n, k)`` what a stiffness [N/m] between ``bodies`` (2, k) is multiplied with in the direct solref of each run [1/kg].
+def weigh_contact(model: mujoco.MjModel, carrier: str) -> None:
+    """Have contact and latch of a compiled ``model`` push with K x + C v, however the ``carrier`` of the active side accelerates.
 
-    MuJoCo's soft force is f = (a_ref - a)/R with R = A (1 - d)/d: it is K x + C v less a part that the acceleration a at the contact
-    takes, d of it or less. With A the sum of both inverse weights and y [1/kg] the acceleration per newton of the body that carries A,
-    f = K x + C v where K and C are multiplied with A - d (w - y), w being what MuJoCo takes for y: ``body_invweight0``.
+    MuJoCo's soft force is f = (a_ref - a)/R with R = A (1 - d)/d. A is the sum of both bodies' ``body_invweight0``, a the acceleration at
+    the contact: f lacks d a/A of K x + C v. Where a newton accelerates the carrier by y, and MuJoCo's own estimate of y is all that A is,
+    that is d of the force along the normal, and several times that across it. Here A is 1/kg, so that it is d y, 3e-7 on a platform of
+    334 kg. Only contact and latch ask for this weight: the carrier is a body of its own, no joint or loop of the rig is fastened to it.
+    """
+    first = model.body(carrier).id
+    fixed = [first]
+    for body in range(first + 1, model.nbody):
+        if model.body_parentid[body] in fixed and model.body_weldid[body] == model.body_weldid[first]:
+            fixed.append(body)
+    model.body_invweight0[fixed] = INVERSE_WEIGHT
 
-    Args:
-        yields: (n,) y: 0 of a body that is put in place; of one that is driven, what the numerical model answers to a newton.
+
+def inverse_mass(model: mujoco.MjModel, bodies: NDArray[np.int_]) -> Array:
+    """``(k,)`` what a stiffness [N/m] between ``bodies`` (2, k) is multiplied with in a direct solref [1/kg].
+
+    A - d w: A the sum of both inverse weights, w that of the active side (:func:`weigh_contact`), beside which it hardly yields. A part
+    that moves by itself has the inverse weight that MuJoCo finds, and yields by about as much: d of the force, which is left in.
     """
     weight = model.body_invweight0[bodies, 0]
     carries = model.body_weldid[bodies] == model.body_weldid[model.site_bodyid[model.site(ACTIVE + "A").id]]
-    return weight.sum(axis=0) - IMPEDANCE * np.where(carries, weight - yields[:, None, None], 0.0).sum(axis=1)
+    return np.asarray(weight.sum(axis=0) - IMPEDANCE * np.where(carries, weight, 0.0).sum(axis=0))
 
 
 def _pair(spec: mujoco.MjSpec, name: str, active: str, passive: str, rubs: bool) -> None:

@@ -11,7 +11,7 @@ from mujoco.batch import Batch
 
 from hiltestbed.bound import bound
 from hiltestbed.contact import solref
-from hiltestbed.contact.composition import ACTIVE, IMPEDANCE, Structure
+from hiltestbed.contact.composition import ACTIVE, Structure
 from hiltestbed.contact.engagement import Engagement
 from hiltestbed.contact.mount import Mount
 from hiltestbed.contact.wrench import load_body, to_frame
@@ -41,16 +41,15 @@ class Contacts:
         structure: Structure,
         dt: float,
         least_creep: float,
-        yields: Array,
         force: AppliedForce | None,
     ) -> None:
-        """``dt``, ``least_creep``, ``yields``: see :class:`Engagement`. ``force``: acts in place of the contacts."""
+        """``dt``, ``least_creep``: see :class:`Engagement`. ``force``: acts in place of the contacts."""
         n, model = len(scenarios), batch.model
         self._force, self._engagement = force, None
         if structure.touches and structure.constant:
-            solref.set_linear(batch, scenarios, scale=np.where(yields > 0.0, 1.0, 1.0 - IMPEDANCE))
+            solref.set_linear(batch, scenarios)
         elif structure.touches:
-            self._engagement = Engagement(batch, scenarios, structure, dt, least_creep, yields)
+            self._engagement = Engagement(batch, scenarios, structure, dt, least_creep)
         engagement = self._engagement
         tilt = engagement.tilt if engagement else np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (n, 1))
         self.mount = Mount(batch, scenarios, tilt)

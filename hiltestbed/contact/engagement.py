@@ -81,12 +81,9 @@ class Engagement:
         tilt: (n, 7) pose of S in the passive side's nominal place.
     """
 
-    def __init__(
-        self, batch: Batch, scenarios: Sequence[Scenario], structure: Structure, dt: float, least_creep: float, yields: Array
-    ) -> None:
+    def __init__(self, batch: Batch, scenarios: Sequence[Scenario], structure: Structure, dt: float, least_creep: float) -> None:
         """``dt`` [s] between two instants; ``least_creep`` [m/s per N] bounds the slope of friction from above by that of a step,
-        v_0 >= least_creep mu |F|; ``yields``: (n,) acceleration per newton of the body that carries A [1/kg], 0 where it is put in
-        place."""
+        v_0 >= least_creep mu |F|."""
         n, sides = len(scenarios), structure.sides
         self._geometry, self._facets = sides.geometry, len(sides.facets)
         pairs = (*sides.facets, *sides.native)
@@ -95,12 +92,12 @@ class Engagement:
         self._live = np.ones((n, len(pairs)), dtype=bool)
         self.tilt = tilts(self.parameters[:, -1])
         self._bodies = _Bodies(batch, structure, self.tilt)
-        self._pairs = _Pairs(batch, structure, self.parameters, yields)
+        self._pairs = _Pairs(batch, structure, self.parameters)
         self.state = np.zeros((n, len(pairs) + 1, STATES))
         self.met = np.zeros((n, len(pairs), MET))
         self.wrench, self.pull, self.touching = np.zeros((n, 6)), np.zeros((n, 6)), np.zeros(n, dtype=bool)
         self.pulls = bool((self.parameters[:, :-1, ADHESION] > 0.0).any() or (self.parameters[:, :-1, MODE] > 0.0).any())
-        self.latches = Latches(batch, structure, self.parameters[:, -1], yields)
+        self.latches = Latches(batch, structure, self.parameters[:, -1])
         self._captured = scenarios[0].mechanism.captured
         self.latched = np.zeros(n, dtype=bool)
         self._touching = self._touches(dt, least_creep)
@@ -242,14 +239,14 @@ class _Pairs:
         geom_pos, geom_quat, solref, friction: MuJoCo's, of each run. reading: (n, READ native pairs) what their sensors say.
     """
 
-    def __init__(self, batch: Batch, structure: Structure, parameters: Array, yields: Array) -> None:
+    def __init__(self, batch: Batch, structure: Structure, parameters: Array) -> None:
         m, sides = batch.model, structure.sides
         names = [f"facet_{k}" for k in range(len(sides.facets))] + [f"native_{k}" for k in range(len(sides.native))]
         pairs = [m.pair(name).id for name in names]
         facets = [(m.geom(f"facet_{k}").id, m.geom(f"ball_{k}").id) for k in range(len(sides.facets))] + [(-1, -1)] * len(sides.native)
         self.ids = np.array([(p, *f) for p, f in zip(pairs, facets, strict=True)], dtype=np.int64).reshape(len(pairs), 3)
         bodies = m.geom_bodyid[np.stack([m.pair_geom1[pairs], m.pair_geom2[pairs]])] if pairs else np.zeros((2, 0), dtype=int)
-        self.gain = inverse_mass(m, bodies, yields)
+        self.gain = np.tile(inverse_mass(m, bodies), (len(parameters), 1))
         self.geom_pos, self.geom_quat = batch.expand("geom_pos"), batch.expand("geom_quat")
         self.solref, self.friction = batch.expand("pair_solref"), batch.expand("pair_solreffriction")
         self.friction[:] = 2.0 * NO_DAMPING

@@ -78,13 +78,13 @@ class Latches:
         hold: (n, K, 7) the pose of the active site in the passive one that each holds.
     """
 
-    def __init__(self, batch: Batch, structure: Structure, rows: Array, yields: Array) -> None:
-        """``rows``: (n, PARAMETERS) of the closure that is the contact itself. yields: (n,) as in :class:`Engagement`."""
+    def __init__(self, batch: Batch, structure: Structure, rows: Array) -> None:
+        """``rows``: (n, PARAMETERS) of the closure that is the contact itself."""
         m, n, self.closures = batch.model, len(rows), closures_of(structure)
         count = len(self.closures)
         self._ids = np.array([m.equality(c.name).id for c in self.closures], dtype=np.int64)
         bodies = np.stack([m.eq_obj1id[self._ids], m.eq_obj2id[self._ids]])
-        gain, weight = inverse_mass(m, bodies, yields), m.body_invweight0[bodies].sum(axis=0)
+        gain, weight = inverse_mass(m, bodies), m.body_invweight0[bodies].sum(axis=0)
         self.springs = np.zeros((n, count, 3))
         for k, c in enumerate(self.closures):
             self.springs[:, k, 0] = rows[:, STIFFNESS] if c.stiffness is None else c.stiffness

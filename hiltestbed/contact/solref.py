@@ -2,7 +2,8 @@
 
 With a direct ``solref = (-K A, -C A)``, a constant impedance d = 1e-4 and elliptic cones, MuJoCo's soft contact gives
 F = K x + C v, never negative, for penetration x and its rate v at the start of the step. A [1/kg] is the sum of the inverse
-weights of the two bodies that carry the geoms, ``body_invweight0``. Static stiffness is K/(1 - d).
+weights of the two bodies that carry the geoms, ``body_invweight0``, less a share of it: see
+:func:`hiltestbed.contact.composition.inverse_mass`.
 
 This serves contacts that push along the normal alone; friction, other laws and other surfaces are :mod:`hiltestbed.contact.engagement`.
 """
@@ -12,23 +13,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
+from hiltestbed.contact.composition import inverse_mass
 from hiltestbed.frames import Array
 
 if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario
 
 NO_DAMPING = -1e-12  # [1/s] MuJoCo reads a solref as direct only when both numbers are negative
-
-
-def pair_inverse_mass(model: mujoco.MjModel) -> Array:
-    """``(npair,)`` A of each contact pair [1/kg]."""
-    weight = model.body_invweight0[:, 0]
-    geoms = np.stack([model.pair_geom1, model.pair_geom2])
-    return weight[model.geom_bodyid[geoms]].sum(axis=0)
 
 
 def linear_solref(stiffness: Array, damping: Array, inverse_mass: Array) -> Array:
@@ -39,12 +33,9 @@ def linear_solref(stiffness: Array, damping: Array, inverse_mass: Array) -> Arra
     return solref
 
 
-def set_linear(batch: Batch, scenarios: Sequence[Scenario], scale: Array) -> None:
-    """Give each run of a batch its scenario's stiffness and damping.
-
-    ``scale`` (n,) multiplies both: 1, or 1 - d where the bodies are placed rather than integrated.
-    """
-    contacts = [s.mechanism.contact for s in scenarios]
-    stiffness = scale * np.array([c.stiffness for c in contacts])
-    damping = scale * np.array([c.damping for c in contacts])
-    batch.expand("pair_solref")[:] = linear_solref(stiffness, damping, pair_inverse_mass(batch.model))
+def set_linear(batch: Batch, scenarios: Sequence[Scenario]) -> None:
+    """Give each run of a batch its scenario's stiffness and damping."""
+    contacts, m = [s.mechanism.contact for s in scenarios], batch.model
+    stiffness, damping = (np.array([getattr(c, name) for c in contacts]) for name in ("stiffness", "damping"))
+    bodies = m.geom_bodyid[np.stack([m.pair_geom1, m.pair_geom2])]
+    batch.expand("pair_solref")[:] = linear_solref(stiffness, damping, inverse_mass(m, bodies))

@@ -15,7 +15,6 @@ from hiltestbed.bound import GIVEN, Call, together
 from hiltestbed.contact.composition import Structure
 from hiltestbed.contact.contacts import Contacts
 from hiltestbed.frames import Array
-from hiltestbed.numerical_model.bodies import effective_mass
 from hiltestbed.platform.model import sensor_columns
 from hiltestbed.platform.response import PlatformResponse
 from hiltestbed.sensor.readout import read_history, read_wrench
@@ -58,8 +57,7 @@ class ServoTracking:
         self.servo = servo = first.rig.platform.driven(scenarios, structure, dt)
         self.model = servo.model
         self.batch = Batch(self.model, n, nthread, persistent=True)
-        yields = np.array([1.0 / effective_mass(s) for s in scenarios])
-        self.contacts = Contacts(self.batch, scenarios, structure, dt, least_creep(dt), yields, force)
+        self.contacts = Contacts(self.batch, scenarios, structure, dt, least_creep(dt), force)
         self.path = PlatformResponse(scenarios)
         self._ticks = np.zeros(1, dtype=np.int64)
         self._goal = np.zeros((n, 7))

@@ -83,7 +83,7 @@ class IdealTracking:
         self.tick, self.substeps = first.tick, first.substeps
         self.model = model.ideal_model(structure, first.tick / first.substeps)
         self.batch = Batch(self.model, n, nthread)
-        self.contacts = Contacts(self.batch, scenarios, structure, first.tick / first.substeps, 0.0, np.zeros(n), force)
+        self.contacts = Contacts(self.batch, scenarios, structure, first.tick / first.substeps, 0.0, force)
         self.path = PlatformResponse(scenarios)
         answers = first.rig.platform.tracking == "response"
         settings = [s.rig.platform.response for s in scenarios] if answers else []

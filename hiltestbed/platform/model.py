@@ -9,7 +9,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from hiltestbed.contact.composition import Structure, add_active, add_contact, add_passive, drawn
+from hiltestbed.contact.composition import FLANGE, Structure, add_active, add_contact, add_passive, drawn, weigh_contact
 from hiltestbed.contact.settings import Mechanism
 from hiltestbed.models import load
 
@@ -38,7 +38,7 @@ def _carrier(spec: mujoco.MjSpec, above: str | None = None) -> mujoco.MjsBody:
 
 def _mount_active(spec: mujoco.MjSpec, structure: Structure) -> None:
     site = spec.site("mount")
-    add_active(spec, structure, site.parent, np.array(site.pos), PORT)
+    add_active(spec, structure, site.parent.add_body(name=FLANGE), np.array(site.pos), PORT)
 
 
 def ideal_model(structure: Structure, timestep: float) -> mujoco.MjModel:
@@ -59,7 +59,7 @@ def ideal_model(structure: Structure, timestep: float) -> mujoco.MjModel:
     add_active(spec, structure, body, np.zeros(3), np.zeros(3))
     add_contact(spec, structure)
     model = spec.compile()
-    model.body_invweight0[model.body_weldid == model.body("A_body").id] = 1.0
+    weigh_contact(model, "A_body")
     if integrated:
         # The solver judges its progress by the mean inertia: of what moves by itself, or beside such a mass it would never see any
         first = int(model.joint("A_joint").dofadr[0])
@@ -92,7 +92,9 @@ def rig_model(structure: Structure, timestep: float, kept: int) -> mujoco.MjMode
     spec.compiler.discardvisual = True
     for name in ("force", "torque"):
         spec.sensor(name).nsample = kept
-    return spec.compile()
+    model = spec.compile()
+    weigh_contact(model, FLANGE)
+    return model
 
 
 def upper_model(mechanism: Mechanism, timestep: float) -> mujoco.MjModel:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hiltestbed.contact.composition import IMPEDANCE
 from hiltestbed.effects import EFFECTS
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array
@@ -16,7 +15,7 @@ from tests.replay.recorded import RIGS, Recorded, felt, lane, readings, record, 
 
 SOLVED = 5e-6  # of the peak, where A is put in place: the loop's force is what MuJoCo's solver ends at, welds and mounts to a millionth
 STEP = 5e-5  # of the peak, where a converter may round the other way for that
-SOFT = 1e-3  # of the peak, under the servo: MuJoCo's own soft contact has an impedance of 1e-4 in place of 0, for friction as well
+DRIVEN = 5e-6  # of the peak, under the servo: what MuJoCo's soft contact leaves out for the acceleration is 1e-6 of the force, friction too
 UNSEEN = 1e-3  # of the peak, on a mount under the servo: it is integrated within the tick, where the path is not on record
 CONTACT = [kind for kind, cls in EFFECTS.items() if cls.link == "contact"]
 SENSOR = [kind for kind, cls in EFFECTS.items() if cls.link in ("sensor", "log") and kind != "sensor.jitter"]  # which is drawn at random
@@ -49,17 +48,7 @@ def test_under_ideal_tracking_the_readings_are_those_of_the_loop(rig: str) -> No
 @pytest.mark.parametrize("rig", RIGS)
 def test_under_a_servo_they_are_too_where_the_twist_is_on_record(rig: str) -> None:
     recorded = record([scenario(rig, "servo")])
-    assert errors(recorded, readings(recorded))[0] < (UNSEEN if "mount" in rig else SOFT)
-
-
-@pytest.mark.parametrize("rig", ["bumper with friction", "probe and cone", "latched"])
-def test_under_a_servo_the_normal_force_is_that_of_the_law(rig: str) -> None:
-    """MuJoCo's soft force leaves out d of what the acceleration at the contact would need; that part of it is known, and made up for."""
-    recorded = record([scenario(rig, "servo")])
-    measured, law = recorded["wrench_meas"][0, :, 2], readings(recorded)[0, :, 2]
-    pressed = law > 0.2 * law.max()
-    assert pressed.sum() > 200
-    assert abs(np.mean(measured[pressed] / law[pressed]) - 1.0) < 0.1 * IMPEDANCE
+    assert errors(recorded, readings(recorded))[0] < (UNSEEN if "mount" in rig else DRIVEN)
 
 
 def test_without_the_twist_a_servo_is_half_a_tick_off() -> None:
@@ -70,7 +59,7 @@ def test_without_the_twist_a_servo_is_half_a_tick_off() -> None:
         shared.poses, shared.before, shared.tick, shared.geometry, shared.captured, shared.latch, shared.mount, shared.substeps
     )
     error = errors(recorded, replay_wrench(blind, [lane(recorded.scenarios[0], 0)], grid=recorded.scenarios[0].substeps))[0]
-    assert SOFT < error < 0.02
+    assert 200.0 * DRIVEN < error < 0.02
 
 
 @pytest.mark.parametrize("rig", RIGS)
@@ -86,7 +75,8 @@ def test_every_effect_of_the_contact_acts_in_the_replay_as_in_the_loop(rig: str)
 def test_every_effect_of_the_contact_acts_under_a_servo_too(rig: str) -> None:
     scenarios = possible(rig, CONTACT, "servo")
     recorded = record(scenarios)
-    assert errors(recorded, readings(recorded)).max() < SOFT
+    between = np.array([s.effects[0].kind == "frame.mode" for s in scenarios])  # a frame rings between two ticks, too: 9e-6
+    assert (errors(recorded, readings(recorded)) < np.where(between, 2.0 * DRIVEN, DRIVEN)).all()
 
 
 @pytest.mark.parametrize("rig", ["bumper with friction", "probe and cone with latch", "latched on a mount"])

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hiltestbed.bound import GIVEN, Call
-from hiltestbed.contact.composition import ACTIVE, PASSIVE, Structure, add_active, add_contact, add_passive
+from hiltestbed.contact.composition import ACTIVE, FLANGE, PASSIVE, Structure, add_active, add_contact, add_passive, weigh_contact
 from hiltestbed.frames import Array, cross, rotate_back
 from hiltestbed.jit import njit
 from hiltestbed.platform.facilities.bodies import PhysicalFacility
@@ -17,7 +17,6 @@ from hiltestbed.platform.facilities.facility import CARRIER, MOUNT, NOMINAL, TOO
 from hiltestbed.platform.prs3.payload import load_of
 
 TOOL = ACTIVE + "A"  # the site that follows the command
-FLANGE = "active_flange"
 ROUNDING = 1e-9  # [N], [N m] of a difference of loads of up to 1e4
 # What the compensation of a moving sensor's load is told: (a - g) and the rotation of P, in P.
 LOAD_SENSORS = (
@@ -55,7 +54,9 @@ def facility_model(facility: Facility, structure: Structure, timestep: float) ->
     """The composed facility as it is stepped: nothing that is only drawn."""
     spec = facility_spec(facility, structure, timestep)
     spec.compiler.discardvisual = True
-    return spec.compile()
+    model = spec.compile()
+    weigh_contact(model, FLANGE)
+    return model
 
 
 def rest_reading(model: mujoco.MjModel, home: Array, columns: slice, body: int, balance: Array, centre: Array) -> Array:
