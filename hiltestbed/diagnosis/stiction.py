@@ -1,7 +1,9 @@
 """Where to start the fit of a platform that sticks.
 
 Each jump begins where the last one ended: some hundred jumps in a row end where they should only for a stick that is right to a
-hundred-thousandth, and chi-square is rugged around it. So a scan of the slowest run, which jumps least, then ever finer scans of all.
+hundred-thousandth and for the right instants a tick, and chi-square is rugged around them. The first jumps tell a stick to a hundredth,
+whatever the instants: so a scan of the beginning of the slowest run, which jumps least, that goes on to ever more of it with what fits best
+so far, ever finer; then ever finer scans of all runs.
 """
 
 from __future__ import annotations
@@ -10,16 +12,22 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hiltestbed.diagnosis.links import PlatformLink
+from hiltestbed.diagnosis.links import LinkRun, PlatformLink
 from hiltestbed.diagnosis.residual import Residual, square
 from hiltestbed.frames import Array
 from hiltestbed.platform.effects.tracking import PlatformFriction
 
-SCANNED = 500  # sticks, on the slowest run
-LONGEST = 2000  # rows of it, above which fewer are scanned
+SCANNED = 400  # sticks, on the first jumps
+FIRST = 20.0  # of the largest stick, that the command moves in them
+FEWEST = 50  # rows of them
+SURVIVE = 6  # sticks of each number of instants that go on to twice as many rows
+AROUND = 3  # sticks that are tried to either side of each, half as far apart as before
+WORSE = 2.0  # times the least chi-square so far: instants that fit worse are given up
 FINER = 15  # by which the scans of all runs are refined at a time
 KEPT = 4  # of each scan
-INSTANTS = (2, 3, 4, 5, 6, 8, 10, 13, 16, 20, 28, 40, 60, 100, 200)  # a tick: finer ones differ by less than a pose is known
+# A tick: those that facilities take and those between, of which each is nearer to any other than a tenth; finer ones do not differ by what
+# is known of a pose.
+INSTANTS = (*range(2, 41), *range(44, 81, 4), *range(88, 201, 8))
 LIKELY = 2  # of them, beside those of the believed physics, that are searched to the end
 FINEST = 1e-5  # of a stick
 CLEAR = 6.0  # times the noise: a departure that may be a stick
@@ -37,18 +45,32 @@ def stick_starts(link: PlatformLink, noise: float, substeps: int) -> dict[int, l
     alone = away > CLEAR * noise and bool((departed > CLEAR * sigma).any())  # beyond what is not known of how the drives give way
     if not alone and _mean_square(departed[known] / sigma[known]) <= TOGETHER:
         return {}
-    rows = link.runs[i].rows
-    count = max(SCANNED // 5, min(SCANNED, SCANNED * LONGEST // rows))
     # The largest departure is the stick, give or take what the command moves in a tick.
-    tried = np.geomspace(max(away - speeds[i] - 4.0 * noise, 0.5 * away), away + speeds[i] + noise, count)
-    slowest, starts = Residual(link, [i]), {}
-    scans = {instants: _costs(slowest, tried, instants) for instants in sorted({substeps, *INSTANTS})}
-    likely = sorted(scans, key=lambda instants: min(scans[instants]))[:LIKELY]
-    for instants in dict.fromkeys((substeps, *likely)):
-        costs = scans[instants]
-        near = [float(tried[j]) for j in np.argsort(costs)[:6]]
-        starts[instants] = finest_sticks(Residual(link), near, float(tried[1] / tried[0]) - 1.0, instants)
+    low, high = max(away - speeds[i] - 4.0 * noise, 0.5 * away), away + speeds[i] + noise
+    starts = {}
+    for instants, near, step in _scanned(link, i, np.geomspace(low, high, SCANNED), sorted({substeps, *INSTANTS}), substeps):
+        starts[instants] = finest_sticks(Residual(link), near, step, instants)
     return starts
+
+
+def _scanned(link: PlatformLink, i: int, tried: Array, instants: Sequence[int], believed: int) -> list[tuple[int, list[float], float]]:
+    """The likeliest instants a tick of run ``i``, after those ``believed``: the best sticks of each, and how far apart they lie."""
+    run, command = link.runs[i], link.commands[i]
+    travel = np.cumsum(np.max(np.abs(np.diff(command[:, :3], axis=0)), axis=1))
+    rows = min(run.rows, max(FEWEST, int(np.searchsorted(travel, FIRST * tried[-1])) + 1))
+    left, step = {m: list(tried) for m in instants}, float(tried[1] / tried[0]) - 1.0
+    while True:
+        part = LinkRun(run.scenario, run.measured[:rows], run.sigma[:rows], run.touching[:rows], run.heavy, run.tail)
+        residual = Residual(PlatformLink([part], [command[:rows]], [link.deflection[i][:rows]]))
+        costs = {m: np.array(_costs(residual, sticks, m)) for m, sticks in left.items()}
+        order = sorted(costs, key=lambda m: float(costs[m].min()))
+        best = {m: [left[m][j] for j in np.argsort(costs[m], kind="stable")[:SURVIVE]] for m in order}
+        if rows == run.rows:
+            return [(m, best[m], step) for m in dict.fromkeys((believed, *order[:LIKELY]))]
+        rows, step = min(2 * rows, run.rows), step / 2.0
+        most = WORSE * float(costs[order[0]].min())
+        going = dict.fromkeys((believed, *order[:LIKELY], *(m for m in order if costs[m].min() < most)))
+        left = {m: sorted({s * (1.0 + step * j) for s in best[m] for j in range(-AROUND, AROUND + 1)}) for m in going}
 
 
 def _mean_square(values: Array) -> float:
