@@ -59,6 +59,20 @@ def _advance_second_order(e, before, after, dt, state):
     return state[0]
 
 
+@njit(cache=True, inline="always")
+def _limited(held, before, after, dt, speed):
+    """Where an axis that is no faster than ``speed`` is after dt, from ``held``, its command running from ``before`` to ``after``.
+
+    As fast as it may towards the command; once it has met it, with it, or as fast as it may after it where it is faster.
+    """
+    step = speed * dt
+    way = after - before
+    if abs(way) > step and (before - held) * way < 0.0 and abs(before - held) < abs(way) + step:
+        met = (before - held) / (math.copysign(step, before - held) - way)  # part of dt, after which it turns back
+        return held + math.copysign(step, way) * (1.0 - 2.0 * met)
+    return held + min(max(after - held, -step), step)
+
+
 @njit(cache=True)
 def follow(before, after, dt, speed, play, stick, lag, mode, lagged, shaken, memory):
     """One axis over dt, the (already delayed) command running from `before` to `after` [m].
@@ -68,9 +82,8 @@ def follow(before, after, dt, speed, play, stick, lag, mode, lagged, shaken, mem
     """
     if speed < np.inf:
         held = memory[LIMITED]
-        step = speed * dt
-        memory[LIMITED] = held + min(max(after - held, -step), step)
-        before, after = held, memory[LIMITED]
+        memory[LIMITED] = after = _limited(held, before, after, dt, speed)
+        before = held
     for s in range(lag.shape[0]):
         if lag[s, 0] != 0.0:
             held = lagged[s, 0]

@@ -9,7 +9,7 @@ import pytest
 from scipy.signal import TransferFunction, lsim
 
 from hiltestbed.platform.plant import Plant
-from hiltestbed.platform.response import second_order
+from hiltestbed.platform.response import MEMORY, follow, second_order
 from hiltestbed.scenario import scenario_from
 from tests.platform.rigs import scenario
 
@@ -46,3 +46,29 @@ def test_the_exact_advance_is_the_linear_systems_own(zeta: float, base: float) -
         ours.append(state[0])
     system = TransferFunction([2.0 * zeta * w * base, w * w], [1.0, 2.0 * zeta * w, w * w])
     np.testing.assert_allclose(ours, lsim(system, u, t)[1], atol=2e-6)
+
+
+def test_a_limit_of_the_speed_does_not_hang_on_how_finely_a_tick_is_divided() -> None:
+    """A command that turns faster than the platform may go: it is met on the way back, within a tick, and left behind at once."""
+    limit, dt = 0.06, 1e-3
+    rng = np.random.default_rng(4)
+    command = np.cumsum(np.repeat(rng.uniform(-0.2, 0.2, 60), 7)) * dt
+
+    def reached(parts: int) -> np.ndarray:
+        none, memory, out = np.zeros((0, 5)), np.zeros(MEMORY), []
+        state = np.zeros((0, 2))
+        for before, after in pairwise(command):
+            for a, b in pairwise(np.linspace(before, after, parts + 1)):
+                at = follow(a, b, dt / parts, limit, 0.0, 0.0, none, none, state, state, memory)
+            out.append(at)
+        return np.array(out)
+
+    whole = reached(1)
+    np.testing.assert_allclose(reached(7), whole, atol=1e-13)
+    fine, at, n = [], 0.0, 1000  # so finely that where within a part it meets its command does not matter
+    for before, after in pairwise(command):
+        for u in np.linspace(before, after, n + 1)[1:]:
+            at += min(max(u - at, -limit * dt / n), limit * dt / n)
+        fine.append(at)
+    turns = 5  # each is off by 2 v dt/n at most, until the command is met again
+    np.testing.assert_allclose(fine, whole, atol=2.0 * turns * limit * dt / n)
