@@ -77,6 +77,15 @@ def test_a_stick_is_found_to_where_the_last_jump_ends() -> None:
     assert finest_sticks(residual, [2e-3], 1e-3, 4) == [2e-3]  # no better than none at all: left as it is
 
 
+@pytest.mark.parametrize(("instants", "stick"), [(2, 1.1e-4), (3, 4.7e-5), (7, 9.1e-5), (33, 6.3e-5), (60, 8.46e-5), (171, 2.9e-5)])
+def test_a_stick_is_found_however_finely_a_tick_is_divided(instants: int, stick: float) -> None:
+    link = platform_link([effect("platform.friction", {"instants": instants}, stick=stick)])
+    residual, starts = Residual(link), stick_starts(link, POSE_NOISE, 4)
+    left = min(square(residual([effect("platform.friction", {"instants": n}, stick=s)])) for n, near in starts.items() for s in near)
+    count = np.count_nonzero(residual(()))
+    assert left < count + 4.0 * math.sqrt(2.0 * count)
+
+
 def test_a_stick_of_some_three_times_the_noise_is_found_by_all_its_rows() -> None:
     """No row lies six times the noise away; the mean square of them all is twice that of the noise and more."""
     stick = 3.3 * POSE_NOISE
