@@ -14,7 +14,7 @@ import numpy as np
 from hiltestbed.diagnosis.adequacy import JITTER, contact_leftovers, noise_alone
 from hiltestbed.diagnosis.fit import Fit, at_bound, fit, inflation
 from hiltestbed.diagnosis.grow import carried
-from hiltestbed.diagnosis.residual import Residual
+from hiltestbed.diagnosis.residual import Residual, square
 from hiltestbed.diagnosis.search import Explanation, Search, first_of_each
 from hiltestbed.diagnosis.settings import AMBIGUITY, AS_GOOD, CARRIED, INVARIANT, MOST_RUNS, PARTNERS, WORTH_IN_PART
 from hiltestbed.effects.search import Candidate
@@ -69,11 +69,17 @@ def _tells(found: Explanation) -> bool:
 
 
 def in_each_run(found: Explanation) -> list[list[Fit]]:
-    """Of each run alone, the chosen causes as they fit it, started where they are, smaller and larger: all that fit as well as the best."""
+    """Of each run alone, the chosen causes as they fit it: all that fit as well as the best.
+
+    They are started where they are, smaller and larger. What fits all runs is among them too, as it is: in a run that hardly parts two
+    causes, each start ends elsewhere in a long valley, and none where it began.
+    """
     out, chosen = [], found.chosen
     for i in found.residual.runs:
         run = found.residual.on([i])
-        fits = [fit(run, chosen.causes, [_resized(chosen, size)], tries=1) for size in SIZES]
+        left = run(chosen.effects())
+        fits = [replace(chosen, chi2=square(left), residual=left)]
+        fits += [fit(run, chosen.causes, [_resized(chosen, size)], tries=1) for size in SIZES]
         best = min(fits, key=lambda f: f.chi2)
         out.append([f for f in fits if f.chi2 <= best.chi2 + AMBIGUITY * inflation(best)])
     return out

@@ -83,6 +83,18 @@ def test_a_size_that_the_runs_do_not_bear_on_is_the_same_in_none() -> None:
     assert [same_in_each(chosen, in_each_run(found), i, 3) for i in range(3)] == [True, False, False]
 
 
+def test_what_fits_all_runs_is_among_what_fits_each_that_it_fits_as_well() -> None:
+    """As it is, not only where a descent from there ends; not in a run that it does not fit."""
+    stiffness = candidates("contact.stiffness")[0]
+    link = contact_link([effect("contact.stiffness", factor=1.1)], speeds=SPEEDS)
+    changed = [run.measured * (1.05 if i == 0 else 1.0) for i, run in enumerate(link.runs)]
+    chosen = fit(Residual(link), (stiffness,), stiffness.grid)
+    residual = Residual(reread(link, changed))
+    none = contact_leftovers(residual, chosen.effects())
+    found = Explanation(residual, chosen.causes, nothing(residual), chosen, True, True, none, none, (chosen,))
+    assert [any((f.theta == chosen.theta).all() for f in fits) for fits in in_each_run(found)] == [False] + [True] * (len(SPEEDS) - 1)
+
+
 @pytest.mark.parametrize(("factor", "there"), [(1.3, False), (20.0, True)])
 def test_an_estimate_at_the_end_of_its_search_is_no_estimate(factor: float, there: bool) -> None:
     stiffness = candidates("contact.stiffness")[0]
