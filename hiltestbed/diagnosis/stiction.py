@@ -74,12 +74,12 @@ def _scanned(link: PlatformLink, order: Sequence[int], tried: Array, believed: i
         if rows == whole:
             known, going = found, best[:LIKELY]
         else:
-            going = [m for m in best[:MOST] if m in best[:LIKELY] or found[m][0][0] < WORSE * found[best[0]][0][0]]
+            going = [m for m in best[:MOST] if m in best[:LIKELY] or found[m][0][0] <= WORSE * found[best[0]][0][0]]
         near = {other: m for m in reversed(going) for other in _between(m, sorted(found))}
         near |= {m: m for m in (believed, *going)} if rows < whole else {}
         rows = min(int(FURTHER * rows), whole)
         left = {m: _within(found[other]) for m, other in near.items()}
-    likely = [m for m in dict.fromkeys((believed, *best[:LIKELY])) if known[m][0][0] < WORSE * known[best[0]][0][0]]
+    likely = [m for m in dict.fromkeys((believed, *best[:LIKELY])) if known[m][0][0] <= WORSE * known[best[0]][0][0]]
     return [(m, list(_within(known[m]))) for m in likely]
 
 

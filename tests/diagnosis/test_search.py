@@ -16,7 +16,7 @@ from hiltestbed.diagnosis.fit import fit, nothing
 from hiltestbed.diagnosis.investigate import _as_read
 from hiltestbed.diagnosis.jitter import jitter_beside
 from hiltestbed.diagnosis.lines import hum_beside, lines
-from hiltestbed.diagnosis.links import Link, LinkRun
+from hiltestbed.diagnosis.links import Link, LinkRun, PlatformLink
 from hiltestbed.diagnosis.links.base import Lane
 from hiltestbed.diagnosis.residual import Residual, square
 from hiltestbed.diagnosis.search import Search
@@ -84,6 +84,16 @@ def test_a_stick_is_found_however_finely_a_tick_is_divided(instants: int, stick:
     left = min(square(residual([effect("platform.friction", {"instants": n}, stick=s)])) for n, near in starts.items() for s in near)
     count = np.count_nonzero(residual(()))
     assert left < count + 4.0 * math.sqrt(2.0 * count)
+
+
+def test_a_stick_is_found_where_no_noise_is_left() -> None:
+    hidden = [effect("platform.friction", {"instants": 20}, stick=8.37e-5)]
+    noisy = platform_link(hidden)
+    runs = [replace(run, measured=noisy.shown(i, hidden)) for i, run in enumerate(noisy.runs)]
+    link = PlatformLink(runs, noisy.commands, noisy.deflection)
+    starts = stick_starts(link, POSE_NOISE, 4)
+    assert list(starts) == [20]
+    assert square(Residual(link)([effect("platform.friction", {"instants": 20}, stick=starts[20][0])])) == 0.0
 
 
 def test_a_stick_of_some_three_times_the_noise_is_found_by_all_its_rows() -> None:
