@@ -5,7 +5,7 @@ The wait for a tick moves the emulated devices on by one cycle and then takes in
 
 from __future__ import annotations
 
-import time
+import threading
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -106,12 +106,12 @@ def against(
     """
     urls = urls_of(platform)
     emulator = Emulator(emulated, urls.emulated_sensor, urls.emulated_platform)
-    stepped = False
+    stepped, cycling = False, threading.Lock()
 
     def pace(sensor: SensorClient, moved: PlatformClient, tick: float) -> Pace:
         nonlocal stepped
-        stepped = True
-        time.sleep(0.02)  # until a cycle that has begun is over
+        with cycling:  # once a cycle that has begun is over
+            stepped = True
         while sensor.poll() or moved.poll():
             pass
 
@@ -129,8 +129,9 @@ def against(
         return DevicePace(moved, tick, 1)
 
     def step() -> None:
-        if not stepped:
-            emulator.cycle()
+        with cycling:
+            if not stepped:
+                emulator.cycle()
 
     with emulator, going(step, 0.002):
         yield Options(urls.sensor, urls.platform, armed=armed, pace=pace, connect=clients), emulator
