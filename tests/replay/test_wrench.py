@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from hiltestbed.contact.composition import IMPEDANCE
 from hiltestbed.effects import EFFECTS
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array
@@ -49,6 +50,16 @@ def test_under_ideal_tracking_the_readings_are_those_of_the_loop(rig: str) -> No
 def test_under_a_servo_they_are_too_where_the_twist_is_on_record(rig: str) -> None:
     recorded = record([scenario(rig, "servo")])
     assert errors(recorded, readings(recorded))[0] < (UNSEEN if "mount" in rig else DRIVEN)
+
+
+@pytest.mark.parametrize("rig", ["bumper with friction", "probe and cone", "latched"])
+def test_under_a_servo_the_normal_force_is_that_of_the_law(rig: str) -> None:
+    """MuJoCo's soft force leaves out d of what the acceleration at the contact would need, of a body of 1 kg as it is weighed here."""
+    recorded = record([scenario(rig, "servo")])
+    measured, law = recorded["wrench_meas"][0, :, 2], readings(recorded)[0, :, 2]
+    pressed = law > 0.2 * law.max()
+    assert pressed.sum() > 200
+    assert abs(np.mean(measured[pressed] / law[pressed]) - 1.0) < 0.1 * IMPEDANCE
 
 
 def test_without_the_twist_a_servo_is_half_a_tick_off() -> None:
