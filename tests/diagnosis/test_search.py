@@ -77,7 +77,16 @@ def test_a_stick_is_found_to_where_the_last_jump_ends() -> None:
     assert finest_sticks(residual, [2e-3], 1e-3, 4) == [2e-3]  # no better than none at all: left as it is
 
 
-@pytest.mark.parametrize(("instants", "stick"), [(2, 1.1e-4), (3, 4.7e-5), (7, 9.1e-5), (33, 6.3e-5), (60, 8.46e-5), (171, 2.9e-5)])
+AMONG_OTHERS = pytest.mark.xfail(reason="few jumps at one speed: other numbers of instants fit the scanned rows nearly as well")
+
+
+@pytest.mark.parametrize(
+    ("instants", "stick"),
+    [
+        (2, 1.1e-4), (3, 4.7e-5), (7, 9.1e-5), (33, 6.3e-5), (60, 8.46e-5), (171, 2.9e-5),
+        pytest.param(57, 8.46e-5, marks=AMONG_OTHERS), pytest.param(86, 8.46e-5, marks=AMONG_OTHERS),
+    ],
+)  # fmt: skip
 def test_a_stick_is_found_however_finely_a_tick_is_divided(instants: int, stick: float) -> None:
     link = platform_link([effect("platform.friction", {"instants": instants}, stick=stick)])
     residual, starts = Residual(link), stick_starts(link, POSE_NOISE, 4)
