@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any
 
-from hiltestbed.diagnosis import judges
+from hiltestbed.diagnosis import judges, timing
 from hiltestbed.diagnosis.adequacy import contact_leftovers, noise_alone
 from hiltestbed.diagnosis.certainty import Certainties
 from hiltestbed.diagnosis.describe import describe
@@ -90,7 +90,7 @@ def find(findings: Findings, progress: Progress | None = None) -> Finding:
         partial_gain=gain_of(findings, nearest),
         explained=judged.share,
         learned=judged.learned,
-        assumed=findings.layout.force.words(),
+        assumed=(*findings.layout.force.words(), *timing.words(findings.explanations)),
         certainty=tuple(certain),
     )
 
@@ -154,7 +154,8 @@ def _in_part(findings: Findings, verdict: Verdict, nearest: tuple[Named, ...]) -
     if not nearest:
         return verdict, None
     e = findings.explanations[nearest[0].link]
-    kept = holding(e)
+    parts_of_ticks = timing.no_causes(findings.explanations).get(nearest[0].link, {})
+    kept = [i for i in holding(e) if nearest[i].effect not in parts_of_ticks]
     if not kept:
         return verdict, None
     causes = tuple(replace(nearest[i], probability=1.0) for i in kept)

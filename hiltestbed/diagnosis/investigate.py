@@ -15,8 +15,8 @@ from hiltestbed.diagnosis.fit import Fit, fit, inflation, nothing, refit
 from hiltestbed.diagnosis.jitter import JITTER, jitter_beside
 from hiltestbed.diagnosis.layout import Layout, compensation_link, dynamics_link, lay_out, platform_link, under
 from hiltestbed.diagnosis.lines import hum_beside, lines
-from hiltestbed.diagnosis.links import AxisLink, CompensationLink, Link, LinkRun, PlatformLink, WrenchLink
-from hiltestbed.diagnosis.paths import BestPath, best_path, make_wrench_link
+from hiltestbed.diagnosis.links import AxisLink, CompensationLink, Later, Link, LinkRun, PlatformLink, WrenchLink
+from hiltestbed.diagnosis.paths import BestPath, best_path, between_rows, make_wrench_link, unmoved
 from hiltestbed.diagnosis.readings import (
     another_lever,
     at_a_point,
@@ -28,10 +28,11 @@ from hiltestbed.diagnosis.readings import (
     reading_under,
     wrench_link_of,
 )
-from hiltestbed.diagnosis.residual import Residual
+from hiltestbed.diagnosis.residual import Residual, square
 from hiltestbed.diagnosis.search import Explanation, Progress, Search
 from hiltestbed.diagnosis.settings import DETECTION, MOST_NOISE, RECORD_LEFT
 from hiltestbed.diagnosis.stiction import stick_starts
+from hiltestbed.diagnosis.timing import FARTHEST, clocks_off, in_its_place, part_of_a_tick, stands_best
 from hiltestbed.effects.search import Candidate, Scales
 from hiltestbed.effects.table import EFFECTS
 from hiltestbed.frames import Array
@@ -72,11 +73,11 @@ def investigate(dataset: MeasuredDataset, progress: Progress | None = None) -> F
     if "platform" not in layout.missing:
         link = platform_link(layout, layout.rows)
         found["platform"] = _explain_platform(layout, link, _told(progress, "platform"))
-        whole["platform"] = platform_link(layout, layout.whole)
+        whole["platform"] = platform_link(layout, layout.whole).stamped(found["platform"].residual.link.timing)
     if "compensation" not in layout.missing:
         candidates = _candidates(layout.scales, ("compensation", "log"))
         found["compensation"] = _explain_compensation(layout, compensation_link(layout, layout.rows), candidates, progress)
-        whole["compensation"] = compensation_link(layout, layout.whole)
+        whole["compensation"] = compensation_link(layout, layout.whole).stamped(found["compensation"].residual.link.timing)
     if "wrench" not in layout.missing:
         _investigate_wrench(layout, found, whole, progress)
         layout = _settle_platform(layout, found, whole, progress)
@@ -84,8 +85,8 @@ def investigate(dataset: MeasuredDataset, progress: Progress | None = None) -> F
         if layout.scales.driven is None:
             residual = Residual(dynamics_link(layout, layout.rows))
             search = Search(_candidates(layout.scales, ("dynamics",)), judges.of_dynamics(residual), (), _told(progress, "numerical model"))
-            found["dynamics"] = search.explain(residual)
-            whole["dynamics"] = dynamics_link(layout, layout.whole)
+            found["dynamics"] = in_its_place(residual, search)
+            whole["dynamics"] = dynamics_link(layout, layout.whole).stamped(found["dynamics"].residual.link.timing)
         else:
             found["dynamics"], whole["dynamics"] = _explain_axis(layout, _told(progress, "driven axis"))
     return Findings(layout, found, dict(layout.missing), whole)
@@ -104,7 +105,8 @@ def _explain_platform(layout: Layout, link: PlatformLink, progress: Progress | N
     """With starts for stiction that the data tell."""
     noise = min((level for c in link.channels[:3] if (level := layout.noise.get(c))), default=0.0)
     scales = replace(layout.scales, sticks=stick_starts(link, noise, layout.scales.substeps))
-    return Search(_candidates(scales, ("platform",)), progress=progress).explain(Residual(link))
+    search = Search(_candidates(scales, ("platform",)), progress=progress)
+    return in_its_place(Residual(link), search)
 
 
 def _explain_axis(layout: Layout, progress: Progress | None) -> tuple[Explanation, AxisLink]:
@@ -124,17 +126,21 @@ def _explain_compensation(
     layout: Layout, link: CompensationLink, candidates: Sequence[Candidate], progress: Progress | None
 ) -> Explanation:
     judge = judges.of_compensation(link, layout.noise)
-    return Search(tuple(candidates), judge, (), _told(progress, "compensation")).explain(Residual(link))
+    search = Search(tuple(candidates), judge, (), _told(progress, "compensation"))
+    led = [link.noise_gain() * layout.noise.get(name.replace("comp", "meas"), 0.0) for name in link.channels]
+    return in_its_place(Residual(link), search, weigh=lambda residual: residual.doubted(np.array(led)))
 
 
 def _investigate_wrench(layout: Layout, found: dict[str, Explanation], whole: dict[str, Link], progress: Progress | None) -> None:
     """Contact and sensor, which are one link to the data; and the compensation again where the record proves to be stamped late."""
-    path = best_path(layout, found.get("platform"))
+    path = _choose_path(layout, found, whole, progress)
     link = choose_steps(choose_lever(make_wrench_link(layout, path, layout.rows, decimate="compensation" not in found)))
     scales = replace(layout.scales, lines=lines(link))
     unseen = ("platform",) if link.commands else ()  # what it does is in the path then
     candidates = _candidates(scales, (*WRENCH, *unseen) if "compensation" in found else (*WRENCH, *unseen, "log"))
     given = _stamped_late(layout, link, found.get("compensation"))
+    if given and _by_its_stamp(layout, link, found, whole, given[0], progress):
+        given = []
     if given:  # which the contact alone cannot tell from a late sensor
         candidates = tuple(c for c in candidates if c.kind != "sensor.delay")
         levered = wrench_link_of(lever_under(Residual(link), given[0]))
@@ -142,7 +148,8 @@ def _investigate_wrench(layout: Layout, found: dict[str, Explanation], whole: di
             link, given = levered, _stamped_late(layout, levered, found["compensation"]) or given
     residual = Residual(link)
     search = Search(candidates, special=(jitter_beside, hum_beside), progress=_told(progress, "contact and sensor"), reread=reading_under)
-    explanation = search.explain(residual, given[0] if given else None)
+    late = given[0] if given else None
+    explanation = in_its_place(residual, search, lambda there: search.explain(there, late), not given and clocks_off(found))
     if levered := another_lever(explanation):
         residual = Residual(levered)
         given = given and (_stamped_late(layout, levered, found["compensation"]) or given)
@@ -167,6 +174,27 @@ def _investigate_wrench(layout: Layout, found: dict[str, Explanation], whole: di
         _settle_compensation(layout, path, found, whole, progress)
 
 
+def _choose_path(layout: Layout, found: dict[str, Explanation], whole: dict[str, Link], progress: Progress | None) -> BestPath:
+    """The path that contact and sensor bear out, of those that the platform leaves open; the platform as that path has it."""
+    best = best_path(layout, found.get("platform"))
+    if other := unmoved(layout, found.get("platform"), best):
+        links = [choose_lever(make_wrench_link(layout, path, layout.rows)) for path in (best, other)]
+        if stands_best(links):
+            best = other
+            found["platform"], whole["platform"] = _stamped_elsewhere(layout, found["platform"], progress)
+    return between_rows(layout, best) if clocks_off(found) else best
+
+
+def _stamped_elsewhere(layout: Layout, platform: Explanation, progress: Progress | None) -> tuple[Explanation, Link]:
+    """The platform where parts of a tick by which it is late are the stamp's: explained anew, and on whole runs."""
+    tick, timing = layout.scales.tick, platform.residual.link.timing
+    for effect in platform.chosen.effects():
+        if part_of_a_tick(effect, tick):
+            timing = timing.plus(Later(delay=effect.parameters()["delay"]))
+    again = _explain_platform(layout, platform_link(layout, layout.rows).stamped(timing), _told(progress, "platform"))
+    return again, platform_link(layout, layout.whole).stamped(again.residual.link.timing)
+
+
 def _stamped_late(layout: Layout, link: WrenchLink, compensation: Explanation | None) -> list[Fit]:
     """A record that is stamped late, in each of its readings, the likelier first; none where the compensation shows no such thing.
 
@@ -182,6 +210,24 @@ def _stamped_late(layout: Layout, link: WrenchLink, compensation: Explanation | 
     fits = [refit(residual, f) for f in fits]
     borne_out = nothing(residual).chi2 - fits[0].chi2 > DETECTION
     return fits if borne_out or compensation.chosen.chi2 < RECORD_LEFT * compensation.null.chi2 else []
+
+
+def _by_its_stamp(
+    layout: Layout, link: WrenchLink, found: dict[str, Explanation], whole: dict[str, Link], late: Fit, progress: Progress | None
+) -> bool:
+    """Whether wrench_comp is stamped early, and not wrench_meas late: contact and sensor depart more under a record that is ``late``.
+
+    The compensation is explained anew then.
+    """
+    skew = log_parameters(found["compensation"].chosen.effects()).skew
+    residual = Residual(link)
+    told = square(residual([c.at(np.array([skew])) for c in late.causes]))
+    if skew > FARTHEST * layout.scales.tick or told < nothing(residual).chi2 + DETECTION:
+        return False
+    early = compensation_link(layout, layout.rows).stamped(Later(delay=-skew))
+    found["compensation"] = _explain_compensation(layout, early, _candidates(layout.scales, ("compensation",)), progress)
+    whole["compensation"] = compensation_link(layout, layout.whole).stamped(found["compensation"].residual.link.timing)
+    return True
 
 
 def _other_reading_betters(found: Explanation, other: Fit) -> bool:
@@ -216,7 +262,8 @@ def _settle_compensation(
         EFFECTS["log.skew"], (), np.zeros(0), np.zeros(0), np.zeros(0, bool), ((),), {"delay": skew}
     )  # as the contact has it
     candidates = (*_candidates(layout.scales, ("compensation",)), late_record)
-    found["compensation"], whole["compensation"] = _explain_compensation(layout, links[0], candidates, progress), links[1]
+    found["compensation"] = _explain_compensation(layout, links[0], candidates, progress)
+    whole["compensation"] = links[1].stamped(found["compensation"].residual.link.timing)
 
 
 def _settle_platform(layout: Layout, found: dict[str, Explanation], whole: dict[str, Link], progress: Progress | None) -> Layout:
@@ -240,7 +287,7 @@ def _settle_platform(layout: Layout, found: dict[str, Explanation], whole: dict[
     if again is None:
         return layout
     found["platform"] = _explain_platform(again, platform_link(again, again.rows), _told(progress, "platform under the force found"))
-    whole["platform"] = platform_link(again, again.whole)
+    whole["platform"] = platform_link(again, again.whole).stamped(found["platform"].residual.link.timing)
     return again
 
 

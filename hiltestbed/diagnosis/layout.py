@@ -14,6 +14,7 @@ from hiltestbed.diagnosis.driven import regression
 from hiltestbed.diagnosis.links import CompensationLink, DynamicsLink, Link, LinkRun, PlatformLink, WrenchLink, flat_pose
 from hiltestbed.diagnosis.links.base import padded
 from hiltestbed.diagnosis.noise import ForceNoise, force_noise, in_steps
+from hiltestbed.diagnosis.pose_noise import smooth_levels
 from hiltestbed.diagnosis.settings import (
     ARM_UNKNOWN,
     COMPENSATION_FLOOR,
@@ -37,6 +38,7 @@ from hiltestbed.replay.compensation import needs
 from hiltestbed.signals import GROUPS
 
 MEMORY = 0.05  # [s] for which platform, contact and compensation are taken to remember a sample that is missing
+OFF_RECORD = 3  # rows at each end whose command may not be on record: loggers stamp each channel up to two rows early or late
 MOSTLY = 0.9  # part of the rows of every run, which hang on samples that are missing
 COMPUTED_ROUNDED = math.sqrt(CORRELATED)  # as computed channels are counted
 ROTATIONS = ("rx", "ry", "rz")
@@ -279,7 +281,7 @@ def _pose_run(run: MeasuredRun, noise: Mapping[str, float], doubt: Array, rows: 
     level = np.hypot(level, np.column_stack([rounding[:, :3], 2.0 * rounding[:, 3:6]])) * as_one[:, :6]
     sigma = np.where(counted, np.hypot(level, doubt), np.inf)
     sigma[run.record.unknown("pose_cmd", MEMORY)[:rows]] = np.inf
-    sigma[0] = np.inf  # the start pose stands for itself
+    sigma[:OFF_RECORD] = sigma[run.record.ticks - OFF_RECORD :] = np.inf  # row 0 is the start, and stamps may be rows off
     return LinkRun(run.scenario, np.nan_to_num(flat_pose(run.record.data["pose_act"][:rows])), sigma, touching(run, rows))
 
 
@@ -294,7 +296,7 @@ def _computed_run(run: MeasuredRun, values: Array, level: float, rows: int, give
 
 def _floors(runs: Sequence[MeasuredRun]) -> dict[str, float]:
     """Channel to noise floor: third differences away from contacts, pooled; readings that stand still there tell nothing."""
-    floors = {}
+    floors, smooth = {}, smooth_levels(runs)
     for name in dict.fromkeys(c for r in runs for c in r.record.columns()):
         found, still = [], 0
         for r in runs:
@@ -312,7 +314,7 @@ def _floors(runs: Sequence[MeasuredRun]) -> dict[str, float]:
             level = believed or (float(np.median(inside)) if inside else 0.0)
             steps = [r.record.steps.get(name, 0.0) for r in runs]
             level = math.hypot(level, max(steps) / math.sqrt(12.0)) if any(in_steps(r, name) for r in runs) else level
-        floors[name] = level
+        floors[name] = max(level, smooth.get(name, 0.0))
     places = [n for n in ("pose_act.px", "pose_act.py", "pose_act.pz") if floors.get(n)]
     for name in places:  # a platform that moves in jumps looks noisy on the axis that moves most
         floors[name] = min(floors[name], UNEVEN * min(floors[n] for n in places))

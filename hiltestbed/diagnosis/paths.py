@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
@@ -18,9 +18,11 @@ from scipy.signal import savgol_coeffs, savgol_filter
 from hiltestbed.diagnosis.decimation import decimated
 from hiltestbed.diagnosis.layout import Layout, platform_link, touching, wrench_link
 from hiltestbed.diagnosis.links import WrenchLink, flat_pose
+from hiltestbed.diagnosis.links.base import PROMPT, Later
 from hiltestbed.diagnosis.links.platform import poses_of
 from hiltestbed.diagnosis.search import Explanation
-from hiltestbed.diagnosis.settings import CLEAN_PATH, LEVER_ARM, SHAKEN_PATHS, SMOOTHING
+from hiltestbed.diagnosis.settings import CLEAN_PATH, LEVER_ARM, MODEL_ERROR, SHAKEN_PATHS, SMOOTHING
+from hiltestbed.diagnosis.timing import part_of_a_tick
 from hiltestbed.frames import Array
 from hiltestbed.measured import MeasuredRun
 from hiltestbed.measured.noise import finest_noise
@@ -59,21 +61,49 @@ class BestPath:
 
 
 def best_path(layout: Layout, platform: Explanation | None) -> BestPath:
-    """The best path that the data give."""
+    """The best path that the data give, as the poses are stamped."""
     explained = platform is not None and platform.adequate
     known = [(path, _noise_of(layout, path)) for path in _measured(layout)]
     measured, brought = next(((p, b) for p, b in known if _share(layout, b) < CLEAN_PATH), known[-1] if known else (None, None))
     if measured is not None and brought is not None and not _replays_better(layout, measured, brought, explained):
         path, extra = measured, brought
     elif platform is not None and platform.adequate:
-        poses = platform_link(layout, layout.whole).paths(platform.chosen.effects())
+        poses = platform_link(layout, layout.whole).stamped(platform.residual.link.timing).paths(platform.chosen.effects())
         path, extra = Path(poses, _central_rates(layout, poses)), None
     else:
         path = Path(_smooth_paths(layout, platform), None)
         noisy = platform is not None or any(r.record.has("pose_act") for r in layout.runs)
         extra = [_smoothed_noise(layout, run) for run in layout.runs] if noisy else None
+    return BestPath(path, extra, _jumped(platform, path))
+
+
+def unmoved(layout: Layout, platform: Explanation | None, best: BestPath) -> BestPath | None:
+    """The path where parts of a tick by which pose_act is later or earlier than its command are its stamp's alone; None where it is none.
+
+    Between two rows a resampled path is flatter than the one that was taken.
+    """
+    if platform is None or not platform.adequate or best.brought is not None:
+        return None
+    effects = [e for e in platform.chosen.effects() if not part_of_a_tick(e, layout.scales.tick)]
+    if len(effects) == len(platform.chosen.causes) and platform.residual.link.timing == PROMPT:
+        return None
+    obeyed = Later(obeyed=platform.residual.link.timing.obeyed)
+    poses = platform_link(layout, layout.whole).stamped(obeyed).paths(effects)
+    path = Path(poses, _central_rates(layout, poses))
+    return BestPath(path, None, _jumped(platform, path))
+
+
+def between_rows(layout: Layout, best: BestPath) -> BestPath:
+    """The same path where channels are stamped parts of a row off: what lies between rows is not on record, and a motion that was read
+    there is smoother than it was."""
+    error = [MODEL_ERROR * np.abs(np.nan_to_num(r.record.data["wrench_meas"])) for r in layout.runs]
+    return replace(best, brought=[np.hypot(e, b) for e, b in zip(error, best.brought or [0.0] * len(error), strict=True)])
+
+
+def _jumped(platform: Explanation | None, path: Path) -> list[Array] | None:
+    """See :class:`BestPath`."""
     sticks = platform is not None and platform.adequate and "platform.friction" in platform.chosen.kinds
-    return BestPath(path, extra, [_jumps(p) for p in path.poses] if sticks else None)
+    return [_jumps(p) for p in path.poses] if sticks else None
 
 
 def make_wrench_link(layout: Layout, best: BestPath, rows: Sequence[int], decimate: bool = False) -> WrenchLink:
@@ -175,7 +205,9 @@ def _jumps(path: Array) -> Array:
 
 def _smooth_paths(layout: Layout, platform: Explanation | None) -> list[Array]:
     """(N, 7) of each run: the measured pose, smoothed about the best explanation of the platform where there is one."""
-    near = platform_link(layout, layout.whole).paths(platform.chosen.effects()) if platform is not None else None
+    near = None
+    if platform is not None:
+        near = platform_link(layout, layout.whole).stamped(platform.residual.link.timing).paths(platform.chosen.effects())
     out = []
     for i, run in enumerate(layout.runs):
         if not run.record.has("pose_act"):  # the commanded pose, one row on: ideal tracking believed

@@ -38,6 +38,10 @@ class Residual:
         weight = [w / np.sqrt(1.0 + scaled[i] ** 2) if i in scaled else w for i, w in enumerate(self.weight)]
         return Residual(self.link, self.runs, weight)
 
+    def doubted(self, noise: Array) -> Residual:
+        """With more ``noise`` (C,) in every sample [units of the channels]."""
+        return Residual(self.link, self.runs, [w / np.sqrt(1.0 + (w * noise) ** 2) for w in self.weight])
+
     def on(self, runs: Sequence[int]) -> Residual:
         """On fewer runs."""
         return Residual(self.link, runs, self.weight)

@@ -11,6 +11,7 @@ from hiltestbed.diagnosis.fit import Fit, inflation
 from hiltestbed.diagnosis.investigate import Findings
 from hiltestbed.diagnosis.search import Explanation
 from hiltestbed.diagnosis.settings import MOST_RIVALS
+from hiltestbed.diagnosis.timing import no_causes
 from hiltestbed.effects.table import EFFECTS
 
 ORDER = ("platform", "wrench", "compensation", "dynamics")
@@ -59,6 +60,7 @@ def decide(findings: Findings) -> Verdict:
     """The verdict on all links."""
     causes: list[Named] = []
     unexplained: list[tuple[float, str]] = []
+    timing = no_causes(findings.explanations)
     for name in ORDER:
         e = findings.explanations.get(name)
         if e is None or not e.departs:
@@ -66,7 +68,7 @@ def decide(findings: Findings) -> Verdict:
         if not e.adequate:
             unexplained.append((e.worst, _part(e) if name == "wrench" else name))
             continue
-        causes += _causes(name, e)
+        causes += [c for c in _causes(name, e) if c.effect not in timing.get(name, ())]
     causes = sorted(_once(causes), key=lambda c: -c.weight)
     missing = findings.missing
     if unexplained:

@@ -19,20 +19,21 @@ if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario
 
 
-def replay_model(model: Departing, wrench: Array, run: np.ndarray) -> Array:
+def replay_model(model: Departing, wrench: Array, run: np.ndarray, old: Array | None = None) -> Array:
     """``(L, N, 7)`` pose_cmd of numerical models that are driven by recorded wrenches ``(R, N, 6)``; row k is commanded at t_k.
 
     The step is that of :class:`hiltestbed.numerical_model.model.NumericalModel`, its bodies accelerated by Newton's and Euler's laws in
-    compiled code where the loop calls Pinocchio.
+    compiled code where the loop calls Pinocchio. old: (L,) part of the old twist in each new pose; None: that of the departures, 0 or 1.
     """
     d, n = model.departures, len(run)
+    part = np.maximum(d.explicit.astype(float), 0.0 if old is None else old)
     q, v, tau = np.zeros((n, 2, 7)), np.zeros((n, 2, 6)), np.zeros((n, 2, 6))
     out = np.empty((n, wrench.shape[1], 7))
     handed = np.zeros((n, int(d.late.max()) + 1, 13))
     swinging = np.zeros((*d.appendage.shape[:3], 2, 3))
     _replay_model(
         wrench, np.asarray(run), model.approach, model.port, model.whole, model.rigid, model.inertia, np.linalg.inv(model.inertia),
-        model.tick, d.appendage, model.placed, model.rest, d.force, d.explicit, d.late, q, v, tau, swinging, handed, out,
+        model.tick, d.appendage, model.placed, model.rest, d.force, part, d.late, q, v, tau, swinging, handed, out,
     )  # fmt: skip
     return out
 
@@ -61,7 +62,7 @@ class Departing:
 
 @njit(cache=True)
 def _replay_model(
-    wrench, run, approach, port, whole, rigid, inertia, inverse, h, appendage, placed, rest, force, explicit, late, q, v, tau, swinging,
+    wrench, run, approach, port, whole, rigid, inertia, inverse, h, appendage, placed, rest, force, old, late, q, v, tau, swinging,
     handed, out,
 ):  # fmt: skip
     n = len(run)
@@ -80,8 +81,8 @@ def _replay_model(
         before[:] = v
         newton_euler(rigid, inertia, inverse, tau, h, v)
         for i in range(n):
-            if not explicit[i]:
-                before[i] = v[i]
+            if old[i] < 1.0:
+                before[i] = v[i] + old[i] * (before[i] - v[i])
         move(q, before, h)
         relative_states(q, v, port, pose, twist)
         hand_on(k + 1, late, handed, pose, twist)

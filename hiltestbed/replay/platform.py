@@ -20,7 +20,9 @@ if TYPE_CHECKING:
 WHOLE = 1e-9  # ticks that a delay may be off a whole number
 
 
-def replay_platform(scenarios: Sequence[Scenario], parameters: Sequence[PlatformParameters], commands: Array, run: np.ndarray) -> Array:
+def replay_platform(
+    scenarios: Sequence[Scenario], parameters: Sequence[PlatformParameters], commands: Array, run: np.ndarray, obeyed: Array | None = None
+) -> Array:
     """``(L, N, 3)`` positions of A in P [m] at t_k that platforms reach on recorded commands.
 
     The law is that of the loop (:func:`hiltestbed.platform.response.follow`). A tick is divided where the delayed command bends, between
@@ -28,10 +30,12 @@ def replay_platform(scenarios: Sequence[Scenario], parameters: Sequence[Platform
 
     Args:
         scenarios, parameters: of each lane. commands: ``(R, N, >= 3)`` pose_cmd; row k is to be reached at t_(k+1).
+        obeyed: (L,) [s] by which commands are obeyed later than at t_k, by a platform that stands at the start pose at t = 0.
     """
     tick = scenarios[0].tick
     p = stack(parameters)
-    late = p.delay / tick
+    at_start = np.zeros(len(run)) if obeyed is None else np.asarray(obeyed, dtype=float)
+    late = (p.delay + at_start) / tick
     parts, count = _instants(scenarios, parameters, late)
     steps = np.diff(parts, axis=1, prepend=0.0) * tick
     lag, mode = _kernels(p.lag, steps, count, 0.0), _kernels(p.mode, steps, count, 1.0)
@@ -39,8 +43,8 @@ def replay_platform(scenarios: Sequence[Scenario], parameters: Sequence[Platform
     velocity = np.array([s.approach.velocity for s in scenarios], dtype=float)
     out = np.empty((len(run), commands.shape[1], 3))
     _replay(
-        commands, np.asarray(run), start, velocity, tick, late, parts, count, steps, p.step, p.speed, p.play, p.stick, p.scale, lag, mode,
-        out,
+        commands, np.asarray(run), start, velocity, tick, late, at_start != 0.0, parts, count, steps, p.step, p.speed, p.play, p.stick,
+        p.scale, lag, mode, out,
     )  # fmt: skip
     return out
 
@@ -72,7 +76,7 @@ def _kernels(numbers: Array, steps: Array, count: np.ndarray, base: float) -> Ar
 
 
 @njit(cache=True)
-def _replay(commands, run, start, velocity, h, late, parts, count, steps, response, speed, play, stick, scale, lag, mode, out):
+def _replay(commands, run, start, velocity, h, late, at_start, parts, count, steps, response, speed, play, stick, scale, lag, mode, out):
     lagged, shaken, memory = np.zeros((lag.shape[2], 2)), np.zeros((mode.shape[2], 2)), np.zeros(MEMORY)
     sums = np.zeros(commands.shape[1] + 1)
     for i in range(len(run)):
@@ -92,6 +96,7 @@ def _replay(commands, run, start, velocity, h, late, parts, count, steps, respon
                 _sum_up(command, start[i, axis], h, sums)
             before = _answered(command, sums, learned, start[i, axis], velocity[i, axis], -late[i], h)
             rest = _answered(command, sums, learned, start[i, axis], velocity[i, axis], -max(late[i], 0.0), h)  # starts no earlier
+            rest = start[i, axis] if at_start[i] else rest
             share = learned[len(learned) // 2 + int(learned[0])] if learned[0] > 0.0 else 1.0
             memory[:] = rest
             lagged[:, 0] = shaken[:, 0] = rest

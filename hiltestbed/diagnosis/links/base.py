@@ -8,8 +8,9 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, Self
 
 import numpy as np
 
@@ -23,14 +24,33 @@ MEMORY = 64_000_000  # [byte] of predictions that are made in one replay
 
 
 class Later(Effect):
-    """A shift of the reading that is no effect of the vocabulary: to see what lateness does."""
+    """When a facility samples, stamps and steps, where no definition says it; no effect of the vocabulary.
+
+    Attributes:
+        delay: [s] by which the output of a link is stamped later than the believed rig has it; negative: earlier.
+        before: [s] by which its input acts later, or is stamped earlier, where that differs from a late output: where the output goes on
+            without an input, and where noise goes from input to output. Of contact and sensor: by which the reading is put late between
+            its rows, where ``delay`` is that of the instant at which it is read.
+        obeyed: [s] by which a platform obeys its command later, on all six axes.
+        old: part of the old twist in a new pose of the numerical model: 0 semi-implicit, 1 would be explicit Euler.
+    """
 
     kind: Literal["later"] = "later"
-    delay: float
+    delay: float = 0.0
+    before: float = 0.0
+    obeyed: float = 0.0
+    old: float = 0.0
     link = "sensor"
 
     def apply(self, p: object) -> None:
         """Nothing: the link reads the shift itself."""
+
+    def plus(self, other: Later) -> Later:
+        """Both together."""
+        return Later(**{name: value + getattr(other, name) for name, value in self.parameters().items()})
+
+
+PROMPT = Later()
 
 
 @dataclass(frozen=True)
@@ -66,12 +86,38 @@ class Link(ABC):
     Attributes:
         name: of the link. channels: what was measured at its output. runs: as it sees them.
         witnesses: [s] stretches of a run whose misfits are independent of each other; none where each row's is.
+        timing: when the facility samples, stamps and steps, as far as that is not believed.
     """
 
     name: str
     channels: tuple[str, ...]
     runs: Sequence[LinkRun]
     witnesses: tuple[float, ...] = ()
+    timing: Later = PROMPT
+
+    def stamped(self, place: Later) -> Self:
+        """The same link of a facility that samples, stamps and steps otherwise."""
+        out = copy(self)
+        out.timing = place
+        return out
+
+    def placed(self, effects: Effects) -> Later:
+        """When the facility samples, stamps and steps under ``effects``."""
+        place = self.timing
+        for effect in effects:
+            if isinstance(effect, Later):
+                place = place.plus(effect)
+        return place
+
+    def _between(self, i: int, shown: Array, timing: Later) -> Array:
+        """(N, C) of run i where the output is stamped late, or the input early.
+
+        What follows linearly from an input that lies between two rows is what lies there between the rows of the output, noise included,
+        which is less there than in a row.
+        """
+        tick, given = self.runs[i].scenario.tick, self.runs[i].measured
+        out = moved(shown, timing.delay / tick)
+        return given - (moved(given, -timing.before / tick) - out) if timing.before else out
 
     @property
     def whole(self) -> Link:
@@ -104,6 +150,16 @@ def padded(arrays: Sequence[Array]) -> Array:
     """``(R, N, ...)`` of arrays of different length, the last row of each held."""
     longest = max(len(a) for a in arrays)
     return np.stack([np.concatenate([a, np.repeat(a[-1:], longest - len(a), axis=0)]) for a in arrays])
+
+
+def moved(values: Array, rows: float) -> Array:
+    """``values`` (N, C) as they were ``rows`` before, on straight lines between rows and beyond both ends."""
+    if rows == 0.0:
+        return values
+    at = np.arange(len(values)) - rows
+    low = np.clip(np.floor(at).astype(int), 0, len(values) - 2)
+    part = (at - low)[:, None]
+    return values[low] + part * (values[low + 1] - values[low])
 
 
 def flat_pose(pose: Array) -> Array:

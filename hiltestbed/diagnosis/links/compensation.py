@@ -39,7 +39,7 @@ class CompensationLink(Link):
 
     def on_used(self, used: Sequence[Array], runs: Sequence[LinkRun]) -> CompensationLink:
         """The same link, where what the loop read is known in place of the late record."""
-        return CompensationLink(runs, self.wrenches, self._sources, used)
+        return CompensationLink(runs, self.wrenches, self._sources, used).stamped(self.timing)
 
     def _replay(self, lanes: Sequence[Lane]) -> list[Array]:
         run = np.arange(len(lanes))
@@ -47,7 +47,8 @@ class CompensationLink(Link):
         readings = padded([self._reading(i, effects) for i, effects in lanes])
         records = {name: values[[i for i, _ in lanes]] for name, values in self._records.items()}
         found = replay_compensation(scenarios, [InputParameters.of(effects) for _, effects in lanes], records, readings, run)
-        return [wrench[: self.runs[i].rows] for wrench, (i, _) in zip(found, lanes, strict=True)]
+        shown = [wrench[: self.runs[i].rows] for wrench, (i, _) in zip(found, lanes, strict=True)]
+        return [self._between(i, wrench, self.placed(effects)) for wrench, (i, effects) in zip(shown, lanes, strict=True)]
 
     def _reading(self, i: int, effects: Effects) -> Array:
         """(N, 6) what the loop read: the record, or that of a later row where the record is stamped late."""

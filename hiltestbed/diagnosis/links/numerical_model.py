@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hiltestbed.diagnosis.links.base import Lane, Link, LinkRun, flat_pose, padded
+from hiltestbed.diagnosis.links.base import Lane, Link, LinkRun, flat_pose, moved, padded
 from hiltestbed.frames import Array
 from hiltestbed.numerical_model.parameters import DynamicsParameters, stack
 from hiltestbed.replay import Departing, replay_model
@@ -26,5 +26,11 @@ class DynamicsLink(Link):
     def _replay(self, lanes: Sequence[Lane]) -> list[Array]:
         run = np.array([i for i, _ in lanes])
         departing = Departing([self.runs[i].scenario for i in run], stack([DynamicsParameters.of(effects) for _, effects in lanes]))
-        poses = flat_pose(replay_model(departing, self._wrenches, run))
-        return [pose[: self.runs[i].rows] for pose, i in zip(poses, run, strict=True)]
+        places, tick = [self.placed(effects) for _, effects in lanes], self.runs[0].scenario.tick
+        wrenches, driven = self._wrenches, run
+        if any(place.before for place in places):
+            wrenches = np.stack([moved(self._wrenches[i], p.before / tick) for i, p in zip(run, places, strict=True)])
+            driven = np.arange(len(lanes))
+        poses = flat_pose(replay_model(departing, wrenches, driven, np.array([place.old for place in places])))
+        late = [place.delay / tick for place in places]
+        return [moved(pose[: self.runs[i].rows], rows) for pose, rows, i in zip(poses, late, run, strict=True)]

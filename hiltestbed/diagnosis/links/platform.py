@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hiltestbed.diagnosis.links.base import Effects, Lane, Link, LinkRun, flat_pose, padded
+from hiltestbed.diagnosis.links.base import Effects, Lane, Link, LinkRun, flat_pose, moved, padded
 from hiltestbed.frames import Array
 from hiltestbed.numerical_model.bodies import approach_state
 from hiltestbed.platform.effects.response import PlatformDelay
@@ -34,10 +34,13 @@ class PlatformLink(Link):
         run = np.array([i for i, _ in lanes])
         scenarios = [self.runs[i].scenario for i in run]
         parameters = [PlatformParameters.believed(s).with_effects(effects) for s, (_, effects) in zip(scenarios, lanes, strict=True)]
-        places = replay_platform(scenarios, parameters, self._padded, run)
+        obeyed = np.array([self.placed(effects).obeyed for _, effects in lanes])
+        places = replay_platform(scenarios, parameters, self._padded, run, obeyed)
         out = []
-        for i, place in zip(run, places, strict=True):
-            out.append(np.concatenate([place[: self.runs[i].rows], self._attitude[i]], axis=1) + self.deflection[i])
+        for place, late, (i, effects) in zip(places, obeyed, lanes, strict=True):
+            turned = moved(self._attitude[i], late / self.runs[i].scenario.tick)
+            pose = np.concatenate([place[: self.runs[i].rows], turned], axis=1) + self.deflection[i]
+            out.append(self._between(i, pose, self.placed(effects)))
         return out
 
     def doubt(self, i: int, effects: Effects) -> Array | None:
@@ -50,8 +53,9 @@ class PlatformLink(Link):
         return np.abs(late - early)
 
     def paths(self, effects: Effects) -> list[Array]:
-        """(N, 7) poses of each run that the platform reaches, with the attitude that was commanded."""
-        return [poses_of(shown) for shown in self.predict([(i, effects) for i in range(len(self.runs))])]
+        """(N, 7) poses of each run that the platform reaches, with the attitude that was commanded, as they are stamped."""
+        timing = self.timing.model_copy(update={"delay": self.timing.delay + self.timing.before, "before": 0.0})
+        return [poses_of(shown) for shown in self.stamped(timing).predict([(i, effects) for i in range(len(self.runs))])]
 
 
 def poses_of(flat: Array) -> Array:

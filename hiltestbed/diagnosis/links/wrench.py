@@ -14,7 +14,7 @@ from hiltestbed.contact.latch import latch_limits
 from hiltestbed.contact.mount_dynamics import MountDynamics
 from hiltestbed.contact.parameters import ContactParameters, believed_contacts, contact_rows
 from hiltestbed.contact.sides import sides_of
-from hiltestbed.diagnosis.links.base import Effects, Lane, Later, Link, LinkRun, padded
+from hiltestbed.diagnosis.links.base import Effects, Lane, Later, Link, LinkRun, moved, padded
 from hiltestbed.diagnosis.settings import BLOCK
 from hiltestbed.frames import Array, pose_step
 from hiltestbed.log import log_parameters
@@ -38,6 +38,11 @@ def _numbers(scenario: Scenario, lever: float, blunt: float) -> tuple[list[Conta
     """Contacts and sensor as a scenario believes them to be."""
     contacts = [replace(c, lever=lever, blunt=blunt) for c in believed_contacts(scenario.mechanism)]
     return contacts, SensorParameters.believed(scenario.sensor, scenario.tick)
+
+
+def _lateness(lane: FeltLane) -> float:
+    """[s] by which a reading is later than the contact; negative: it is stamped before it."""
+    return lane.sensor.delay + lane.later + lane.log.skew * lane.log.reread
 
 
 class WrenchLink(Link):
@@ -95,7 +100,7 @@ class WrenchLink(Link):
     def as_read(self, other: WrenchLink) -> WrenchLink:
         """The same link with the reading of another one, which may have fewer rows."""
         grid = None if other.grid is None else max(1, round(other.grid * self.of_rows / other.of_rows))
-        return self.reading(other.lever, grid, other.blunt, other.exact)
+        return self.reading(other.lever, grid, other.blunt, other.exact).stamped(other.timing)
 
     @property
     def stepped(self) -> bool:
@@ -132,24 +137,31 @@ class WrenchLink(Link):
         parameters = [PlatformParameters.believed(s).with_effects(effects) for s, (_, effects) in zip(scenarios, lanes, strict=True)]
         places = replay_platform(scenarios, parameters, padded(self.commands or ()), np.array([i for i, _ in lanes]))
         paths = [np.concatenate([p[: r.rows], self.paths[i][:, 3:]], axis=1) for p, r, (i, _) in zip(places, runs, lanes, strict=True)]
-        link = WrenchLink(runs, paths).reading(self.lever, self.grid, self.blunt)
+        link = WrenchLink(runs, paths).reading(self.lever, self.grid, self.blunt).stamped(self.timing)
         return link.predict([(n, [e for e in effects if e.link != "platform"]) for n, (_, effects) in enumerate(lanes)])
 
     def _felt_by(self, lanes: Sequence[Lane]) -> list[Array]:
-        found = replay_wrench(self._felt, [self._lane(i, effects) for i, effects in lanes], self.grid)
-        shown = [reading[: self.runs[i].rows] for reading, (i, _) in zip(found, lanes, strict=True)]
+        felt = [self._lane(i, effects) for i, effects in lanes]
+        found = replay_wrench(self._felt, felt, self.grid)
+        early = [min(_lateness(lane), 0.0) / self.runs[i].scenario.tick for lane, (i, _) in zip(felt, lanes, strict=True)]
+        early = [e + self.placed(effects).before / self.runs[i].scenario.tick for e, (i, effects) in zip(early, lanes, strict=True)]
+        shown = [moved(reading[: self.runs[i].rows], e) for reading, e, (i, _) in zip(found, early, lanes, strict=True)]
         if self._step_error is None:
             return shown
         return [reading + self._step_error[i] for reading, (i, _) in zip(shown, lanes, strict=True)]
 
     def _lane(self, i: int, effects: Effects) -> FeltLane:
         links = {e.link for e in effects}
-        mechanism, contacts, sensor, later = self.runs[i].scenario.mechanism, self._believed[i][0], self._believed[i][1], 0.0
+        mechanism, contacts, sensor, later = (
+            self.runs[i].scenario.mechanism,
+            self._believed[i][0],
+            self._believed[i][1],
+            self.placed(effects).delay,
+        )
         if "contact" in links:
             contacts = [replace(c).with_effects(effects) for c in contacts]
         if "sensor" in links:
             sensor = sensor.copy().with_effects(effects)
-            later = sum(e.delay for e in effects if isinstance(e, Later))
         rows = contact_rows(contacts, sides_of(mechanism).rules, mechanism.captured)
         return FeltLane(i, rows, sensor, log_parameters(effects) if "log" in links else _PROMPT, later)
 
@@ -161,8 +173,7 @@ class WrenchLink(Link):
 
     def lateness(self, i: int, effects: Effects) -> float:
         """[s] by which the reading of run i is later than the contact."""
-        lane = self._lane(i, effects)
-        return lane.sensor.delay + lane.later + lane.log.skew * lane.log.reread
+        return max(_lateness(self._lane(i, effects)), 0.0)
 
     def slopes(self, effects: Effects) -> list[Array]:
         """(N, 6) of each run the rate of the reading [N/s, N m/s]: what a late sample is worth."""

@@ -1,0 +1,151 @@
+"""Channels stamped parts of a row off, and instants within a tick, are no departures; what departs is found beside them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hiltestbed.bench.independent_rig import Nuisances, draw_set, write_set
+from hiltestbed.diagnosis import timing
+from hiltestbed.diagnosis.find import Judged, judge
+from hiltestbed.diagnosis.fit import Fit, nothing
+from hiltestbed.diagnosis.investigate import investigate
+from hiltestbed.diagnosis.links import CompensationLink, DynamicsLink, Later, LinkRun
+from hiltestbed.diagnosis.links.base import Link, moved
+from hiltestbed.diagnosis.pose_noise import smooth_levels
+from hiltestbed.diagnosis.residual import Residual
+from hiltestbed.diagnosis.search import Explanation
+from hiltestbed.effects import EFFECTS
+from hiltestbed.effects.search import Candidate
+from hiltestbed.measured import load_dataset
+from hiltestbed.scenario import scenario_from
+
+from .made import H, contact_link, platform_link, scenario
+
+
+def judged(folder: Path, seed: int, nuisances: Nuisances, *hidden: str) -> tuple[Judged, Mapping[str, Any]]:
+    """The judgement on a set of the independent rig, and what was hidden in it."""
+    options: dict[str, Any] = {"names": hidden} if hidden else {}
+    made = draw_set(np.random.default_rng(seed), "single" if hidden else "healthy", nuisances=nuisances, **options)
+    write_set(folder, made)
+    return judge(investigate(load_dataset(folder / "dataset.yaml"))), made.effects[0] if hidden else {}
+
+
+@pytest.mark.parametrize(
+    ("channel", "rows", "seed", "links"),
+    [
+        ("pose_cmd", 1.0, 810014, {"platform": -1.0}),
+        ("wrench_meas", -0.4, 810001, {"compensation": 0.4, "wrench": -0.4}),
+        ("wrench_comp", -0.4, 810005, {"compensation": -0.4, "dynamics": 0.4}),
+        ("pose_act", -1.0, 810011, {"platform": -1.0}),
+    ],
+)
+def test_a_channel_that_is_stamped_rows_off_is_no_departure(
+    tmp_path: Path, channel: str, rows: float, seed: int, links: dict[str, float]
+) -> None:
+    found, _ = judged(tmp_path, seed, Nuisances(stamps={channel: rows}))
+    assert found.verdict.verdict == "no_discrepancy"
+    for link, expected in links.items():
+        assert timing.rows_of(found.findings.explanations[link]) == pytest.approx(expected, abs=0.03)
+    assert timing.words(found.findings.explanations)
+
+
+def test_instants_within_a_tick_and_a_stamp_of_the_encoder_are_no_departures(tmp_path: Path) -> None:
+    found, _ = judged(tmp_path, 810016, Nuisances(read=0.3, move=0.2, encoder=0.4, step=0.25))
+    assert found.verdict.verdict == "no_discrepancy"
+    assert timing.rows_of(found.findings.explanations["dynamics"]) == pytest.approx(0.25, abs=0.01)
+
+
+def test_a_cause_is_named_where_every_channel_is_stamped_otherwise(tmp_path: Path) -> None:
+    stamps = {"pose_cmd": 0.3, "pose_act": -0.6, "wrench_meas": 1.0, "wrench_comp": -0.2}
+    found, hidden = judged(tmp_path, 720001, Nuisances(read=0.2, stamps=stamps), "platform.backlash")
+    assert [c.effect for c in found.verdict.causes] == ["platform.backlash"]
+    estimate = found.verdict.causes[0].fit.effects()[found.verdict.causes[0].index].parameters()["width"]
+    assert estimate == pytest.approx(hidden["width"], rel=0.03)
+
+
+def test_what_is_made_of_readings_between_rows_lies_between_its_own_rows() -> None:
+    """A linear compensation of ``(1 - p) w_k + p w_(k+1)`` gives ``(1 - p) u_k + p u_(k+1)``, noise and all."""
+    told = scenario().model_dump(mode="json") | {"compensation": {"force": {"kind": "phase_lead"}, "motion": {"kind": "none"}}}
+    s, noise = scenario_from(told), np.random.default_rng(1).normal(0, 0.5, (300, 6))
+    run = LinkRun(s, np.zeros((300, 6)), np.ones((300, 6)), np.ones(300, dtype=bool))
+    given = CompensationLink([run], [noise], {}).shown(0)
+    early = LinkRun(s, given, np.ones((300, 6)), np.ones(300, dtype=bool))
+    link = CompensationLink([early], [moved(noise, -0.3)], {})
+    left = [np.abs(link.runs[0].measured - at.shown(0))[20:-20].max() for at in (link, link.stamped(Later(before=0.3 * H)))]
+    assert left[0] > 1.0
+    assert left[1] < 1e-9
+
+
+def test_an_old_twist_in_the_new_pose_lies_between_both_integrators() -> None:
+    wrench = np.zeros((200, 6))
+    wrench[50:100] = [3.0, -2.0, 40.0, 0.5, 1.0, -0.3]
+    run = LinkRun(scenario(), np.zeros((200, 6)), np.ones((200, 6)), np.ones(200, dtype=bool))
+    link = DynamicsLink([run], [wrench])
+    implicit, explicit = link.shown(0), link.shown(0, [EFFECTS["dynamics.integrator"].hypothesis({}, scheme="explicit_euler")])
+    np.testing.assert_array_equal(link.stamped(Later(old=1.0)).shown(0), explicit)
+    between = link.stamped(Later(old=0.25)).shown(0)
+    np.testing.assert_allclose(between, 0.75 * implicit + 0.25 * explicit, rtol=0, atol=1e-9)
+
+
+def test_a_late_output_and_a_late_input_of_the_numerical_model_differ_by_the_approach() -> None:
+    run = LinkRun(scenario(), np.zeros((100, 6)), np.ones((100, 6)), np.ones(100, dtype=bool))
+    link = DynamicsLink([run], [np.zeros((100, 6))])
+    prompt, late, before = (at.shown(0)[:, 2] for at in (link, link.stamped(Later(delay=0.4 * H)), link.stamped(Later(before=0.4 * H))))
+    np.testing.assert_allclose(prompt - late, 0.03 * 0.4 * H, rtol=1e-6)
+    np.testing.assert_array_equal(before, prompt)
+
+
+def explained(link: Link, *effects: tuple[str, dict[str, Any]], adequate: bool = True) -> Explanation:
+    """An explanation with these causes."""
+    causes = tuple(Candidate(EFFECTS[kind], (), np.zeros(0), np.zeros(0), np.zeros(0, bool), ((),), given) for kind, given in effects)
+    null = nothing(Residual(link))
+    chosen = Fit(causes, np.zeros(0), null.chi2, null.residual, null.jacobian)
+    return Explanation(Residual(link), (), null, chosen, adequate, bool(effects), {}, {})
+
+
+def test_a_part_of_a_tick_is_a_cause_alone_and_none_beside_others() -> None:
+    late = ("platform.delay", {"delay": 0.6 * H})
+    contact = contact_link(seed=None)
+    alone = {"platform": explained(platform_link(), late), "wrench": explained(contact)}
+    assert timing.no_causes(alone) == {}
+    beside = alone | {"wrench": explained(contact, ("contact.stiffness", {"factor": 0.8}))}
+    assert timing.no_causes(beside) == {"platform": {"platform.delay": pytest.approx(0.6)}}
+    assert "platform.delay" in timing.words(beside)[0]
+
+
+def test_whole_ticks_are_causes_unless_another_link_takes_them_back() -> None:
+    def found(rows: float, platform: float) -> dict[str, dict[str, float]]:
+        dynamics = DynamicsLink([platform_link().runs[0]], [np.zeros((500, 6))])
+        return timing.no_causes({
+            "platform": explained(platform_link().stamped(Later(delay=platform * H))),
+            "wrench": explained(contact_link(seed=None), ("contact.stiffness", {"factor": 0.8})),
+            "dynamics": explained(dynamics, ("dynamics.step_delay", {"ticks": int(rows)})),
+        })  # fmt: skip
+
+    assert found(1, 0.0) == {}
+    assert found(1, -1.0) == {"dynamics": {"dynamics.step_delay": 1.0}}
+    assert found(2, -1.0) == {}
+
+
+def test_a_whole_tick_of_delay_stays_a_cause_beside_others() -> None:
+    found = {
+        "platform": explained(platform_link(), ("platform.delay", {"delay": 2.0 * H})),
+        "wrench": explained(contact_link(seed=None), ("contact.stiffness", {"factor": 0.8})),
+    }
+    assert timing.no_causes(found) == {}
+
+
+def test_the_noise_of_poses_between_two_samples_is_judged_by_that_of_the_samples(tmp_path: Path) -> None:
+    levels = {}
+    for rows in (0.0, 0.4):
+        made = draw_set(np.random.default_rng(810008), "healthy", nuisances=Nuisances(stamps={"pose_act": rows} if rows else {}))
+        write_set(tmp_path / str(rows), made)
+        levels[rows] = smooth_levels(load_dataset(tmp_path / str(rows) / "dataset.yaml").runs)
+    assert levels[0.0] == {}
+    for name in ("pose_act.px", "pose_act.py", "pose_act.pz"):
+        assert levels[0.4][name] == pytest.approx(made.facility.pose_noise, rel=0.15)
