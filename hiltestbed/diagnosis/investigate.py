@@ -42,6 +42,7 @@ from hiltestbed.replay import follows_exactly
 from hiltestbed.replay.wrench import shifted
 
 RESTARTED = 0.9  # of chi-square, that another reading of the start has to leave at most to be taken
+REFUTED = 0.25  # of a skew that the compensation shows: where contact and sensor show less, it is not the force's
 WRENCH = ("contact", "sensor")  # links of the vocabulary that act between the pose and the reading
 
 
@@ -222,7 +223,8 @@ def _by_its_stamp(
     skew = log_parameters(found["compensation"].chosen.effects()).skew
     residual = Residual(link)
     told = square(residual([c.at(np.array([skew])) for c in late.causes]))
-    if skew > FARTHEST * layout.scales.tick or told < nothing(residual).chi2 + DETECTION:
+    refuted = float(late.theta[-1]) < REFUTED * skew or told > nothing(residual).chi2 + DETECTION
+    if skew > FARTHEST * layout.scales.tick or not refuted:
         return False
     early = compensation_link(layout, layout.rows).stamped(Later(delay=-skew))
     found["compensation"] = _explain_compensation(layout, early, _candidates(layout.scales, ("compensation",)), progress)

@@ -205,14 +205,15 @@ def no_causes(explanations: Mapping[str, Explanation]) -> dict[str, dict[str, fl
         for effect in e.chosen.effects():
             rows = _rows(effect, e.residual.link.runs[0].scenario.tick)
             parts = 0.0 if effect.kind in OF_TICKS else PARTS
-            if 0.0 < rows <= max(parts, taken_back + 0.5 if taken_back else 0.0):
+            if rows is not None and rows <= max(parts, taken_back + 0.5 if taken_back else 0.0):
                 out.setdefault(name, {})[effect.kind] = rows
     return out
 
 
 def part_of_a_tick(effect: Effect, tick: float) -> bool:
     """Whether an effect is a delay that a facility's instants may be worth."""
-    return effect.kind not in OF_TICKS and 0.0 < _rows(effect, tick) <= PARTS
+    rows = _rows(effect, tick)
+    return effect.kind not in OF_TICKS and rows is not None and 0.0 < rows <= PARTS
 
 
 def stands_best(links: Sequence[Link]) -> int:
@@ -227,10 +228,10 @@ def stands_best(links: Sequence[Link]) -> int:
     return best if costs[best] < costs[0] - ONE_OF_TWO else 0
 
 
-def _rows(effect: Effect, tick: float) -> float:
-    """Rows by which an effect makes its link late; 0 for one that is no clock."""
+def _rows(effect: Effect, tick: float) -> float | None:
+    """Rows by which an effect makes its link late; None for one that is no clock."""
     if effect.kind not in CLOCKS:
-        return 0.0
+        return None
     given = effect.parameters()
     return float(given.get("ticks", 1.0)) if effect.kind in OF_TICKS else float(given["delay"]) / tick
 
