@@ -44,7 +44,7 @@ WAYS: Mapping[str, tuple[Mapping[str, tuple[float, float]], ...]] = {  # in whic
     "compensation": ({"delay": LATE}, {"before": LATE}),
     "dynamics": ({"delay": EITHER}, {"before": EITHER}, {"old": PART}, {"delay": EITHER, "before": EITHER, "old": PART}),
 }
-COMPUTED = ("compensation", "dynamics")  # links on whose output no noise hides what one cause leaves
+SETTLED = ("platform", "compensation", "dynamics")  # links on which one cause that leaves noise is not for a place to replace
 LATER = ("platform",)  # links on which several causes are sought for long
 WHOLE_TICKS = "dynamics.step_delay"
 CLOCKS = ("platform.delay", "sensor.delay", "log.skew", WHOLE_TICKS, "dynamics.integrator")
@@ -115,7 +115,7 @@ def _later(fit: Fit) -> Later:
 def _place(found: Explanation, off: bool, weigh: Weigh) -> Later | None:
     """When the facility samples, stamps and steps, under the causes that then explain most; None where that is no better."""
     chosen, link = found.chosen, found.residual.link
-    settled = not off or (link.name in COMPUTED and len(chosen.causes) < 2)
+    settled = not off or (link.name in SETTLED and len(chosen.causes) < 2)
     if not found.departs or (found.adequate and settled):
         return None
     residual = weigh(_without_ends(found.residual))
