@@ -116,7 +116,7 @@ def _place(found: Explanation, off: bool, weigh: Weigh) -> Later | None:
     """When the facility samples, stamps and steps, under the causes that then explain most; None where that is no better."""
     chosen, link = found.chosen, found.residual.link
     settled = not off or (link.name in SETTLED and len(chosen.causes) < 2)
-    if not found.departs or (found.adequate and settled):
+    if not found.departs or (found.adequate and settled) or (not off and link.name == "wrench"):  # the sensor's own clock has names
         return None
     residual = weigh(_without_ends(found.residual))
     here = chosen if JITTER in chosen.kinds else refit(residual, chosen)
@@ -245,15 +245,16 @@ def words(explanations: Mapping[str, Explanation]) -> tuple[str, ...]:
         if link.timing != PROMPT:
             seconds = rows * link.runs[0].scenario.tick
             when = f"{abs(rows):.2g} rows ({abs(seconds):.3g} s) {'late' if rows > 0.0 else 'early'}"
-            out.append(f"{output} stands {when} against {given}: taken for how the facility samples and stamps")
+            out.append(f"{output} stands {when} against {given}: taken for how the facility samples and stamps, not for a cause")
     for name, clocks in no_causes(explanations).items():
         for kind, rows in clocks.items():
             output, given = CHANNELS[name]
             seconds = rows * explanations[name].residual.link.runs[0].scenario.tick
-            out.append(
-                f"{output} is {rows:.2g} rows ({seconds:.3g} s) later than {given} makes it ({kind}): taken for how the facility samples "
-                "and stamps, since more departs than that"
-            )
+            if rows > 0.0:
+                out.append(
+                    f"{output} is {rows:.2g} rows ({seconds:.3g} s) later than {given} makes it ({kind}): taken for how the facility "
+                    "samples and stamps, not for a cause, since something else departs as well"
+                )
     return tuple(out)
 
 
