@@ -32,7 +32,7 @@ from hiltestbed.diagnosis.residual import Residual, square
 from hiltestbed.diagnosis.search import Explanation, Progress, Search
 from hiltestbed.diagnosis.settings import DETECTION, MOST_NOISE, RECORD_LEFT
 from hiltestbed.diagnosis.stiction import stick_starts
-from hiltestbed.diagnosis.timing import FARTHEST, clocks_off, in_its_place, part_of_a_tick, stands_best
+from hiltestbed.diagnosis.timing import FARTHEST, clocks_off, in_its_place, part_of_a_tick, place_under, stands_best
 from hiltestbed.effects.search import Candidate, Scales
 from hiltestbed.effects.table import EFFECTS
 from hiltestbed.frames import Array
@@ -106,7 +106,7 @@ def _explain_platform(layout: Layout, link: PlatformLink, progress: Progress | N
     """With starts for stiction that the data tell."""
     noise = min((level for c in link.channels[:3] if (level := layout.noise.get(c))), default=0.0)
     scales = replace(layout.scales, sticks=stick_starts(link, noise, layout.scales.substeps))
-    search = Search(_candidates(scales, ("platform",)), progress=progress)
+    search = Search(_candidates(scales, ("platform",)), progress=progress, reread=place_under)
     return in_its_place(Residual(link), search)
 
 

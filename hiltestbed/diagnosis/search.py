@@ -101,7 +101,6 @@ class Search:
     special: tuple[Special, ...] = ()
     progress: Progress | None = None
     reread: Reread | None = None  # asked with the best cause alone, before further ones are sought beside it
-    most: int = MOST_CAUSES  # that are sought together
     beside: float = SELECTION  # what a further cause must take off chi-square where those found leave noise; infinite: none is sought
 
     def explain(self, residual: Residual, given: Fit | None = None) -> Explanation:
@@ -141,7 +140,7 @@ class Search:
         adequate = noise_alone(leftovers)
         more: list[Fit] = []
         level = first_of_each(singles, "kinds")
-        for count in range(1, 1 if given else self.most):
+        for count in range(1, 1 if given else MOST_CAUSES):
             if adequate and (count > 1 or math.isinf(self.beside)):  # a third cause beside two that leave noise would have to hide in it
                 break
             found: list[Fit] = []

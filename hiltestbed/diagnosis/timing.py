@@ -10,11 +10,10 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 
-from hiltestbed.diagnosis.adequacy import JITTER, noise_alone
+from hiltestbed.diagnosis.adequacy import JITTER, contact_leftovers, noise_alone
 from hiltestbed.diagnosis.fit import Fit, fit, inflation, nothing, refit
 from hiltestbed.diagnosis.links import Later, Link
 from hiltestbed.diagnosis.links.base import PROMPT
@@ -45,7 +44,6 @@ WAYS: Mapping[str, tuple[Mapping[str, tuple[float, float]], ...]] = {  # in whic
     "dynamics": ({"delay": EITHER}, {"before": EITHER}, {"old": PART}, {"delay": EITHER, "before": EITHER, "old": PART}),
 }
 SETTLED = ("platform", "compensation", "dynamics")  # links on which one cause that leaves noise is not for a place to replace
-LATER = ("platform",)  # links on which several causes are sought for long
 WHOLE_TICKS = "dynamics.step_delay"
 CLOCKS = ("platform.delay", "sensor.delay", "log.skew", WHOLE_TICKS, "dynamics.integrator")
 OF_TICKS = {WHOLE_TICKS, "dynamics.integrator"}  # explicit Euler acts as one tick
@@ -64,17 +62,17 @@ def in_its_place(
 
     Args:
         search: of the link. explain: what it is asked; itself by default.
-        off: whether something says that the facility's clocks are off: then a place does where more causes would do as well.
+        off: whether something says that the facility's clocks are off; else the channels stand where they should.
         weigh: weights under which a place is sought, of a computed channel: rows that are read between others do not share their noise.
     """
     explain = explain or search.explain
-    if off and not noise_alone(search.judge(residual, ())) and (alone := _alone(residual, search, weigh)):
+    if not off:
+        return explain(residual)
+    if not noise_alone(search.judge(residual, ())) and (alone := _alone(residual, search, weigh)):
         residual = alone
-    elif residual.link.name in LATER:
-        residual = _beside_one(residual, search, weigh)
     found = explain(residual)
     for _ in range(AGAIN):
-        place = _place(found, off, weigh)
+        place = _place(found, weigh)
         if place is None:
             return found
         link = found.residual.link
@@ -98,10 +96,14 @@ def _alone(residual: Residual, search: Search, weigh: Weigh) -> Residual | None:
     return there if noise_alone(search.judge(there, ())) else None
 
 
-def _beside_one(residual: Residual, search: Search, weigh: Weigh) -> Residual:
-    """The link in the place that one cause asks for where none leaves noise: further causes are sought there."""
-    found = replace(search, most=1).explain(residual)
-    place = None if found.adequate else _place(found, False, weigh)
+def place_under(residual: Residual, best: Fit) -> Residual:
+    """With the channels where the ``best`` cause alone has them, if it leaves more than noise and less there; itself where it does not.
+
+    Further causes are sought there: without it they would stand in for what a place does.
+    """
+    if noise_alone(contact_leftovers(residual, best.effects())):
+        return residual
+    place = _better_place(_without_ends(residual), best, [nothing(residual), best])
     return residual if place is None else _without_ends(Residual(residual.link.stamped(place)))
 
 
@@ -112,22 +114,30 @@ def _later(fit: Fit) -> Later:
     return last
 
 
-def _place(found: Explanation, off: bool, weigh: Weigh) -> Later | None:
+def _place(found: Explanation, weigh: Weigh) -> Later | None:
     """When the facility samples, stamps and steps, under the causes that then explain most; None where that is no better."""
-    chosen, link = found.chosen, found.residual.link
-    settled = not off or (link.name in SETTLED and len(chosen.causes) < 2)
-    if not found.departs or (found.adequate and settled) or (not off and link.name == "wrench"):  # the sensor's own clock has names
+    chosen = found.chosen
+    settled = found.adequate and found.residual.link.name in SETTLED and len(chosen.causes) < 2
+    if not found.departs or settled:
         return None
-    residual = weigh(_without_ends(found.residual))
+    return _better_place(weigh(_without_ends(found.residual)), chosen, _bases(found), fewer=True)
+
+
+def _better_place(residual: Residual, chosen: Fit, bases: Sequence[Fit], fewer: bool = False) -> Later | None:
+    """The place that explains most beside one of the ``bases``; None where ``chosen`` does as well where the link is.
+
+    fewer: a place does where more causes would do as well, since it needs no fault; but a delay alone has a name.
+    """
+    link = residual.link
     here = chosen if JITTER in chosen.kinds else refit(residual, chosen)
-    fits = [_beside(residual, base, place) for base in _bases(found) for place in _places(link)]
+    fits = [_beside(residual, base, place) for base in bases for place in _places(link)]
     cost = _cost_on(link)
     best = min(fits, key=cost)
     need = DETECTION * inflation(best)
-    if off:  # a place needs no fault: with as few causes as do almost as well; a delay alone has a name
+    if fewer:
         least = cost(best) + need
         best = min((f for f in fits if cost(f) < least), key=lambda f: (len(f.causes), cost(f)))
-    if off and len(best.causes) - 1 < len(chosen.causes) and not set(chosen.kinds) <= set(CLOCKS):
+    if fewer and len(best.causes) - 1 < len(chosen.causes) and not set(chosen.kinds) <= set(CLOCKS):
         need = -AMBIGUITY * inflation(best)
     return link.timing.plus(_later(best)) if cost(best) < cost(here) - need else None
 
