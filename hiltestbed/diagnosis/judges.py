@@ -12,7 +12,7 @@ from hiltestbed.diagnosis.links import AxisLink, CompensationLink
 from hiltestbed.diagnosis.links.base import PROMPT, Effects
 from hiltestbed.diagnosis.residual import Residual
 from hiltestbed.diagnosis.search import Judge
-from hiltestbed.diagnosis.settings import COMPUTED_LEFT, CORRELATED, DYNAMICS_FLOOR, LED_NOISE, SMOOTHING
+from hiltestbed.diagnosis.settings import COMPUTED_LEFT, CORRELATED, DYNAMICS_BETWEEN, DYNAMICS_FLOOR, LED_NOISE, SMOOTHING
 
 
 def of_compensation(link: CompensationLink, noise: Mapping[str, float]) -> Judge:
@@ -44,12 +44,11 @@ def of_compensation(link: CompensationLink, noise: Mapping[str, float]) -> Judge
 def of_dynamics(residual: Residual) -> Judge:
     """Computed: nothing but what integrators may differ by, or a hundredth of the departure that was explained."""
     departures = _rms(residual, ())
-    between = 2.0  # times as much, where both ends of the link are read between rows
 
     def judge(of: Residual, effects: Effects) -> dict[str, Leftover]:
         out = {}
         for name, rms, departure in zip(residual.link.channels, _rms(of, effects), departures, strict=True):
-            floor = DYNAMICS_FLOOR * (1.0 if of.link.timing == PROMPT else between)
+            floor = DYNAMICS_FLOOR + (0.0 if of.link.timing == PROMPT else DYNAMICS_BETWEEN)
             allowed = max(floor, COMPUTED_LEFT * departure if effects else 0.0)
             out[name] = Leftover((rms / allowed) ** 2, 0.0, 1.0, 1.0, len(residual.runs))
         return out

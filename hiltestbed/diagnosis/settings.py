@@ -38,6 +38,7 @@ NO_POSE_NOISE = 1e-9  # [m, rad] floor of a pose that carries no noise: round-of
 NO_FORCE_NOISE = 1e-6  # of the peak force: floor of a force that carries no noise
 ARM_UNKNOWN = 2e-6  # [m] arm of the peak force that makes the floor of a torque: where in the overlap the force acts is known to that
 DYNAMICS_FLOOR = 2e-6  # [m, rad] what integrators of one step size differ by, practice rig against this one
+DYNAMICS_BETWEEN = 2e-6  # [m, rad] derived: a h^2/8 that a line between rows misses, at both ends; 8 m/s^2: 0.1 m/s, contacts of 40 ms
 COMPENSATION_FLOOR = 0.05  # of the force noise: what two realisations of one filter may differ by
 CORRELATED = 50  # rows of a computed channel that count as one: its errors are smooth
 TAIL = 0.15  # [s] after the last contact that a search looks at: where leaks and rings show

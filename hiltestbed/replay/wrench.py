@@ -99,12 +99,15 @@ def _one_contact(felt: Felt, r: int, rows: Array, parts: Array, tilt: Array, bet
 _RIGID = (np.zeros((0, 6)), np.zeros((0, 6)), np.zeros(BODY))
 
 
-def shifted(values: Array, ticks: float) -> Array:
-    """``values`` (N, C) read ``ticks`` rows later (or earlier), linearly between rows; the first and the last row are held."""
-    rows = np.clip(np.arange(len(values)) + ticks, 0.0, len(values) - 1.0)
-    low = np.floor(rows).astype(int)
+def shifted(values: Array, ticks: float, held: bool = True) -> Array:
+    """``values`` (N, C) read ``ticks`` rows later (or earlier), linearly between rows; the first and the last row are held, or the lines
+    beyond them go on."""
+    rows, last = np.arange(len(values)) + ticks, len(values) - 1
+    if held:
+        rows = np.clip(rows, 0.0, last)
+    low = np.clip(np.floor(rows).astype(int), 0, last if held else last - 1)
     part = (rows - low)[:, None]
-    return values[low] + part * (values[np.minimum(low + 1, len(values) - 1)] - values[low])
+    return values[low] + part * (values[np.minimum(low + 1, last)] - values[low])
 
 
 @njit(cache=True)

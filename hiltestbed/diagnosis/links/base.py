@@ -16,6 +16,7 @@ import numpy as np
 
 from hiltestbed.effects.base import Effect
 from hiltestbed.frames import Array
+from hiltestbed.replay.wrench import shifted
 from hiltestbed.scenario import Scenario
 
 Effects = Sequence[Effect]
@@ -154,12 +155,7 @@ def padded(arrays: Sequence[Array]) -> Array:
 
 def moved(values: Array, rows: float) -> Array:
     """``values`` (N, C) as they were ``rows`` before, on straight lines between rows and beyond both ends."""
-    if rows == 0.0:
-        return values
-    at = np.arange(len(values)) - rows
-    low = np.clip(np.floor(at).astype(int), 0, len(values) - 2)
-    part = (at - low)[:, None]
-    return values[low] + part * (values[low + 1] - values[low])
+    return shifted(values, -rows, held=False) if rows else values
 
 
 def flat_pose(pose: Array) -> Array:
