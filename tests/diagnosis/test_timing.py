@@ -61,13 +61,14 @@ def test_instants_within_a_tick_and_a_stamp_of_the_encoder_are_no_departures(tmp
 
 
 def test_a_cause_is_named_beside_instants_and_stamps_that_are_off(tmp_path: Path) -> None:
+    """What is not fitted beside it, 0.3 rows of the encoder less 0.2 of the sensor, is worth a damping of k times that time."""
     nuisances = Nuisances(read=0.2, encoder=0.3, step=0.3, stamps={"wrench_comp": -0.4})
     found, hidden = judged(tmp_path, 810009, nuisances, "contact.damping")
     assert [c.effect for c in found.verdict.causes] == ["contact.damping"]
-    cause = found.verdict.causes[0]
-    assert cause.fit.effects()[cause.index].parameters()["factor"] == pytest.approx(
-        hidden["factor"], rel=0.1
-    )  # read less encoder is a tenth of a row, worth 5 % of what is left of the damper, and is not fitted beside it
+    cause, believed = found.verdict.causes[0], found.findings.layout.runs[0].scenario
+    contact = believed.mechanism.contact
+    worth = contact.stiffness * 0.1 * believed.tick / contact.damping
+    assert cause.fit.effects()[cause.index].parameters()["factor"] == pytest.approx(hidden["factor"] + worth, abs=0.2 * worth)
 
 
 def test_what_is_made_of_readings_between_rows_lies_between_its_own_rows() -> None:
