@@ -151,18 +151,23 @@ class _Clock:
     """How long a process has been at it: on a busy machine it may wait for a core longer than it works."""
 
     def __init__(self, pid: int) -> None:
-        self._pid, self._wall, self._cpu = pid, time.monotonic(), _worked(pid)
+        self._pid, self._wall, self._cpu = pid, time.monotonic(), worked(pid)
 
     def silent(self, patience: float) -> bool:
-        """Whether it has worked for so long, or slept: used less than a hundredth of the time."""
-        wall = time.monotonic() - self._wall
-        if wall < patience:
-            return False
-        worked = _worked(self._pid) - self._cpu
-        return math.isnan(worked) or worked > patience or worked < 0.01 * wall
+        """Whether it has been at it for longer than a process may; ``patience`` [s]."""
+        return hangs(time.monotonic() - self._wall, worked(self._pid) - self._cpu, patience)
 
 
-def _worked(pid: int) -> float:
+def hangs(wall: float, busy: float, patience: float) -> bool:
+    """Whether a process that has not answered for ``wall`` seconds hangs: it was busy for ``patience`` seconds, or it slept.
+
+    Asleep is who was ``busy`` for less than a hundredth of the time; who waits for a core does not hang. Where the system does not tell
+    how long it was busy (NaN), the wall clock alone counts.
+    """
+    return wall >= patience and (math.isnan(busy) or busy > patience or busy < 0.01 * wall)
+
+
+def worked(pid: int) -> float:
     """Processor time of a process and of its ended children [s]; NaN where the system does not tell."""
     try:
         fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
@@ -181,10 +186,10 @@ def _answers(kind: str, first: int, count: int, shared: Path, until: Callable[[]
             waiting.register(process.stdout, selectors.EVENT_READ)
             while True:
                 ready = waiting.select(min(1.0, max(until() - time.monotonic(), 0.0)))
-                hangs = not ready and heard.silent(patience)
-                if hangs or time.monotonic() >= until():
+                silent = not ready and heard.silent(patience)
+                if silent or time.monotonic() >= until():
                     process.kill()
-                    yield {"lost": "hangs" if hangs else "time is up"}
+                    yield {"lost": "hangs" if silent else "time is up"}
                     return
                 if not ready:
                     continue
