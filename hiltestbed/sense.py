@@ -45,6 +45,7 @@ def _warnings(scenario: Scenario) -> Iterator[str]:
                 f"take a physics_rate above {4 * FEWEST_INSTANTS / lasts:.3g} Hz"
             )
         yield from _too_far(scenario)
+        yield from _drowned(scenario, frequency)
     late = scenario.sensor.delay + sum(float(getattr(e, "delay", 0.0)) for e in scenario.effects if e.link != "log")
     if late > lasts:
         yield (
@@ -70,6 +71,11 @@ def _warnings(scenario: Scenario) -> Iterator[str]:
 def _too_far(scenario: Scenario) -> Iterator[str]:
     """A head-on approach that the run ends before it has led to a touch."""
     approach = scenario.approach
+    if approach.velocity[2] < 0.0 < approach.gap:
+        yield (
+            f"nothing touches: at {approach.velocity[2]:.3g} m/s the sides, {1e3 * approach.gap:.3g} mm apart, move away from each other; "
+            "a positive approach.velocity.2 brings them together"
+        )
     if not scenario.mechanism.flat or any(approach.attitude_deg) or any(approach.rate_deg) or not approach.velocity[2] > 0.0:
         return
     touch = approach.gap / approach.velocity[2]
@@ -77,6 +83,16 @@ def _too_far(scenario: Scenario) -> Iterator[str]:
         yield (
             f"nothing touches: the gap of {1e3 * approach.gap:.3g} mm takes {touch:.3g} s at {approach.velocity[2]:.3g} m/s, the run lasts "
             f"{scenario.duration:.3g} s; take a longer duration or a smaller gap"
+        )
+
+
+def _drowned(scenario: Scenario, frequency: float) -> Iterator[str]:
+    """A force that never comes out of the sensor's noise."""
+    peak = scenario.mechanism.contact.stiffness * abs(scenario.approach.velocity[2]) / frequency
+    if 0.0 < peak < scenario.sensor.noise:
+        yield (
+            f"the sensor's noise, {scenario.sensor.noise:.3g} N, is more than the contact's peak of about {peak:.3g} N: noise drives the "
+            "loop, and rebound and energy say nothing of the contact; the verdict on stability is that of a sensor without noise"
         )
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 
 from hiltestbed.frames import Array
 from hiltestbed.measured.remark import Remark
@@ -16,6 +17,8 @@ AT_END = 0.02  # of a tick: the same for a tick that lies just before the first 
 REPEATED_LIMIT = 0.1  # part of the rows that may repeat a time stamp before the clock is too coarse to use
 GAP = 1.75  # sample intervals: a longer one is a gap
 LENGTH_LIMIT = 20.0  # times the scenario's duration that a record may last
+OFF_TICKS = 0.2  # part of the ticks without a sample of their own, from which the rows are another clock's
+FEWEST = 4  # samples that a cubic goes through
 JITTER_LIMIT = 0.02  # of the interval, above which the spread of the sampling is worth a note
 
 
@@ -155,11 +158,8 @@ def to_ticks(t: Array, values: Array, ticks: int, tick: float, interval: float) 
     out, valid = np.full(ticks, np.nan), np.zeros(ticks, dtype=bool)
     if not len(t):
         return out, valid
-    at = np.arange(ticks) * tick
-    after = np.clip(np.searchsorted(t, at), 1, len(t) - 1) if len(t) > 1 else np.zeros(ticks, dtype=np.intp)
-    before = np.maximum(after - 1, 0)
-    nearest = np.where(np.abs(t[after] - at) < np.abs(at - t[before]), after, before)
-    distance = np.abs(t[nearest] - at)
+    at = tick * np.arange(ticks, dtype=np.float64)
+    before, after, nearest, distance = _about(t, at)
     outside = (at < t[0]) | (at > t[-1])
     on = distance <= np.where(outside, AT_END, ON_TICK) * tick
     out[on] = values[nearest[on]]
@@ -168,3 +168,31 @@ def to_ticks(t: Array, values: Array, ticks: int, tick: float, interval: float) 
     part = np.divide(at - t[before], width, out=np.zeros(ticks), where=width > 0)
     out[between] = ((1 - part) * values[before] + part * values[after])[between]
     return out, on | between
+
+
+def _about(t: Array, at: Array) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp], Array]:
+    """Of each time ``at``: the samples before and after it, the nearer one, and how far that is [s]."""
+    after = np.clip(np.searchsorted(t, at), 1, len(t) - 1) if len(t) > 1 else np.zeros(len(at), dtype=np.intp)
+    before = np.maximum(after - 1, 0)
+    nearest = np.where(np.abs(t[after] - at) < np.abs(at - t[before]), after, before)
+    return before, after, nearest, np.abs(t[nearest] - at)
+
+
+def bend(t: Array, values: Array, ticks: int, tick: float) -> Array | None:
+    """``(ticks,)`` by which a cubic spline through the samples departs from the straight lines between them; None where rows are ticks.
+
+    Of a curve whose second derivative is x'', the lines miss ``x'' h^2 / 8`` half way between samples that are h apart, the spline
+    a part of it that falls with h^2 (C. de Boor, A Practical Guide to Splines, 2001, chapter V). Arguments as of :func:`to_ticks`.
+    """
+    known = np.isfinite(values)
+    t, values = t[known], values[known]
+    if len(t) < FEWEST:
+        return None
+    at = tick * np.arange(ticks, dtype=np.float64)
+    inside = (at > t[0]) & (at < t[-1])
+    off = inside & (_about(t, at)[3] > ON_TICK * tick)
+    if off.sum() <= OFF_TICKS * inside.sum():  # rows that a logger lost are gaps, not another clock
+        return None
+    out = np.zeros(ticks)
+    out[off] = CubicSpline(t, values)(at[off]) - np.interp(at[off], t, values)
+    return out

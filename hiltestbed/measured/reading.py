@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -10,11 +11,11 @@ import numpy as np
 from hiltestbed.dataset import Channel
 from hiltestbed.errors import Fault, InputError
 from hiltestbed.frames import Array
-from hiltestbed.measured.clock import Clock, check_clock, start_of_run, to_ticks
+from hiltestbed.measured.clock import Clock, bend, check_clock, start_of_run, to_ticks
 from hiltestbed.measured.columns import Columns, near
 from hiltestbed.measured.formats import read_columns
 from hiltestbed.measured.held import without_held
-from hiltestbed.measured.noise import digits_of, step_of
+from hiltestbed.measured.noise import digits_of, step_of, white_noise
 from hiltestbed.measured.record import MEASURED_GROUPS, Record, place
 from hiltestbed.measured.remark import Remark
 from hiltestbed.measured.ticks import as_ticks
@@ -22,6 +23,8 @@ from hiltestbed.measured.units import factor
 from hiltestbed.scenario import Scenario
 from hiltestbed.signals import GROUPS
 
+BETWEEN = 1.5  # ticks from row to row, below which about every tick lies between two rows; above, on a row or on none
+RESAMPLED = 1.5  # of the variance of samples that a logger may have put between two of its own: the mean of (1 - p)^2 + p^2 is 2/3
 MISSING_LIMIT = 0.5  # part of its samples that a channel may miss before it is left out
 SAME = Channel()
 CHANNELS = tuple(column for group in MEASURED_GROUPS for column in GROUPS[group].columns)
@@ -142,13 +145,19 @@ def _on_ticks(run: int, file: Path, channels: Mapping[str, tuple[Array, Clock]],
         return None
     clocks = [clock for _, clock in channels.values()]
     ticks = round(max(float(clock.t[-1]) for clock in clocks) * scenario.rate) + 1
-    data, valid = {}, {}
+    data, valid, bends, sampled = {}, {}, {}, {}
     for name, (column, clock) in channels.items():
         group, part = place(name)
         if group not in data:
             shape = (ticks, len(GROUPS[group].parts))
             data[group], valid[group] = np.full(shape, np.nan), np.zeros(shape, dtype=bool)
-        data[group][:, part], valid[group][:, part] = to_ticks(clock.t, column[clock.rows], ticks, scenario.tick, clock.interval)
+        samples = clock.t, column[clock.rows], ticks, scenario.tick
+        data[group][:, part], valid[group][:, part] = to_ticks(*samples, clock.interval)
+        bent = bend(*samples)
+        if bent is not None:
+            bends.setdefault(group, np.zeros(data[group].shape))[:, part] = bent
+            if clock.interval < BETWEEN * scenario.tick:
+                sampled[name] = white_noise(column[clock.rows]) * math.sqrt(RESAMPLED * clock.interval / scenario.tick)
     absent = tuple(name for name in CHANNELS if name not in channels)
     rate = 1 / min(clock.interval for clock in clocks)
     found = {name: step_of(column[np.isfinite(column)]) for name, (column, _) in channels.items()}
@@ -156,7 +165,7 @@ def _on_ticks(run: int, file: Path, channels: Mapping[str, tuple[Array, Clock]],
     _share_steps(steps, {name: column for name, (column, _) in channels.items()})
     few = {name: digits_of(column) for name, (column, _) in channels.items() if name not in steps}
     digits = {name: count for name, count in few.items() if count is not None}
-    return Record(run, file, np.arange(ticks) / scenario.rate, data, valid, {}, absent, rate, steps, digits)
+    return Record(run, file, np.arange(ticks) / scenario.rate, data, valid, {}, absent, rate, steps, digits, bends, sampled)
 
 
 def _share_steps(steps: dict[str, float], columns: Mapping[str, Array]) -> None:

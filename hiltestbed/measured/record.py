@@ -33,6 +33,10 @@ class Record:
         sample_rate: [Hz] of the file.
         steps: column to the step its samples come in, for those that come in steps.
         digits: column to how many significant digits its samples have, for those that were written with few.
+        bends: group to ``(ticks, parts)`` by which a smooth curve through the samples departs from straight lines between them, for groups
+            of which the rows are not the loop's ticks.
+        sampled: column to the noise of the samples that its ticks were put between, as white noise of as many samples as there are ticks
+            which adds up to the same.
     """
 
     run: int
@@ -45,6 +49,8 @@ class Record:
     sample_rate: float = 0.0
     steps: dict[str, float] = field(default_factory=dict)
     digits: dict[str, int] = field(default_factory=dict)
+    bends: dict[str, Array] = field(default_factory=dict)
+    sampled: dict[str, float] = field(default_factory=dict)
 
     @property
     def ticks(self) -> int:
@@ -81,9 +87,9 @@ class Record:
     def filled(self, group: str) -> Array:
         """``(ticks, parts)`` without NaN, to drive a model with; not for residuals, which count where ``valid`` alone.
 
-        Gaps are bridged linearly (quaternions are brought to unit length again) and before the first and after the last sample the
-        value is held, but for places of a pose before the first sample, which move uniformly. Axes that are absent are zero, an absent
-        attitude is none.
+        Gaps are bridged linearly, ticks between the rows of a log that has other ones on a smooth curve (quaternions are brought to unit
+        length again), and before the first and after the last sample the value is held, but for places of a pose before the first sample,
+        which move uniformly. Axes that are absent are zero, an absent attitude is none.
         """
         values = self.data[group].copy()
         default = (0.0,) * 3 + IDENTITY if group.startswith("pose") else (0.0,) * values.shape[1]
@@ -95,8 +101,9 @@ class Record:
                 values[:, j] = np.interp(self.t, self.t[known], values[known, j])
                 if group.startswith("pose") and j < 3 and not known[0]:
                     self._run_back(values[:, j], known)
+        values += self.bends.get(group, 0.0)
         if group.startswith("pose"):
-            bridged = ~self.valid[group][:, 3:].all(axis=1)
+            bridged = ~self.valid[group][:, 3:].all(axis=1) | (group in self.bends)
             norm = np.linalg.norm(values[bridged, 3:], axis=1, keepdims=True)
             values[bridged, 3:] = np.where(norm > 0, values[bridged, 3:] / np.where(norm > 0, norm, 1.0), IDENTITY)
         return values

@@ -14,6 +14,7 @@ from hiltestbed.scenario import Scenario
 from hiltestbed.signals import GROUPS
 
 SAME_PART = 0.99  # part of the rows in which two channels hold the same number, from which one is a copy
+NUMBERS = 4  # that a channel has to take before another one that takes the same is a copy: at rest on coarse steps many are alike
 TRAVEL = 20.0  # noise floors that a channel has to range over before a copy of it means anything
 MOVES = 1e-4  # [m] that the other pose has to move by: encoders have steps
 DEEP = 1e-5  # [m] into each other, or off a uniform motion, where a force is expected
@@ -102,7 +103,7 @@ def _moving(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def _same(a: np.ndarray, b: np.ndarray) -> bool:
     both = np.isfinite(a) & np.isfinite(b)
-    return both.sum() > 10 and float(np.mean(a[both] == b[both])) >= SAME_PART and _range(a[both]) > 0.0
+    return both.sum() > 10 and float(np.mean(a[both] == b[both])) >= SAME_PART and len(np.unique(a[both])) >= NUMBERS
 
 
 def _range(values: np.ndarray) -> float:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hiltestbed.frames import Array
 from hiltestbed.measured.noise import FREE_MINIMUM
 from hiltestbed.measured.record import Record
 from hiltestbed.measured.remark import Remark
@@ -21,7 +22,9 @@ AGREE = 1.3  # factor within which two ratios agree
 CLEAR = 50.0  # sigma, above which a start position or a travel is told from zero
 REVERSED = -0.3  # of what is expected, start and travel alike: the sign is the other way round
 REVERSED_ALONE = -0.7  # the same where only one of them can be told from zero
-OTHER_SPEED = 2.0  # factor off the scenario's speed, above which the run is not that of the scenario
+OTHER_SPEED = 0.05  # of the scenario's speed, by which a command that begins at another one is not that of the scenario
+OTHER_PLACE = {"pose_cmd.pz": 0.05, "pose_act.pz": 0.5}  # of the gap, by which one that begins elsewhere is not; a platform lags and scales
+STAMPS = 2.5  # rows, by which a channel may be stamped early or late
 UNTOUCHED = 0.7  # of the way to the nominal first touch: a cone is met before it
 
 
@@ -31,7 +34,8 @@ class Start:
 
     Attributes:
         begin: [m], travel: [m] before the first touch. place, speed: ratios to what the scenario has, None where not told from zero.
-        expected_begin, expected_travel: [m]; velocity: [m/s], of the scenario.
+        expected_begin, expected_travel: [m]; velocity: [m/s], of the scenario. rate: [m/s] at the first row, by a parabola through the
+        free flight, since a force that is read where none acts bends it; rate_sd: [m/s] of it. gap: [m] of the scenario.
     """
 
     begin: float
@@ -41,6 +45,9 @@ class Start:
     expected_begin: float
     expected_travel: float
     velocity: float
+    rate: float
+    rate_sd: float
+    gap: float
 
     @property
     def ratios(self) -> list[float]:
@@ -81,7 +88,17 @@ def start_of(record: Record, found: Survey, scenario: Scenario, name: str) -> St
     def ratio(measured: float, given: float) -> float | None:
         return measured / given if abs(given) > 1e-6 and max(abs(measured), abs(given)) > CLEAR * sigma else None
 
-    return Start(begin, travel, ratio(begin, begin_at), ratio(travel, expected), begin_at, expected, velocity)
+    places = ratio(begin, begin_at), ratio(travel, expected), begin_at, expected
+    free = scenario.mechanism.flat or found.contacts  # else what is met before the nominal touch is not known
+    rate = _rate(record.t[known], values[known], sigma) if free else (velocity, math.inf)
+    return Start(begin, travel, *places, velocity, *rate, scenario.approach.gap)
+
+
+def _rate(t: Array, values: Array, sigma: float) -> tuple[float, float]:
+    """Speed at the first of the rows (n,), and its standard deviation by the noise ``sigma`` of the places: least squares of a parabola."""
+    basis = np.vander(t - t[0], 3, increasing=True)
+    inverse = np.linalg.pinv(basis)
+    return float(inverse[1] @ values), sigma * float(np.linalg.norm(inverse[1]))
 
 
 def _way_to_touch(scenario: Scenario) -> float:
@@ -117,9 +134,23 @@ def _fault(record: Record, name: str, start: Start) -> Iterator[Remark]:
         yield Remark("error", record.run, name, text, fix, evidence, "unit")
     elif start.reversed:
         yield Remark("error", record.run, name, f"{seen}: the sign is the other way round", scale_fix(name, -1.0), evidence, "sign")
-    elif name == "pose_cmd.pz" and start.speed is not None and not 1 / OTHER_SPEED < start.speed < OTHER_SPEED:
-        text = f"{seen}: {abs(start.speed):.3g} times the speed"
-        fix = f"if the run was driven so, set in its entry: set: {{approach.velocity.2: {start.speed * start.velocity:.4g}}}"
+    elif name in OTHER_PLACE and start.velocity:
+        yield from _another(record, name, start, evidence)
+
+
+def _another(record: Record, name: str, start: Start, evidence: dict[str, float]) -> Iterator[Remark]:
+    """Errors for a motion that is not that of the scenario's approach: a link would be blamed for it."""
+    speed, place = start.velocity, start.expected_begin
+    commanded = name == "pose_cmd.pz"
+    if commanded and abs(start.rate - speed) > OTHER_SPEED * abs(speed) + CLEAR * start.rate_sd:
+        text = f"begins at {start.rate:.4g} m/s; the scenario approaches at {speed:.4g} m/s"
+        fix = f"if the run was driven so, set in its entry: set: {{approach.velocity.2: {start.rate:.4g}}}"
+        yield Remark("error", record.run, name, text, fix, evidence | {"speed": start.rate}, "start")
+    elif abs(start.begin - place) > OTHER_PLACE[name] * start.gap + STAMPS * abs(speed) * float(record.t[1]):
+        text = f"begins at {start.begin:.4g} m; by its approach the scenario is at {place:.4g} m then"
+        gap, offset = start.gap + place - start.begin, place - start.begin
+        fix = f"if the numbers count from elsewhere, channels: {{{name}: {{offset: {offset:.4g}}}}}"
+        fix = f"set in the entry of the run: set: {{approach.gap: {gap:.4g}}}; or, {fix}" if gap > 0.0 and commanded else fix
         yield Remark("error", record.run, name, text, fix, evidence, "start")
 
 

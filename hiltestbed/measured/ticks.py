@@ -43,11 +43,9 @@ def _on_ticks(clock: Clock, columns: Mapping[str, Array], tick: float) -> Clock 
     t = clock.t
     if len(t) < 30 or abs(clock.interval / tick - 1.0) > UNEVEN:
         return None
-    steps = np.diff(t) / clock.interval
-    whole = np.round(steps)
-    if (whole < 1).any() or (np.abs(steps - whole) > UNEVEN).any():
+    number = _numbers(t, clock.interval)
+    if number is None:
         return None
-    number = np.r_[0.0, np.cumsum(whole)]
     slope, start = np.polyfit(number, t, 1)
     first = round(start / tick)
     if abs(start / tick - first) > APART or abs(slope / tick - 1.0) > OFF_RATE:
@@ -56,6 +54,18 @@ def _on_ticks(clock: Clock, columns: Mapping[str, Array], tick: float) -> Clock 
     if first < 0 or np.abs(t - ticks).max() <= ON_TICK * tick or not _as_smooth(clock, columns, ticks, tick):
         return None
     return replace(clock, t=ticks, interval=tick)
+
+
+def _numbers(t: Array, interval: float) -> Array | None:
+    """``(n,)`` intervals from the first stamp, whole; None where stamps are not next to such places, one each.
+
+    First as if no row were lost: two neighbours that jitter to either side may seem two intervals apart.
+    """
+    for number in (np.arange(len(t), dtype=float), np.r_[0.0, np.cumsum(np.round(np.diff(t) / interval))]):
+        slope, start = np.polyfit(number, t, 1)
+        if (np.diff(number) >= 1.0).all() and (np.abs(t - start - slope * number) <= UNEVEN * interval).all():
+            return np.asarray(number)
+    return None
 
 
 def _as_smooth(clock: Clock, columns: Mapping[str, Array], ticks: Array, tick: float) -> bool:

@@ -30,6 +30,14 @@ def test_stamps_that_jitter_about_ticks_are_ticks() -> None:
     np.testing.assert_allclose(_read(stamps, _motion(at)).t, at, atol=1e-12)
 
 
+def test_neighbours_that_jitter_to_either_side_stay_on_their_ticks() -> None:
+    """0.4 of a tick to either side: their stamps are 0.2 and 1.8 ticks apart, as if one row were lost."""
+    at = np.arange(ROWS) * TICK
+    off = np.zeros(ROWS)
+    off[[100, 101, 300, 301, 500, 501]] = [-0.4, 0.4, 0.4, -0.4, -0.4, 0.4]
+    np.testing.assert_allclose(_read(at + off * TICK, _motion(at)).t, at, atol=1e-12)
+
+
 def test_a_clock_that_runs_fast_and_lost_rows_leave_each_row_on_its_tick() -> None:
     at = np.delete(np.arange(ROWS), [100, 101, 400]) * TICK
     np.testing.assert_allclose(_read(at * (1.0 + 5e-4), _motion(at)).t, at, atol=1e-12)

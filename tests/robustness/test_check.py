@@ -55,6 +55,8 @@ ABSURD = {
     "a fly and a station": ({"spacecraft.target.mass": 1e9}, "times the mass of the other"),
     "a penetration deeper than the tip": ({"approach.velocity": [0, 0, 3.0], "mechanism.contact.stiffness": 1e4}, "mm across"),
     "a run that ends before the touch": ({"duration": 0.3}, "nothing touches: the gap of 10 mm takes"),
+    "an approach that recedes": ({"approach.velocity": [0, 0, -0.03]}, "move away from each other"),
+    "a sensor noisier than the contact": ({"sensor.noise": 1e6}, "is more than the contact's peak of about"),
     "a damper that stops within a step": ({"mechanism.contact.damping": 1e8}, "chatters"),
 }
 
