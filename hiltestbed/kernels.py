@@ -57,7 +57,7 @@ def tell_of_compiling() -> Any:
             if not self.told and self.spent + time.monotonic() - self.begun > PATIENCE:
                 self.told = True
                 clear = "\r\x1b[K" if sys.stderr.isatty() else ""
-                sys.stderr.write(f"{clear}compiling inner loops: once after the install, a minute or so\n")
+                sys.stderr.write(f"{clear}compiling inner loops that are new here: a minute or so, and kept for later\n")
                 sys.stderr.flush()
 
     listener = Told()

@@ -32,6 +32,7 @@ class ContactParameters:
         mode [rad/s], mode_damping [-], mode_mass [kg]: of the frame that rings; reaction: 1 where the sensor reads the frame's reaction.
         tilt_x, tilt_y: [rad] of the passive port. lever: where the force acts, 0 at the undeformed surface, 1 at the tip.
         side_stiffness, side_damping: [-] of what is held, across the insertion and about each axis, over those along it.
+        ring: [-] radius at which a latch resists turning, over LATCH_RADIUS; 0: it does not.
         blunt: 1 where the ball of the tip touches, 0 where its foremost point does, on a plane that is tilted.
         over_penetration, over_rate, over_stretch: (PACKED,) curves of a force [N] that is added, over penetration [m], its rate [m/s] and
             the stretch [m] of a slider, which follows as soon as that would leave the curve's ends.
@@ -66,6 +67,7 @@ class ContactParameters:
     blunt: float = 1.0
     side_stiffness: float = 1.0
     side_damping: float = 1.0
+    ring: float = 1.0
     over_penetration: Array = field(default_factory=lambda: packed(()))
     over_rate: Array = field(default_factory=lambda: packed(()))
     over_stretch: Array = field(default_factory=lambda: packed(()))
@@ -119,7 +121,7 @@ NUMBERS = NAMES[: -len(CURVES)]
 (
     STIFFNESS, DAMPING, POWER_STIFFNESS, EXPONENT, ALPHA, DRY, PRELOAD, STOP, STOP_STIFFNESS, BRANCH_STIFFNESS, BRANCH_TIME,
     ADHESION, FRAME, OFFSET, CAPTURED, PLAY, MODE, MODE_DAMPING, MODE_MASS, FRICTION, TILT_X, TILT_Y, LEVER, REACTION, DRAG, BLUNT,
-    SIDE_STIFFNESS, SIDE_DAMPING, OVER_PENETRATION,
+    SIDE_STIFFNESS, SIDE_DAMPING, RING, OVER_PENETRATION,
 ) = range(len(NUMBERS) + 1)  # fmt: skip
 OVER_RATE, OVER_STRETCH, SPRING_OVER_PENETRATION, SPRING_OVER_RATE, PARAMETERS = (OVER_PENETRATION + i * PACKED for i in range(1, 6))
 # Those that are neutral where a spring and a damper are all that acts along the normal.

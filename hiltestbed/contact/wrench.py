@@ -21,6 +21,7 @@ from hiltestbed.contact.parameters import (
     FRICTION,
     LEVER,
     OFFSET,
+    RING,
     SIDE_DAMPING,
     SIDE_STIFFNESS,
     STIFFNESS,
@@ -181,6 +182,7 @@ def latch_wrench(p, dt, pose, twist, hold, state, work, local):
     """
     turn, q, inverse, f = work[0, :3], work[1, :4], work[2, :4], work[3, :3]
     k, c = p[STIFFNESS] * p[SIDE_STIFFNESS], p[DAMPING] * p[SIDE_DAMPING]
+    square = (LATCH_RADIUS * p[RING]) ** 2
     for j in range(3):
         inverse[j] = -hold[3 + j]
         f[j] = k * (pose[j] - hold[j]) + c * twist[j]
@@ -190,7 +192,7 @@ def latch_wrench(p, dt, pose, twist, hold, state, work, local):
     rotation_vector(q, turn)
     for j in range(3):
         local[j] = 0.0
-        local[3 + j] = LATCH_RADIUS**2 * (k * turn[j] + c * twist[3 + j])
+        local[3 + j] = square * (k * turn[j] + c * twist[3 + j])
     add_at(pose[0:3], f, local)
 
 

@@ -1,4 +1,4 @@
-"""What samples of the force that a logger lost make uncertain of a motion that is computed from it.
+"""What a log does not hold, samples that were lost and ticks between its rows, and how uncertain that makes what is computed from it.
 
 A lost sample is bridged, which misses it by what second differences of its neighbours show: of white noise the two have the same
 variance but for a factor of four. The numerical model integrates it twice, so that it is replayed with such misses drawn at random.
@@ -6,13 +6,16 @@ variance but for a factor of four. The numerical model integrates it twice, so t
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
-from hiltestbed.diagnosis.links import DynamicsLink
+from hiltestbed.diagnosis.links import DynamicsLink, Link
+from hiltestbed.diagnosis.settings import SMOOTHING
 from hiltestbed.frames import Array
+from hiltestbed.measured import MeasuredRun
 from hiltestbed.measured.record import Record
 
 LONGEST = 5  # rows in a row that are bridged: past them what was lost is no noise
@@ -32,13 +35,19 @@ def bridges(record: Record, group: str) -> bool:
     return bool((edges[1::2] - edges[::2] <= LONGEST).all())
 
 
-def bridging_noise(link: DynamicsLink, wrenches: Sequence[Array], missing: Sequence[np.ndarray]) -> list[Array]:
-    """``(N, 6)`` by how much the motion of each run may be off [m, rad]; wrenches: (N, 6) bridged; missing: (N,) bool."""
+def bridging_noise(
+    link: DynamicsLink, wrenches: Sequence[Array], missing: Sequence[np.ndarray], between: Sequence[Array], level: Array
+) -> list[Array]:
+    """``(N, 6)`` by how much the motion of each run may be off [m, rad].
+
+    wrenches: (N, 6) bridged; missing: (N,) bool. between: (N, 6) not 0 on ticks that no row of the log stands on; level: (6,) the noise
+    there. A row apart from what two others say of it is off by ``sqrt(1 + 2/3)`` of the noise, the mean over the places between them.
+    """
     rng, everything = np.random.default_rng(0), range(len(link.runs))
     squares = [np.zeros((run.rows, 6)) for run in link.runs]
-    if not any(m.any() for m in missing):
+    spread = [np.hypot(_miss(w, m), math.sqrt(5.0 / 3.0) * level * (b != 0.0)) for w, m, b in zip(wrenches, missing, between, strict=True)]
+    if not any(s.any() for s in spread):
         return squares
-    spread = [_miss(w, m) for w, m in zip(wrenches, missing, strict=True)]
     shown = link.predict([(i, ()) for i in everything])
     for _ in range(DRAWS):
         shaken = [w + s * rng.standard_normal(w.shape) for w, s in zip(wrenches, spread, strict=True)]
@@ -46,6 +55,18 @@ def bridging_noise(link: DynamicsLink, wrenches: Sequence[Array], missing: Seque
         for total, a, b in zip(squares, found, shown, strict=True):
             total += (a - b) ** 2 / DRAWS
     return [SURE * np.sqrt(np.maximum.accumulate(s, axis=0)) for s in squares]
+
+
+def bends_of(runs: Sequence[MeasuredRun], group: str, rows: Sequence[int]) -> list[Array]:
+    """``(N, parts)`` of each run, see :class:`Record`; 0 where all rows of the group are ticks."""
+    return [r.record.bends.get(group, np.zeros(r.record.data[group].shape))[:n] for r, n in zip(runs, rows, strict=True)]
+
+
+def differences(link: Link, other: Link) -> list[Array]:
+    """``(N, channels)`` of each run by how much two links differ about each row, rms: what lies between the rows of a log may be either."""
+    everything = [(i, ()) for i in range(len(link.runs))]
+    pairs = zip(link.predict(everything), other.predict(everything), strict=True)
+    return [np.sqrt(np.maximum(uniform_filter1d((a - b) ** 2, SMOOTHING, axis=0), 0.0)) for a, b in pairs]
 
 
 def _miss(wrench: Array, missing: np.ndarray) -> Array:

@@ -23,11 +23,12 @@ LOST = 0.02  # of the departure from the nominal model that may lie between the 
 def decimated(link: WrenchLink) -> WrenchLink:
     """The same link on means of 2, 4, ... rows; itself where that would lose something. The noise is left as it is: no gain is claimed.
 
-    What lies between the blocks is signal and noise; of the noise, which is known, white noise would leave as much there as it does.
+    What is played, or filtered, hangs on every tick. What lies between the blocks is signal and noise; of the noise, which is known, white
+    noise would leave as much there as it does.
     """
     rows = sum(len(p) for p in link.paths)
     count = 1
-    if rows >= 2 * ENOUGH:
+    if rows >= 2 * ENOUGH and not link.played and link.logged is None:
         rms = _rms(link, link.predict([(i, ()) for i in range(len(link.runs))]))
         while rows >= 2 * count * ENOUGH and _lost(link, 2 * count) < LOST * rms:
             count *= 2
@@ -40,7 +41,7 @@ def decimated(link: WrenchLink) -> WrenchLink:
         link.rates and [_means(r, count) for r in link.rates],
     )
     out.of_rows = count
-    return out.reading(lever=link.lever, blunt=link.blunt)
+    return out.reading(lever=link.lever, blunt=link.blunt, ring=link.ring)
 
 
 def _rms(link: WrenchLink, modelled: list[Array]) -> float:

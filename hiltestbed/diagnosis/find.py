@@ -90,7 +90,7 @@ def find(findings: Findings, progress: Progress | None = None) -> Finding:
         partial_gain=gain_of(findings, nearest),
         explained=judged.share,
         learned=judged.learned,
-        assumed=(*findings.layout.force.words(), *timing.words(findings.explanations)),
+        assumed=(*findings.layout.assumed(), *timing.words(findings.explanations)),
         certainty=tuple(certain),
     )
 

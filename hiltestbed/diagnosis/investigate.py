@@ -16,11 +16,12 @@ from hiltestbed.diagnosis.jitter import JITTER, jitter_beside
 from hiltestbed.diagnosis.layout import Layout, compensation_link, dynamics_link, lay_out, platform_link, under
 from hiltestbed.diagnosis.lines import hum_beside, lines
 from hiltestbed.diagnosis.links import AxisLink, CompensationLink, Later, Link, LinkRun, PlatformLink, WrenchLink
-from hiltestbed.diagnosis.paths import BestPath, best_path, between_rows, make_wrench_link, unmoved
+from hiltestbed.diagnosis.paths import BestPath, best_path, between_rows, filtered, make_wrench_link, unmoved
 from hiltestbed.diagnosis.readings import (
     another_lever,
     at_a_point,
     choose_lever,
+    choose_ring,
     choose_steps,
     lever_under,
     on_a_grid,
@@ -43,6 +44,7 @@ from hiltestbed.replay.wrench import shifted
 
 RESTARTED = 0.9  # of chi-square, that another reading of the start has to leave at most to be taken
 REFUTED = 0.25  # of a skew that the compensation shows: where contact and sensor show less, it is not the force's
+AS_IF_MOVED = ("sensor.delay", "contact.damping", "contact.stiffness", "sensor.lag")  # what a path that is shifted in time looks like
 WRENCH = ("contact", "sensor")  # links of the vocabulary that act between the pose and the reading
 
 
@@ -135,7 +137,7 @@ def _explain_compensation(
 def _investigate_wrench(layout: Layout, found: dict[str, Explanation], whole: dict[str, Link], progress: Progress | None) -> None:
     """Contact and sensor, which are one link to the data; and the compensation again where the record proves to be stamped late."""
     path = _choose_path(layout, found, whole, progress)
-    link = choose_steps(choose_lever(make_wrench_link(layout, path, layout.rows, decimate="compensation" not in found)))
+    link = choose_steps(choose_ring(choose_lever(make_wrench_link(layout, path, layout.rows, decimate="compensation" not in found))))
     scales = replace(layout.scales, lines=lines(link))
     unseen = ("platform",) if link.commands else ()  # what it does is in the path then
     candidates = _candidates(scales, (*WRENCH, *unseen) if "compensation" in found else (*WRENCH, *unseen, "log"))
@@ -179,11 +181,13 @@ def _choose_path(layout: Layout, found: dict[str, Explanation], whole: dict[str,
     """The path that contact and sensor bear out, of those that the platform leaves open; the platform as that path has it."""
     best = best_path(layout, found.get("platform"))
     if other := unmoved(layout, found.get("platform"), best):
-        links = [choose_lever(make_wrench_link(layout, path, layout.rows)) for path in (best, other)]
-        if stands_best(links):
+        links = [choose_lever(make_wrench_link(layout, between_rows(layout, path), layout.rows)) for path in (best, other)]
+        resembling = [c for c in _candidates(layout.scales, WRENCH) if c.kind in AS_IF_MOVED and not c.variant]
+        if stands_best(links, resembling):
             best = other
             found["platform"], whole["platform"] = _stamped_elsewhere(layout, found["platform"], progress)
-    return between_rows(layout, best) if clocks_off(found) else best
+    off = clocks_off(found) or any(r.record.bends for r in layout.runs)
+    return filtered(layout, between_rows(layout, best) if off else best)
 
 
 def _stamped_elsewhere(layout: Layout, platform: Explanation, progress: Progress | None) -> tuple[Explanation, Link]:

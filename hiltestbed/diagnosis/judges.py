@@ -12,7 +12,9 @@ from hiltestbed.diagnosis.links import AxisLink, CompensationLink
 from hiltestbed.diagnosis.links.base import PROMPT, Effects
 from hiltestbed.diagnosis.residual import Residual
 from hiltestbed.diagnosis.search import Judge
-from hiltestbed.diagnosis.settings import COMPUTED_LEFT, CORRELATED, DYNAMICS_BETWEEN, DYNAMICS_FLOOR, LED_NOISE, SMOOTHING
+from hiltestbed.diagnosis.settings import COMPUTED_LEFT, CORRELATED, DYNAMICS_BETWEEN, DYNAMICS_FLOOR, LED_NOISE, SIGNIFICANT, SMOOTHING
+
+LEAST_LIMIT = 1.3  # of the ratio of led noise in contact to that out of it, however many rows there are
 
 
 def of_compensation(link: CompensationLink, noise: Mapping[str, float]) -> Judge:
@@ -35,10 +37,19 @@ def of_compensation(link: CompensationLink, noise: Mapping[str, float]) -> Judge
             if late:  # what the loop read is known from a late record but for its noise
                 apart = led
             floor = max(level / math.sqrt(CORRELATED), min(apart, LED_NOISE * led))
-            out[name] = Leftover((max(rms_in, rms_out) / floor) ** 2, 0.0, 1.3, 1.0, len(inside))
+            out[name] = Leftover((max(rms_in, rms_out) / floor) ** 2, 0.0, max(LEAST_LIMIT, _chance(residual, c)), 1.0, len(inside))
         return out
 
     return judge
+
+
+def _chance(residual: Residual, channel: int) -> float:
+    """The largest ratio that chance makes of the variances in contact and out of it, sqrt(2/n) of each, of the rows that were measured."""
+    runs = [residual.link.runs[i] for i in residual.runs]
+    measured = [(np.isfinite(r.sigma[:, channel]), r.touching) for r in runs]
+    inside = sum(int((known & touching).sum()) for known, touching in measured)
+    outside = sum(int((known & ~touching).sum()) for known, touching in measured)
+    return 1.0 + SIGNIFICANT * math.sqrt(2.0 / max(inside, 1) + 2.0 / max(outside, 1))
 
 
 def of_dynamics(residual: Residual) -> Judge:

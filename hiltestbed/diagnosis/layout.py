@@ -9,11 +9,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hiltestbed.contact.sides import sides_of
-from hiltestbed.diagnosis.bridged import bridges, bridging_noise, lost
+from hiltestbed.diagnosis.bridged import bends_of, bridges, bridging_noise, differences, lost
 from hiltestbed.diagnosis.driven import regression
 from hiltestbed.diagnosis.links import CompensationLink, DynamicsLink, Link, LinkRun, PlatformLink, WrenchLink, flat_pose
 from hiltestbed.diagnosis.links.base import padded
-from hiltestbed.diagnosis.noise import ForceNoise, force_noise, in_steps
+from hiltestbed.diagnosis.low_pass import LowPass, low_pass_between
+from hiltestbed.diagnosis.noise import ForceNoise, few_numbers, force_noise, in_steps
 from hiltestbed.diagnosis.pose_noise import smooth_levels
 from hiltestbed.diagnosis.settings import (
     ARM_UNKNOWN,
@@ -53,6 +54,7 @@ class Layout:
         force: what free flight says of the noise of the force beside its floor.
         deflection: of each run how the believed rig departs from its command; None where it cannot be replayed.
         missing: link to why it cannot be replayed.
+        logged: the filter that the force went through on its way to the log, while the loop had it without; None: none.
     """
 
     runs: tuple[MeasuredRun, ...]
@@ -62,6 +64,11 @@ class Layout:
     force: ForceNoise
     deflection: tuple[Deflection, ...] | None
     missing: Mapping[str, str]
+    logged: LowPass | None = None
+
+    def assumed(self) -> tuple[str, ...]:
+        """What was assumed of the force on record, in sentences."""
+        return (*self.force.words(), *([self.logged.words(1.0 / self.scales.tick)] if self.logged else []))
 
     @property
     def least_force(self) -> float:
@@ -78,7 +85,7 @@ def lay_out(dataset: MeasuredDataset) -> Layout:
     """Rows, noise floors and scales of a dataset, and what of it can be replayed."""
     runs = dataset.runs
     force = force_noise(runs)
-    noise = _floors(runs) | {c: float(v) for c, v in zip(GROUPS["wrench_meas"].columns, force.level, strict=True) if v > 0.0}
+    noise = _floors(runs) | force.levels()
     missing = _lacking(runs)
     given = None
     if "platform" not in missing:
@@ -88,7 +95,23 @@ def lay_out(dataset: MeasuredDataset) -> Layout:
     scales = _scales(runs, noise)
     if "dynamics" not in missing and all(is_driven(r.record, r.scenario) for r in runs):
         scales = replace(scales, driven=regression(runs))
-    return Layout(runs, tuple(_rows(r) for r in runs), scales, noise, force, given, missing)
+    layout = Layout(runs, tuple(_rows(r) for r in runs), scales, noise, force, given, missing)
+    if "compensation" in missing:
+        return layout
+    link = compensation_link(layout, layout.whole)
+    logged = _filter_between(link)
+    if logged is None:
+        return layout
+    force, white = force_noise(runs, logged), link.noise_gain() * logged.colour  # differences of filtered noise tell nothing of it
+    led = {c.replace("comp", "meas"): noise[c] / white for c in link.channels if noise.get(c)}
+    return replace(layout, force=force, noise=noise | led | force.levels(), logged=logged)
+
+
+def _filter_between(link: CompensationLink) -> LowPass | None:
+    """The filter through which a log's forces went, while the loop had them without; None where wrench_comp shows none."""
+    behind = link.predict([(i, ()) for i in range(len(link.runs))])
+    known = [np.asarray(np.isfinite(run.sigma).all(axis=1)) for run in link.runs]
+    return low_pass_between([run.measured for run in link.runs], behind, known)
 
 
 def under(layout: Layout, readings: Sequence[Array]) -> Layout | None:
@@ -149,9 +172,10 @@ def _lacking_of_wrench(runs: Sequence[MeasuredRun]) -> dict[str, str]:
         out["wrench"] = "needs pose_act or pose_cmd in every run"
     elif not any(r.survey.contacts for r in runs):
         out["wrench"] = "needs a contact"
-    elif not all(sides_of(r.scenario.mechanism).rigid for r in runs):
+    elif not all(sides_of(r.scenario.mechanism).rigid or follows_exactly(r.scenario) for r in runs):
         out["wrench"] = (
-            "the mechanism has parts that move, or parts that collide at several points: its force does not follow from the pose of A in P"
+            "the mechanism has parts that move, or parts that collide at several points: its force follows from how A moves within a tick, "
+            "which is not on record; it is judged where tracking is ideal"
         )
     elif any(r.scenario.rig.upper.kind != "fixed" and r.scenario.mechanism.latch is not None for r in runs):
         out["wrench"] = (
@@ -185,7 +209,21 @@ def compensation_link(layout: Layout, rows: Sequence[int]) -> CompensationLink:
     runs = [_computed_run(r, r.record.data["wrench_comp"], level, n, "wrench_meas", memory) for r, n in pairs]
     written = [np.hypot(r.record.rounding("wrench_comp"), gain * r.record.rounding("wrench_meas"))[:n] for r, n in pairs]
     runs = [replace(run, sigma=np.hypot(run.sigma, COMPUTED_ROUNDED * w)) for run, w in zip(runs, written, strict=True)]
+    bends = bends_of(layout.runs, "wrench_meas", rows)
+    if any(b.any() for b in bends):
+        straight = [w - b for w, b in zip(wrenches, bends, strict=True)]
+        missed = differences(CompensationLink(runs, wrenches, records), CompensationLink(runs, straight, records))
+        out = [np.hypot(m, b) for m, b in zip(missed, bends_of(layout.runs, "wrench_comp", rows), strict=True)]
+        runs = [replace(run, sigma=np.hypot(run.sigma, COMPUTED_ROUNDED * m)) for run, m in zip(runs, out, strict=True)]
+    if layout.logged:
+        runs = [_filtered(run, layout.logged) for run in runs]
     return CompensationLink(runs, wrenches, records)
+
+
+def _filtered(run: LinkRun, logged: LowPass) -> LinkRun:
+    """What is computed of a force that was filtered: what the loop computed, filtered alike."""
+    sigma = np.hypot(run.sigma, COMPUTED_ROUNDED * logged.missed(run.measured))
+    return replace(run, measured=logged(run.measured), sigma=sigma)
 
 
 def dynamics_link(layout: Layout, rows: Sequence[int]) -> DynamicsLink:
@@ -200,8 +238,15 @@ def dynamics_link(layout: Layout, rows: Sequence[int]) -> DynamicsLink:
     ]
     wrenches = [np.ascontiguousarray(r.record.filled("wrench_comp")[:n]) for r, n in pairs]
     missing = [lost(r.record, "wrench_comp")[:n] & b for (r, n), b in zip(pairs, bridged, strict=True)]
-    noise = bridging_noise(DynamicsLink(runs, wrenches), wrenches, missing)
+    bends = bends_of(layout.runs, "wrench_comp", rows)
+    floors = np.array([layout.noise.get(name, 0.0) for name in GROUPS["wrench_comp"].columns])
+    noise = bridging_noise(DynamicsLink(runs, wrenches), wrenches, missing, bends, floors)
     runs = [replace(run, sigma=np.hypot(run.sigma, COMPUTED_ROUNDED * s)) for run, s in zip(runs, noise, strict=True)]
+    if any(b.any() for b in bends):
+        coherent = [w + np.abs(b) for w, b in zip(wrenches, bends, strict=True)]  # what is missed of a motion may add up
+        missed = differences(DynamicsLink(runs, wrenches), DynamicsLink(runs, coherent))
+        lasting = [math.sqrt(len(m)) * np.maximum.accumulate(m, axis=0) for m in missed]  # one departure a run, however many rows show it
+        runs = [replace(run, sigma=np.hypot(run.sigma, s)) for run, s in zip(runs, lasting, strict=True)]
     return DynamicsLink(runs, wrenches)
 
 
@@ -252,6 +297,7 @@ def _force_run(run: MeasuredRun, layout: Layout, i: int, rows: int, least: Array
     level = np.hypot(np.hypot(level, layout.force.share * reading), run.record.rounding("wrench_meas")[:rows])
     level = level * _as_one(run, "wrench_meas", rows)
     sigma = np.where(run.record.valid["wrench_meas"][:rows], level, np.inf)
+    sigma[:, [few_numbers(run, name) for name in GROUPS["wrench_meas"].columns]] = np.inf
     path = next((g for g in ("pose_act", "pose_cmd") if run.record.has(g)), None)
     if path is not None:
         sigma[run.record.unknown(path, MEMORY + run.scenario.sensor.delay)[:rows]] = np.inf
@@ -314,7 +360,8 @@ def _floors(runs: Sequence[MeasuredRun]) -> dict[str, float]:
             level = believed or (float(np.median(inside)) if inside else 0.0)
             steps = [r.record.steps.get(name, 0.0) for r in runs]
             level = math.hypot(level, max(steps) / math.sqrt(12.0)) if any(in_steps(r, name) for r in runs) else level
-        floors[name] = max(level, smooth.get(name, 0.0))
+        sampled = [r.record.sampled.get(name, 0.0) for r in runs] if name.startswith("pose_act") else []  # a force's colour tells it
+        floors[name] = max(level, smooth.get(name, 0.0), *sampled)
     places = [n for n in ("pose_act.px", "pose_act.py", "pose_act.pz") if floors.get(n)]
     for name in places:  # a platform that moves in jumps looks noisy on the axis that moves most
         floors[name] = min(floors[name], UNEVEN * min(floors[n] for n in places))

@@ -17,6 +17,7 @@ from scipy.stats import chi2 as chi_square
 from scipy.stats import f as fisher
 
 from hiltestbed.diagnosis.aside import DEGREE, wanders
+from hiltestbed.diagnosis.low_pass import LowPass
 from hiltestbed.diagnosis.settings import BY_CHANCE, ENOUGH_FREE, HEAVY, KNEE, SHARE_SHOWS, SIGNIFICANT
 from hiltestbed.diagnosis.tones import differing, tones_of, without_tones
 from hiltestbed.frames import Array
@@ -29,6 +30,7 @@ EDGE = 6  # rows after a touch and before its end whose differences show the tou
 LAGS = 64  # rows, over which a correlation is summed at most
 SMOOTH = 9  # rows of the running mean of a reading in contact
 CLIPPED = 4.0  # robust standard deviations at which a sample counts for its correlation with others
+FEW = 2.5  # steps of a converter, below which a force shows whether it is there, and not its size
 FILLED = 1.0  # of a step, from which noise makes its error independent of the signal and from row to row
 ROUNDED = 1.01  # of a step, to which it is read from a record
 SETTLED = 0.05  # [s] after a contact in which a reading still shows it
@@ -63,6 +65,10 @@ class ForceNoise:
     tones: tuple[float, ...] = ()
     step: float = 0.0
 
+    def levels(self) -> dict[str, float]:
+        """Channel to its level, of those that were read."""
+        return {c: float(v) for c, v in zip(CHANNELS, self.level, strict=True) if v > 0.0}
+
     def words(self) -> tuple[str, ...]:
         """What was assumed, in sentences; none for white noise of one level."""
         out = []
@@ -88,17 +94,18 @@ def softened(z: Array, heavy: bool) -> Array:
     return np.sign(z) * KNEE * np.sqrt(np.log1p((z / KNEE) ** 2)) if heavy else z
 
 
-def force_noise(runs: Sequence[MeasuredRun]) -> ForceNoise:
-    """The noise of the force on record; white where free flight is too short to tell."""
-    found = _noise(runs)
+def force_noise(runs: Sequence[MeasuredRun], logged: LowPass | None = None) -> ForceNoise:
+    """The noise of the force on record, which went through a filter where it is ``logged`` so; white where free flight is too short to
+    tell."""
+    found = _noise(runs, logged)
     step = max((run.record.steps[name] for run in runs for name in CHANNELS[:3] if in_steps(run, name)), default=0.0)
     stated = not step or step <= ROUNDED * max(run.scenario.sensor.quantisation for run in runs)
     return found if stated else replace(found, step=step)
 
 
-def _noise(runs: Sequence[MeasuredRun]) -> ForceNoise:
+def _noise(runs: Sequence[MeasuredRun], logged: LowPass | None) -> ForceNoise:
     """Without its steps."""
-    still = ForceNoise(np.zeros(6), 1.0, False, tuple(np.zeros(6) for _ in runs), 0.0)
+    still = ForceNoise(np.zeros(6), logged.colour if logged else 1.0, False, tuple(np.zeros(6) for _ in runs), 0.0)
     free = [_free(run) for run in runs]
     if sum(len(x) for x in free) < ENOUGH_FREE:
         return still
@@ -106,13 +113,13 @@ def _noise(runs: Sequence[MeasuredRun]) -> ForceNoise:
     if not columns:
         return still
     flat, start = _straightened(free, columns)
-    tones = tones_of(flat)
+    tones = [] if logged else tones_of(flat)  # a narrow band of noise is not flat about a tone
     aside = differing(flat, tones, [_apart(run, columns)[1:] for run in runs])
     flat = without_tones(flat, tones)
     scale = np.array([1.4826 * np.median(np.abs(np.concatenate([x[:, i] for x in flat]))) for i in range(len(columns))])
     z = [x / np.where(scale > 0.0, scale, 1.0) for x in flat]
-    heavy = _heavy(z)
-    colour = _colour(z)
+    heavy = _heavy([x[:: logged.stride] for x in z] if logged else z)
+    colour = logged.colour if logged else _colour(z)
     level, tail = np.zeros(6), NORMAL
     if heavy or colour > 1.0 or aside:
         level[columns] = [_level(np.concatenate([x[:, i] for x in flat]), heavy) for i in range(len(columns))]
@@ -148,6 +155,15 @@ def in_steps(run: MeasuredRun, name: str) -> bool:
     """Whether a channel comes in steps that its noise does not fill: nothing of the noise can be read there."""
     step = run.record.steps.get(name, 0.0)
     return step > 0.0 and run.survey.noise[name].white < FILLED * step
+
+
+def few_numbers(run: MeasuredRun, name: str) -> bool:
+    """Whether a channel in steps shows three numbers at most: what a converter makes of a force within its steps is no part of it."""
+    if not run.record.has(name) or not in_steps(run, name):
+        return False
+    values = run.record.column(name)
+    known = values[np.isfinite(values)]
+    return len(known) > 0 and float(np.ptp(known)) < FEW * run.record.steps[name]
 
 
 def _apart(run: MeasuredRun, columns: Sequence[int]) -> tuple[Array, Array, Array]:

@@ -15,6 +15,7 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 from scipy.signal import savgol_coeffs, savgol_filter
 
+from hiltestbed.diagnosis.bridged import bends_of, differences
 from hiltestbed.diagnosis.decimation import decimated
 from hiltestbed.diagnosis.layout import Layout, platform_link, touching, wrench_link
 from hiltestbed.diagnosis.links import WrenchLink, flat_pose
@@ -37,13 +38,14 @@ class Path:
 
     Attributes:
         poses: (N, 7) at t_k. rates: (N, 6) twist at t_k; None: the slope of the tick that ends. place, rate: noise of both [m], [m/s],
-        an attitude's by its lever; how it is spread over the rows is known where it is white.
+        an attitude's by its lever; how it is spread over the rows is known where it is white. source: the group that it comes from.
     """
 
     poses: Sequence[Array]
     rates: Sequence[Array] | None
     place: float = 0.0
     rate: float = 0.0
+    source: str = "pose_act"
 
 
 @dataclass(frozen=True)
@@ -69,7 +71,8 @@ def best_path(layout: Layout, platform: Explanation | None) -> BestPath:
         path, extra = measured, brought
     elif platform is not None and platform.adequate:
         poses = platform_link(layout, layout.whole).stamped(platform.residual.link.timing).paths(platform.chosen.effects())
-        path, extra = Path(poses, _central_rates(layout, poses)), None
+        path = Path(poses, _central_rates(layout, poses), source="pose_cmd")
+        extra = _brought_by_command(layout, path)
     else:
         path = Path(_smooth_paths(layout, platform), None)
         noisy = platform is not None or any(r.record.has("pose_act") for r in layout.runs)
@@ -82,15 +85,15 @@ def unmoved(layout: Layout, platform: Explanation | None, best: BestPath) -> Bes
 
     Between two rows a resampled path is flatter than the one that was taken.
     """
-    if platform is None or not platform.adequate or best.brought is not None:
+    if platform is None or not platform.adequate or best.path.source != "pose_cmd":
         return None
     effects = [e for e in platform.chosen.effects() if not part_of_a_tick(e, layout.scales.tick)]
     if len(effects) == len(platform.chosen.causes) and platform.residual.link.timing == PROMPT:
         return None
     obeyed = Later(obeyed=platform.residual.link.timing.obeyed)
     poses = platform_link(layout, layout.whole).stamped(obeyed).paths(effects)
-    path = Path(poses, _central_rates(layout, poses))
-    return BestPath(path, None, _jumped(platform, path))
+    path = Path(poses, _central_rates(layout, poses), source="pose_cmd")
+    return BestPath(path, best.brought, _jumped(platform, path))
 
 
 def between_rows(layout: Layout, best: BestPath) -> BestPath:
@@ -98,6 +101,14 @@ def between_rows(layout: Layout, best: BestPath) -> BestPath:
     there is smoother than it was."""
     error = [MODEL_ERROR * np.abs(np.nan_to_num(r.record.data["wrench_meas"])) for r in layout.runs]
     return replace(best, brought=[np.hypot(e, b) for e, b in zip(error, best.brought or [0.0] * len(error), strict=True)])
+
+
+def filtered(layout: Layout, best: BestPath) -> BestPath:
+    """The same path where the logger filtered the force, which is known to about an order of its filter."""
+    if layout.logged is None:
+        return best
+    missed = [layout.logged.missed(r.record.filled("wrench_meas")) for r in layout.runs]
+    return replace(best, brought=[np.hypot(m, b) for m, b in zip(missed, best.brought or [0.0] * len(missed), strict=True)])
 
 
 def _jumped(platform: Explanation | None, path: Path) -> list[Array] | None:
@@ -108,7 +119,7 @@ def _jumped(platform: Explanation | None, path: Path) -> list[Array] | None:
 
 def make_wrench_link(layout: Layout, best: BestPath, rows: Sequence[int], decimate: bool = False) -> WrenchLink:
     """Contact and sensor on a path; ``decimate``: in fewer rows, where nothing is lost and no other link goes on from them."""
-    link = wrench_link(layout, best.path.poses, rows, best.jumps, best.path.rates, best.brought)
+    link = wrench_link(layout, best.path.poses, rows, best.jumps, best.path.rates, best.brought).through(layout.logged)
     if _nobody_saw(layout):
         return link.commanded([np.ascontiguousarray(r.record.filled("pose_cmd")) for r in layout.runs])
     return decimated(link) if decimate and best.jumps is None else link
@@ -156,7 +167,8 @@ def _share(layout: Layout, brought: Sequence[Array]) -> float:
 
 
 def _noise_of(layout: Layout, path: Path) -> list[Array]:
-    """(N, 6) noise of the reading of each run that the noise of a path brings, by replays of paths that are shaken by as much."""
+    """(N, 6) noise of the reading of each run that the noise of a path brings, by replays of paths that are shaken by as much, and what
+    lies between its samples."""
     rng, count = np.random.default_rng(0), range(len(layout.runs))
     shaken, rates = [], []
     for i, pose in enumerate(list(path.poses) * SHAKEN_PATHS):
@@ -174,7 +186,32 @@ def _noise_of(layout: Layout, path: Path) -> list[Array]:
     squares = [np.zeros_like(s) for s in shown]
     for i, found in enumerate(many.predict([(i, ()) for i in range(len(shaken))])):
         squares[i % len(layout.runs)] += (found - shown[i % len(layout.runs)]) ** 2 / SHAKEN_PATHS
-    return [np.sqrt(np.maximum(uniform_filter1d(s, SMOOTHING, axis=0), 0.0)) for s in squares]
+    noise = [np.sqrt(np.maximum(uniform_filter1d(s, SMOOTHING, axis=0), 0.0)) for s in squares]
+    if not _bent(layout, path):
+        return noise
+    return [np.hypot(n, d) for n, d in zip(noise, _between_samples(layout, path), strict=True)]
+
+
+def _brought_by_command(layout: Layout, path: Path) -> list[Array] | None:
+    """(N, 6) noise of the reading of each run that a command with few digits, or logged between ticks, brings; None: it brings none."""
+    written = max(float(r.record.rounding(path.source)[:, :3].max()) for r in layout.runs)
+    if not written and not _bent(layout, path):
+        return None
+    return _noise_of(layout, replace(path, place=written, rate=math.sqrt(0.5) * written / layout.scales.tick))
+
+
+def _bent(layout: Layout, path: Path) -> bool:
+    """Whether a path lies between the rows of a log that has other ones than the loop's ticks."""
+    return any(b.any() for b in bends_of(layout.runs, path.source, layout.whole))
+
+
+def _between_samples(layout: Layout, path: Path) -> list[Array]:
+    """(N, 6) of each run by how much a reading on straight lines between the samples differs."""
+    bends = bends_of(layout.runs, path.source, layout.whole)
+    straight = [np.column_stack([p[:, :3] - b[:, :3], p[:, 3:]]) for p, b in zip(path.poses, bends, strict=True)]
+    rates = path.rates and _central_rates(layout, straight)
+    links = [wrench_link(layout, poses, layout.whole, None, r) for poses, r in ((path.poses, path.rates), (straight, rates))]
+    return differences(*links)
 
 
 def _finest(run: MeasuredRun, group: str) -> float:

@@ -1,7 +1,8 @@
 """How a facility computes its contact, where words leave more than one reading: chosen by what the data bear out.
 
-Where between tip and surface the force acts, whether a plane is met by a point, whether readings lie between the instants of the
-believed physics: none of it is a departure, and a search on the wrong reading finds departures that are not there.
+Where between tip and surface the force acts, whether a latch resists turning, whether a plane is met by a point, whether readings lie
+between the instants of the believed physics: none of it is a departure, and a search on the wrong reading finds departures that are not
+there.
 """
 
 from __future__ import annotations
@@ -49,6 +50,14 @@ def _same_at_any(link: WrenchLink) -> bool:
     return all(r.scenario.mechanism.contact.friction == 0.0 for r in link.runs)
 
 
+def choose_ring(link: WrenchLink) -> WrenchLink:
+    """Whether a latch resists turning, which its stiffness does not say: believed to, unless the torques bear out that it turns freely."""
+    if not any(r.scenario.mechanism.captured for r in link.runs):
+        return link
+    free = link.reading(ring=0.0)
+    return free if square(Residual(free)(())) < square(Residual(link)(())) - ONE_OF_TWO else link
+
+
 def choose_steps(link: WrenchLink, effects: Effects = ()) -> WrenchLink:
     """Whether a mount is stepped as MuJoCo does it or is right by itself: the reading that leaves less under ``effects``."""
     if not link.stepped:
@@ -85,9 +94,19 @@ def lever_under(residual: Residual, found: Fit) -> Residual:
     return there if again.chi2 < before - DETECTION * inflation(found) else residual
 
 
+def ring_under(residual: Residual, found: Fit) -> Residual:
+    """With a latch that resists turning or not, as ``found`` bears out clearly; itself where it does not: torques that a bias gives are
+    no guide to it."""
+    link = wrench_link_of(residual)
+    if JITTER in found.kinds or not any(r.scenario.mechanism.captured for r in link.runs):
+        return residual
+    other = residual.through(link.reading(ring=1.0 - link.ring))
+    return other if refit(other, found).chi2 < refit(residual, found).chi2 - DETECTION * inflation(found) else residual
+
+
 def reading_under(residual: Residual, found: Fit) -> Residual:
-    """With the lever, and then the steps of a mount, that ``found`` bears out; itself where it bears out neither."""
-    levered = lever_under(residual, found)
+    """With the lever, a latch that turns or not, and the steps of a mount that ``found`` bears out; itself where it bears out none."""
+    levered = ring_under(lever_under(residual, found), found)
     link = wrench_link_of(levered)
     if not link.stepped or JITTER in found.kinds:
         return levered

@@ -226,16 +226,23 @@ def part_of_a_tick(effect: Effect, tick: float) -> bool:
     return effect.kind not in OF_TICKS and rows is not None and 0.0 < rows <= PARTS
 
 
-def stands_best(links: Sequence[Link]) -> int:
-    """Which one leaves least wherever its output stands in the record, while no cause is known: the first where none is clearly so."""
+def stands_best(links: Sequence[Link], candidates: Sequence[Candidate]) -> int:
+    """Which one leaves least wherever its output stands in the record, while no cause is known: the first where none is clearly so.
 
-    def left(link: Link) -> float:
+    candidates: causes that an input which stands elsewhere resembles. One that needs such a cause itself explains no more than the first
+    does with another size of it.
+    """
+
+    def best(link: Link) -> Fit:
         residual = _without_ends(Residual(link))
-        return min(_beside(residual, nothing(residual), place).chi2 for place in _places(link))
+        null = nothing(residual)
+        placed = [_beside(residual, null, place) for place in _places(link)]
+        return min((null, *placed, *(fit(residual, (c,), c.grid) for c in candidates)), key=lambda f: f.score)
 
-    costs = [left(link) for link in links]
-    best = int(np.argmin(costs))
-    return best if costs[best] < costs[0] - ONE_OF_TWO else 0
+    kinds, fits = {c.kind for c in candidates}, [best(link) for link in links]
+    costs = [f.score for f in fits]
+    least = int(np.argmin(costs))
+    return least if costs[least] < costs[0] - ONE_OF_TWO and not kinds & set(fits[least].kinds) else 0
 
 
 def _rows(effect: Effect, tick: float) -> float | None:

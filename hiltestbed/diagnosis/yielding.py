@@ -61,8 +61,10 @@ def deflection(run: MeasuredRun, noise: float, reading: Array | None = None) -> 
     away = flat_pose(path) - told
     departure = np.nanmax(np.abs(flat_pose(run.record.data["pose_act"]) - told - away), axis=0, initial=0.0)
     departure[:3], departure[3:] = departure[:3].max(), departure[3:].max()
-    off = [np.abs(shifted(away, way * OFF / scenario.tick) - away) for way in (-1.0, 1.0)]
-    doubt = math.sqrt(BLOCK) * np.sqrt((KNOWN * away) ** 2 + np.maximum(*off) ** 2 + (UNFOLLOWED * departure) ** 2)
+    unloaded = replay_rig(scenario, command, rates, borne(scenario, np.zeros_like(wrench)), recorded, reached)
+    yielded = away if unloaded is None else flat_pose(path) - flat_pose(unloaded)  # what the command makes is known, whatever was read
+    off = [np.abs(shifted(yielded, way * OFF / scenario.tick) - yielded) for way in (-1.0, 1.0)]
+    doubt = math.sqrt(BLOCK) * np.sqrt((KNOWN * yielded) ** 2 + np.maximum(*off) ** 2 + (UNFOLLOWED * departure) ** 2)
     doubt[: math.ceil(_settling(scenario) / scenario.tick)] = np.inf
     if not run.record.has("wrench_meas"):
         doubt[np.maximum.accumulate(told[:, 2] > -departure[2])] = np.inf

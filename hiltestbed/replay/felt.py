@@ -21,6 +21,24 @@ NEAR = 2.5e-3  # [m] by which the surfaces may be nearer than believed for rows 
 ContactKey = tuple[int, bool, bytes, bytes]  # run, whether read between instants, these within a tick, numbers of the contact
 
 
+class Kept:
+    """What contacts exerted in the latest replays, the latest last: at least one, else no more than :data:`KEPT`."""
+
+    def __init__(self) -> None:
+        self._exerted: OrderedDict[ContactKey, Array] = OrderedDict()
+
+    def get(self, key: ContactKey) -> Array | None:
+        """What was exerted under ``key``, where it is still known."""
+        return self._exerted.get(key)
+
+    def keep(self, key: ContactKey, exerted: Array) -> None:
+        """Keep it as the latest, and let go of the oldest."""
+        self._exerted[key] = exerted
+        self._exerted.move_to_end(key)
+        while len(self._exerted) > 1 and sum(a.nbytes for a in self._exerted.values()) > KEPT:
+            self._exerted.popitem(last=False)
+
+
 @dataclass(frozen=True)
 class Felt:
     """What the lanes of a replay share: recorded paths and the mechanism that moved along them.
@@ -34,7 +52,7 @@ class Felt:
             the pose over the tick that ends there.
         least_creep: [m/s per N] bounds the slope of friction from above, see :class:`hiltestbed.contact.contacts.Contacts`.
         twists: (R, N, 6) over the tick that ends at each row. clear: (R, N) least distance of the surfaces in that tick [m].
-        kept: what contacts exerted in the latest replays, the latest last.
+        kept: what contacts exerted in the latest replays.
         met: geometry at t_k while nothing is tilted and the surfaces are near, see :func:`hiltestbed.contact.wrench.meet_all`: it does
             not depend on what the law is thought to be.
     """
@@ -54,7 +72,7 @@ class Felt:
     twists: Array = field(init=False)
     clear: Array = field(init=False)
     met: tuple[Array, Array, Array, Array, Array] = field(init=False)
-    kept: OrderedDict[ContactKey, Array] = field(default_factory=OrderedDict, init=False, repr=False)
+    kept: Kept = field(default_factory=Kept, init=False, repr=False)
 
     def __post_init__(self) -> None:
         runs, rows = self.poses.shape[:2]
@@ -68,12 +86,9 @@ class Felt:
         object.__setattr__(self, "clear", clear)
         object.__setattr__(self, "met", met)
 
-    def keep(self, key: ContactKey, exerted: Array) -> None:
-        """Keep what a contact exerted, as the latest, and let go of the oldest beyond :data:`KEPT`."""
-        self.kept[key] = exerted
-        self.kept.move_to_end(key)
-        while len(self.kept) > 1 and sum(a.nbytes for a in self.kept.values()) > KEPT:
-            self.kept.popitem(last=False)
+    def instants(self, grid: int | None) -> int:
+        """How many instants a tick are computed where a reading lies on straight lines between ``grid`` of them; 0: only its own."""
+        return (grid or 0) if self.mount is None else max(grid or 0, self.substeps)
 
     @property
     def ends(self) -> Array:

@@ -15,10 +15,12 @@ from hiltestbed.contact.mount import mount_place
 from hiltestbed.contact.mount_dynamics import BODY, SCRATCH, mount_reading, mount_step
 from hiltestbed.contact.parameters import BLUNT, BRANCH_STIFFNESS, DRAG, LEVER, MODE, OFFSET, OVER_STRETCH, TILT_X, TILT_Y
 from hiltestbed.contact.wrench import contact_wrench, held_at, meet_all, relate_one, surface_wrench, tilts
+from hiltestbed.effects.base import Effect
 from hiltestbed.frames import Array, quat_exp, quat_mul
 from hiltestbed.jit import njit
 from hiltestbed.log import LogParameters
 from hiltestbed.replay.felt import NEAR, ContactKey, Felt, way_between
+from hiltestbed.replay.played import Played
 from hiltestbed.sensor.chain import condition, passes
 from hiltestbed.sensor.parameters import SensorParameters, stack
 
@@ -29,7 +31,7 @@ AT_REST = 1e-9  # [N, N m] that a swinging mount hands on, below which it is tak
 class Lane(NamedTuple):
     """One lane: the run that drives it and the numbers of contact, sensor and record; later: [s] that it is read later than those say.
 
-    ``contact``: (C + 1, PARAMETERS) of each candidate and of the latch.
+    ``contact``: (C + 1, PARAMETERS) of each candidate and of the latch. ``effects``: those of the contact that it holds already.
     """
 
     run: int
@@ -37,22 +39,23 @@ class Lane(NamedTuple):
     sensor: SensorParameters
     log: LogParameters
     later: float = 0.0
+    effects: Sequence[Effect] = ()
 
 
-def replay_wrench(felt: Felt, lanes: Sequence[Lane], grid: int | None = None) -> Array:
+def replay_wrench(felt: Felt | Played, lanes: Sequence[Lane], grid: int | None = None) -> Array:
     """``(L, N, 6)`` noiseless readings of the sensor, as the record should hold them.
 
     Args:
         grid: instants a tick between which a late reading lies on a straight line, as in a facility that computes its contact step by
-            step; None: a late reading is that of the instant at which it left the contact. A compliant mount is integrated on the
-            instants of the physics in any case.
+            step; None: a late reading is that of the instant at which it left the contact. A compliant mount, and what is played, is
+            integrated on the instants of the physics in any case.
     """
     h = felt.tick
     delay = np.array([max(lane.sensor.delay + lane.later + lane.log.skew * lane.log.reread, 0.0) for lane in lanes])
     ticks = delay / h
     whole = np.abs(ticks - np.round(ticks)) < WHOLE
     ticks[whole] = np.round(ticks[whole])
-    instants = grid if felt.mount is None else max(grid or 0, felt.substeps)
+    instants = felt.instants(grid)
     if instants:
         parts = np.tile(np.arange(1, instants + 1) / instants, (len(lanes), 1))
     else:
@@ -65,11 +68,18 @@ def replay_wrench(felt: Felt, lanes: Sequence[Lane], grid: int | None = None) ->
         chain.tone[:, :, 4] -= 2.0 * math.pi * chain.tone[:, :, 3] * again[:, None]  # a tone goes on until it is read anew
     out = np.empty((len(lanes), felt.poses.shape[1], 6))
     tilt, elements = tilts(rows[:, -1]), chain.elements()
-    for key, members in _together(lanes, rows, parts, bool(instants)).items():
-        sub = felt.kept.get(key)
+    together = _together(lanes, rows, parts, bool(instants))
+    known = {key: felt.kept.get(key) for key in together}
+    if isinstance(felt, Played):
+        new = [key for key, sub in known.items() if sub is None]
+        played = felt.exerted([(lanes[i].run, lanes[i].effects) for i in (together[key][0] for key in new)])
+        known |= zip(new, played, strict=True)
+    for key, members in together.items():
+        sub, i = known[key], members[0]
         if sub is None:
-            sub = _one_contact(felt, lanes[members[0]].run, rows[members[0]], parts[members[0]], tilt[members[0]], bool(instants))
-        felt.keep(key, sub)
+            assert isinstance(felt, Felt)
+            sub = _one_contact(felt, lanes[i].run, rows[i], parts[i], tilt[i], bool(instants))
+        felt.kept.keep(key, sub)
         _sense(np.array(members), sub, bool(instants), ticks, h, elements, out)
     for i, lane in enumerate(lanes):
         if lane.log.skew and not lane.log.reread:

@@ -10,7 +10,7 @@ import pytest
 
 from hiltestbed.contact.law import STATES, contact_force
 from hiltestbed.contact.parameters import PARAMETERS, ContactParameters
-from hiltestbed.contact.wrench import latch_wrench
+from hiltestbed.contact.wrench import LATCH_RADIUS, latch_wrench
 from hiltestbed.effects import EFFECTS
 from hiltestbed.frames import Array
 
@@ -107,6 +107,22 @@ def test_a_dead_zone_in_the_curve_over_the_stretch_is_play_that_travels_with_the
     got = law({"contact.map": {"stretch": table}}, x, np.full(1600, 0.1), k=0.0, held=True)
     play = law(friction(500.0, 1e6) | {"contact.backlash": {"width": 2e-3}}, x, np.full(1600, 0.1), k=0.0, held=True)
     np.testing.assert_allclose(got, play, atol=1e-6)
+
+
+def test_a_latch_that_turns_freely_bears_forces_alone() -> None:
+    hold, half = np.array([0.0, 0, 0, 0, 0, 0, 1]), 1e-3
+    pose = np.array([0.0, 0.0, 0.0, half, -half, 2 * half, math.sqrt(1.0 - 6 * half**2)])
+    twist = np.array([0.0, 0.0, 0.02, 0.1, 0.2, 0.3])
+
+    def exerted(ring: float) -> Array:
+        out = np.empty(6)
+        row = ContactParameters(1e5, 900.0, captured=1.0, ring=ring).row()
+        latch_wrench(row, 1e-4, pose, twist, hold, np.zeros(STATES), np.empty((4, 7)), out)
+        return out
+
+    turn = 2.0 * math.asin(math.sqrt(6.0) * half) / math.sqrt(6.0) * np.array([1.0, -1.0, 2.0])
+    np.testing.assert_allclose(exerted(1.0)[3:], LATCH_RADIUS**2 * (1e5 * turn + 900.0 * twist[3:]), rtol=1e-9)
+    np.testing.assert_array_equal(exerted(0.0), [0.0, 0.0, 900.0 * 0.02, 0.0, 0.0, 0.0])
 
 
 @pytest.mark.parametrize("variant", [{}, {"damper": "in series"}, {"damper": "whole rate"}])

@@ -17,6 +17,7 @@ from hiltestbed.diagnosis.links import flat_pose
 from hiltestbed.diagnosis.yielding import deflection
 from hiltestbed.measured import MeasuredDataset, load_dataset
 from hiltestbed.recording import write_trace
+from hiltestbed.yaml_source import dump_yaml
 from tests.slow import SLOW
 
 SCENARIO = Path(__file__).parents[2] / "scenarios" / "reference-bumper.yaml"
@@ -24,14 +25,26 @@ NOISE = 0.2  # [N]
 SPEEDS = (0.02, 0.04, 0.06)
 
 
-def driven(folder: Path, effects: tuple[dict[str, Any], ...] = (), speeds: tuple[float, ...] = SPEEDS) -> MeasuredDataset:
-    """Runs of the reference bumper under its servo, with noise in the sensor, and with `effects` that are not believed."""
-    (folder / "nominal.yaml").write_bytes(SCENARIO.read_bytes())
+RESPONDING = {"kind": "pss33", "tracking": "response", "response": {"order": 2, "bandwidth": 40.0, "damping_ratio": 0.8}}
+
+
+def driven(
+    folder: Path,
+    effects: tuple[dict[str, Any], ...] = (),
+    speeds: tuple[float, ...] = SPEEDS,
+    platform: dict[str, Any] | None = None,
+) -> MeasuredDataset:
+    """Runs of the reference bumper under its servo, with noise in the sensor, and with `effects` that are not believed.
+
+    platform: in place of the servo, believed.
+    """
+    believed = load_scenario(SCENARIO, set={"rig.platform": platform, "compensation.motion": {"kind": "none"}} if platform else {})
+    (folder / "nominal.yaml").write_text(dump_yaml(believed.model_dump(mode="json")), encoding="utf-8")
     entries = []
     for seed, speed in enumerate(speeds):
         approach = {"approach.velocity": [0.0, 0.0, speed], "duration": 0.9}
         given = approach | {"sensor.noise": NOISE, "sensor.torque_noise": 0.02, "seed": seed, "effects": list(effects)}
-        trace = run(load_scenario(SCENARIO, set=given)).trace
+        trace = run(load_scenario(folder / "nominal.yaml", set=given)).trace
         assert trace is not None
         write_trace(trace, folder / f"run_{seed}.parquet")
         entries.append(f"  - {{file: run_{seed}.parquet, set: {{approach.velocity: [0, 0, {speed}], duration: 0.9}}}}")
@@ -86,6 +99,25 @@ def test_where_the_drives_yield_to_is_known_to_their_doubt_when_the_sensor_is_la
         off = np.abs(flat_pose(measured.record.filled("pose_act") - told)[known, 2] - found.away[known, 2])
         assert (off > 2e-8).any()
         assert (off <= found.doubt[known, 2] + 1e-9).all()
+
+
+def test_what_a_platform_makes_of_its_command_is_known_whatever_the_force_reads(tmp_path: Path) -> None:
+    """By a response of its own it lags by mm, which no force has a part in: no explanation of the platform is good for that alone."""
+    lagging = driven(tmp_path, (), SPEEDS[-1:], RESPONDING)
+    found = deflection(lagging.runs[0], NOISE)
+    assert found is not None
+    known = np.isfinite(found.doubt[:, 2])
+    assert np.abs(found.away[known, 2]).max() > 1e-4
+    assert found.doubt[known, 2].max() < 1e-7
+
+
+def test_beside_a_platform_that_lags_as_believed_a_late_sensor_is_found(tmp_path: Path) -> None:
+    hidden = {"kind": "sensor.delay", "delay": 0.002}
+    finding = find(investigate(driven(tmp_path, (hidden,), SPEEDS, RESPONDING)))
+    assert [c.effect for c in finding.causes] == [hidden["kind"]]
+    ends = finding.causes[0].parameters["delay"].ci95
+    assert ends is not None
+    assert ends[0] <= hidden["delay"] <= ends[1]
 
 
 def test_a_command_that_the_drives_cannot_follow_is_not_taken_for_their_yield(healthy: MeasuredDataset) -> None:

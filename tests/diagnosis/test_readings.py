@@ -9,7 +9,7 @@ import pytest
 
 from hiltestbed.diagnosis.fit import Fit, fit, nothing
 from hiltestbed.diagnosis.links import LinkRun, WrenchLink
-from hiltestbed.diagnosis.readings import another_lever, choose_lever, choose_steps, lever_under
+from hiltestbed.diagnosis.readings import another_lever, choose_lever, choose_ring, choose_steps, lever_under, ring_under, wrench_link_of
 from hiltestbed.diagnosis.residual import Residual
 from hiltestbed.diagnosis.search import Explanation, Search
 from hiltestbed.effects import EFFECTS
@@ -94,6 +94,21 @@ def test_without_friction_there_is_no_lever_to_choose() -> None:
     smooth = [replace(run, scenario=scenario()) for run in link.runs]
     same = WrenchLink(smooth, link.paths)
     assert choose_lever(same) is same
+
+
+@pytest.mark.parametrize("ring", [0.0, 1.0])
+def test_whether_a_latch_resists_turning_is_what_the_torques_bear_out(ring: float) -> None:
+    told = scenario().model_dump(mode="json")
+    told["mechanism"] |= {"kind": "latched"}
+    path = bounce()
+    path[:, 3], path[:, 6] = 1e-4 * np.sin(7.0 * H * np.arange(len(path))), 1.0
+    sigma = np.tile([NOISE] * 3 + [TORQUE_NOISE] * 3, (len(path), 1))
+    link = WrenchLink([LinkRun(scenario_from(told), np.zeros((len(path), 6)), sigma, np.ones(len(path), dtype=bool))], [path])
+    shown = link.reading(ring=ring).shown(0)
+    data = reread(link, [shown + sigma * np.random.default_rng(3).standard_normal(shown.shape)])
+    assert choose_ring(data).ring == ring
+    wrong = Residual(data.reading(ring=1.0 - ring))
+    assert wrench_link_of(ring_under(wrong, alone(wrong, "sensor.delay"))).ring == ring
 
 
 def mounted(instants: int) -> WrenchLink:

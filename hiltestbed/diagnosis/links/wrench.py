@@ -15,12 +15,13 @@ from hiltestbed.contact.mount_dynamics import MountDynamics
 from hiltestbed.contact.parameters import ContactParameters, believed_contacts, contact_rows
 from hiltestbed.contact.sides import sides_of
 from hiltestbed.diagnosis.links.base import Effects, Lane, Later, Link, LinkRun, moved, padded
+from hiltestbed.diagnosis.low_pass import LowPass
 from hiltestbed.diagnosis.settings import BLOCK
 from hiltestbed.frames import Array, pose_step
 from hiltestbed.log import log_parameters
 from hiltestbed.numerical_model.bodies import approach_state
 from hiltestbed.platform.parameters import PlatformParameters
-from hiltestbed.replay import Felt, creep_of, replay_platform, replay_wrench
+from hiltestbed.replay import Felt, Played, creep_of, replay_platform, replay_wrench
 from hiltestbed.replay.wrench import WHOLE
 from hiltestbed.replay.wrench import Lane as FeltLane
 from hiltestbed.scenario import Scenario
@@ -34,9 +35,9 @@ WEIGHTS = np.exp(-0.5 * NODES**2) / np.sum(np.exp(-0.5 * NODES**2))
 _PROMPT = log_parameters(())
 
 
-def _numbers(scenario: Scenario, lever: float, blunt: float) -> tuple[list[ContactParameters], SensorParameters]:
+def _numbers(scenario: Scenario, lever: float, blunt: float, ring: float) -> tuple[list[ContactParameters], SensorParameters]:
     """Contacts and sensor as a scenario believes them to be."""
-    contacts = [replace(c, lever=lever, blunt=blunt) for c in believed_contacts(scenario.mechanism)]
+    contacts = [replace(c, lever=lever, blunt=blunt, ring=ring) for c in believed_contacts(scenario.mechanism)]
     return contacts, SensorParameters.believed(scenario.sensor, scenario.tick)
 
 
@@ -48,11 +49,14 @@ def _lateness(lane: FeltLane) -> float:
 class WrenchLink(Link):
     """Contact and sensor on the paths that A took.
 
+    A mechanism whose wrench does not follow from the pose of A alone is played as its MJCF has it: it has one reading.
+
     Attributes:
         lever: where between the undeformed surface (0) and the tip (1) the force acts. blunt: 1 where the ball of the tip touches, 0 where
-        its foremost point does. grid: instants a tick between which a late
+        its foremost point does. ring: 1 where a latch resists turning, 0 where it does not. grid: instants a tick between which a late
         reading lies on a straight line, as a facility has it that computes its contact step by step; None: it is that of the instant at
         which it left the contact. The rate of a contact jumps from one tick to the next, so that the two differ.
+        logged: the filter through which readings went to the record; None: none.
         of_rows: of the record, whose mean each row is. exact: None: a mount is stepped as MuJoCo does it, which is right to the first
         order; else it is right itself, by what these effects make of the difference.
     """
@@ -66,16 +70,21 @@ class WrenchLink(Link):
         """paths: (N, 7) of A in P at t_k. jumps: (N,) how far A jumped [m] in the tick that ends at t_k, at an instant not known.
         rates: (N, 6) its twist at t_k; None: the slope over the tick that ends there."""
         self.runs, self.paths, self.jumps, self.rates = runs, paths, jumps, rates
-        self.lever, self.blunt, self.grid = 0.5, 1.0, None
+        self.lever, self.blunt, self.ring, self.grid = 0.5, 1.0, 1.0, None
         self.commands: Sequence[Array] | None = None
+        self.logged: LowPass | None = None
         self.of_rows = 1
         self.exact: Effects | None = None
         self._step_error: list[Array] | None = None
-        self._believed = [_numbers(r.scenario, self.lever, self.blunt) for r in runs]
+        self._believed = [_numbers(r.scenario, self.lever, self.blunt, self.ring) for r in runs]
         scenarios = [r.scenario for r in runs]
         first, before = scenarios[0], np.empty((len(runs), 7))
         for i, (scenario, path) in enumerate(zip(scenarios, paths, strict=True)):
             pose_step(path[0], approach_state(scenario)[7:], -scenario.tick, before[i])
+        self._felt: Felt | Played
+        if not sides_of(first.mechanism).rigid:
+            self._felt = Played(scenarios, padded(paths), before)
+            return
         captured = np.array([s.mechanism.captured for s in scenarios])
         self._felt = Felt(
             padded(paths), before, first.tick, sides_of(first.mechanism).geometry, captured, latch_limits(scenarios),
@@ -83,14 +92,20 @@ class WrenchLink(Link):
         )  # fmt: skip
 
     def reading(
-        self, lever: float | None = None, grid: int | None = None, blunt: float | None = None, exact: Effects | None = None
+        self,
+        lever: float | None = None,
+        grid: int | None = None,
+        blunt: float | None = None,
+        exact: Effects | None = None,
+        ring: float | None = None,
     ) -> WrenchLink:
         """The same link with another reading of what is not known of the facility."""
         out = copy(self)
         lever, blunt = self.lever if lever is None else lever, self.blunt if blunt is None else blunt
-        if (lever, blunt) != (self.lever, self.blunt):
-            out.lever, out.blunt, out._felt = lever, blunt, replace(self._felt, lever=lever, blunt=blunt)
-            out._believed = [_numbers(r.scenario, lever, blunt) for r in self.runs]
+        ring = self.ring if ring is None else ring
+        if isinstance(self._felt, Felt) and (lever, blunt, ring) != (self.lever, self.blunt, self.ring):
+            out.lever, out.blunt, out.ring, out._felt = lever, blunt, ring, replace(self._felt, lever=lever, blunt=blunt)
+            out._believed = [_numbers(r.scenario, lever, blunt, ring) for r in self.runs]
         out.grid = self.grid if grid is None else grid
         out.exact = self.exact if exact is None else exact
         if out.exact is not None:
@@ -100,16 +115,22 @@ class WrenchLink(Link):
     def as_read(self, other: WrenchLink) -> WrenchLink:
         """The same link with the reading of another one, which may have fewer rows."""
         grid = None if other.grid is None else max(1, round(other.grid * self.of_rows / other.of_rows))
-        return self.reading(other.lever, grid, other.blunt, other.exact).stamped(other.timing)
+        return self.reading(other.lever, grid, other.blunt, other.exact, other.ring).stamped(other.timing)
+
+    @property
+    def played(self) -> bool:
+        """Whether the physics itself says what a contact exerts along a path."""
+        return isinstance(self._felt, Played)
 
     @property
     def stepped(self) -> bool:
         """Whether a mount is integrated, so that its steps matter."""
-        return self._felt.mount is not None
+        return isinstance(self._felt, Felt) and self._felt.mount is not None
 
     def _missed_by_steps(self, effects: Effects) -> list[Array]:
         """(N, 6) of each run what a mount's steps of first order miss: what a quarter of them changes, extrapolated (L. F. Richardson,
         Phil. Trans. A 210, 1911)."""
+        assert isinstance(self._felt, Felt)
         finer = replace(self._felt, substeps=FINER * self._felt.substeps)
         lanes = [self._lane(i, effects) for i in range(len(self.runs))]
         coarse, fine = (replay_wrench(felt, lanes, self.grid) for felt in (self._felt, finer))
@@ -119,6 +140,12 @@ class WrenchLink(Link):
         """The same link where nobody measured the paths: they are what the platform made of ``commands`` (N, 7), its effects included."""
         out = copy(self)
         out.commands = commands
+        return out
+
+    def through(self, logged: LowPass | None) -> WrenchLink:
+        """The same link whose readings went through a filter to the record."""
+        out = copy(self)
+        out.logged = logged
         return out
 
     def _replay(self, lanes: Sequence[Lane]) -> list[Array]:
@@ -137,8 +164,10 @@ class WrenchLink(Link):
         parameters = [PlatformParameters.believed(s).with_effects(effects) for s, (_, effects) in zip(scenarios, lanes, strict=True)]
         places = replay_platform(scenarios, parameters, padded(self.commands or ()), np.array([i for i, _ in lanes]))
         paths = [np.concatenate([p[: r.rows], self.paths[i][:, 3:]], axis=1) for p, r, (i, _) in zip(places, runs, lanes, strict=True)]
-        link = WrenchLink(runs, paths).reading(self.lever, self.grid, self.blunt).stamped(self.timing)
-        return link.predict([(n, [e for e in effects if e.link != "platform"]) for n, (_, effects) in enumerate(lanes)])
+        link = WrenchLink(runs, paths).reading(self.lever, self.grid, self.blunt, ring=self.ring).stamped(self.timing)
+        return link.through(self.logged).predict(
+            [(n, [e for e in effects if e.link != "platform"]) for n, (_, effects) in enumerate(lanes)]
+        )
 
     def _felt_by(self, lanes: Sequence[Lane]) -> list[Array]:
         felt = [self._lane(i, effects) for i, effects in lanes]
@@ -146,9 +175,9 @@ class WrenchLink(Link):
         early = [min(_lateness(lane), 0.0) / self.runs[i].scenario.tick for lane, (i, _) in zip(felt, lanes, strict=True)]
         early = [e + self.placed(effects).before / self.runs[i].scenario.tick for e, (i, effects) in zip(early, lanes, strict=True)]
         shown = [moved(reading[: self.runs[i].rows], e) for reading, e, (i, _) in zip(found, early, lanes, strict=True)]
-        if self._step_error is None:
-            return shown
-        return [reading + self._step_error[i] for reading, (i, _) in zip(shown, lanes, strict=True)]
+        if self._step_error is not None:
+            shown = [reading + self._step_error[i] for reading, (i, _) in zip(shown, lanes, strict=True)]
+        return [self.logged(reading) for reading in shown] if self.logged else shown
 
     def _lane(self, i: int, effects: Effects) -> FeltLane:
         links = {e.link for e in effects}
@@ -163,12 +192,15 @@ class WrenchLink(Link):
         if "sensor" in links:
             sensor = sensor.copy().with_effects(effects)
         rows = contact_rows(contacts, sides_of(mechanism).rules, mechanism.captured)
-        return FeltLane(i, rows, sensor, log_parameters(effects) if "log" in links else _PROMPT, later)
+        acting = [e for e in effects if e.link == "contact"]
+        return FeltLane(i, rows, sensor, log_parameters(effects) if "log" in links else _PROMPT, later, acting)
 
     def penetration(self, i: int) -> Array:
         """(N,) of run i by geometry [m]: the deepest of its contacts, negative while apart; of what is captured along z."""
         if self.runs[i].scenario.mechanism.captured:
             return self.paths[i][:, 2]
+        if isinstance(self._felt, Played):
+            return self._felt.depth(i)[: self.runs[i].rows]
         return np.asarray(self._felt.met[0][i, : self.runs[i].rows].max(axis=1, initial=-1.0))
 
     def lateness(self, i: int, effects: Effects) -> float:

@@ -1,0 +1,51 @@
+"""Healthy sets of the independent rig as facilities log them are left alone, each kind on a rig that alarmed once."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hiltestbed.bench.independent_rig import draw_set, write_set
+from hiltestbed.diagnosis.find import judge
+from hiltestbed.diagnosis.investigate import investigate
+from hiltestbed.measured import load_dataset
+from tests.slow import slow
+
+
+@pytest.mark.parametrize(
+    ("noise", "seed"),
+    [
+        (("digits", 4.0), 610027),  # a command in few digits is a rough path
+        (("digits", 5.0), 610026),  # a pair that is latched from the start, and turns freely
+        slow(("converter_steps", 1.0), 620012),  # forces across that stay within two steps
+        (("log_rate", 250.0), 610036),  # seven ticks of eight without a row
+        slow(("log_rate", 500.0), 610035),
+        slow(("log_rate", 1700.0), 610034),  # noise of samples that were put between others twice
+        slow(("stamp_jitter", 0.1), 610031),
+        slow(("pose_steps", 2e-5), 610025),
+        (("anti_aliasing", 150.0), 650003),
+        slow(("anti_aliasing", 50.0), 650004),  # latched from the start: nothing tells its noise but what the loop computed
+    ],
+)
+def test_what_a_logger_does_is_no_departure(tmp_path: Path, noise: tuple[str, float], seed: int) -> None:
+    write_set(tmp_path, draw_set(np.random.default_rng(seed), "healthy", noise=noise))
+    assert judge(investigate(load_dataset(tmp_path / "dataset.yaml"))).verdict.verdict == "no_discrepancy"
+
+
+@pytest.mark.parametrize(
+    ("noise", "effect", "seed"),
+    [
+        slow(("log_rate", 500.0), "contact.stiffness", 640001),
+        (("log_rate", 250.0), "contact.dry_friction", 640016),
+        (("anti_aliasing", 150.0), "contact.stiffness", 650011),
+        slow(("anti_aliasing", 50.0), "sensor.lag", 660024),
+        slow(("anti_aliasing", 150.0), "log.skew", 660027),
+    ],
+)
+def test_what_departs_is_named_alone_whatever_the_logger_does(tmp_path: Path, noise: tuple[str, float], effect: str, seed: int) -> None:
+    write_set(tmp_path, draw_set(np.random.default_rng(seed), "single", names=(effect,), noise=noise))
+    verdict = judge(investigate(load_dataset(tmp_path / "dataset.yaml"))).verdict
+    assert verdict.verdict == "named"
+    assert [c.effect for c in verdict.causes] == [effect]

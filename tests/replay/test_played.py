@@ -1,0 +1,93 @@
+"""What moves on a side, or collides at several points, is carried along recorded poses as the loop had it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hiltestbed.effects import EFFECTS
+from hiltestbed.effects.base import Effect
+from hiltestbed.frames import Array, pose_step
+from hiltestbed.replay import Played
+from hiltestbed.scenario import Scenario, load_scenario
+from tests.effects.examples import example
+from tests.replay.recorded import QUIET, SCENARIOS, Recorded, record
+
+EXACT = 1e-9  # of the peak: the same solver on the same path
+# Each from just before the touch, with what it takes to come to its first phases.
+DOCKINGS: dict[str, tuple[str, dict[str, Any]]] = {
+    "ring with petals": ("15-ring-docking", {"approach.gap": 0.1, "approach.velocity": [0.0, 0.0, 0.15], "duration": 0.7}),
+    "head on a sprung rod": ("16-probe-drogue", {"approach.gap": 0.05, "duration": 1.5}),
+    "jaws that close": ("17-gripper", {"duration": 1.9}),
+}
+EFFECTS_TRIED = ("contact.stiffness", "contact.damping", "contact.dry_friction", "contact.surface_friction", "contact.touch_offset")
+
+
+def docking(name: str, effects: tuple[dict[str, Any], ...] = ()) -> Scenario:
+    file, changes = DOCKINGS[name]
+    return load_scenario(SCENARIOS / f"{file}.yaml", set=QUIET | changes | {"rig.platform.tracking": "ideal", "effects": list(effects)})
+
+
+def played(recorded: Recorded) -> Played:
+    before = np.empty((len(recorded.scenarios), 7))
+    for i, s in enumerate(recorded.scenarios):
+        pose_step(recorded["pose_act"][i, 0], recorded["twist_act"][i, 0], -s.tick, before[i])
+    return Played(recorded.scenarios, recorded["pose_act"], before)
+
+
+@pytest.mark.parametrize("name", DOCKINGS)
+def test_the_wrench_is_that_of_the_loop_under_whatever_effect(name: str) -> None:
+    """The believed mechanism is handed the effect; the record had it in the loop."""
+    recorded = record([docking(name, (example(kind),)) for kind in EFFECTS_TRIED])
+    effects: list[tuple[int, list[Effect]]] = [(i, [EFFECTS[kind](**values(kind))]) for i, kind in enumerate(EFFECTS_TRIED)]
+    truth = recorded["wrench_true"]
+    peak = np.abs(truth).max(axis=(1, 2))
+    assert (peak > 20.0).all()
+    for i, wrench in enumerate(played(recorded).exerted(effects)):
+        np.testing.assert_allclose(wrench[:, -1], truth[i], atol=EXACT * peak[i])
+
+
+def values(kind: str) -> dict[str, Any]:
+    return {name: value for name, value in example(kind).items() if name != "kind"}
+
+
+BAR = """<mujoco><worldbody><geom name="bar" type="box" size="0.16 0.02 0.02" pos="0 0 -0.02" contype="1" conaffinity="1"/>
+<site name="A"/></worldbody></mujoco>"""
+STOPS = """<mujoco><worldbody><geom name="one" type="box" size="0.02 0.02 0.02" pos="0.15 0 0.02" contype="1" conaffinity="1"/>
+<geom name="other" type="box" size="0.02 0.02 0.02" pos="-0.15 0 0.02" contype="1" conaffinity="1"/><site name="P"/></worldbody></mujoco>"""
+BOXES = """name: boxes
+duration: 0.2
+rate: 1000
+spacecraft:
+  chaser: {mass: 300.0, inertia: [60, 60, 60], port: {position: [0, 0, 0.8]}}
+  target: {mass: 900.0, inertia: [300, 300, 300], port: {position: [0, 0, -0.8]}}
+approach: {gap: 0.001, velocity: [0, 0, 0.05]}
+rig: {platform: {tracking: ideal}}
+mechanism: {kind: mjcf, active: active.xml, passive: passive.xml, pairs: [{active: bar, passive: "*", stiffness: 1.0e5, damping: 400.0}]}
+"""
+
+
+def test_boxes_that_collide_at_several_points_push_with_the_stiffness_of_their_pairs(tmp_path: Path) -> None:
+    """On a path that nobody simulated, F = 2 (k x + c v): the law itself, k scaled as the effect asks."""
+    for name, text in (("active.xml", BAR), ("passive.xml", STOPS), ("boxes.yaml", BOXES)):
+        (tmp_path / name).write_text(text)
+    s = load_scenario(tmp_path / "boxes.yaml")
+    t = np.arange(150) * s.tick
+    depth = 1e-3 * np.sin(2.0 * np.pi * 5.0 * t) ** 2 + 1e-4
+    poses = np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (1, len(t), 1))
+    poses[0, :, 2] = depth
+    rate = np.diff(depth, prepend=depth[:1]) / s.tick
+    (wrench,) = Played([s], poses, poses[:, 0]).exerted([(0, [EFFECTS["contact.stiffness"].model_validate({"factor": 1.3})])])
+    np.testing.assert_allclose(wrench[:, -1, 2], 2.0 * (1.3e5 * depth + 400.0 * rate), atol=1e-4 * 2.6e5 * depth.max())
+    np.testing.assert_allclose(Played([s], poses, poses[:, 0]).depth(0), depth, atol=1e-9)
+
+
+def test_lanes_of_one_batch_give_what_each_gives_alone() -> None:
+    recorded = record([docking("jaws that close")])
+    both: list[tuple[int, list[Effect]]] = [(0, []), (0, [EFFECTS["contact.stiffness"].model_validate({"factor": 0.7})])]
+    together: list[Array] = played(recorded).exerted(both)
+    for wrench, lane in zip(together, both, strict=True):
+        np.testing.assert_array_equal(wrench, played(recorded).exerted([lane])[0])
