@@ -39,6 +39,7 @@ _READ = (
     mujoco.mjtConDataField.mjCONDATA_NORMAL, mujoco.mjtConDataField.mjCONDATA_LINVEL,
 )  # fmt: skip
 FOUND, DIST, POS, NORMAL, LINVEL, READ = 0, 1, 2, 5, 8, 11  # where each stands in what it says
+IMMOVABLE = 1e8  # [kg], [kg m^2] of a joint's own inertia
 DEEPEST = 1  # the sensor's reduction "mindist"
 _UNSEEN = {"contype": 0, "conaffinity": 0, "mass": 0.0, "group": 5}
 
@@ -51,7 +52,7 @@ class Structure:
         shape: of the mechanism. mounted: the passive side is on a compliant mount.
         constant: springs and dampers without friction, which MuJoCo's own collision computes exactly: nothing is written between steps.
         rubs: there is friction. latched: the sides may be latched to each other. touches: the sides touch at all; else a wrench is
-            applied from outside.
+            applied from outside. held: parts that move on a side stand still on it.
         mechanism: one of this shape.
     """
 
@@ -62,6 +63,7 @@ class Structure:
     latched: bool
     mechanism: Mechanism = field(compare=False)
     touches: bool = True
+    held: bool = False
 
     @property
     def sides(self) -> Sides:
@@ -137,20 +139,59 @@ def add_side(
     spec.attach(mechanism.sides()[which], prefix=prefix, frame=body.add_frame(pos=plane + (height - offset), quat=back))
 
 
-def weigh_contact(model: mujoco.MjModel, carrier: str) -> None:
+def weigh_contact(model: mujoco.MjModel, carrier: str, held: bool = False) -> None:
     """Have contact and latch of a compiled ``model`` push with K x + C v, however the ``carrier`` of the active side accelerates.
 
     MuJoCo's soft force is f = (a_ref - a)/R with R = A (1 - d)/d. A is the sum of both bodies' ``body_invweight0``, a the acceleration at
     the contact: f lacks d a/A of K x + C v. Where a newton accelerates the carrier by y, and MuJoCo's own estimate of y is all that A is,
     that is d of the force along the normal, and several times that across it. Here A is 1/kg, so that it is d y, 3e-7 on a platform of
     334 kg. Only contact and latch ask for this weight: the carrier is a body of its own, no joint or loop of the rig is fastened to it.
+
+    ``held``: what moves by itself on the carrier is kept from it.
     """
-    first = model.body(carrier).id
-    fixed = [first]
-    for body in range(first + 1, model.nbody):
-        if model.body_parentid[body] in fixed and model.body_weldid[body] == model.body_weldid[first]:
-            fixed.append(body)
+    fixed, parts = carried_by(model, carrier)
+    _weigh_parts(model, parts, held)
     model.body_invweight0[fixed] = INVERSE_WEIGHT
+
+
+def carried_by(model: mujoco.MjModel, carrier: str) -> tuple[list[int], list[int]]:
+    """Numbers of the bodies that are fixed to the ``carrier``, itself among them, and of those that move on it."""
+    body = model.body(carrier).id
+    fixed, parts = [body], []
+    for other in range(body + 1, model.nbody):
+        if model.body_parentid[other] in parts:
+            parts.append(other)
+        elif model.body_parentid[other] in fixed:
+            (fixed if model.body_weldid[other] == model.body_weldid[body] else parts).append(other)
+    return fixed, parts
+
+
+def _weigh_parts(model: mujoco.MjModel, parts: list[int], held: bool) -> None:
+    """Have the ``parts`` rub, stop and push as if what carries them stood still.
+
+    The joints of the rig count in MuJoCo's own inverse weights, by which a joint's friction creeps while it sticks.
+    """
+    dofs = np.flatnonzero(np.isin(model.dof_bodyid, parts))
+    if not dofs.size:
+        return
+    data, mass, jac = mujoco.MjData(model), np.zeros((model.nv, model.nv)), np.zeros((6, model.nv))
+    mujoco.mj_forward(model, data)
+    mujoco.mj_fullM(model, data, mass)
+    yields = np.linalg.inv(mass[np.ix_(dofs, dofs)])
+    for joint in np.unique(model.dof_jntid[dofs]):
+        own = model.dof_jntid[dofs] == joint
+        _put(model.dof_invweight0, dofs[own], np.diag(yields)[own].mean())
+    for body in parts:
+        mujoco.mj_jacBodyCom(model, data, jac[:3], jac[3:], body)
+        moved = np.diag(jac[:, dofs] @ yields @ jac[:, dofs].T).reshape(2, 3).mean(axis=1)
+        _put(model.body_invweight0, body, np.where(moved > mujoco.mjMINVAL, moved, INVERSE_WEIGHT))  # else it is fixed in that way
+    if held:
+        model.dof_armature[dofs] = IMMOVABLE
+
+
+def _put(weights: Array, at: NDArray[np.int_] | int, value: Array | float) -> None:
+    """Write ``value`` where MuJoCo's own differs by more than what so heavy a carrier as one that is placed yields."""
+    weights[at] = np.where(np.isclose(weights[at], value, rtol=1e-6, atol=0.0), weights[at], value)
 
 
 def inverse_mass(model: mujoco.MjModel, bodies: NDArray[np.int_]) -> Array:

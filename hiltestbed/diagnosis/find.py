@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
+
 from hiltestbed.diagnosis import judges, timing
 from hiltestbed.diagnosis.adequacy import contact_leftovers, noise_alone
 from hiltestbed.diagnosis.certainty import Certainties
@@ -16,8 +18,10 @@ from hiltestbed.diagnosis.in_part import borne_out, explained, holding
 from hiltestbed.diagnosis.intervals import intervals
 from hiltestbed.diagnosis.investigate import Findings
 from hiltestbed.diagnosis.isolability import isolability
+from hiltestbed.diagnosis.layout import touching
 from hiltestbed.diagnosis.learned.finding import learned_on
 from hiltestbed.diagnosis.learned_law import Learned
+from hiltestbed.diagnosis.links import WrenchLink
 from hiltestbed.diagnosis.plain import LINK_NAMES, listed, plain
 from hiltestbed.diagnosis.report.evidence import link_series
 from hiltestbed.diagnosis.result import Cause, Finding, Heldout, Interval, Isolable, Parameter, Ranked
@@ -90,9 +94,20 @@ def find(findings: Findings, progress: Progress | None = None) -> Finding:
         partial_gain=gain_of(findings, nearest),
         explained=judged.share,
         learned=judged.learned,
-        assumed=(*findings.layout.assumed(), *timing.words(findings.explanations)),
+        assumed=(*findings.layout.assumed(), *timing.words(findings.explanations), *_left_out(findings)),
         certainty=tuple(certain),
     )
+
+
+def _left_out(findings: Findings) -> tuple[str, ...]:
+    """In a sentence, what part of a mechanism's motion was not compared."""
+    link, layout = findings.whole.get("wrench"), findings.layout
+    if not isinstance(link, WrenchLink) or not link.played:
+        return ()
+    told = [np.asarray(np.isfinite(run.sigma).any(axis=1))[touching(r, run.rows)] for r, run in zip(layout.runs, link.runs, strict=True)]
+    left = 1.0 - float(np.mean(np.concatenate(told)))
+    why = "there the least of causes decides what the mechanism does"
+    return (f"{left:.0%} of the rows in contact were left out: {why}",) if left >= 0.005 else ()
 
 
 def _nearest(findings: Findings, verdict: Verdict, progress: Progress | None) -> tuple[Findings, tuple[Named, ...]]:

@@ -16,7 +16,7 @@ from hiltestbed.diagnosis.jitter import JITTER, jitter_beside
 from hiltestbed.diagnosis.layout import Layout, compensation_link, dynamics_link, lay_out, platform_link, under
 from hiltestbed.diagnosis.lines import hum_beside, lines
 from hiltestbed.diagnosis.links import AxisLink, CompensationLink, Later, Link, LinkRun, PlatformLink, WrenchLink
-from hiltestbed.diagnosis.paths import BestPath, best_path, between_rows, filtered, make_wrench_link, unmoved
+from hiltestbed.diagnosis.paths import BestPath, best_path, between_rows, compared, filtered, make_wrench_link, unmoved
 from hiltestbed.diagnosis.readings import (
     another_lever,
     at_a_point,
@@ -45,6 +45,7 @@ from hiltestbed.replay.wrench import shifted
 RESTARTED = 0.9  # of chi-square, that another reading of the start has to leave at most to be taken
 REFUTED = 0.25  # of a skew that the compensation shows: where contact and sensor show less, it is not the force's
 AS_IF_MOVED = ("sensor.delay", "contact.damping", "contact.stiffness", "sensor.lag")  # what a path that is shifted in time looks like
+LEAST_COMPARED = 0.05  # of the rows in contact, that can be replayed
 WRENCH = ("contact", "sensor")  # links of the vocabulary that act between the pose and the reading
 
 
@@ -81,9 +82,12 @@ def investigate(dataset: MeasuredDataset, progress: Progress | None = None) -> F
         candidates = _candidates(layout.scales, ("compensation", "log"))
         found["compensation"] = _explain_compensation(layout, compensation_link(layout, layout.rows), candidates, progress)
         whole["compensation"] = compensation_link(layout, layout.whole).stamped(found["compensation"].residual.link.timing)
-    if "wrench" not in layout.missing:
-        _investigate_wrench(layout, found, whole, progress)
-        layout = _settle_platform(layout, found, whole, progress)
+    missing = dict(layout.missing)
+    if "wrench" not in missing:
+        if why := _investigate_wrench(layout, found, whole, progress):
+            missing["wrench"] = why
+        else:
+            layout = _settle_platform(layout, found, whole, progress)
     if "dynamics" not in layout.missing:
         if layout.scales.driven is None:
             residual = Residual(dynamics_link(layout, layout.rows))
@@ -92,7 +96,7 @@ def investigate(dataset: MeasuredDataset, progress: Progress | None = None) -> F
             whole["dynamics"] = dynamics_link(layout, layout.whole).stamped(found["dynamics"].residual.link.timing)
         else:
             found["dynamics"], whole["dynamics"] = _explain_axis(layout, _told(progress, "driven axis"))
-    return Findings(layout, found, dict(layout.missing), whole)
+    return Findings(layout, found, missing, whole)
 
 
 def _candidates(scales: Scales, links: Sequence[str]) -> tuple[Candidate, ...]:
@@ -134,9 +138,14 @@ def _explain_compensation(
     return in_its_place(Residual(link), search, weigh=lambda residual: residual.doubted(np.array(led)))
 
 
-def _investigate_wrench(layout: Layout, found: dict[str, Explanation], whole: dict[str, Link], progress: Progress | None) -> None:
-    """Contact and sensor, which are one link to the data; and the compensation again where the record proves to be stamped late."""
+def _investigate_wrench(layout: Layout, found: dict[str, Explanation], whole: dict[str, Link], progress: Progress | None) -> str | None:
+    """Contact and sensor, which are one link to the data; and the compensation again where the record proves to be stamped late.
+
+    Returns why the data say nothing of them; None where they do.
+    """
     path = _choose_path(layout, found, whole, progress)
+    if (part := compared(layout, path)) < LEAST_COMPARED:
+        return f"the least of causes decides what the mechanism does from the touch on: {part:.0%} of the rows in contact could be replayed"
     link = choose_steps(choose_ring(choose_lever(make_wrench_link(layout, path, layout.rows, decimate="compensation" not in found))))
     scales = replace(layout.scales, lines=lines(link))
     unseen = ("platform",) if link.commands else ()  # what it does is in the path then
@@ -175,6 +184,7 @@ def _investigate_wrench(layout: Layout, found: dict[str, Explanation], whole: di
     whole["wrench"] = make_wrench_link(layout, path, layout.whole).as_read(chosen)
     if given:
         _settle_compensation(layout, path, found, whole, progress)
+    return None
 
 
 def _choose_path(layout: Layout, found: dict[str, Explanation], whole: dict[str, Link], progress: Progress | None) -> BestPath:

@@ -21,11 +21,13 @@ from hiltestbed.diagnosis.settings import (
     COMPENSATION_FLOOR,
     CORRELATED,
     DYNAMICS_FLOOR,
+    ENOUGH_FREE,
     FREE_ROWS,
     NO_FORCE_NOISE,
     NO_POSE_NOISE,
     TAIL,
     UNEVEN,
+    WHITE_KNOWN,
 )
 from hiltestbed.diagnosis.yielding import Deflection, deflection
 from hiltestbed.effects.search import Scales
@@ -34,7 +36,7 @@ from hiltestbed.measured import MeasuredDataset, MeasuredRun
 from hiltestbed.measured.driven import is_driven
 from hiltestbed.measured.momentum import centred
 from hiltestbed.measured.noise import white_noise
-from hiltestbed.replay import follows_exactly
+from hiltestbed.replay import can_carry
 from hiltestbed.replay.compensation import needs
 from hiltestbed.signals import GROUPS
 
@@ -141,8 +143,6 @@ def _lacking(runs: Sequence[MeasuredRun]) -> dict[str, str]:
     out = {}
     if not _all(runs, "pose_cmd", "pose_act"):
         out["platform"] = "needs pose_cmd and pose_act in every run"
-    elif any(sides_of(r.scenario.mechanism).moving and not follows_exactly(r.scenario) for r in runs):
-        out["platform"] = "parts of the mechanism move: what they load the drives with is not on record"
     if not _all(runs, "wrench_meas", "wrench_comp"):
         out["compensation"] = "needs wrench_meas and wrench_comp in every run"
     else:
@@ -172,10 +172,10 @@ def _lacking_of_wrench(runs: Sequence[MeasuredRun]) -> dict[str, str]:
         out["wrench"] = "needs pose_act or pose_cmd in every run"
     elif not any(r.survey.contacts for r in runs):
         out["wrench"] = "needs a contact"
-    elif not all(sides_of(r.scenario.mechanism).rigid or follows_exactly(r.scenario) for r in runs):
+    elif not all(sides_of(r.scenario.mechanism).rigid or can_carry(r.scenario) for r in runs):
         out["wrench"] = (
             "the mechanism has parts that move, or parts that collide at several points: its force follows from how A moves within a tick, "
-            "which is not on record; it is judged where tracking is ideal"
+            "which is not on record; it is judged where tracking is ideal or servo and nothing moves P"
         )
     elif any(r.scenario.rig.upper.kind != "fixed" and r.scenario.mechanism.latch is not None for r in runs):
         out["wrench"] = (
@@ -352,7 +352,7 @@ def _floors(runs: Sequence[MeasuredRun]) -> dict[str, float]:
             outside = values[~touching(r, len(values))] if name.startswith("wrench") and r.survey.contacts else values
             outside = outside if len(outside) > FREE_ROWS else values  # a latched mechanism is never free
             still += int(len(outside) > 10 and np.median(np.abs(np.diff(outside))) == 0.0)
-            found.append(max(white_noise(outside), r.record.steps.get(name, 0.0) / math.sqrt(12.0)))
+            found.append(max(white_outside(outside, values), r.record.steps.get(name, 0.0) / math.sqrt(12.0)))
         level = float(np.sqrt(np.mean(np.square(found)))) if found else 0.0
         if name.startswith("wrench_meas") and still * 2 > len(runs):  # a dead zone, or a sensor that is off between contacts
             believed = runs[0].scenario.sensor.noise if ".f" in name else runs[0].scenario.sensor.torque_noise
@@ -366,6 +366,13 @@ def _floors(runs: Sequence[MeasuredRun]) -> dict[str, float]:
     for name in places:  # a platform that moves in jumps looks noisy on the axis that moves most
         floors[name] = min(floors[name], UNEVEN * min(floors[n] for n in places))
     return floors | {f"pose_act.r{axis}": 2.0 * floors[f"pose_act.q{axis}"] for axis in "xyz" if f"pose_act.q{axis}" in floors}
+
+
+def white_outside(outside: Array, values: Array) -> float:
+    """White noise of the rows ``outside`` of contacts; where they are few, that of all ``values`` if these do not tell the two apart."""
+    found, everywhere = white_noise(outside), white_noise(values)
+    few = len(outside) < ENOUGH_FREE and abs(everywhere - found) < 2.0 * WHITE_KNOWN / math.sqrt(max(1, len(outside))) * everywhere
+    return everywhere if few else found
 
 
 def _scales(runs: Sequence[MeasuredRun], noise: Mapping[str, float]) -> Scales:

@@ -12,9 +12,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
+from scipy.ndimage import maximum_filter1d, uniform_filter1d
 from scipy.signal import savgol_coeffs, savgol_filter
 
+from hiltestbed.contact.sides import sides_of
 from hiltestbed.diagnosis.bridged import bends_of, differences
 from hiltestbed.diagnosis.decimation import decimated
 from hiltestbed.diagnosis.layout import Layout, platform_link, touching, wrench_link
@@ -22,14 +23,18 @@ from hiltestbed.diagnosis.links import WrenchLink, flat_pose
 from hiltestbed.diagnosis.links.base import PROMPT, Later
 from hiltestbed.diagnosis.links.platform import poses_of
 from hiltestbed.diagnosis.search import Explanation
-from hiltestbed.diagnosis.settings import CLEAN_PATH, LEVER_ARM, MODEL_ERROR, SHAKEN_PATHS, SMOOTHING
+from hiltestbed.diagnosis.settings import BLOCK, CLEAN_PATH, LEVER_ARM, MODEL_ERROR, SHAKEN_PATHS, SMOOTHING
 from hiltestbed.diagnosis.timing import part_of_a_tick
 from hiltestbed.frames import Array
 from hiltestbed.measured import MeasuredRun
 from hiltestbed.measured.noise import finest_noise
 from hiltestbed.numerical_model.bodies import approach_state
 from hiltestbed.replay import follows_exactly, moves_linearly
-from hiltestbed.replay.compensation import slopes
+from hiltestbed.replay.compensation import central_rates
+
+LEAST = 2e-3  # of what a rate changes by in a tick, or a slope of the pose: by so much copies are shaken that should agree
+APART = 0.3  # of the force's noise, by which they part
+PARTED = 0.25  # [s] for which copies that parted are not believed
 
 
 @dataclass(frozen=True)
@@ -38,7 +43,8 @@ class Path:
 
     Attributes:
         poses: (N, 7) at t_k. rates: (N, 6) twist at t_k; None: the slope of the tick that ends. place, rate: noise of both [m], [m/s],
-        an attitude's by its lever; how it is spread over the rows is known where it is white. source: the group that it comes from.
+        an attitude's by its lever; how it is spread over the rows is known where it is white. source: the group that it comes from. told:
+        whether the rates are on record.
     """
 
     poses: Sequence[Array]
@@ -46,6 +52,7 @@ class Path:
     place: float = 0.0
     rate: float = 0.0
     source: str = "pose_act"
+    told: bool = False
 
 
 @dataclass(frozen=True)
@@ -66,7 +73,7 @@ def best_path(layout: Layout, platform: Explanation | None) -> BestPath:
     """The best path that the data give, as the poses are stamped."""
     explained = platform is not None and platform.adequate
     known = [(path, _noise_of(layout, path)) for path in _measured(layout)]
-    measured, brought = next(((p, b) for p, b in known if _share(layout, b) < CLEAN_PATH), known[-1] if known else (None, None))
+    measured, brought = min(known, key=lambda k: max(_share(layout, k[1]), CLEAN_PATH), default=(None, None))
     if measured is not None and brought is not None and not _replays_better(layout, measured, brought, explained):
         path, extra = measured, brought
     elif platform is not None and platform.adequate:
@@ -77,7 +84,18 @@ def best_path(layout: Layout, platform: Explanation | None) -> BestPath:
         path = Path(_smooth_paths(layout, platform), None)
         noisy = platform is not None or any(r.record.has("pose_act") for r in layout.runs)
         extra = [_smoothed_noise(layout, run) for run in layout.runs] if noisy else None
+    if not all(sides_of(r.scenario.mechanism).rigid for r in layout.runs):
+        extra = extra or [np.zeros((n, 6)) for n in layout.whole]
+        extra = [np.where(parted[:, None], np.inf, e) for parted, e in zip(apart(layout, path), extra, strict=True)]
     return BestPath(path, extra, _jumped(platform, path))
+
+
+def compared(layout: Layout, best: BestPath) -> float:
+    """Part of the rows in contact whose replay on a path tells anything."""
+    if best.brought is None:
+        return 1.0
+    inside = [np.asarray(np.isfinite(b).all(axis=1))[touching(r, len(b))] for r, b in zip(layout.runs, best.brought, strict=True)]
+    return float(np.mean(np.concatenate(inside)))
 
 
 def unmoved(layout: Layout, platform: Explanation | None, best: BestPath) -> BestPath | None:
@@ -144,7 +162,7 @@ def _measured(layout: Layout) -> list[Path]:
     out = [Path(poses, _central_rates(layout, poses), place, math.sqrt(0.5) * place / tick)]
     if all(r.record.has("twist_act") and r.record.valid["twist_act"].all() for r in runs):
         twists = [r.record.filled("twist_act") for r in runs]
-        out.insert(0, Path(poses, twists, place, max(_finest(r, "twist_act") for r in runs)))
+        out.insert(0, Path(poses, twists, place, max(_finest(r, "twist_act") for r in runs), told=True))
     return out
 
 
@@ -153,8 +171,8 @@ def _replays_better(layout: Layout, measured: Path, brought: Sequence[Array], ex
     share = _share(layout, brought)
     if share < CLEAN_PATH:
         return False
-    if not explained or layout.deflection is None:
-        return share > 1.0
+    if not explained or layout.deflection is None:  # what is played turns about on the least of causes, on any path
+        return share > 1.0 and all(sides_of(r.scenario.mechanism).rigid for r in layout.runs)
     return max(d.noise for d in layout.deflection) < measured.place
 
 
@@ -170,6 +188,7 @@ def _noise_of(layout: Layout, path: Path) -> list[Array]:
     """(N, 6) noise of the reading of each run that the noise of a path brings, by replays of paths that are shaken by as much, and what
     lies between its samples."""
     rng, count = np.random.default_rng(0), range(len(layout.runs))
+    link = wrench_link(layout, path.poses, layout.whole, None, path.rates)
     shaken, rates = [], []
     for i, pose in enumerate(list(path.poses) * SHAKEN_PATHS):
         moved = pose.copy()
@@ -177,19 +196,47 @@ def _noise_of(layout: Layout, path: Path) -> list[Array]:
         moved[:, 3:6] += 0.5 * path.place / LEVER_ARM * rng.standard_normal((len(pose), 3))
         shaken.append(moved)
         if path.rates is not None:
-            noise = rng.standard_normal((len(pose), 6)) * path.rate
+            noise, given = rng.standard_normal((len(pose), 6)) * path.rate, path.rates[i % len(layout.runs)]
             noise[:, 3:] /= LEVER_ARM
-            rates.append(path.rates[i % len(layout.runs)] + noise)
-    link = wrench_link(layout, path.poses, layout.whole, None, path.rates)
+            rates.append(given + noise)
     many = WrenchLink([link.runs[i] for _ in range(SHAKEN_PATHS) for i in count], shaken, None, rates or None)
     shown = link.predict([(i, ()) for i in count])
     squares = [np.zeros_like(s) for s in shown]
     for i, found in enumerate(many.predict([(i, ()) for i in range(len(shaken))])):
         squares[i % len(layout.runs)] += (found - shown[i % len(layout.runs)]) ** 2 / SHAKEN_PATHS
     noise = [np.sqrt(np.maximum(uniform_filter1d(s, SMOOTHING, axis=0), 0.0)) for s in squares]
+    if link.played and path.rates is not None and not path.told:  # how A was stepped is not known, and goes the same way for many rows
+        missed = differences(link, wrench_link(layout, path.poses, layout.whole))
+        noise = [np.hypot(n, math.sqrt(BLOCK) * m) for n, m in zip(noise, missed, strict=True)]
     if not _bent(layout, path):
         return noise
     return [np.hypot(n, d) for n, d in zip(noise, _between_samples(layout, path), strict=True)]
+
+
+def apart(layout: Layout, path: Path) -> list[np.ndarray]:
+    """(N,) bool of each run: rows at which copies of a path that differ by next to nothing part, and for a while from there.
+
+    What slides on a side of its own, or swings against it, may turn about on the least of causes: the record went one way there, each copy
+    goes another, and none tells what the law is.
+    """
+    rng, count = np.random.default_rng(1), range(len(layout.runs))
+    link = wrench_link(layout, path.poses, layout.whole, None, path.rates)
+    shaken, rates = [], []
+    for i, pose in enumerate(list(path.poses) * SHAKEN_PATHS):
+        moved, given = pose.copy(), None if path.rates is None else path.rates[i % len(layout.runs)]
+        if given is None:
+            moved[:, :3] += LEAST * rng.standard_normal((len(pose), 3)) * np.abs(np.gradient(np.gradient(pose[:, :3], axis=0), axis=0))
+        else:
+            rates.append(given + LEAST * rng.standard_normal(given.shape) * np.abs(np.gradient(given, axis=0)))
+        shaken.append(moved)
+    many = WrenchLink([link.runs[i] for _ in range(SHAKEN_PATHS) for i in count], shaken, None, rates or None)
+    shown, level = link.predict([(i, ()) for i in count]), np.array([layout.noise.get(c, 0.0) for c in link.channels])
+    level = np.maximum(level, layout.least_force)
+    out = [np.zeros(len(s), dtype=bool) for s in shown]
+    for i, found in enumerate(many.predict([(i, ()) for i in range(len(shaken))])):
+        out[i % len(layout.runs)] |= (np.abs(found - shown[i % len(layout.runs)]) > APART * level).any(axis=1)
+    back = round(PARTED / layout.scales.tick)
+    return [np.asarray(maximum_filter1d(o, back + SMOOTHING, origin=(back - SMOOTHING) // 2)) for o in out]
 
 
 def _brought_by_command(layout: Layout, path: Path) -> list[Array] | None:
@@ -226,13 +273,7 @@ def _central_rates(layout: Layout, paths: Sequence[Array]) -> list[Array] | None
     """(N, 6) twists at t_k, the mean of the slopes before and after; None where A moves uniformly within a tick."""
     if all(moves_linearly(r.scenario) for r in layout.runs):
         return None
-    out = []
-    for run, path in zip(layout.runs, paths, strict=True):
-        start = approach_state(run.scenario)
-        before = slopes(path[None], path[None, 0], run.scenario.tick)[0]
-        before[0] = start[7:]
-        out.append(0.5 * (before + np.concatenate([before[1:], before[-1:]])))
-    return out
+    return [central_rates(run.scenario, path) for run, path in zip(layout.runs, paths, strict=True)]
 
 
 def _jumps(path: Array) -> Array:

@@ -45,6 +45,7 @@ TAIL = 0.15  # [s] after the last contact that a search looks at: where leaks an
 
 # Noise of the force, from free flight
 ENOUGH_FREE = 150  # rows of all runs: six channels of as many know a correlation to 0.03
+WHITE_KNOWN = 1.5  # simulated: white noise by third differences of n rows is known to this over the root of n
 SIGNIFICANT = 4.0  # derived: standard deviations of chance; one of 15,000 white records is taken for more
 BY_CHANCE = 3e-5  # derived: the same as a probability, where what is compared is a sum of a few squares
 HEAVY = 3  # samples beyond four standard deviations, more than normal ones have

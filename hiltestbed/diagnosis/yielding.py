@@ -8,13 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from hiltestbed.contact.mount_dynamics import borne
+from hiltestbed.contact.sides import sides_of
 from hiltestbed.diagnosis.links import flat_pose
 from hiltestbed.diagnosis.settings import BLOCK
 from hiltestbed.frames import Array
 from hiltestbed.identification.samples import GATE_SIGMA
 from hiltestbed.measured import MeasuredRun
 from hiltestbed.numerical_model.bodies import approach_state
-from hiltestbed.replay import follows_exactly, replay_rig
+from hiltestbed.replay import Engaged, Played, can_carry, follows_exactly, moves_linearly, replay_rig
+from hiltestbed.replay.compensation import central_rates
 from hiltestbed.replay.wrench import shifted
 from hiltestbed.scenario import Scenario
 
@@ -55,7 +57,9 @@ def deflection(run: MeasuredRun, noise: float, reading: Array | None = None) -> 
     rates = run.record.filled("twist_cmd") if run.record.has("twist_cmd") else None
     told = flat_pose(np.vstack([approach_state(scenario)[:7], command[:-1]]))
     reached = _as_told(run)
-    path = replay_rig(scenario, command, rates, borne(scenario, wrench), recorded, reached)
+    engaged = _engaged(run)
+    taken = 0.0 if engaged is None else engaged.taken
+    path = replay_rig(scenario, command, rates, borne(scenario, wrench) + taken, recorded, reached)
     if path is None:
         return None
     away = flat_pose(path) - told
@@ -68,14 +72,29 @@ def deflection(run: MeasuredRun, noise: float, reading: Array | None = None) -> 
     doubt[: math.ceil(_settling(scenario) / scenario.tick)] = np.inf
     if not run.record.has("wrench_meas"):
         doubt[np.maximum.accumulate(told[:, 2] > -departure[2])] = np.inf
+    if engaged is not None:  # what slides turns about within a tick, from which the drives keep what they stick at
+        chattering = replay_rig(scenario, command, rates, borne(scenario, wrench) + taken, recorded, reached, engaged.between)
+        if chattering is not None:
+            kept = np.maximum.accumulate(np.abs(flat_pose(chattering) - flat_pose(path)), axis=0)
+            doubt = np.hypot(doubt, math.sqrt(BLOCK) * kept)
     passed = np.zeros(6)
     if noise > 0.0:
         shaken = wrench.copy()
         shaken[:, :3] += np.where(touching, noise * np.random.default_rng(0).standard_normal((len(wrench), 3)), 0.0)
-        noisy = replay_rig(scenario, command, rates, borne(scenario, shaken), recorded, reached)
+        noisy = replay_rig(scenario, command, rates, borne(scenario, shaken) + taken, recorded, reached)
         passed = np.std(flat_pose(noisy) - flat_pose(path), axis=0) if noisy is not None else passed
         doubt = np.hypot(doubt, passed * math.sqrt(max(1.0, _memory(scenario) / scenario.tick)))
     return Deflection(away, doubt, float(passed[:3].max()))
+
+
+def _engaged(run: MeasuredRun) -> Engaged | None:
+    """What its contact does along the pose on record, where that takes playing it; None where it follows from the pose."""
+    if sides_of(run.scenario.mechanism).rigid or not can_carry(run.scenario):
+        return None
+    path, record = np.ascontiguousarray(run.record.filled("pose_act")), run.record
+    rated = record.has("twist_act") and record.valid["twist_act"].all()
+    rates = record.filled("twist_act") if rated else central_rates(run.scenario, path)
+    return Played([run.scenario], path[None], None if moves_linearly(run.scenario) else np.ascontiguousarray(rates)[None]).believed(0)
 
 
 def _as_told(run: MeasuredRun) -> Array | None:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hiltestbed.contact.sides import sides_of
 from hiltestbed.frames import Array
 from hiltestbed.measured.noise import FREE_MINIMUM, Noise, noise_of, white_noise
 from hiltestbed.measured.record import Record
@@ -15,18 +16,21 @@ from hiltestbed.scenario import Scenario
 
 ONSET = 8.0  # sigma over ONSET_TICKS in a row: the force has left its floor
 ONSET_TICKS = 4
+FORCES = ("wrench_meas.fz", "wrench_meas.fx", "wrench_meas.fy")
 MOVED = 10.0  # sigma: an axis that ranges further than this was excited
 
 
 @dataclass(frozen=True)
 class Contact:
-    """One contact: ticks ``start`` to ``end`` (not included), and its peaks along z; a figure without its channel is None."""
+    """One contact: ticks ``start`` to ``end`` (not included), its peaks along z, and the most that it presses along any of the axes that
+    tell it; a figure without its channel is None."""
 
     start: int
     end: int
     peak_force: float | None
     penetration: float | None
     speed: float | None
+    pressed: float | None
 
 
 @dataclass(frozen=True)
@@ -51,7 +55,7 @@ class Survey:
         """``(rows,)`` bool: in a contact that bears ``least`` [N] or more, or a sensor that is ``late`` [ticks] still shows it."""
         out = np.zeros(rows, dtype=bool)
         for c in self.contacts:
-            if c.peak_force is None or abs(c.peak_force) >= least:
+            if c.pressed is None or c.pressed >= least:
                 out[max(0, c.start - 2) : c.end + late + 3] = True
         return out
 
@@ -60,13 +64,14 @@ def look(record: Record, scenario: Scenario) -> Survey:
     """Noise, contacts and excitation of a record."""
     latched = scenario.mechanism.captured
     depth = penetration(record)
-    free = 0 if latched else _free_ticks(record, depth)
+    felt = FORCES[:1] if sides_of(scenario.mechanism).rigid else FORCES  # what swings on a side is pressed across, too
+    free = 0 if latched else _free_ticks(record, depth, felt)
     noise = {n: noise_of(record.column(n), free, record.steps.get(n, 0.0), n.startswith("pose")) for n in record.columns()}
     flat = scenario.mechanism.flat
     by_pose, by_force = (depth, None) if flat else (None, depth)  # each finds what the other misses: a tilted port meets a plane early
-    spans = [(0, record.ticks)] if latched else _spans(record, by_pose, noise) or _spans(record, by_force, noise)
+    spans = [(0, record.ticks)] if latched else _spans(record, by_pose, noise, felt) or _spans(record, by_force, noise, felt)
     spans = _held(spans, record, depth, scenario)
-    contacts = tuple(_contact(record, span, depth, scenario) for span in spans)
+    contacts = tuple(_contact(record, span, depth, scenario, felt) for span in spans)
     excited = tuple(name for name in record.columns() if _range(record.column(name)) > MOVED * max(noise[name].white, 1e-300))
     k, body = scenario.mechanism.contact.stiffness, scenario.spacecraft
     reduced = body.chaser.mass * body.target.mass / (body.chaser.mass + body.target.mass)
@@ -107,13 +112,15 @@ def baseline(record: Record, found: Survey, name: str) -> float:
     return float(np.median(free)) if len(free) >= FREE_MINIMUM else 0.0
 
 
-def _free_ticks(record: Record, depth: Array | None) -> int:
-    """Ticks before the mechanisms meet, by the pose and by the force, whichever is earlier."""
+def _free_ticks(record: Record, depth: Array | None, felt: tuple[str, ...]) -> int:
+    """Ticks before the mechanisms meet, by the pose and by the forces ``felt``, whichever is earliest."""
     ends = [record.ticks]
     if depth is not None:
         ends += np.flatnonzero(depth > 0)[:1].tolist()
-    if "wrench_meas.fz" in record.columns():
-        force = _bridged(record.column("wrench_meas.fz"))
+    for name in felt:
+        if name not in record.columns():
+            continue
+        force = _bridged(record.column(name))
         still = _still(force[np.isfinite(force)])
         if len(still):
             sigma = max(white_noise(still), float(np.std(still)))
@@ -140,15 +147,15 @@ def _first_run(flags: np.ndarray, length: int) -> list[int]:
     return np.flatnonzero(whole)[:1].tolist()
 
 
-def _spans(record: Record, depth: Array | None, noise: dict[str, Noise]) -> list[tuple[int, int]]:
-    """Start and end of each contact: pz > 0 where ``depth`` is given, the force off its floor where it is not (a cone is met early)."""
+def _spans(record: Record, depth: Array | None, noise: dict[str, Noise], felt: tuple[str, ...]) -> list[tuple[int, int]]:
+    """Start and end of each contact: pz > 0 where ``depth`` is given, one of the forces ``felt`` off its floor where it is not (a cone is
+    met early)."""
     if depth is not None:
         name = "pose_act.pz" if "pose_act.pz" in record.columns() else "pose_cmd.pz"
         return _above(_bridged(depth), 0.0, 5 * noise[name].white)
-    if "wrench_meas.fz" in record.columns():
-        force = np.abs(_bridged(record.column("wrench_meas.fz")))
-        sigma = max(noise["wrench_meas.fz"].rms, 1e-12)
-        return [span for span in _above(force, 2 * sigma, ONSET * sigma) if span[1] - span[0] >= ONSET_TICKS]
+    forces = [np.abs(_bridged(record.column(name))) / max(noise[name].rms, 1e-12) for name in felt if name in record.columns()]
+    if forces:
+        return [span for span in _above(np.max(forces, axis=0), 2.0, ONSET) if span[1] - span[0] >= ONSET_TICKS]
     return []
 
 
@@ -178,21 +185,23 @@ def _above(values: Array, low: float, high: float) -> list[tuple[int, int]]:
     return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True) if values[a:b].max() > high]
 
 
-def _contact(record: Record, span: tuple[int, int], depth: Array | None, scenario: Scenario) -> Contact:
+def _contact(record: Record, span: tuple[int, int], depth: Array | None, scenario: Scenario, felt: tuple[str, ...]) -> Contact:
     start, end = span
     late = round(scenario.sensor.delay * scenario.rate)
-    force = speed = deepest = None
-    if "wrench_meas.fz" in record.columns():
-        part = record.column("wrench_meas.fz")[start : end + late + 1]
+    speed = deepest = None
+    forces: dict[str, float] = {}
+    for name in felt:
+        part = record.column(name)[start : end + late + 1] if name in record.columns() else np.zeros(0)
         part = part[np.isfinite(part)]
-        force = float(part[np.abs(part).argmax()]) if len(part) else None
+        if len(part):
+            forces[name] = float(part[np.abs(part).argmax()])
     if depth is not None:
         inside = depth[start:end]
         deepest = float(np.nanmax(inside)) if np.isfinite(inside).any() else None
         before = np.flatnonzero(np.isfinite(depth[:start]))[-FREE_MINIMUM:]
         if len(before) > 4:
             speed = float(np.polyfit(record.t[before] - record.t[start], depth[before], 1)[0])
-    return Contact(start, end, force, deepest, speed)
+    return Contact(start, end, forces.get(FORCES[0]), deepest, speed, max(map(abs, forces.values()), default=None))
 
 
 def _bridged(values: Array) -> Array:

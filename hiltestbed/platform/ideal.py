@@ -101,6 +101,7 @@ class IdealTracking:
         self._integrated = self.contacts.mount.moves or structure.sides.moving
         self._tare, self._all = np.zeros((n, 6)), np.arange(n)  # there is no gravity
         self._goal = np.zeros((n, 7))
+        self._way: tuple[Array, Array] | None = None  # poses (m, n, 7), twists (m, n, 6) of a tick, where given
         self._before, self._between = np.zeros((n, 7)), np.zeros((n, 7))
         self.pose_act, self.twist_act = np.zeros((n, 7)), np.zeros((n, 6))
         self.wrench_sub = np.zeros((n, self.substeps, 6))
@@ -113,7 +114,7 @@ class IdealTracking:
     def reset(self, pose: Array, twist: Array) -> None:
         """Start at ``pose`` (n, 7) with the uniform ``twist`` (n, 6) that brought it there."""
         self.batch.reset(stage=0)
-        self._ticks[0] = 0
+        self._ticks[0], self._way = 0, None
         self.pose_act[:], self.twist_act[:] = pose, twist
         _back(self.pose_act, self.twist_act, self.tick, self._before)
         self.contacts.reset()
@@ -130,6 +131,12 @@ class IdealTracking:
         """Start the tick towards ``pose_cmd`` (n, 7); its derivatives are not needed here."""
         self._goal[:] = pose_cmd
 
+    def carry(self, poses: Array, twists: Array) -> None:
+        """See :meth:`hiltestbed.platform.plant.Plant.carry`."""
+        self._way = poses, twists
+        self.pose_act[:], self.twist_act[:] = poses[-1], twists[-1]
+        self._move()
+
     def finish(self) -> None:
         """Move over the tick."""
         self._before[:] = self.pose_act
@@ -144,6 +151,9 @@ class IdealTracking:
             self.pose_act[:, :3] = self.path.path[:, -1]
         self._ticks[0] += 1
         _slope(self._before, self.pose_act, self.tick, self.twist_act)
+        self._move()
+
+    def _move(self) -> None:
         if self._integrated:
             self._run()
         else:
@@ -163,34 +173,39 @@ class IdealTracking:
 
     def _run(self) -> None:
         """Mount and moving parts are integrated: a step reads the wrench of its start; the last instant takes a forward pass of its own."""
-        if self._push is not None:
-            self._accelerate()
         for s in range(1, self.substeps + 1):
+            self._accelerate(s)
             self.batch.step()
-            if self._push is not None and s == 1:
-                self._push[:] = 0.0
             if s > 1:
                 read_wrench(self._reading, self._tare, self._all, self.wrench_sub, s - 2)
             self._place(s)
+        if self._push is not None:
+            self._push[:] = 0.0
         self.batch.forward()
         read_wrench(self._reading, self._tare, self._all, self.wrench_sub, self.substeps - 1)
 
-    def _accelerate(self) -> None:
-        """Let the parts that move on the active side feel how A changes its velocity, in the first step of the tick."""
-        per_step = model.INTEGRATED_MASS * self.substeps / self.tick
-        _change(self._between, self.twist_act, self._qvel, self._joint[1], per_step, self._push)
+    def _accelerate(self, s: int) -> None:
+        """Let the parts that move on the active side feel how A changes its velocity in step ``s`` of the tick."""
+        if self._push is not None:
+            per_step = model.INTEGRATED_MASS * self.substeps / self.tick
+            twist = self.twist_act if self._way is None else self._way[1][s - 1]
+            _change(self._between, twist, self._qvel, self._joint[1], per_step, self._push)
 
     def _place(self, s: int) -> None:
         """Put A where it is at the sub-instant ``s`` of m, and the wrench of that state on the passive side."""
-        m = self.substeps
-        _between(
-            self._before, self.pose_act, self.twist_act, self.tick * s / m, s == m, self._bent, self._along[:, s - 1],
-            self._between, self._qpos, self._qvel, self._joint,
-        )  # fmt: skip
+        m, twist = self.substeps, self.twist_act
+        if self._way is not None:
+            pose, twist = (x[s - 1] for x in self._way)
+            _between(pose, pose, twist, 0.0, True, False, self._along[:, s - 1], self._between, self._qpos, self._qvel, self._joint)
+        else:
+            _between(
+                self._before, self.pose_act, twist, self.tick * s / m, s == m, self._bent, self._along[:, s - 1],
+                self._between, self._qpos, self._qvel, self._joint,
+            )  # fmt: skip
         if self.contacts.stage != NONE:
             self.batch.forward(stage=self.contacts.stage)
         if self.contacts.written:
-            self.contacts.meet(self._between, self.twist_act)
+            self.contacts.meet(self._between, twist)
 
     def _conclude(self) -> None:
         self.contacts.look()

@@ -13,6 +13,8 @@ from hiltestbed.contact.composition import FLANGE, Structure, add_active, add_co
 from hiltestbed.contact.settings import Mechanism
 from hiltestbed.models import load
 
+BODY = "A_body"  # of the active side where it stands alone
+CARRIER = "passive_carrier"
 PRESCRIBED_MASS = 1e15  # [kg], [kg m^2]
 INTEGRATED_MASS = 1e8  # likewise where something beside it is integrated: from 1e12 on MuJoCo's solver does not move at all
 SOLVED = 1e-12  # of the solver: forces to nine digits
@@ -32,8 +34,8 @@ def _options(spec: mujoco.MjSpec, timestep: float, gravity: bool) -> None:
 def _carrier(spec: mujoco.MjSpec, above: str | None = None) -> mujoco.MjsBody:
     """What carries the passive side: fixed, or on the upper platform, whose names have the prefix ``above``."""
     if above is None:
-        return spec.worldbody.add_body(name="passive_carrier")
-    return spec.body(f"{above}platform").add_body(name="passive_carrier", pos=spec.site(f"{above}mount").pos)
+        return spec.worldbody.add_body(name=CARRIER)
+    return spec.body(f"{above}platform").add_body(name=CARRIER, pos=spec.site(f"{above}mount").pos)
 
 
 def _mount_active(spec: mujoco.MjSpec, structure: Structure) -> None:
@@ -51,7 +53,7 @@ def ideal_model(structure: Structure, timestep: float) -> mujoco.MjModel:
     spec.modelname = f"ideal-{structure.mechanism.kind}"
     _options(spec, timestep, gravity=False)
     add_passive(spec, structure, _carrier(spec))
-    body = spec.worldbody.add_body(name="A_body")
+    body = spec.worldbody.add_body(name=BODY)
     body.add_freejoint(name="A_joint")
     integrated = structure.mounted or structure.sides.moving
     mass = INTEGRATED_MASS if integrated else PRESCRIBED_MASS
@@ -59,7 +61,7 @@ def ideal_model(structure: Structure, timestep: float) -> mujoco.MjModel:
     add_active(spec, structure, body, np.zeros(3), np.zeros(3))
     add_contact(spec, structure)
     model = spec.compile()
-    weigh_contact(model, "A_body")
+    weigh_contact(model, BODY)
     if integrated:
         # The solver judges its progress by the mean inertia: of what moves by itself, or beside such a mass it would never see any
         first = int(model.joint("A_joint").dofadr[0])
@@ -93,7 +95,7 @@ def rig_model(structure: Structure, timestep: float, kept: int) -> mujoco.MjMode
     for name in ("force", "torque"):
         spec.sensor(name).nsample = kept
     model = spec.compile()
-    weigh_contact(model, FLANGE)
+    weigh_contact(model, FLANGE, structure.held)
     return model
 
 

@@ -71,11 +71,13 @@ class Plant:
         nthread: int = 1,
         late: NDArray[np.bool_] | None = None,
         force: AppliedForce | None = None,
+        held: bool = False,
     ) -> None:
         """The rigs of `n` runs.
 
         Args:
             force: acts in place of the contact, whose mechanisms then pass through each other.
+            held: parts that move on the active side stand still on it; needs ``force``.
             late: (n,) runs that do not need the wrench at t_k before the tick begins there, which costs less; none by default.
         """
         if len({alike(s) for s in scenarios}) != 1:
@@ -85,7 +87,7 @@ class Plant:
             )
         above, made_of = scenarios[0].rig.upper.kind == "prs3", structure(scenarios[0])
         if force is not None:
-            made_of = replace(made_of, constant=True, latched=False, touches=False)
+            made_of = replace(made_of, constant=True, latched=False, touches=False, held=held)
         lower: IdealTracking | ServoTracking
         self.physical = scenarios[0].rig.platform.physical
         if scenarios[0].rig.platform.prescribed:
@@ -123,6 +125,10 @@ class Plant:
     def contacts(self) -> Engagement:
         """Where what touches; of a spring and a damper without friction there is no more to know than the force."""
         return self._tracking.contacts.engagement
+
+    def watch(self, field: str, parts: int) -> Array:
+        """A field of MuJoCo's data, live: (n, bodies, parts)."""
+        return self._batch.bind(field).reshape(len(self.pose_act), -1, parts)
 
     def held_pair(self, i: int) -> tuple[Array, Array] | None:
         """Stiffness and damping (6, 6) of the latched place of run ``i`` (:func:`hiltestbed.contact.jacobian.held_pair`); None without."""
@@ -165,6 +171,9 @@ class Plant:
     def finish(self) -> None:
         """Arrive at t_(k+1)."""
         self._tracking.finish()
+        self._conclude()
+
+    def _conclude(self) -> None:
         if self._latch is not None:
             self._latch.close(self._tracking.contacts.engagement)
         if self.phases is not None:
@@ -174,3 +183,12 @@ class Plant:
         """A whole tick: :meth:`begin` and :meth:`finish`."""
         self.begin(pose_cmd, twist_cmd, accel_cmd)
         self.finish()
+
+    def carry(self, poses: Array, twists: Array) -> None:
+        """A whole tick of a rig under ideal tracking through ``poses`` (m, n, 7) with ``twists`` (m, n, 6) at its m instants.
+
+        Each twist is the slope of the step that ends there.
+        """
+        assert isinstance(self._tracking, IdealTracking)
+        self._tracking.carry(poses, twists)
+        self._conclude()

@@ -143,6 +143,13 @@ def slopes(poses: Array, start: Array, tick: float) -> Array:
     return out
 
 
+def central_rates(scenario: Scenario, path: Array) -> Array:
+    """``(N, 6)`` twists at the rows of a path (N, 7), each the mean of the slopes before and after; the first and the last have one."""
+    before = slopes(path[None], path[None, 0], scenario.tick)[0]
+    before[0] = approach_state(scenario)[7:]
+    return np.asarray(0.5 * (before + np.concatenate([before[1:], before[-1:]])))
+
+
 @njit(cache=True)
 def _slopes(poses, start, h, out):
     for r in range(poses.shape[0]):

@@ -1,25 +1,57 @@
 """Contacts whose wrench does not follow from the pose of A in P alone, exerted along recorded paths by the physics itself.
 
 Parts that move on their side, phases of a capture and pairs that MuJoCo collides have no closed form. The sides are carried along the
-path as under ideal tracking (:mod:`hiltestbed.platform.ideal`), from the first row on, under the law that a hypothesis asks for.
+path as under ideal tracking (:mod:`hiltestbed.platform.ideal`), from the first row on, under the law that a hypothesis asks for. Under a
+servo they pass within a tick where its steps can have taken them from one row to the next.
 """
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable, Iterator, Sequence
+from typing import NamedTuple
 
+import mujoco
 import numpy as np
+from scipy.spatial.transform import Rotation
 
+from hiltestbed.contact.composition import PASSIVE, carried_by
 from hiltestbed.effects.base import Effect
 from hiltestbed.effects.table import EFFECTS
-from hiltestbed.frames import Array, twist_between
+from hiltestbed.frames import Array, pose_step, twist_between
+from hiltestbed.jit import njit
+from hiltestbed.numerical_model.bodies import approach_state
 from hiltestbed.platform.kinds import PLATFORMS
+from hiltestbed.platform.model import BODY, CARRIER
 from hiltestbed.platform.plant import Plant, alike
 from hiltestbed.platform.settings import Rig
 from hiltestbed.replay.felt import Kept
 from hiltestbed.scenario import Scenario
 
+MOUNT = PASSIVE + "mount"
 TOGETHER = 32  # lanes that are stepped in one batch
+
+
+class Engaged(NamedTuple):
+    """What the sides of a run do as A is carried along its path.
+
+    Attributes:
+        wrench: (N, m, 6) [N, N m] at the instants of the tick that ends at each row. depth: (N,) [m] of the deepest contact at each row,
+            negative while apart.
+        taken: (N, 6) [N, N m] in P at P's origin: what is to be added to what the sensor feels at each row, so that it loads A with its
+            parts at rest as the contact does with its parts in motion: the rate of the momentum that the parts on both sides have
+            beyond that at rest.
+    """
+
+    wrench: Array
+    depth: Array
+    taken: Array
+
+    @property
+    def between(self) -> Array:
+        """(N, m, 6) what the wrench is more than straight lines between rows."""
+        m = self.wrench.shape[1]
+        before = np.concatenate([self.wrench[:1, -1:], self.wrench[:-1, -1:]])
+        return np.asarray(self.wrench - before - np.arange(1, m + 1)[:, None] / m * (self.wrench[:, -1:] - before))
 
 
 class Played:
@@ -30,13 +62,14 @@ class Played:
         kept: what contacts exerted in the latest replays.
     """
 
-    def __init__(self, scenarios: Sequence[Scenario], poses: Array, before: Array) -> None:
-        """``scenarios`` of the R runs, as believed; ``before``: (R, 7) the pose at t_(-1)."""
-        self.poses, self._before = poses, before
+    def __init__(self, scenarios: Sequence[Scenario], poses: Array, rates: Array | None = None) -> None:
+        """``scenarios`` of the R runs, as believed; ``rates``: (R, N, 6) twist at t_k, None: A moves uniformly within a tick."""
+        self.poses, self._rates = poses, rates
+        self._start = np.array([approach_state(s)[7:] for s in scenarios])
         self.tick, self.substeps = scenarios[0].tick, scenarios[0].substeps
         self.kept = Kept()
         self._carried = [_carried(s) for s in scenarios]
-        self._depths: dict[int, Array] = {}
+        self._believed: dict[int, Engaged] = {}
 
     def instants(self, grid: int | None) -> int:
         """How many instants a tick are computed: those of the physics."""
@@ -44,49 +77,112 @@ class Played:
 
     def exerted(self, wanted: Sequence[tuple[int, Sequence[Effect]]]) -> list[Array]:
         """(N, m, 6) of each run under effects what its contact exerts [N, N m] at the instants of the tick that ends at each row."""
-        return [wrench for wrench, _ in self._play(wanted)]
-
-    def depth(self, run: int) -> Array:
-        """(N,) [m] of the deepest contact of a run at each row, as the mechanism is believed to be; negative while apart."""
-        if run not in self._depths:
-            self._depths[run] = self._play([(run, ())])[0][1]
-        return self._depths[run]
-
-    def _play(self, wanted: Sequence[tuple[int, Sequence[Effect]]]) -> list[tuple[Array, Array]]:
-        """Wrenches (N, m, 6) and depths (N,) of each."""
-        neutral = EFFECTS["contact.stiffness"].model_validate({"factor": 1.0})  # an effect at all has every contact written out
-        scenarios = [self._carried[run].model_copy(update={"effects": (neutral, *effects)}) for run, effects in wanted]
+        scenarios = [self._under(run, effects) for run, effects in wanted]
         groups: dict[Hashable, list[int]] = {}
         for i, scenario in enumerate(scenarios):
             groups.setdefault(alike(scenario), []).append(i)
-        out: dict[int, tuple[Array, Array]] = {}
+        out: dict[int, Array] = {}
         for members in groups.values():
             for first in range(0, len(members), TOGETHER):
                 some = members[first : first + TOGETHER]
-                played = self._together([wanted[i][0] for i in some], [scenarios[i] for i in some])
-                out |= zip(some, zip(*played, strict=True), strict=True)
+                out |= zip(some, self._together([wanted[i][0] for i in some], [scenarios[i] for i in some]), strict=True)
         return [out[i] for i in range(len(wanted))]
 
-    def _together(self, runs: Sequence[int], scenarios: Sequence[Scenario]) -> tuple[Array, Array]:
-        """(L, N, m, 6) and (L, N) of runs under scenarios that are ``alike``."""
+    def believed(self, run: int) -> Engaged:
+        """The run as the mechanism is believed to be."""
+        if run not in self._believed:
+            plant, count = Plant([self._under(run, ())]), self.poses.shape[1]
+            on_A, on_P = (carried_by(plant.model, c)[1] for c in (BODY, MOUNT if self._carried[run].mechanism.mount else CARRIER))
+            parts = [*on_A, *on_P]
+            wrench, depth = np.empty((count, self.substeps, 6)), np.full(count, -1.0)
+            places, turns = np.zeros((count, len(parts), 3)), np.zeros((count, len(parts), 3, 3))
+            met = plant.contacts().met
+            place, turn = (plant.watch("xipos", 3), plant.watch("ximat", 9)) if parts else (None, None)
+            for k in self._carry(plant, [run]):
+                wrench[k], depth[k] = plant.wrench_sub[0], met[0, :, 0].max(initial=-1.0)
+                if place is not None and turn is not None:
+                    places[k], turns[k] = place[0, parts], turn[0, parts].reshape(-1, 3, 3)
+            taken = _rate_of_momentum(plant.model, on_A, on_P, self.poses[run], places, turns, self.tick)
+            self._believed[run] = Engaged(wrench, depth, taken)
+        return self._believed[run]
+
+    def _together(self, runs: Sequence[int], scenarios: Sequence[Scenario]) -> Array:
+        """(L, N, m, 6) of runs under scenarios that are ``alike``."""
         plant = Plant(scenarios)
-        paths = np.ascontiguousarray(self.poses[list(runs)].swapaxes(0, 1))
-        count, lanes = paths.shape[:2]
-        wrench, depth = np.empty((lanes, count, self.substeps, 6)), np.full((lanes, count), -1.0)
-        still, start = np.zeros((lanes, 6)), np.empty((lanes, 6))
-        for i, run in enumerate(runs):
-            twist_between(self._before[run], paths[0, i], self.tick, start[i])
-        plant.reset(paths[0], start)
-        met = plant.contacts().met
-        for k in range(count):
-            if k:
-                plant.advance(paths[k], still, still)
+        wrench = np.empty((len(runs), self.poses.shape[1], self.substeps, 6))
+        for k in self._carry(plant, runs):
             wrench[:, k] = plant.wrench_sub
-            depth[:, k] = met[:, :, 0].max(axis=1, initial=-1.0)
-        return wrench, depth
+        return wrench
+
+    def _under(self, run: int, effects: Sequence[Effect]) -> Scenario:
+        neutral = EFFECTS["contact.stiffness"].model_validate({"factor": 1.0})  # an effect at all has every contact written out
+        return self._carried[run].model_copy(update={"effects": (neutral, *effects)})
+
+    def _carry(self, plant: Plant, runs: Sequence[int]) -> Iterator[int]:
+        """Carry the sides of the runs along their paths: from row to row, which are yielded as they are reached."""
+        paths = np.ascontiguousarray(self.poses[list(runs)].swapaxes(0, 1))
+        rates = None if self._rates is None else np.ascontiguousarray(self._rates[list(runs)].swapaxes(0, 1))
+        count, lanes = paths.shape[:2]
+        still, poses, twists = np.zeros((lanes, 6)), np.empty((self.substeps, lanes, 7)), np.empty((self.substeps, lanes, 6))
+        plant.reset(paths[0], self._start[list(runs)])
+        for k in range(count):
+            if k and rates is None:
+                plant.advance(paths[k], still, still)
+            elif k and rates is not None:
+                step_between(paths[k - 1], rates[k - 1], paths[k], rates[k], self.tick / self.substeps, poses, twists)
+                plant.carry(poses, twists)
+            yield k
 
 
 def _carried(scenario: Scenario) -> Scenario:
     """The scenario whose mechanism is carried along a path."""
     ideal = PLATFORMS["pss33"].model_validate({"kind": "pss33", "tracking": "ideal"})
     return scenario.model_copy(update={"rig": Rig(platform=ideal), "effects": ()})
+
+
+def _rate_of_momentum(
+    model: mujoco.MjModel, on_A: Sequence[int], on_P: Sequence[int], path: Array, places: Array, turns: Array, tick: float
+) -> Array:
+    """(N, 6) by how much the momentum of bodies on A, which goes along ``path`` (N, 7), and of bodies on P changes faster than if they
+    stood at home: at each row, about W's origin. They are at ``places`` (N, B, 3), turned by ``turns`` (N, B, 3, 3)."""
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    attitude, momentum = Rotation.from_quat(path[:, 3:]), np.zeros((len(path) - 1, 6))
+    for n, b in enumerate([*on_A, *on_P]):
+        home = Rotation.from_matrix(data.ximat[b].reshape(3, 3))
+        momentum += _momentum(model, b, places[:, n], Rotation.from_matrix(turns[:, n]), tick)
+        if n < len(on_A):
+            momentum -= _momentum(model, b, path[:, :3] + attitude.apply(data.xipos[b]), attitude * home, tick)
+    return np.asarray(np.diff(momentum, axis=0, prepend=momentum[:1], append=momentum[-1:]) / tick)
+
+
+def _momentum(model: mujoco.MjModel, body: int, place: Array, turn: Rotation, tick: float) -> Array:
+    """(N - 1, 6) linear [kg m/s] and about W's origin [kg m^2/s], of a body between the rows ``place`` (N, 3) and ``turn``."""
+    linear, change = model.body_mass[body] * np.diff(place, axis=0) / tick, (turn[1:] * turn[:-1].inv()).as_rotvec()
+    between = Rotation.from_rotvec(0.5 * change) * turn[:-1]
+    spin = between.apply(model.body_inertia[body] * between.inv().apply(change / tick))
+    return np.hstack([linear, np.cross(0.5 * (place[1:] + place[:-1]), linear) + spin])
+
+
+@njit(cache=True)
+def step_between(pose_before, twist_before, pose, twist, dt, poses, twists):
+    """The instants of the tick between two rows, a step ``dt`` [s] apart: into ``poses`` (m, n, 7) and ``twists`` (m, n, 6).
+
+    Each twist is the slope of the step that ends there, as where velocities are stepped before places; over the tick they are a parabola
+    that begins and ends with the rows' own, and brings A from the one row's pose to the other's.
+    """
+    m = poses.shape[0]
+    mean, bend = np.empty(6), np.empty(6)
+    weight = 0.0
+    for s in range(1, m + 1):
+        weight += s * (m - s)
+    for i in range(pose.shape[0]):
+        twist_between(pose_before[i], pose[i], m * dt, mean)
+        for j in range(6):  # what the straight line between both twists lacks in the sum over the steps
+            lacks = m * mean[j] - m * twist_before[i, j] - 0.5 * (m + 1) * (twist[i, j] - twist_before[i, j])
+            bend[j] = lacks / weight if m > 1 else 0.0
+        for s in range(1, m + 1):
+            for j in range(6):
+                twists[s - 1, i, j] = twist_before[i, j] + (twist[i, j] - twist_before[i, j]) * s / m + bend[j] * s * (m - s)
+            pose_step(pose_before[i] if s == 1 else poses[s - 2, i], twists[s - 1, i], dt, poses[s - 1, i])
+        poses[m - 1, i] = pose[i]

@@ -175,9 +175,11 @@ def recorded(folder: Path, **more: object) -> Path:
 
 
 @SLOW
-def test_what_departs_in_it_is_named(folder: Path) -> None:
+@pytest.mark.parametrize("tracking", ["ideal", "servo"])
+def test_what_departs_in_it_is_named(folder: Path, tracking: str) -> None:
     """The plunger moves by itself: its force hangs on how A moved before, which the diagnosis plays."""
-    found = diagnose(recorded(folder, effects=[{"kind": "contact.stiffness", "factor": 1.3}])).finding
+    hidden = [{"kind": "contact.stiffness", "factor": 1.3}]
+    found = diagnose(recorded(folder, **{"rig.platform.tracking": tracking, "effects": hidden})).finding
     assert found.verdict == "named"
     assert not found.not_judged
     (cause,) = found.causes
@@ -185,13 +187,15 @@ def test_what_departs_in_it_is_named(folder: Path) -> None:
     assert cause.parameters["factor"].estimate == pytest.approx(1.3, rel=0.005)
 
 
-def test_where_nothing_departs_in_it_nothing_is_found(folder: Path) -> None:
-    found = diagnose(recorded(folder)).finding
+@pytest.mark.parametrize("tracking", ["ideal", "servo"])
+def test_where_nothing_departs_in_it_nothing_is_found(folder: Path, tracking: str) -> None:
+    found = diagnose(recorded(folder, **{"rig.platform.tracking": tracking})).finding
     assert found.verdict == "no_discrepancy"
     assert not found.not_judged
 
 
 def test_a_diagnosis_does_not_judge_what_hangs_on_motion_within_a_tick(folder: Path) -> None:
-    found = diagnose(recorded(folder, **{"rig.platform.tracking": "servo"})).finding
+    """A platform that is given by its response follows a curve between two rows."""
+    found = diagnose(recorded(folder, **{"rig.platform.tracking": "response"})).finding
     assert found.verdict == "inconclusive"
     assert any("how A moves within a tick" in why for why in found.not_judged.values())

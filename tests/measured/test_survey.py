@@ -15,7 +15,7 @@ from hiltestbed.scenario import load_scenario
 
 @pytest.mark.parametrize("peak", [200.0, -200.0, None])
 def test_what_pulls_touches_as_well_as_what_pushes(peak: float | None) -> None:
-    survey = Survey(0, {}, (Contact(10, 20, peak, 1e-3, None),), (), 0.0)
+    survey = Survey(0, {}, (Contact(10, 20, peak, 1e-3, None, None if peak is None else abs(peak)),), (), 0.0)
     assert survey.touching(40, late=4, least=50.0).sum() == 10 + 2 + 4 + 3
     assert survey.touching(40, late=4, least=500.0).any() == (peak is None)
 
@@ -59,3 +59,17 @@ def test_a_tilted_port_that_is_met_in_the_first_rows_before_the_pose_says_so() -
     assert len(found.contacts) == 1
     assert abs(found.contacts[0].start - 0.004 * scenario.rate) < late
     assert abs(found.contacts[0].end - 0.1 * scenario.rate) < late
+
+
+@pytest.mark.parametrize(("name", "found"), [("16-probe-drogue", 1), ("02-bumper", 0)])
+def test_what_swings_on_its_side_is_in_contact_where_it_is_pressed_across(name: str, found: int) -> None:
+    """A head on a rod that stays in its socket, the stroke at rest; a plane is pressed along its normal."""
+    scenario = load_scenario(find_scenario(Path(name)))
+    t = np.arange(2000) / scenario.rate
+    pose, wrench = np.zeros((len(t), 7)), np.random.default_rng(1).standard_normal((len(t), 6))
+    pose[:, 2], pose[:, 6] = -0.05, 1.0
+    wrench[:, 0] += 60.0 * (t > 0.5 * t[-1])
+    valid = {"pose_act": np.ones(pose.shape, bool), "wrench_meas": np.ones(wrench.shape, bool)}
+    survey = look(Record(1, Path(), t, {"pose_act": pose, "wrench_meas": wrench}, valid), scenario)
+    assert len(survey.contacts) == found
+    assert survey.touching(len(t), 0, least=30.0)[1500] == bool(found)

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from hiltestbed.errors import InputError
+from hiltestbed.gallery import find_scenario
 from hiltestbed.platform.plant import Plant
 from hiltestbed.platform.pss33.servo import Servo
 from hiltestbed.platform.pss33.settings import Pss33
+from hiltestbed.scenario import load_scenario
 from hiltestbed.state import arrays_of
 from tests.platform.rigs import Press, pose, scenario
 
@@ -166,3 +170,19 @@ def test_what_the_servo_takes_from_a_rebound_is_its_drives_damping() -> None:
     expected = -np.pi * taken / (2.0 * np.sqrt(1e5 * mu))
     assert np.log(-twist[0, 2] / 0.03) == pytest.approx(expected, abs=abs(expected) / 3.0)
     assert abs(expected) < 1e-3
+
+
+@pytest.mark.parametrize("name", ["15-ring-docking", "16-probe-drogue", "17-gripper"])
+@pytest.mark.parametrize("kind", ["pss33", "stewart"])
+def test_what_moves_on_a_side_rubs_the_same_on_whatever_carries_it(name: str, kind: str) -> None:
+    """A joint's friction creeps by its inverse weight while it sticks: that of the mechanism, in which no limb of a platform counts."""
+    found = []
+    for platform in ({"kind": "pss33", "tracking": "ideal"}, {"kind": kind, "tracking": "servo"}):
+        model = Plant([load_scenario(find_scenario(Path(name)), set={"rig.platform": platform})]).model
+        parts = [b for b in range(model.nbody) if model.body(b).name.startswith("active_") and model.body_jntnum[b]]
+        assert parts
+        dofs = np.flatnonzero(np.isin(model.dof_bodyid, parts))
+        found.append((model.dof_invweight0[dofs], model.body_invweight0[parts]))
+    for alone, carried in zip(*found, strict=True):
+        np.testing.assert_allclose(carried, alone, rtol=1e-6)
+        assert (alone > 0.0).all()

@@ -79,12 +79,12 @@ class WrenchLink(Link):
         self._believed = [_numbers(r.scenario, self.lever, self.blunt, self.ring) for r in runs]
         scenarios = [r.scenario for r in runs]
         first, before = scenarios[0], np.empty((len(runs), 7))
-        for i, (scenario, path) in enumerate(zip(scenarios, paths, strict=True)):
-            pose_step(path[0], approach_state(scenario)[7:], -scenario.tick, before[i])
         self._felt: Felt | Played
         if not sides_of(first.mechanism).rigid:
-            self._felt = Played(scenarios, padded(paths), before)
+            self._felt = Played(scenarios, padded(paths), None if rates is None else padded(rates))
             return
+        for i, (scenario, path) in enumerate(zip(scenarios, paths, strict=True)):
+            pose_step(path[0], approach_state(scenario)[7:], -scenario.tick, before[i])
         captured = np.array([s.mechanism.captured for s in scenarios])
         self._felt = Felt(
             padded(paths), before, first.tick, sides_of(first.mechanism).geometry, captured, latch_limits(scenarios),
@@ -200,7 +200,7 @@ class WrenchLink(Link):
         if self.runs[i].scenario.mechanism.captured:
             return self.paths[i][:, 2]
         if isinstance(self._felt, Played):
-            return self._felt.depth(i)[: self.runs[i].rows]
+            return self._felt.believed(i).depth[: self.runs[i].rows]
         return np.asarray(self._felt.met[0][i, : self.runs[i].rows].max(axis=1, initial=-1.0))
 
     def lateness(self, i: int, effects: Effects) -> float:

@@ -55,7 +55,7 @@ def facility_model(facility: Facility, structure: Structure, timestep: float) ->
     spec = facility_spec(facility, structure, timestep)
     spec.compiler.discardvisual = True
     model = spec.compile()
-    weigh_contact(model, FLANGE)
+    weigh_contact(model, FLANGE, structure.held)
     return model
 
 
