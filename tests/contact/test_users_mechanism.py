@@ -13,7 +13,7 @@ from hiltestbed.errors import InputError
 from hiltestbed.platform.plant import Plant
 from hiltestbed.scenario import Scenario, load_scenario, scenario_sha256
 from hiltestbed.simulation import simulate
-from tests.slow import SLOW
+from tests.slow import SLOW, slow
 
 ACTIVE = """<mujoco><worldbody>
   <geom type="cylinder" size="0.10 0.05" pos="0 0 0.05" contype="0" conaffinity="0"/>
@@ -187,7 +187,7 @@ def test_what_departs_in_it_is_named(folder: Path, tracking: str) -> None:
     assert cause.parameters["factor"].estimate == pytest.approx(1.3, rel=0.005)
 
 
-@pytest.mark.parametrize("tracking", ["ideal", "servo"])
+@pytest.mark.parametrize("tracking", [slow("ideal"), "servo"])
 def test_where_nothing_departs_in_it_nothing_is_found(folder: Path, tracking: str) -> None:
     found = diagnose(recorded(folder, **{"rig.platform.tracking": tracking})).finding
     assert found.verdict == "no_discrepancy"

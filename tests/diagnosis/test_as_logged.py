@@ -20,7 +20,7 @@ from tests.slow import slow
         (("digits", 4.0), 610027),  # a command in few digits is a rough path
         (("digits", 5.0), 610026),  # a pair that is latched from the start, and turns freely
         slow(("converter_steps", 1.0), 620012),  # forces across that stay within two steps
-        (("log_rate", 250.0), 610036),  # seven ticks of eight without a row
+        slow(("log_rate", 250.0), 610036),  # seven ticks of eight without a row
         slow(("log_rate", 500.0), 610035),
         slow(("log_rate", 1700.0), 610034),  # noise of samples that were put between others twice
         slow(("stamp_jitter", 0.1), 610031),
@@ -39,7 +39,7 @@ def test_what_a_logger_does_is_no_departure(tmp_path: Path, noise: tuple[str, fl
     [
         slow(("log_rate", 500.0), "contact.stiffness", 640001),
         (("log_rate", 250.0), "contact.dry_friction", 640016),
-        (("anti_aliasing", 150.0), "contact.stiffness", 650011),
+        slow(("anti_aliasing", 150.0), "contact.stiffness", 650011),
         slow(("anti_aliasing", 50.0), "sensor.lag", 660024),
         slow(("anti_aliasing", 150.0), "log.skew", 660027),
     ],

@@ -23,6 +23,7 @@ from hiltestbed.effects import EFFECTS
 from hiltestbed.effects.search import Candidate
 from hiltestbed.measured import load_dataset
 from hiltestbed.scenario import scenario_from
+from tests.slow import SLOW, slow
 
 from .made import H, contact_link, platform_link, scenario
 
@@ -39,9 +40,9 @@ def judged(folder: Path, seed: int, nuisances: Nuisances, *hidden: str) -> tuple
     ("channel", "rows", "seed", "links"),
     [
         ("pose_cmd", 1.0, 810014, {"platform": -1.0}),
-        ("wrench_meas", -0.4, 810001, {"compensation": 0.4, "wrench": -0.4}),
+        slow("wrench_meas", -0.4, 810001, {"compensation": 0.4, "wrench": -0.4}),
         ("wrench_comp", -0.4, 810005, {"compensation": -0.4, "dynamics": 0.4}),
-        ("pose_act", -1.0, 810011, {"platform": -1.0}),
+        slow("pose_act", -1.0, 810011, {"platform": -1.0}),
     ],
 )
 def test_a_channel_that_is_stamped_rows_off_is_no_departure(
@@ -54,6 +55,7 @@ def test_a_channel_that_is_stamped_rows_off_is_no_departure(
     assert timing.words(found.findings.explanations)
 
 
+@SLOW
 def test_instants_within_a_tick_and_a_stamp_of_the_encoder_are_no_departures(tmp_path: Path) -> None:
     found, _ = judged(tmp_path, 810016, Nuisances(read=0.3, move=0.2, encoder=0.4, step=0.25))
     assert found.verdict.verdict == "no_discrepancy"

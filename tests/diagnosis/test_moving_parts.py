@@ -1,0 +1,38 @@
+"""Runs of mechanisms with moving parts under a servo, the default: what the loop records, its own diagnosis explains."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from hiltestbed import diagnose, run, write_run
+from hiltestbed.diagnosis.result import Finding
+from hiltestbed.gallery import find_scenario
+from hiltestbed.scenario import load_scenario
+from tests.slow import SLOW
+
+pytestmark = SLOW
+
+
+def found(folder: Path, name: str, duration: float, effects: list[dict[str, Any]]) -> Finding:
+    """The diagnosis of two runs, the second one at four fifths of the speed."""
+    file, entries = find_scenario(Path(name)), []
+    for seed, part in enumerate((1.0, 0.8)):
+        velocity = [part * v for v in load_scenario(file).approach.velocity]
+        scenario = load_scenario(file, set={"duration": duration, "approach.velocity": velocity, "seed": seed, "effects": effects})
+        write_run(run(scenario), folder / f"run{seed}", rerun=False)
+        entries.append({"file": f"run{seed}/trace.parquet", "set": {"approach.velocity": velocity}})
+    (folder / "data.yaml").write_text(json.dumps({"scenario": str(file), "runs": entries}))
+    return diagnose(folder / "data.yaml").finding
+
+
+@pytest.mark.parametrize(("name", "duration"), [("16-probe-drogue", 4.0), ("17-gripper", 3.0)])
+def test_where_nothing_departs_nothing_is_found(tmp_path: Path, name: str, duration: float) -> None:
+    finding = found(tmp_path, name, duration, [])
+    assert finding.verdict == "no_discrepancy"
+    assert not finding.not_judged
+    chaos = any("the least of causes decides" in words for words in finding.assumed)
+    assert chaos == (name == "17-gripper")  # its jaws slip and stick from step to step
