@@ -234,7 +234,7 @@ def apart(layout: Layout, path: Path) -> list[np.ndarray]:
     level = np.maximum(level, layout.least_force)
     out = [np.zeros(len(s), dtype=bool) for s in shown]
     for i, found in enumerate(many.predict([(i, ()) for i in range(len(shaken))])):
-        out[i % len(layout.runs)] |= (np.abs(found - shown[i % len(layout.runs)]) > APART * level).any(axis=1)
+        out[i % len(layout.runs)] |= ~(np.abs(found - shown[i % len(layout.runs)]) <= APART * level).all(axis=1)
     back = round(PARTED / layout.scales.tick)
     return [np.asarray(maximum_filter1d(o, back + SMOOTHING, origin=(back - SMOOTHING) // 2)) for o in out]
 

@@ -88,13 +88,15 @@ def deflection(run: MeasuredRun, noise: float, reading: Array | None = None) -> 
 
 
 def _engaged(run: MeasuredRun) -> Engaged | None:
-    """What its contact does along the pose on record, where that takes playing it; None where it follows from the pose."""
+    """What its contact does along the pose on record, where that takes playing it; None where it follows from the pose, or where no such
+    mechanism can have gone along it."""
     if sides_of(run.scenario.mechanism).rigid or not can_carry(run.scenario):
         return None
     path, record = np.ascontiguousarray(run.record.filled("pose_act")), run.record
     rated = record.has("twist_act") and record.valid["twist_act"].all()
     rates = record.filled("twist_act") if rated else central_rates(run.scenario, path)
-    return Played([run.scenario], path[None], None if moves_linearly(run.scenario) else np.ascontiguousarray(rates)[None]).believed(0)
+    found = Played([run.scenario], path[None], None if moves_linearly(run.scenario) else np.ascontiguousarray(rates)[None]).believed(0)
+    return found if np.isfinite(found.taken).all() and np.isfinite(found.wrench).all() else None
 
 
 def _as_told(run: MeasuredRun) -> Array | None:

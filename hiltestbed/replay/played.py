@@ -144,7 +144,10 @@ def _rate_of_momentum(
     model: mujoco.MjModel, on_A: Sequence[int], on_P: Sequence[int], path: Array, places: Array, turns: Array, tick: float
 ) -> Array:
     """(N, 6) by how much the momentum of bodies on A, which goes along ``path`` (N, 7), and of bodies on P changes faster than if they
-    stood at home: at each row, about W's origin. They are at ``places`` (N, B, 3), turned by ``turns`` (N, B, 3, 3)."""
+    stood at home: at each row, about W's origin. They are at ``places`` (N, B, 3), turned by ``turns`` (N, B, 3, 3); NaN where one of them
+    left the finite numbers."""
+    if not np.isfinite(places).all() or not np.isfinite(turns).all():
+        return np.full((len(path), 6), np.nan)
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     attitude, momentum = Rotation.from_quat(path[:, 3:]), np.zeros((len(path) - 1, 6))
