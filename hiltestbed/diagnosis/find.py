@@ -18,7 +18,6 @@ from hiltestbed.diagnosis.in_part import borne_out, explained, holding
 from hiltestbed.diagnosis.intervals import intervals
 from hiltestbed.diagnosis.investigate import Findings
 from hiltestbed.diagnosis.isolability import isolability
-from hiltestbed.diagnosis.layout import touching
 from hiltestbed.diagnosis.learned.finding import learned_on
 from hiltestbed.diagnosis.learned_law import Learned
 from hiltestbed.diagnosis.links import WrenchLink
@@ -104,7 +103,7 @@ def _left_out(findings: Findings) -> tuple[str, ...]:
     link, layout = findings.whole.get("wrench"), findings.layout
     if not isinstance(link, WrenchLink) or not link.played:
         return ()
-    told = [np.asarray(np.isfinite(run.sigma).any(axis=1))[touching(r, run.rows)] for r, run in zip(layout.runs, link.runs, strict=True)]
+    told = [np.asarray(np.isfinite(run.sigma).any(axis=1))[r.touching(run.rows)] for r, run in zip(layout.runs, link.runs, strict=True)]
     left = 1.0 - float(np.mean(np.concatenate(told)))
     why = "there the least of causes decides what the mechanism does"
     return (f"{left:.0%} of the rows in contact were left out: {why}",) if left >= 0.005 else ()

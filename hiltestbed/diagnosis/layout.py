@@ -8,41 +8,33 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hiltestbed.contact.sides import sides_of
 from hiltestbed.diagnosis.bridged import bends_of, bridges, bridging_noise, differences, lost
 from hiltestbed.diagnosis.driven import regression
-from hiltestbed.diagnosis.links import CompensationLink, DynamicsLink, Link, LinkRun, PlatformLink, WrenchLink, flat_pose
-from hiltestbed.diagnosis.links.base import padded
+from hiltestbed.diagnosis.floors import floors
+from hiltestbed.diagnosis.lacking import every, lacking
+from hiltestbed.diagnosis.links import CompensationLink, DynamicsLink, LinkRun, PlatformLink, WrenchLink, flat_pose
 from hiltestbed.diagnosis.low_pass import LowPass, low_pass_between
 from hiltestbed.diagnosis.noise import ForceNoise, few_numbers, force_noise, in_steps
-from hiltestbed.diagnosis.pose_noise import smooth_levels
+from hiltestbed.diagnosis.scales import scales_of
 from hiltestbed.diagnosis.settings import (
     ARM_UNKNOWN,
     COMPENSATION_FLOOR,
     CORRELATED,
     DYNAMICS_FLOOR,
-    ENOUGH_FREE,
-    FREE_ROWS,
     NO_FORCE_NOISE,
     NO_POSE_NOISE,
     TAIL,
-    UNEVEN,
-    WHITE_KNOWN,
 )
 from hiltestbed.diagnosis.yielding import Deflection, deflection
 from hiltestbed.effects.search import Scales
 from hiltestbed.frames import Array
 from hiltestbed.measured import MeasuredDataset, MeasuredRun
 from hiltestbed.measured.driven import is_driven
-from hiltestbed.measured.momentum import centred
-from hiltestbed.measured.noise import white_noise
-from hiltestbed.replay import can_carry
 from hiltestbed.replay.compensation import needs
 from hiltestbed.signals import GROUPS
 
 MEMORY = 0.05  # [s] for which platform, contact and compensation are taken to remember a sample that is missing
 OFF_RECORD = 3  # rows at each end whose command may not be on record: loggers stamp each channel up to two rows early or late
-MOSTLY = 0.9  # part of the rows of every run, which hang on samples that are missing
 COMPUTED_ROUNDED = math.sqrt(CORRELATED)  # as computed channels are counted
 ROTATIONS = ("rx", "ry", "rz")
 
@@ -87,14 +79,14 @@ def lay_out(dataset: MeasuredDataset) -> Layout:
     """Rows, noise floors and scales of a dataset, and what of it can be replayed."""
     runs = dataset.runs
     force = force_noise(runs)
-    noise = _floors(runs) | force.levels()
-    missing = _lacking(runs)
+    noise = floors(runs) | force.levels()
+    missing = lacking(runs)
     given = None
     if "platform" not in missing:
         given, lost = _deflections(runs, noise)
         if lost is not None:
             missing["platform"] = f"the believed rig cannot follow the command on record in {lost.name}"
-    scales = _scales(runs, noise)
+    scales = scales_of(runs, noise)
     if "dynamics" not in missing and all(is_driven(r.record, r.scenario) for r in runs):
         scales = replace(scales, driven=regression(runs))
     layout = Layout(runs, tuple(_rows(r) for r in runs), scales, noise, force, given, missing)
@@ -135,55 +127,6 @@ def _deflections(
     return tuple(found), None
 
 
-def _lacking(runs: Sequence[MeasuredRun]) -> dict[str, str]:
-    """Link to the groups that it needs and that some run lacks."""
-    if any(r.scenario.rig.platform.physical for r in runs):
-        free = "the bodies move by themselves: nothing is computed, and nothing is commanded"
-        return dict.fromkeys(("platform", "compensation", "dynamics"), free) | _lacking_of_wrench(runs)
-    out = {}
-    if not _all(runs, "pose_cmd", "pose_act"):
-        out["platform"] = "needs pose_cmd and pose_act in every run"
-    if not _all(runs, "wrench_meas", "wrench_comp"):
-        out["compensation"] = "needs wrench_meas and wrench_comp in every run"
-    else:
-        groups = sorted({g for r in runs for g in needs(r.scenario)} - {"wrench_meas"})
-        if not _all(runs, *groups):
-            kinds = ", ".join(sorted({r.scenario.compensation.force.kind for r in runs}))
-            out["compensation"] = f"needs {' and '.join(groups)} in every run for compensation.force {kinds}"
-    if not _all(runs, "wrench_comp", "pose_cmd"):
-        out["dynamics"] = "needs wrench_comp and pose_cmd in every run"
-    elif any(name in r.record.absent and not centred(r.scenario) for r in runs for name in GROUPS["wrench_comp"].columns):
-        out["dynamics"] = "needs all axes of wrench_comp: off the axis of insertion each of them moves all of pose_cmd"
-    elif all(
-        not bridges(r.record, "wrench_comp") and r.record.unknown("wrench_comp")[-1] and r.record.unknown("wrench_comp").mean() > MOSTLY
-        for r in runs
-    ):
-        out["dynamics"] = "needs wrench_comp without gaps: what a missing sample did to the motion stays in it"
-    return out | _lacking_of_wrench(runs)
-
-
-def _lacking_of_wrench(runs: Sequence[MeasuredRun]) -> dict[str, str]:
-    out = {}
-    if not _all(runs, "wrench_meas"):
-        out["wrench"] = "needs wrench_meas in every run"
-    elif not _all(runs, "wrench_meas.fz"):
-        out["wrench"] = "needs wrench_meas.fz in every run"
-    elif not all(r.record.has("pose_act") or r.record.has("pose_cmd") for r in runs):
-        out["wrench"] = "needs pose_act or pose_cmd in every run"
-    elif not any(r.survey.contacts for r in runs):
-        out["wrench"] = "needs a contact"
-    elif not all(sides_of(r.scenario.mechanism).rigid or can_carry(r.scenario) for r in runs):
-        out["wrench"] = (
-            "the mechanism has parts that move, or parts that collide at several points: its force follows from how A moves within a tick, "
-            "which is not on record; it is judged where tracking is ideal or servo and nothing moves P"
-        )
-    elif any(r.scenario.rig.upper.kind != "fixed" and r.scenario.mechanism.latch is not None for r in runs):
-        out["wrench"] = (
-            "a latch closes while the upper platform moves: where it holds A hangs on motion within a tick, which is not on record"
-        )
-    return out
-
-
 def platform_link(layout: Layout, rows: Sequence[int]) -> PlatformLink:
     """The platform on the first ``rows`` of each run."""
     assert layout.deflection is not None  # else it is missing
@@ -199,7 +142,7 @@ def compensation_link(layout: Layout, rows: Sequence[int]) -> CompensationLink:
     """The compensation on the first ``rows`` of each run."""
     level = COMPENSATION_FLOOR * max(layout.noise.get("wrench_meas.fz", 0.0), 1e-6) * math.sqrt(CORRELATED)
     groups = {g for r in layout.runs for g in needs(r.scenario)} - {"wrench_meas"}
-    twists = {g.replace("pose", "twist") for g in groups if _all(layout.runs, g.replace("pose", "twist"))}
+    twists = {g.replace("pose", "twist") for g in groups if every(layout.runs, g.replace("pose", "twist"))}
     pairs = list(zip(layout.runs, rows, strict=True))
     records = {g: [np.ascontiguousarray(r.record.filled(g)[:n]) for r, n in pairs] for g in groups | twists}
     runs = [_computed_run(r, r.record.data["wrench_comp"], level, n, "wrench_meas", MEMORY) for r, n in pairs]
@@ -274,20 +217,11 @@ def _cut(arrays: Sequence[Array], rows: Sequence[int]) -> list[Array]:
     return [np.ascontiguousarray(a[:n]) for a, n in zip(arrays, rows, strict=True)]
 
 
-def _all(runs: Sequence[MeasuredRun], *groups: str) -> bool:
-    return all(r.record.has(g) for r in runs for g in groups)
-
-
 def _rows(run: MeasuredRun) -> int:
     if not run.survey.contacts:
         return run.record.ticks
     end = max(c.end for c in run.survey.contacts)
     return min(run.record.ticks, end + round((TAIL + run.scenario.sensor.delay) * run.scenario.rate))
-
-
-def touching(run: MeasuredRun, rows: int) -> np.ndarray:
-    """(rows,) bool: in contact, or the sensor still shows it."""
-    return run.survey.touching(rows, round(run.scenario.sensor.delay * run.scenario.rate))
 
 
 def _force_run(run: MeasuredRun, layout: Layout, i: int, rows: int, least: Array) -> LinkRun:
@@ -303,7 +237,7 @@ def _force_run(run: MeasuredRun, layout: Layout, i: int, rows: int, least: Array
         sigma[run.record.unknown(path, MEMORY + run.scenario.sensor.delay)[:rows]] = np.inf
     measured = np.where(run.record.valid["wrench_meas"][:rows], reading, 0.0)
     force = layout.force
-    return LinkRun(run.scenario, measured, sigma, touching(run, rows), force.heavy, force.tail, force.baseline, force.tones)
+    return LinkRun(run.scenario, measured, sigma, run.touching(rows), force.heavy, force.tail, force.baseline, force.tones)
 
 
 def _as_one(run: MeasuredRun, group: str, rows: int) -> Array:
@@ -328,7 +262,7 @@ def _pose_run(run: MeasuredRun, noise: Mapping[str, float], doubt: Array, rows: 
     sigma = np.where(counted, np.hypot(level, doubt), np.inf)
     sigma[run.record.unknown("pose_cmd", MEMORY)[:rows]] = np.inf
     sigma[:OFF_RECORD] = sigma[run.record.ticks - OFF_RECORD :] = np.inf  # row 0 is the start, and stamps may be rows off
-    return LinkRun(run.scenario, np.nan_to_num(flat_pose(run.record.data["pose_act"][:rows])), sigma, touching(run, rows))
+    return LinkRun(run.scenario, np.nan_to_num(flat_pose(run.record.data["pose_act"][:rows])), sigma, run.touching(rows))
 
 
 def _computed_run(run: MeasuredRun, values: Array, level: float, rows: int, given: str, memory: float | None) -> LinkRun:
@@ -337,91 +271,4 @@ def _computed_run(run: MeasuredRun, values: Array, level: float, rows: int, give
     sigma[run.record.unknown(given, memory)[:rows]] = np.inf
     if given == "wrench_meas":  # axis by axis: nothing comes of an axis that was not measured
         sigma[:, [name in run.record.absent for name in GROUPS[given].columns]] = np.inf
-    return LinkRun(run.scenario, np.nan_to_num(values[:rows]), sigma, touching(run, rows))
-
-
-def _floors(runs: Sequence[MeasuredRun]) -> dict[str, float]:
-    """Channel to noise floor: third differences away from contacts, pooled; readings that stand still there tell nothing."""
-    floors, smooth = {}, smooth_levels(runs)
-    for name in dict.fromkeys(c for r in runs for c in r.record.columns()):
-        found, still = [], 0
-        for r in runs:
-            if not r.record.has(name):
-                continue
-            values = r.record.column(name)
-            outside = values[~touching(r, len(values))] if name.startswith("wrench") and r.survey.contacts else values
-            outside = outside if len(outside) > FREE_ROWS else values  # a latched mechanism is never free
-            still += int(len(outside) > 10 and np.median(np.abs(np.diff(outside))) == 0.0)
-            found.append(max(white_outside(outside, values), r.record.steps.get(name, 0.0) / math.sqrt(12.0)))
-        level = float(np.sqrt(np.mean(np.square(found)))) if found else 0.0
-        if name.startswith("wrench_meas") and still * 2 > len(runs):  # a dead zone, or a sensor that is off between contacts
-            believed = runs[0].scenario.sensor.noise if ".f" in name else runs[0].scenario.sensor.torque_noise
-            inside = [white_noise(r.record.column(name)[touching(r, r.record.ticks)]) for r in runs if r.survey.contacts]
-            level = believed or (float(np.median(inside)) if inside else 0.0)
-            steps = [r.record.steps.get(name, 0.0) for r in runs]
-            level = math.hypot(level, max(steps) / math.sqrt(12.0)) if any(in_steps(r, name) for r in runs) else level
-        sampled = [r.record.sampled.get(name, 0.0) for r in runs] if name.startswith("pose_act") else []  # a force's colour tells it
-        floors[name] = max(level, smooth.get(name, 0.0), *sampled)
-    places = [n for n in ("pose_act.px", "pose_act.py", "pose_act.pz") if floors.get(n)]
-    for name in places:  # a platform that moves in jumps looks noisy on the axis that moves most
-        floors[name] = min(floors[name], UNEVEN * min(floors[n] for n in places))
-    return floors | {f"pose_act.r{axis}": 2.0 * floors[f"pose_act.q{axis}"] for axis in "xyz" if f"pose_act.q{axis}" in floors}
-
-
-def white_outside(outside: Array, values: Array) -> float:
-    """White noise of the rows ``outside`` of contacts; where they are few, that of all ``values`` if these do not tell the two apart."""
-    found, everywhere = white_noise(outside), white_noise(values)
-    few = len(outside) < ENOUGH_FREE and abs(everywhere - found) < 2.0 * WHITE_KNOWN / math.sqrt(max(1, len(outside))) * everywhere
-    return everywhere if few else found
-
-
-def _scales(runs: Sequence[MeasuredRun], noise: Mapping[str, float]) -> Scales:
-    contacts = [c for r in runs for c in r.survey.contacts]
-    first = runs[0].scenario
-    stiffness = float(np.median([r.scenario.mechanism.contact.stiffness for r in runs]))
-    force = max([abs(c.peak_force or 0.0) for c in contacts], default=0.0)
-    depth = _depth(runs, force / stiffness)
-    force = force or stiffness * depth
-    speeds = [abs(v) for r in runs for v in r.scenario.approach.velocity if v] or _commanded_speeds(runs) or [0.01]
-    peaks = sorted({round(abs(c.peak_force), 6) for c in contacts if c.peak_force}, reverse=True)
-    return Scales(
-        force=force,
-        depth=depth,
-        stiffness=stiffness,
-        tick=first.tick,
-        noise=noise.get("wrench_meas.fz", 0.01 * force) or 1e-3 * force,
-        slow=min(speeds),
-        fast=max(speeds),
-        duration=min(r.record.ticks * r.scenario.tick for r in runs),
-        reading=tuple(peaks[:3]),
-        travel=max(
-            (float(np.max(np.ptp(r.record.filled("pose_cmd")[:, :3], axis=0))) for r in runs if r.record.has("pose_cmd")), default=0.0
-        ),
-        substeps=first.substeps,
-        captured=first.mechanism.captured,
-        slides=_slides(runs),
-    )
-
-
-def _depth(runs: Sequence[MeasuredRun], pressed: float) -> float:
-    """Largest penetration [m]: measured where the passive surface is flat, else that of the peak force."""
-    contacts = [c for r in runs for c in r.survey.contacts]
-    if runs[0].scenario.mechanism.flat or runs[0].scenario.mechanism.captured or not pressed:
-        return max([c.penetration or 0.0 for c in contacts], default=1e-3) or 1e-3
-    return pressed
-
-
-def _slides(runs: Sequence[MeasuredRun]) -> bool:
-    """Whether the tip moves across the surface."""
-    first = runs[0].scenario
-    lateral = any(any(r.scenario.approach.velocity[:2]) for r in runs)
-    return lateral or first.mechanism.contact.friction > 0 or not (first.mechanism.flat or first.mechanism.captured)
-
-
-def _commanded_speeds(runs: Sequence[MeasuredRun]) -> list[float]:
-    """The largest speed [m/s] that each run commands on any axis."""
-    rates = [np.diff(r.record.filled("pose_cmd")[:, :3], axis=0) / r.scenario.tick for r in runs if r.record.has("pose_cmd")]
-    return [float(np.max(np.abs(v))) for v in rates if v.any()]
-
-
-__all__ = ["Layout", "Link", "compensation_link", "dynamics_link", "lay_out", "padded", "platform_link", "touching", "wrench_link"]
+    return LinkRun(run.scenario, np.nan_to_num(values[:rows]), sigma, run.touching(rows))

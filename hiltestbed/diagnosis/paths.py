@@ -18,7 +18,7 @@ from scipy.signal import savgol_coeffs, savgol_filter
 from hiltestbed.contact.sides import sides_of
 from hiltestbed.diagnosis.bridged import bends_of, differences
 from hiltestbed.diagnosis.decimation import decimated
-from hiltestbed.diagnosis.layout import Layout, platform_link, touching, wrench_link
+from hiltestbed.diagnosis.layout import Layout, platform_link, wrench_link
 from hiltestbed.diagnosis.links import WrenchLink, flat_pose
 from hiltestbed.diagnosis.links.base import PROMPT, Later
 from hiltestbed.diagnosis.links.platform import poses_of
@@ -94,7 +94,7 @@ def compared(layout: Layout, best: BestPath) -> float:
     """Part of the rows in contact whose replay on a path tells anything."""
     if best.brought is None:
         return 1.0
-    inside = [np.asarray(np.isfinite(b).all(axis=1))[touching(r, len(b))] for r, b in zip(layout.runs, best.brought, strict=True)]
+    inside = [np.asarray(np.isfinite(b).all(axis=1))[r.touching(len(b))] for r, b in zip(layout.runs, best.brought, strict=True)]
     return float(np.mean(np.concatenate(inside)))
 
 
@@ -178,7 +178,7 @@ def _replays_better(layout: Layout, measured: Path, brought: Sequence[Array], ex
 
 def _share(layout: Layout, brought: Sequence[Array]) -> float:
     """The noise that a path brings over that of the force, rms in contact, of the force axis where it is largest."""
-    inside = [b[touching(r, len(b)), :3] for r, b in zip(layout.runs, brought, strict=True)]
+    inside = [b[r.touching(len(b)), :3] for r, b in zip(layout.runs, brought, strict=True)]
     squares = np.mean(np.concatenate(inside) ** 2, axis=0)
     own = max(layout.noise.get("wrench_meas.fz", 0.0), layout.least_force)
     return float(np.sqrt(squares.max())) / own if np.isfinite(squares).all() else math.inf
@@ -317,4 +317,4 @@ def _smoothed_noise(layout: Layout, run: MeasuredRun) -> Array:
     place = float(np.linalg.norm(savgol_coeffs(SMOOTHING, 3))) * noise
     rate = float(np.linalg.norm(savgol_coeffs(SMOOTHING, 3, deriv=1))) * noise / layout.scales.tick
     extra = 2.0 * math.hypot(contact.stiffness * place, contact.damping * rate)
-    return np.where(touching(run, run.record.ticks)[:, None] & (np.arange(6) < 3), extra, 0.0)
+    return np.where(run.touching(run.record.ticks)[:, None] & (np.arange(6) < 3), extra, 0.0)

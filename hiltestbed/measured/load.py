@@ -7,6 +7,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from hiltestbed.dataset import Dataset, LoadedDataset
 from hiltestbed.dataset import load_dataset as load_specification
 from hiltestbed.errors import Fault, InputError
@@ -34,6 +36,10 @@ class MeasuredRun:
     scenario: Scenario
     survey: Survey
     name: str = ""
+
+    def touching(self, rows: int) -> np.ndarray:
+        """(rows,) bool: in contact, or the sensor still shows it."""
+        return self.survey.touching(rows, round(self.scenario.sensor.delay * self.scenario.rate))
 
 
 @dataclass(frozen=True)

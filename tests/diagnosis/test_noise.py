@@ -10,7 +10,7 @@ import pytest
 from scipy.signal import lfilter
 
 from hiltestbed.diagnosis.aside import Aside
-from hiltestbed.diagnosis.layout import white_outside
+from hiltestbed.diagnosis.floors import white_outside
 from hiltestbed.diagnosis.noise import ForceNoise, force_noise, softened
 from hiltestbed.frames import Array
 from hiltestbed.measured import MeasuredRun
