@@ -101,7 +101,7 @@ def add_passive(spec: mujoco.MjSpec, structure: Structure, carrier: mujoco.MjsBo
     carrier.add_site(name="P_nominal")
     body = carrier
     if structure.mounted:
-        body = carrier.add_body(name=PASSIVE + "mount")
+        body = carrier.add_body(name=mount.MOUNTED)
         mount.add_joints(body)
     add_side(spec, structure.mechanism, PASSIVE, body)
     for sensor, name in ((mujoco.mjtSensor.mjSENS_FORCE, "force"), (mujoco.mjtSensor.mjSENS_TORQUE, "torque")):

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
+CARRIER, MOUNTED = "passive_carrier", "passive_mount"  # bodies: what carries the force sensor, and the passive side on its mount
 
 
 def add_joints(body: mujoco.MjsBody) -> None:
@@ -48,7 +49,7 @@ class Mount:
         self.tilt = tilt
         self.place, self.motion = tilt.copy(), np.zeros((n, 6))
         self.moves = scenarios[0].mechanism.mount is not None
-        self.body = model.body("passive_mount" if self.moves else "passive_carrier").id
+        self.body = model.body(MOUNTED if self.moves else CARRIER).id
         self._offset = np.array(model.body_ipos[self.body])
         self.centre, self.balance = np.tile(self._offset, (n, 1)), np.zeros((n, 6))
         self._ridden = Call(_ride, GIVEN, GIVEN, tilt, self._offset, self.place, self.motion, self.centre)

@@ -12,6 +12,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from hiltestbed.contact.composition import PASSIVE, add_side
+from hiltestbed.contact.mount import MOUNTED
 from hiltestbed.frames import Array
 from hiltestbed.jit import njit
 
@@ -39,8 +40,8 @@ class MountDynamics:
             return None
         mounts = [s.mechanism.mount for s in scenarios if s.mechanism.mount is not None]
         spec = mujoco.MjSpec()
-        add_side(spec, scenarios[0].mechanism, PASSIVE, spec.worldbody.add_body(name="passive_mount"))
-        body = carried(spec.compile(), "passive_mount")
+        add_side(spec, scenarios[0].mechanism, PASSIVE, spec.worldbody.add_body(name=MOUNTED))
+        body = carried(spec.compile(), MOUNTED)
         return cls(np.array([m.stiffness for m in mounts]), np.array([m.damping for m in mounts]), body)
 
 

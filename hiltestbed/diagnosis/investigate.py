@@ -31,7 +31,7 @@ from hiltestbed.diagnosis.readings import (
 )
 from hiltestbed.diagnosis.residual import Residual, square
 from hiltestbed.diagnosis.search import Explanation, Progress, Search
-from hiltestbed.diagnosis.settings import DETECTION, MOST_NOISE, RECORD_LEFT
+from hiltestbed.diagnosis.settings import DETECTION, LEAST_COMPARED, MOST_NOISE, RECORD_LEFT
 from hiltestbed.diagnosis.stiction import stick_starts
 from hiltestbed.diagnosis.timing import FARTHEST, clocks_off, in_its_place, part_of_a_tick, place_under, stands_best
 from hiltestbed.effects.search import Candidate, Scales
@@ -45,7 +45,6 @@ from hiltestbed.replay.wrench import shifted
 RESTARTED = 0.9  # of chi-square, that another reading of the start has to leave at most to be taken
 REFUTED = 0.25  # of a skew that the compensation shows: where contact and sensor show less, it is not the force's
 AS_IF_MOVED = ("sensor.delay", "contact.damping", "contact.stiffness", "sensor.lag")  # what a path that is shifted in time looks like
-LEAST_COMPARED = 0.05  # of the rows in contact, that can be replayed
 WRENCH = ("contact", "sensor")  # links of the vocabulary that act between the pose and the reading
 
 

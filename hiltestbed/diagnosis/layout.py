@@ -25,11 +25,12 @@ from hiltestbed.diagnosis.settings import (
     NO_POSE_NOISE,
     TAIL,
 )
-from hiltestbed.diagnosis.yielding import Deflection, deflection
+from hiltestbed.diagnosis.yielding import Deflection, deflection, engagement
 from hiltestbed.effects.search import Scales
 from hiltestbed.frames import Array
 from hiltestbed.measured import MeasuredDataset, MeasuredRun
 from hiltestbed.measured.driven import is_driven
+from hiltestbed.replay import Engaged
 from hiltestbed.replay.compensation import needs
 from hiltestbed.signals import GROUPS
 
@@ -46,6 +47,7 @@ class Layout:
     Attributes:
         runs: as measured. rows: of each run that the search looks at. scales: what the data hold. noise: channel to its floor.
         force: what free flight says of the noise of the force beside its floor.
+        engaged: what the contact of each run does along its pose, where that takes playing it, see :func:`engagement`.
         deflection: of each run how the believed rig departs from its command; None where it cannot be replayed.
         missing: link to why it cannot be replayed.
         logged: the filter that the force went through on its way to the log, while the loop had it without; None: none.
@@ -56,6 +58,7 @@ class Layout:
     scales: Scales
     noise: Mapping[str, float]
     force: ForceNoise
+    engaged: tuple[Engaged | None, ...]
     deflection: tuple[Deflection, ...] | None
     missing: Mapping[str, str]
     logged: LowPass | None = None
@@ -81,15 +84,15 @@ def lay_out(dataset: MeasuredDataset) -> Layout:
     force = force_noise(runs)
     noise = floors(runs) | force.levels()
     missing = lacking(runs)
-    given = None
+    given, engaged = None, tuple(None if "platform" in missing else engagement(r) for r in runs)
     if "platform" not in missing:
-        given, lost = _deflections(runs, noise)
+        given, lost = _deflections(runs, noise, engaged)
         if lost is not None:
             missing["platform"] = f"the believed rig cannot follow the command on record in {lost.name}"
     scales = scales_of(runs, noise)
     if "dynamics" not in missing and all(is_driven(r.record, r.scenario) for r in runs):
         scales = replace(scales, driven=regression(runs))
-    layout = Layout(runs, tuple(_rows(r) for r in runs), scales, noise, force, given, missing)
+    layout = Layout(runs, tuple(_rows(r) for r in runs), scales, noise, force, engaged, given, missing)
     if "compensation" in missing:
         return layout
     link = compensation_link(layout, layout.whole)
@@ -110,17 +113,17 @@ def _filter_between(link: CompensationLink) -> LowPass | None:
 
 def under(layout: Layout, readings: Sequence[Array]) -> Layout | None:
     """The same where the believed sensors would have shown ``readings`` (N, 6) of each run; None where the rig cannot follow then."""
-    given, lost = _deflections(layout.runs, layout.noise, readings)
+    given, lost = _deflections(layout.runs, layout.noise, layout.engaged, readings)
     return replace(layout, deflection=given) if lost is None else None
 
 
 def _deflections(
-    runs: Sequence[MeasuredRun], noise: Mapping[str, float], readings: Sequence[Array] | None = None
+    runs: Sequence[MeasuredRun], noise: Mapping[str, float], engaged: Sequence[Engaged | None], readings: Sequence[Array] | None = None
 ) -> tuple[tuple[Deflection, ...] | None, MeasuredRun | None]:
     """Of each run how the believed rig departs from its command, or the first run in which it cannot follow that."""
     found = []
     for i, run in enumerate(runs):
-        one = deflection(run, noise.get("wrench_meas.fz", 0.0), readings[i] if readings is not None else None)
+        one = deflection(run, noise.get("wrench_meas.fz", 0.0), readings[i] if readings is not None else None, engaged[i])
         if one is None:
             return None, run
         found.append(one)

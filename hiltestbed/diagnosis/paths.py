@@ -8,7 +8,7 @@ takes its place, which carries none; and where the platform is not explained, th
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,7 +23,7 @@ from hiltestbed.diagnosis.links import WrenchLink, flat_pose
 from hiltestbed.diagnosis.links.base import PROMPT, Later
 from hiltestbed.diagnosis.links.platform import poses_of
 from hiltestbed.diagnosis.search import Explanation
-from hiltestbed.diagnosis.settings import BLOCK, CLEAN_PATH, LEVER_ARM, MODEL_ERROR, SHAKEN_PATHS, SMOOTHING
+from hiltestbed.diagnosis.settings import APART, BARELY, BLOCK, CLEAN_PATH, LEVER_ARM, MODEL_ERROR, PARTED, SHAKEN_PATHS, SMOOTHING
 from hiltestbed.diagnosis.timing import part_of_a_tick
 from hiltestbed.frames import Array
 from hiltestbed.measured import MeasuredRun
@@ -31,10 +31,6 @@ from hiltestbed.measured.noise import finest_noise
 from hiltestbed.numerical_model.bodies import approach_state
 from hiltestbed.replay import follows_exactly, moves_linearly
 from hiltestbed.replay.compensation import central_rates
-
-LEAST = 2e-3  # of what a rate changes by in a tick, or a slope of the pose: by so much copies are shaken that should agree
-APART = 0.3  # of the force's noise, by which they part
-PARTED = 0.25  # [s] for which copies that parted are not believed
 
 
 @dataclass(frozen=True)
@@ -153,14 +149,14 @@ def _nobody_saw(layout: Layout) -> bool:
 def _measured(layout: Layout) -> list[Path]:
     """The measured poses, with the rates that were measured and with those of the poses themselves; none where some were not measured."""
     runs, tick = layout.runs, layout.scales.tick
-    if not all(r.record.has("pose_act") and r.record.valid["pose_act"].all() for r in runs):
+    if not all(r.record.whole("pose_act") for r in runs):
         return []
     poses = [r.record.filled("pose_act") for r in runs]
     place = max(_finest(r, "pose_act") for r in runs)
     if all(moves_linearly(r.scenario) for r in runs):
         return [Path(poses, None, place, math.sqrt(2.0) * place / tick)]
     out = [Path(poses, _central_rates(layout, poses), place, math.sqrt(0.5) * place / tick)]
-    if all(r.record.has("twist_act") and r.record.valid["twist_act"].all() for r in runs):
+    if all(r.record.whole("twist_act") for r in runs):
         twists = [r.record.filled("twist_act") for r in runs]
         out.insert(0, Path(poses, twists, place, max(_finest(r, "twist_act") for r in runs), told=True))
     return out
@@ -187,23 +183,20 @@ def _share(layout: Layout, brought: Sequence[Array]) -> float:
 def _noise_of(layout: Layout, path: Path) -> list[Array]:
     """(N, 6) noise of the reading of each run that the noise of a path brings, by replays of paths that are shaken by as much, and what
     lies between its samples."""
-    rng, count = np.random.default_rng(0), range(len(layout.runs))
-    link = wrench_link(layout, path.poses, layout.whole, None, path.rates)
-    shaken, rates = [], []
-    for i, pose in enumerate(list(path.poses) * SHAKEN_PATHS):
-        moved = pose.copy()
-        moved[:, :3] += path.place * rng.standard_normal((len(pose), 3))
-        moved[:, 3:6] += 0.5 * path.place / LEVER_ARM * rng.standard_normal((len(pose), 3))
-        shaken.append(moved)
-        if path.rates is not None:
-            noise, given = rng.standard_normal((len(pose), 6)) * path.rate, path.rates[i % len(layout.runs)]
-            noise[:, 3:] /= LEVER_ARM
-            rates.append(given + noise)
-    many = WrenchLink([link.runs[i] for _ in range(SHAKEN_PATHS) for i in count], shaken, None, rates or None)
-    shown = link.predict([(i, ()) for i in count])
-    squares = [np.zeros_like(s) for s in shown]
-    for i, found in enumerate(many.predict([(i, ()) for i in range(len(shaken))])):
-        squares[i % len(layout.runs)] += (found - shown[i % len(layout.runs)]) ** 2 / SHAKEN_PATHS
+    rng = np.random.default_rng(0)
+
+    def moved(pose: Array, rates: Array | None) -> tuple[Array, Array | None]:
+        out = pose.copy()
+        out[:, :3] += path.place * rng.standard_normal((len(pose), 3))
+        out[:, 3:6] += 0.5 * path.place / LEVER_ARM * rng.standard_normal((len(pose), 3))
+        if rates is None:
+            return out, None
+        noise = rng.standard_normal((len(pose), 6)) * path.rate
+        noise[:, 3:] /= LEVER_ARM
+        return out, rates + noise
+
+    link, away = _shaken(layout, path, moved)
+    squares = [np.mean(np.square(a), axis=0) for a in away]
     noise = [np.sqrt(np.maximum(uniform_filter1d(s, SMOOTHING, axis=0), 0.0)) for s in squares]
     if link.played and path.rates is not None and not path.told:  # how A was stepped is not known, and goes the same way for many rows
         missed = differences(link, wrench_link(layout, path.poses, layout.whole))
@@ -213,28 +206,38 @@ def _noise_of(layout: Layout, path: Path) -> list[Array]:
     return [np.hypot(n, d) for n, d in zip(noise, _between_samples(layout, path), strict=True)]
 
 
+def _shaken(
+    layout: Layout, path: Path, moved: Callable[[Array, Array | None], tuple[Array, Array | None]]
+) -> tuple[WrenchLink, list[list[Array]]]:
+    """Contact and sensor on a path, and of each run by how much (N, 6) its readings on each of some copies differ, which ``moved`` makes of
+    its poses and rates."""
+    runs = range(len(layout.runs))
+    link = wrench_link(layout, path.poses, layout.whole, None, path.rates)
+    copies = [moved(path.poses[i], None if path.rates is None else path.rates[i]) for _ in range(SHAKEN_PATHS) for i in runs]
+    rates = [r for _, r in copies if r is not None]
+    many = WrenchLink([link.runs[i] for _ in range(SHAKEN_PATHS) for i in runs], [p for p, _ in copies], None, rates or None)
+    shown, found = link.predict([(i, ()) for i in runs]), many.predict([(i, ()) for i in range(len(copies))])
+    return link, [[found[n] - shown[i] for n in range(i, len(copies), len(layout.runs))] for i in runs]
+
+
 def apart(layout: Layout, path: Path) -> list[np.ndarray]:
     """(N,) bool of each run: rows at which copies of a path that differ by next to nothing part, and for a while from there.
 
     What slides on a side of its own, or swings against it, may turn about on the least of causes: the record went one way there, each copy
     goes another, and none tells what the law is.
     """
-    rng, count = np.random.default_rng(1), range(len(layout.runs))
-    link = wrench_link(layout, path.poses, layout.whole, None, path.rates)
-    shaken, rates = [], []
-    for i, pose in enumerate(list(path.poses) * SHAKEN_PATHS):
-        moved, given = pose.copy(), None if path.rates is None else path.rates[i % len(layout.runs)]
-        if given is None:
-            moved[:, :3] += LEAST * rng.standard_normal((len(pose), 3)) * np.abs(np.gradient(np.gradient(pose[:, :3], axis=0), axis=0))
-        else:
-            rates.append(given + LEAST * rng.standard_normal(given.shape) * np.abs(np.gradient(given, axis=0)))
-        shaken.append(moved)
-    many = WrenchLink([link.runs[i] for _ in range(SHAKEN_PATHS) for i in count], shaken, None, rates or None)
-    shown, level = link.predict([(i, ()) for i in count]), np.array([layout.noise.get(c, 0.0) for c in link.channels])
-    level = np.maximum(level, layout.least_force)
-    out = [np.zeros(len(s), dtype=bool) for s in shown]
-    for i, found in enumerate(many.predict([(i, ()) for i in range(len(shaken))])):
-        out[i % len(layout.runs)] |= ~(np.abs(found - shown[i % len(layout.runs)]) <= APART * level).all(axis=1)
+    rng = np.random.default_rng(1)
+
+    def moved(pose: Array, rates: Array | None) -> tuple[Array, Array | None]:
+        if rates is not None:
+            return pose, rates + BARELY * rng.standard_normal(rates.shape) * np.abs(np.gradient(rates, axis=0))
+        out = pose.copy()
+        out[:, :3] += BARELY * rng.standard_normal((len(pose), 3)) * np.abs(np.gradient(np.gradient(pose[:, :3], axis=0), axis=0))
+        return out, None
+
+    link, away = _shaken(layout, path, moved)
+    level = np.maximum([layout.noise.get(c, 0.0) for c in link.channels], layout.least_force)
+    out = [~np.all([np.abs(d) <= APART * level for d in a], axis=(0, 2)) for a in away]
     back = round(PARTED / layout.scales.tick)
     return [np.asarray(maximum_filter1d(o, back + SMOOTHING, origin=(back - SMOOTHING) // 2)) for o in out]
 

@@ -72,6 +72,12 @@ LEVER_ARM = 0.1  # [m] by which the noise of an attitude becomes one of the plac
 SHAKEN_PATHS = 4  # copies of a path from which the noise that it brings is read: a spread to a third, before it is smoothed over rows
 SMOOTHING = 31  # rows of the Savitzky-Golay filter, order 3, where only a noisy pose is left to go by
 
+# Copies of a path that differ by next to nothing, on which what slides or swings on a side of its own should do the same
+BARELY = 2e-3  # chosen: of what a rate, or a slope of the pose, changes by in a tick: what copies differ by
+APART = 0.3  # of the force's noise, by which copies part; derived: what is less adds 4 % to it
+PARTED = 0.25  # [s] chosen: for which copies that parted are not believed
+LEAST_COMPARED = 0.05  # chosen: of the rows in contact, that copies have to agree on
+
 # Gain on left-out runs
 RESAMPLES = 2000
 WORTH = 0.02  # of the residual on left-out runs, geometric mean over them, by which a further cause has to lower it

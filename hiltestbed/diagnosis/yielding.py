@@ -39,12 +39,12 @@ class Deflection:
     noise: float = 0.0
 
 
-def deflection(run: MeasuredRun, noise: float, reading: Array | None = None) -> Deflection | None:
+def deflection(run: MeasuredRun, noise: float, reading: Array | None = None, engaged: Engaged | None = None) -> Deflection | None:
     """Where the believed rig takes A beside its command; None where it cannot follow it.
 
     What is not known takes whole blocks of rows the same way, and is counted like white noise that is larger by the root of a block.
     noise: [N] of the force. reading: (N, 6) what the believed sensor would show; None: the record. It is read as much earlier as the
-    believed sensor is late; where none was measured, the pose tells nothing once A has reached P.
+    believed sensor is late; where none was measured, the pose tells nothing once A has reached P. engaged: see :func:`engagement`.
     """
     scenario, command = run.scenario, np.ascontiguousarray(run.record.filled("pose_cmd"))
     if follows_exactly(scenario):
@@ -57,7 +57,6 @@ def deflection(run: MeasuredRun, noise: float, reading: Array | None = None) -> 
     rates = run.record.filled("twist_cmd") if run.record.has("twist_cmd") else None
     told = flat_pose(np.vstack([approach_state(scenario)[:7], command[:-1]]))
     reached = _as_told(run)
-    engaged = _engaged(run)
     taken = 0.0 if engaged is None else engaged.taken
     path = replay_rig(scenario, command, rates, borne(scenario, wrench) + taken, recorded, reached)
     if path is None:
@@ -87,14 +86,13 @@ def deflection(run: MeasuredRun, noise: float, reading: Array | None = None) -> 
     return Deflection(away, doubt, float(passed[:3].max()))
 
 
-def _engaged(run: MeasuredRun) -> Engaged | None:
+def engagement(run: MeasuredRun) -> Engaged | None:
     """What its contact does along the pose on record, where that takes playing it; None where it follows from the pose, or where no such
     mechanism can have gone along it."""
     if sides_of(run.scenario.mechanism).rigid or not can_carry(run.scenario):
         return None
-    path, record = np.ascontiguousarray(run.record.filled("pose_act")), run.record
-    rated = record.has("twist_act") and record.valid["twist_act"].all()
-    rates = record.filled("twist_act") if rated else central_rates(run.scenario, path)
+    path = np.ascontiguousarray(run.record.filled("pose_act"))
+    rates = run.record.filled("twist_act") if run.record.whole("twist_act") else central_rates(run.scenario, path)
     found = Played([run.scenario], path[None], None if moves_linearly(run.scenario) else np.ascontiguousarray(rates)[None]).believed(0)
     return found if np.isfinite(found.taken).all() and np.isfinite(found.wrench).all() else None
 
@@ -102,7 +100,7 @@ def _engaged(run: MeasuredRun) -> Engaged | None:
 def _as_told(run: MeasuredRun) -> Array | None:
     """(N, 7) the pose that a motion compensation was told, where the record holds it: without the noise that a log may have added."""
     record = run.record
-    if "pose" not in run.scenario.compensation.motion.reads or not record.has("pose_act") or not record.valid["pose_act"].all():
+    if "pose" not in run.scenario.compensation.motion.reads or not record.whole("pose_act"):
         return None
     noisy = max(run.survey.noise[f"pose_act.{axis}"].white for axis in ("px", "py", "pz") if f"pose_act.{axis}" in run.survey.noise)
     return record.filled("pose_act") if noisy <= AS_TOLD else None

@@ -37,7 +37,7 @@ def force_leads(record: Record, found: Survey, scenario: Scenario) -> int:
 
     Stiffness and damping are free: more damping leads as well, but not before the touch.
     """
-    if not (found.contacts and record.has("pose_act") and record.has("wrench_meas.fz") and record.valid["pose_act"].all()):
+    if not (found.contacts and record.whole("pose_act") and record.has("wrench_meas.fz")):
         return 0
     if not sides_of(scenario.mechanism).rigid or record.ticks < 4 * FURTHEST:
         return 0

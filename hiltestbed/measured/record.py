@@ -60,6 +60,10 @@ class Record:
         """Whether the record holds a group (any column of it) or a column, such as ``wrench_meas`` or ``wrench_meas.fz``."""
         return name in self.data if name in GROUPS else name in self.columns()
 
+    def whole(self, group: str) -> bool:
+        """Whether it holds every sample of a group."""
+        return group in self.data and bool(self.valid[group].all())
+
     def columns(self) -> tuple[str, ...]:
         """The columns that were measured."""
         return tuple(c for name in self.data for c in GROUPS[name].columns if c not in self.absent)

@@ -150,7 +150,7 @@ def _misfit(t: Array, shown: Array, pushed: Array) -> float:
 
 def compensated(record: Record, scenario: Scenario, source: str = "wrench_meas") -> Array | None:
     """``(ticks, 6)`` what the believed compensation makes of a recorded wrench; None where it needs more than that, or rows are missing."""
-    if needs(scenario) != {"wrench_meas"} or not (record.has(source) and record.valid[source].all()):
+    if needs(scenario) != {"wrench_meas"} or not record.whole(source):
         return None
     reading = np.ascontiguousarray(record.data[source])[None]
     return replay_compensation([scenario], [InputParameters()], {}, reading, np.zeros(1, dtype=int))[0]

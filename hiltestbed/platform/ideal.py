@@ -174,22 +174,23 @@ class IdealTracking:
     def _run(self) -> None:
         """Mount and moving parts are integrated: a step reads the wrench of its start; the last instant takes a forward pass of its own."""
         for s in range(1, self.substeps + 1):
-            self._accelerate(s)
+            push = self._push if s == 1 or self._way is not None else None  # else A goes on as it did
+            if push is not None:
+                self._accelerate(s, push)
             self.batch.step()
+            if push is not None:
+                push[:] = 0.0
             if s > 1:
                 read_wrench(self._reading, self._tare, self._all, self.wrench_sub, s - 2)
             self._place(s)
-        if self._push is not None:
-            self._push[:] = 0.0
         self.batch.forward()
         read_wrench(self._reading, self._tare, self._all, self.wrench_sub, self.substeps - 1)
 
-    def _accelerate(self, s: int) -> None:
-        """Let the parts that move on the active side feel how A changes its velocity in step ``s`` of the tick."""
-        if self._push is not None:
-            per_step = model.INTEGRATED_MASS * self.substeps / self.tick
-            twist = self.twist_act if self._way is None else self._way[1][s - 1]
-            _change(self._between, twist, self._qvel, self._joint[1], per_step, self._push)
+    def _accelerate(self, s: int, push: Array) -> None:
+        """Let the parts that move on the active side feel how A changes its velocity in step ``s`` of the tick: into ``push`` (n, 6)."""
+        per_step = model.INTEGRATED_MASS * self.substeps / self.tick
+        twist = self.twist_act if self._way is None else self._way[1][s - 1]
+        _change(self._between, twist, self._qvel, self._joint[1], per_step, push)
 
     def _place(self, s: int) -> None:
         """Put A where it is at the sub-instant ``s`` of m, and the wrench of that state on the passive side."""

@@ -10,11 +10,11 @@ import mujoco
 import numpy as np
 
 from hiltestbed.contact.composition import FLANGE, Structure, add_active, add_contact, add_passive, drawn, weigh_contact
+from hiltestbed.contact.mount import CARRIER
 from hiltestbed.contact.settings import Mechanism
 from hiltestbed.models import load
 
 BODY = "A_body"  # of the active side where it stands alone
-CARRIER = "passive_carrier"
 PRESCRIBED_MASS = 1e15  # [kg], [kg m^2]
 INTEGRATED_MASS = 1e8  # likewise where something beside it is integrated: from 1e12 on MuJoCo's solver does not move at all
 SOLVED = 1e-12  # of the solver: forces to nine digits

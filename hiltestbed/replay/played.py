@@ -14,20 +14,20 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from hiltestbed.contact.composition import PASSIVE, carried_by
+from hiltestbed.contact.composition import carried_by
+from hiltestbed.contact.mount import CARRIER, MOUNTED
 from hiltestbed.effects.base import Effect
 from hiltestbed.effects.table import EFFECTS
 from hiltestbed.frames import Array, pose_step, twist_between
 from hiltestbed.jit import njit
 from hiltestbed.numerical_model.bodies import approach_state
 from hiltestbed.platform.kinds import PLATFORMS
-from hiltestbed.platform.model import BODY, CARRIER
+from hiltestbed.platform.model import BODY
 from hiltestbed.platform.plant import Plant, alike
 from hiltestbed.platform.settings import Rig
 from hiltestbed.replay.felt import Kept
 from hiltestbed.scenario import Scenario
 
-MOUNT = PASSIVE + "mount"
 TOGETHER = 32  # lanes that are stepped in one batch
 
 
@@ -92,7 +92,7 @@ class Played:
         """The run as the mechanism is believed to be."""
         if run not in self._believed:
             plant, count = Plant([self._under(run, ())]), self.poses.shape[1]
-            on_A, on_P = (carried_by(plant.model, c)[1] for c in (BODY, MOUNT if self._carried[run].mechanism.mount else CARRIER))
+            on_A, on_P = (carried_by(plant.model, c)[1] for c in (BODY, MOUNTED if self._carried[run].mechanism.mount else CARRIER))
             parts = [*on_A, *on_P]
             wrench, depth = np.empty((count, self.substeps, 6)), np.full(count, -1.0)
             places, turns = np.zeros((count, len(parts), 3)), np.zeros((count, len(parts), 3, 3))

@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 
 from hiltestbed.bound import GIVEN, Call
 from hiltestbed.contact.composition import ACTIVE, FLANGE, PASSIVE, Structure, add_active, add_contact, add_passive, weigh_contact
+from hiltestbed.contact.mount import CARRIER
 from hiltestbed.frames import Array, cross, rotate_back
 from hiltestbed.jit import njit
 from hiltestbed.platform.facilities.bodies import PhysicalFacility
-from hiltestbed.platform.facilities.facility import CARRIER, MOUNT, NOMINAL, TOOL_HOME, Facility, stiffen
+from hiltestbed.platform.facilities.facility import MOUNT, NOMINAL, TOOL_HOME, Facility, stiffen
 from hiltestbed.platform.prs3.payload import load_of
 
 TOOL = ACTIVE + "A"  # the site that follows the command

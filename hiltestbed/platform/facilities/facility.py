@@ -18,6 +18,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from hiltestbed.contact.mount import CARRIER
 from hiltestbed.frames import Array
 from hiltestbed.models import load
 from hiltestbed.platform.facilities.drives import Drives
@@ -25,8 +26,7 @@ from hiltestbed.platform.facilities.kinematics import Axis, Kinematics
 from hiltestbed.platform.facilities.tree import compose, inverse_pose
 
 MOUNT = "mount"
-CARRIER = "passive_carrier"  # the body that carries force sensor and passive mechanism
-NOMINAL = "P_nominal"  # its site, where P stands nominally
+NOMINAL = "P_nominal"  # the site of what carries the passive mechanism, where P stands nominally
 MOUNT_HOME = np.array([0.0, 0.0, -0.60, 0.0, 0.0, 0.0, 1.0])  # a docking mechanism is 0.60 m tall: then A stands at P
 UPRIGHT = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
 TOOL_HOME = np.array([0.0, 0.0, 0.60, 0.0, 0.0, 0.0, 1.0])  # pose of A in the mount

@@ -17,6 +17,7 @@ import numpy as np
 from mujoco.batch import Batch
 from numpy.typing import NDArray
 
+from hiltestbed.contact.mount import CARRIER
 from hiltestbed.frames import Array, rotate, rotate_back, twist_between
 from hiltestbed.jit import njit
 from hiltestbed.platform import model
@@ -195,7 +196,7 @@ class UpperDrives:
     def _constants(self, m: mujoco.MjModel) -> None:
         data = mujoco.MjData(m)
         mujoco.mj_forward(m, data)
-        platform, carrier = m.body("platform").id, m.body("passive_carrier").id
+        platform, carrier = m.body("platform").id, m.body(CARRIER).id
         moved = [b for b in range(m.nbody) if m.body_rootid[b] == platform]
         self.payload = load_of(m, data, [b for b in moved if b >= carrier], data.site("P_nominal").xpos)
         self._moved = load_of(m, data, moved, data.site("P_nominal").xpos)
