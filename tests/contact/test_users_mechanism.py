@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from hiltestbed import diagnose, run, write_run
+from hiltestbed.diagnosis import investigate
 from hiltestbed.errors import InputError
 from hiltestbed.platform.plant import Plant
 from hiltestbed.scenario import Scenario, load_scenario, scenario_sha256
@@ -199,3 +200,10 @@ def test_a_diagnosis_does_not_judge_what_hangs_on_motion_within_a_tick(folder: P
     found = diagnose(recorded(folder, **{"rig.platform.tracking": "response"})).finding
     assert found.verdict == "inconclusive"
     assert any("how A moves within a tick" in why for why in found.not_judged.values())
+
+
+def test_where_copies_agree_on_too_little_contact_and_sensor_are_not_judged(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(investigate, "LEAST_COMPARED", 1.01)  # more than there is, in place of a mechanism that does what it likes
+    found = diagnose(recorded(folder, **{"rig.platform.tracking": "servo"})).finding
+    assert found.verdict == "inconclusive"
+    assert any("the least of causes decides" in why for why in found.not_judged.values())

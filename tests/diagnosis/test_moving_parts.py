@@ -36,3 +36,12 @@ def test_where_nothing_departs_nothing_is_found(tmp_path: Path, name: str, durat
     assert not finding.not_judged
     chaos = any("the least of causes decides" in words for words in finding.assumed)
     assert chaos == (name == "17-gripper")  # its jaws slip and stick from step to step
+
+
+def test_a_gain_is_told_by_what_comes_before_the_jaws_slip(tmp_path: Path) -> None:
+    """Three per cent of the 0.7 kN of the touch are 70 standard deviations of one sample."""
+    finding = found(tmp_path, "17-gripper", 2.1, [{"kind": "sensor.gain", "factor": 1.03, "axis": "z"}])
+    assert finding.verdict == "named"
+    (cause,) = finding.causes
+    assert cause.effect == "sensor.gain"
+    assert cause.parameters["factor"].estimate == pytest.approx(1.03, abs=0.001)

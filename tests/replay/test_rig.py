@@ -10,6 +10,7 @@ import pytest
 from hiltestbed.contact.mount_dynamics import MountDynamics, borne
 from hiltestbed.frames import Array
 from hiltestbed.replay import replay_rig
+from hiltestbed.replay.rig import RecordedForce
 from tests.replay.recorded import record, scenario
 
 
@@ -75,3 +76,11 @@ def test_what_a_mount_bears_is_what_moves_it() -> None:
     reading[:, 2] = 100.0 * (answer * np.exp(1j * w * t)).imag
     late = slice(2000, 3900)  # the start-up of its motion is forgotten; the last rows have no slope
     assert borne(s, reading)[late, 2] == pytest.approx(100.0 * np.sin(w * t)[late], abs=1e-3 * 100.0)
+
+
+def test_a_recorded_force_lies_on_lines_between_rows_and_what_is_added_between_them() -> None:
+    record = np.array([0.0, 3.0, 9.0])[:, None] * np.ones(6)
+    between = np.zeros((3, 3, 6))
+    between[1, 0] = between[2, 1] = 5.0  # a third into the first tick, two thirds into the second
+    force = RecordedForce(record, 3, between)
+    np.testing.assert_allclose([force.next()[0] for _ in range(7)], [0.0, 1.0 + 5.0, 2.0, 3.0, 5.0, 7.0 + 5.0, 9.0])
