@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from hiltestbed.contact.surfaces.mesh import Tree
 from hiltestbed.contact.surfaces.profile import COLUMNS, TURNED, beyond, profile_distance
-from hiltestbed.contact.surfaces.surface import Surface, bounds, segment_distance, signed_distance
+from hiltestbed.contact.surfaces.surface import Surface, bounds, segment_beyond, segment_distance, signed_distance
 from hiltestbed.frames import Array, rotate, rotate_back
 from hiltestbed.jit import njit
 
@@ -154,7 +154,10 @@ def meet(index, values, c, pose, twist, lever, blunt, ahead, work, point, normal
         for j in range(3):
             nearest[j] = start[j]
     else:
-        distance = beyond(_profile(index, values, c), start, end, radius + ahead) if turned else -math.inf
+        if turned:
+            distance = beyond(_profile(index, values, c), start, end, radius + ahead)
+        else:
+            distance = segment_beyond(_surface(index, values, c), start, end, radius + ahead)
         if distance < radius + ahead:
             distance = segment_distance(_surface(index, values, c), start, end, radius + ahead, free, nearest)
         if distance >= radius + ahead:

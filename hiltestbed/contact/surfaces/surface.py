@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hiltestbed.contact.surfaces import mesh, profile, shapes
-from hiltestbed.contact.surfaces.mesh import Tree, mesh_distance
+from hiltestbed.contact.surfaces.mesh import Tree, mesh_beyond, mesh_distance
 from hiltestbed.contact.surfaces.profile import COLUMNS, TURNED, between, profile_distance
 from hiltestbed.contact.surfaces.revolution import recognise
 from hiltestbed.contact.surfaces.shapes import shape_distance
@@ -82,6 +82,18 @@ def signed_distance(surface, point, reach, normal):
     if surface.kind == MESH:
         return mesh_distance(surface.tree, point, reach, normal)
     return shape_distance(surface.kind, surface.sizes, point, normal)
+
+
+@njit(cache=True)
+def segment_beyond(surface, start, end, reach):
+    """A bound from below of the distance [m] of a segment from ``start`` (3,) to ``end`` (3,), at a fraction of what the distance costs.
+
+    No less than ``reach`` where it says that the segment is farther, -inf where it says nothing. For a mesh that was turned about an axis
+    see :func:`hiltestbed.contact.surfaces.profile.beyond`.
+    """
+    if surface.kind == MESH:
+        return mesh_beyond(surface.tree, start, end, reach)
+    return -math.inf
 
 
 @njit(cache=True)
