@@ -25,10 +25,10 @@ FIGURES = {  # figure of the summary, with the keys that lead to it, to its unit
     "peak_force": "N",
     "contact_duration": "s",
     "tracking_error": "m",
-    "stability.net_damping": "N s/m, N m s/rad",  # the latter where the worst direction is one that turns
+    "stability.net_damping": "N s/m, N m s/rad",  # the latter where the direction is one that turns
     "stability.largest_delay": "s",
 }
-TEXTS = ("status", "outcome")
+TEXTS = ("status", "outcome", "stability.direction")
 SILENT = ("name", "description")  # keys that change nothing
 
 
@@ -56,7 +56,7 @@ class Comparison:
     def rows(self) -> list[list[str]]:
         """Every row as text: the keys that differ, then the figures."""
         keys = [[key, *("-" if v is None else str(v) for v in values)] for key, values in self.differences.items()]
-        texts = [[name, *map(str, values)] for name, values in self.figures.items() if name in TEXTS]
+        texts = [[name, *("-" if v is None else str(v) for v in values)] for name, values in self.figures.items() if name in TEXTS]
         numbers = [
             [f"{name} [{FIGURES[name]}]" if FIGURES[name] else name, *(number(v) for v in values)]
             for name, values in self.figures.items()

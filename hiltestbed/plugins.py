@@ -62,6 +62,13 @@ class Registry(Mapping[str, type[T]], Generic[T]):
                 f"plugin class {where}: the {self.what} {kind!r} lacks {', '.join(lacking)}; "
                 f"what each part is says the documentation (Plugins), and {self.base.__module__}.{self.base.__name__}"
             )
+        for part, allowed in getattr(cls, "CHOICES", {}).items():
+            given = getattr(cls, part)
+            if not isinstance(given, frozenset | set) or given - allowed:
+                raise InputError(
+                    f"plugin class {where}: `{part}` of the {self.what} {kind!r} is {given!r}; allowed is a set of any of "
+                    f"{', '.join(map(repr, sorted(allowed)))}"
+                )
         known = self._found.get(kind)
         if known is not None and (known.__module__, known.__qualname__) != (cls.__module__, cls.__qualname__):
             raise InputError(f"plugin class {where}: the {self.what} {kind!r} exists already ({known.__module__}); choose another kind")

@@ -13,7 +13,9 @@ from xml.etree import ElementTree
 
 import pytest
 
+from hiltestbed.bench.result import BenchResult
 from hiltestbed.cli.options import complete
+from hiltestbed.report import Report
 from hiltestbed.scenario import load_scenario
 
 TEXT = """\
@@ -288,10 +290,21 @@ def test_compare_puts_runs_side_by_side(folder: Path, call) -> None:
     told = json.loads(out)
     assert status == 0
     assert told["differences"] == {"sensor.delay": [0.0, 0.01]}
+    assert told["figures"]["stability.direction"] == ["along z", "along z"]
     assert "data:image/png" in Path("both.html").read_text()
     assert "sensor.delay" in call("compare", "a", "b")[1]
     assert call("compare", "a")[0] == 2
     assert call("compare", "a", "gone")[0] == 2
+
+
+def test_a_benchmark_that_leaves_out_the_users_own_fails_after_it_has_written(folder: Path, call, monkeypatch) -> None:
+    result = BenchResult("cor", [], {}, Report("CoR"), [("best", "0.001")], {"mine": "too steep"})
+    monkeypatch.setattr("hiltestbed.bench.cor.cor", lambda **_: result)
+    status, out, err = call("bench", "cor", "--out", "b")
+    assert status == 1
+    assert "0.001" in out
+    assert "mine ended with: too steep" in err
+    assert Path("b/bench.json").is_file()
 
 
 def test_doctor_finds_what_is_needed(folder: Path, call) -> None:

@@ -76,10 +76,9 @@ def cor(quick: bool = False, progress: Progress | None = None) -> BenchResult:
         for row in board
         if row["largest_log_error"] is not None
     ]
-    lines += [(f"{name}, left out", error) for name, error in failed.items()]
     report = cor_report(records, summary)
     step(REPORT)
-    return BenchResult("cor", records + random_records, summary, report, lines)
+    return BenchResult("cor", records + random_records, summary, report, lines, failed)
 
 
 def _unless_failed(contender: Contender, failed: dict[str, str], measured: Callable[[], T]) -> T | None:

@@ -27,6 +27,7 @@ class BenchResult:
         summary: its figures.
         report: the page for people.
         lines: (label, value) pairs to print.
+        failed: what of the user's own could not be measured, with the reason: the command that ran the benchmark failed for it.
     """
 
     name: str
@@ -34,6 +35,7 @@ class BenchResult:
     summary: dict[str, Any]
     report: Report
     lines: list[tuple[str, str]] = field(default_factory=list)
+    failed: Mapping[str, str] = field(default_factory=dict)
 
 
 def write_bench(result: BenchResult, path: str | Path, options: Mapping[str, object] | None = None) -> Path:

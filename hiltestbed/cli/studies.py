@@ -68,6 +68,9 @@ def bench(
         from hiltestbed.table import print_lines
 
         print_lines(f"bench {name}", result.lines, folder)
+    if result.failed:
+        why = "; ".join(f"{own} ended with: {error}" for own, error in result.failed.items())
+        raise HiltestbedError(f"bench {name}: left out: {why}; everything else was measured ({folder})")
 
 
 @app.command()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeVar, get_args
 
 from hiltestbed.plugins import OneOf, Registry, placeholder
 from hiltestbed.validation import Strictly
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 # What a method may read at t_k: the measured wrench; the pose and twist that the rig reached; stiffness and damping as identified so far;
 # whether the latches hold; the pose and twist of the numerical model that it drives.
 Input = Literal["wrench", "pose", "twist", "identified", "captured", "model"]
+INPUTS: frozenset[str] = frozenset(get_args(Input))
 
 
 class ForceMethod(Strictly):
@@ -26,6 +27,7 @@ class ForceMethod(Strictly):
     """
 
     PARTS: ClassVar[tuple[str, ...]] = ("docstring", "reads", "start")
+    CHOICES: ClassVar[Mapping[str, frozenset[str]]] = {"reads": INPUTS}
 
     kind: str
     reads: ClassVar[frozenset[Input]] = None  # type: ignore[assignment]
@@ -66,6 +68,7 @@ class MotionMethod(Strictly):
     """
 
     PARTS: ClassVar[tuple[str, ...]] = ("docstring", "reads")
+    CHOICES: ClassVar[Mapping[str, frozenset[str]]] = {"reads": INPUTS}
 
     kind: str
     reads: ClassVar[frozenset[Input]] = None  # type: ignore[assignment]

@@ -180,6 +180,10 @@ BASE = "from hiltestbed.effects import Effect, quantity\nfrom hiltestbed.plugins
         ("import a_package_that_is_not_there\n", "a_package_that_is_not_there"),
         ("1 / 0\n", "ZeroDivisionError"),
         ((EXAMPLES / "worn_pad.py").read_text().replace("contact.worn_pad", "contact.stiffness"), "exists already"),
+        (
+            (EXAMPLES / "slope_lead.py").read_text().replace('{"wrench"}', '{"wrench", "force"}'),
+            "'captured', 'identified', 'model', 'pose'",
+        ),
     ],
 )
 def test_a_bad_plugin_is_bad_input(text: str, words: str, tmp_path: Path, call: Callable[..., tuple[int, str, str]]) -> None:
