@@ -134,7 +134,7 @@ class IdealTracking:
     def carry(self, poses: Array, twists: Array) -> None:
         """See :meth:`hiltestbed.platform.plant.Plant.carry`."""
         self._way = poses, twists
-        self.pose_act[:], self.twist_act[:] = poses[-1], twists[-1]
+        self.pose_act[:] = poses[-1]
         self._move()
 
     def finish(self) -> None:
@@ -194,9 +194,9 @@ class IdealTracking:
 
     def _place(self, s: int) -> None:
         """Put A where it is at the sub-instant ``s`` of m, and the wrench of that state on the passive side."""
-        m, twist = self.substeps, self.twist_act
+        m, twist = self.substeps, self.twist_act  # one array, to which the contacts are bound
         if self._way is not None:
-            pose, twist = (x[s - 1] for x in self._way)
+            pose, twist[:] = self._way[0][s - 1], self._way[1][s - 1]
             _between(pose, pose, twist, 0.0, True, False, self._along[:, s - 1], self._between, self._qpos, self._qvel, self._joint)
         else:
             _between(
