@@ -26,6 +26,7 @@ from hiltestbed.platform.model import BODY
 from hiltestbed.platform.plant import Plant, alike
 from hiltestbed.platform.settings import Rig
 from hiltestbed.replay.felt import Kept
+from hiltestbed.replay.flight import Flight, fly
 from hiltestbed.scenario import Scenario
 
 TOGETHER = 32  # lanes that are stepped in one batch
@@ -70,6 +71,7 @@ class Played:
         self.kept = Kept()
         self._carried = [_carried(s) for s in scenarios]
         self._believed: dict[int, Engaged] = {}
+        self._flights: dict[Hashable, Flight | None] = {}
 
     def instants(self, grid: int | None) -> int:
         """How many instants a tick are computed: those of the physics."""
@@ -108,24 +110,41 @@ class Played:
 
     def _together(self, runs: Sequence[int], scenarios: Sequence[Scenario]) -> Array:
         """(L, N, m, 6) of runs under scenarios that are ``alike``."""
-        plant = Plant(scenarios)
+        plant, flight = Plant(scenarios), self._flight(alike(scenarios[0]))
         wrench = np.empty((len(runs), self.poses.shape[1], self.substeps, 6))
-        for k in self._carry(plant, runs):
+        if flight is not None and not flight.holds(plant):
+            flight = None
+        if flight is not None:
+            wrench[:, : flight.row + 1] = flight.wrench[list(runs)]
+        for k in self._carry(plant, runs, flight):
             wrench[:, k] = plant.wrench_sub
         return wrench
+
+    def _flight(self, kind: Hashable) -> Flight | None:
+        """What all runs do before one comes near, in plants that are ``alike`` of that kind; None where there is none."""
+        if kind not in self._flights:
+            scenarios = [self._under(run, ()) for run in range(len(self.poses))]
+            self._flights[kind] = None
+            if {alike(s) for s in scenarios} == {kind}:
+                plant = Plant(scenarios)
+                flight = fly(plant, self._carry(plant, range(len(self.poses))))
+                self._flights[kind] = flight if flight.row > 0 else None
+        return self._flights[kind]
 
     def _under(self, run: int, effects: Sequence[Effect]) -> Scenario:
         neutral = EFFECTS["contact.stiffness"].model_validate({"factor": 1.0})  # an effect at all has every contact written out
         return self._carried[run].model_copy(update={"effects": (neutral, *effects)})
 
-    def _carry(self, plant: Plant, runs: Sequence[int]) -> Iterator[int]:
-        """Carry the sides of the runs along their paths: from row to row, which are yielded as they are reached."""
+    def _carry(self, plant: Plant, runs: Sequence[int], flight: Flight | None = None) -> Iterator[int]:
+        """Carry the sides of the runs along their paths, from the end of the ``flight`` on: rows are yielded as they are reached."""
         paths = np.ascontiguousarray(self.poses[list(runs)].swapaxes(0, 1))
         rates = None if self._rates is None else np.ascontiguousarray(self._rates[list(runs)].swapaxes(0, 1))
         count, lanes = paths.shape[:2]
         still, poses, twists = np.zeros((lanes, 6)), np.empty((self.substeps, lanes, 7)), np.empty((self.substeps, lanes, 6))
         plant.reset(paths[0], self._start[list(runs)])
-        for k in range(count):
+        if flight is not None:
+            flight.resume(plant, runs)
+        for k in range(0 if flight is None else flight.row + 1, count):
             if k and rates is None:
                 plant.advance(paths[k], still, still)
             elif k and rates is not None:

@@ -11,6 +11,7 @@ import pytest
 from hiltestbed.effects import EFFECTS
 from hiltestbed.effects.base import Effect
 from hiltestbed.frames import Array
+from hiltestbed.platform.plant import Plant
 from hiltestbed.replay import Played, replay_rig
 from hiltestbed.replay.played import step_between
 from hiltestbed.scenario import Scenario, load_scenario
@@ -58,6 +59,28 @@ def test_under_a_servo_the_rows_and_their_rates_tell_what_happens_between_them(n
     peak = np.abs(truth).max()
     assert peak > 20.0
     np.testing.assert_allclose(played(recorded).believed(0).wrench[:, -1], truth, atol=UNDER_SERVO * peak)
+
+
+@pytest.mark.parametrize("name", DOCKINGS)
+def test_free_flight_is_gone_through_once(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is resumed where it ends is what is carried along the whole path, to the bit; a touch that comes much earlier is carried so."""
+    one = docking(name, tracking="servo")
+    way = {"gap": 0.13 if name == "head on a sprung rod" else one.approach.gap}  # that one begins within the cone; and a run that is slower
+    approaches = [one.approach.model_copy(update=way | {"velocity": tuple(part * v for v in one.approach.velocity)}) for part in (1.0, 0.9)]
+    recorded = record([one.model_copy(update={"approach": approach}) for approach in approaches])
+    resumed, whole = played(recorded), played(recorded)
+    monkeypatch.setattr(whole, "_flight", lambda kind: None)
+    for effect in (
+        EFFECTS["contact.stiffness"].model_validate({"factor": 1.3}),
+        EFFECTS["contact.dry_friction"].model_validate({"force": 20.0}),
+        EFFECTS["contact.touch_offset"].model_validate({"offset": -0.002}),
+        EFFECTS["contact.touch_offset"].model_validate({"offset": -0.02}),
+    ):
+        np.testing.assert_array_equal(resumed.exerted([(1, [effect]), (0, [])]), whole.exerted([(1, [effect]), (0, [])]))
+    flights = list(resumed._flights.values())
+    assert all(f is not None for f in flights)
+    plant = Plant([docking(name, ({"kind": "contact.touch_offset", "offset": -0.02},))])
+    assert not any(f.holds(plant) for f in flights if f is not None)
 
 
 @pytest.mark.parametrize("name", ["head on a sprung rod", "jaws that close"])

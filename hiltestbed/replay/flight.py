@@ -1,0 +1,95 @@
+"""Free flight, which is the same whatever a contact is thought to be: it is gone through once, not once a hypothesis."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+
+from hiltestbed.contact.parameters import OFFSET, TILT_X, TILT_Y
+from hiltestbed.frames import Array
+from hiltestbed.platform.plant import Plant
+from hiltestbed.state import arrays_of
+
+CLEAR = 0.01  # [m] how far apart the sides are when it ends, or a little less; half of it is left for what a hypothesis shifts
+EVERY = 16  # rows between two looks at how far apart they are
+
+
+class Flight(NamedTuple):
+    """What runs do until the first of them comes near.
+
+    Attributes:
+        row: the last one of it. wrench: (R, row + 1, m, 6). arm: [m] from W's origin to the farthest geom's farthest point.
+        state: of the plant of all R runs at that row, what has changed since the start by its name.
+    """
+
+    row: int
+    wrench: Array
+    arm: float
+    state: dict[str, Array]
+
+    def holds(self, plant: Plant) -> bool:
+        """Whether what the contacts of ``plant`` are thought to be brings nothing nearer than the flight leaves room for."""
+        rows = plant.contacts().parameters
+        shift = np.abs(rows[..., OFFSET]) + self.arm * np.hypot(rows[..., TILT_X], rows[..., TILT_Y])
+        return bool(shift.max(initial=0.0) < 0.5 * CLEAR)
+
+    def resume(self, plant: Plant, runs: Sequence[int]) -> None:
+        """Put ``plant``, which has been reset and whose lanes are of the ``runs``, where these are when the flight ends."""
+        live, count = _live(plant), len(self.wrench)
+        for name, array in self.state.items():
+            of_lanes = array.shape[:1] == (count,) and live[name].shape[:1] == (len(runs),)
+            live[name][...] = array[list(runs)] if of_lanes else array
+
+
+def fly(plant: Plant, rows: Iterator[int]) -> Flight:
+    """The flight of ``plant``, believed contacts, as it is carried from one of the ``rows`` to the next."""
+    live, began = _live(plant), dict[str, Array]()
+    apart, wrench, last, state, arm = _Apart(plant), list[Array](), -1, dict[str, Array](), 0.0
+    for k in rows:
+        if k == 0:
+            began = {name: array.copy() for name, array in live.items()}
+        wrench.append(plant.wrench_sub.copy())
+        if k % EVERY:
+            continue
+        if not apart.clear() or plant.captured.any() or (plant.phases is not None and plant.phases.begun.any()):
+            break
+        last, arm = k, max(arm, apart.arm())
+        state = {
+            name: array.copy() for name, array in live.items() if not np.array_equal(array, began[name], equal_nan=array.dtype.kind == "f")
+        }
+    return Flight(last, np.stack(wrench[: last + 1], axis=1) if last >= 0 else np.empty((0, 0)), arm, state)
+
+
+def _live(plant: Plant) -> dict[str, Array]:
+    """The state of a plant, activations of its actuators among it, which no block of it holds."""
+    activations = {"act": plant.watch("act", 1)} if plant.model.na else {}
+    return arrays_of(plant) | activations
+
+
+class _Apart:
+    """How far apart what can touch is in a plant of R runs."""
+
+    def __init__(self, plant: Plant) -> None:
+        self._model, self._data, self._met = plant.model, mujoco.MjData(plant.model), plant.contacts().met
+        self._place, self._turn = plant.watch("geom_xpos", 3), plant.watch("geom_xmat", 9)
+        names = [f"native_{k}" for k in range(self._met.shape[1])]
+        pairs = [self._model.pair(name) for name in names if mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_PAIR, name) >= 0]
+        self._native = [(int(p.geom1.item()), int(p.geom2.item())) for p in pairs]
+
+    def clear(self) -> bool:
+        """Whether it is farther apart than :data:`CLEAR`, everywhere and in every run."""
+        facets = self._met.shape[1] - len(self._native)
+        if not (self._met[:, :facets, 0] < -CLEAR).all():
+            return False
+        for i in range(len(self._met)):
+            self._data.geom_xpos[:], self._data.geom_xmat[:] = self._place[i], self._turn[i]
+            if any(mujoco.mj_geomDistance(self._model, self._data, *pair, CLEAR, None) < CLEAR for pair in self._native):
+                return False
+        return True
+
+    def arm(self) -> float:
+        """From W's origin to the farthest point of a geom [m]."""
+        return float((np.linalg.norm(self._place, axis=2) + self._model.geom_rbound).max(initial=0.0))
