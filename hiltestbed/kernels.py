@@ -6,6 +6,7 @@ Numba keeps compiled loops on disk; the first run after an install makes them.
 from __future__ import annotations
 
 import functools
+import multiprocessing
 import os
 import sys
 import time
@@ -18,6 +19,11 @@ PATIENCE = 1.0  # [s] of compiling, after which the user is told what he waits f
 def cores() -> int:
     """Processor cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def threads() -> int:
+    """Threads that this process may use at a time: its cores, but one where it is a worker beside others."""
+    return 1 if multiprocessing.parent_process() is not None else cores()
 
 
 def cache_folder() -> Path:

@@ -20,6 +20,7 @@ from hiltestbed.effects.base import Effect
 from hiltestbed.effects.table import EFFECTS
 from hiltestbed.frames import Array, pose_step, twist_between
 from hiltestbed.jit import njit
+from hiltestbed.kernels import threads
 from hiltestbed.numerical_model.bodies import approach_state
 from hiltestbed.platform.kinds import PLATFORMS
 from hiltestbed.platform.model import BODY
@@ -110,7 +111,7 @@ class Played:
 
     def _together(self, runs: Sequence[int], scenarios: Sequence[Scenario]) -> Array:
         """(L, N, m, 6) of runs under scenarios that are ``alike``."""
-        plant, flight = Plant(scenarios), self._flight(alike(scenarios[0]))
+        plant, flight = Plant(scenarios, min(threads(), len(runs))), self._flight(alike(scenarios[0]))
         wrench = np.empty((len(runs), self.poses.shape[1], self.substeps, 6))
         if flight is not None and not flight.holds(plant):
             flight = None
