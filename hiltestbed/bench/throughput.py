@@ -6,7 +6,7 @@ process, so that a machine whose speed drifts changes both. The loop writes its 
 
 from __future__ import annotations
 
-import math
+import runpy
 import shutil
 import statistics
 import tempfile
@@ -17,7 +17,7 @@ from typing import Any
 
 from hiltestbed.bench.growth import growth, report_growth
 from hiltestbed.bench.result import BenchResult
-from hiltestbed.contact.surfaces.turned import obj_text, polyline, shell, turn
+from hiltestbed.contact.surfaces.turned import obj_text, polyline, turn
 from hiltestbed.errors import HiltestbedError
 from hiltestbed.gallery import shipped
 from hiltestbed.loop import Loop
@@ -143,11 +143,12 @@ def docking_ratios(n: int, stretches: int) -> dict[str, float]:
 
 
 def _oval_cone(folder: Path) -> dict[str, str]:
-    """The shipped probe, and its cone as a mesh that was turned about no axis."""
-    cone = polyline(shell(socket=0.035, half_angle=math.radians(45.0), generator=0.20, thickness=0.024), math.radians(5.0))
-    vertices, faces = turn(cone, 1024)
+    """The shipped probe, and its cone as a mesh that was turned about no axis, written to ``folder``: keys of a scenario."""
+    models = shipped("models") / "probe_cone"
+    shape = runpy.run_path(str(models / "turn_cone.py"))
+    vertices, faces = turn(polyline(shape["PROFILE"], shape["ARC_STEP"]), 1024)
     for name in ("active.xml", "passive.xml"):
-        shutil.copy(shipped("models") / "probe_cone" / name, folder / name)
+        shutil.copy(models / name, folder / name)
     (folder / "cone.obj").write_text(obj_text(vertices * [1.0, 1.02, 1.0], faces, "Cone, 2 % wider along y"))
     return {f"mechanism.{side}": str(folder / f"{side}.xml") for side in ("active", "passive")}
 
