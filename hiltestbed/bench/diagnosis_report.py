@@ -13,6 +13,9 @@ from hiltestbed.report import Report, new_figure
 RATES = {
     "named_rate": "one hidden effect, named (alone or in a set of three)",
     "pair_rate": "two hidden effects, both named",
+    "triple_rate": "three hidden effects, all named",
+    "alike_rate": "one of two effects that look alike, named (alone or in a set of three)",
+    "alike_wrong_rate": "one of two effects that look alike, and something else named in its place",
     "false_alarm_rate": "healthy rigs that were extended",
     "foreign_unknown_rate": "effects outside the vocabulary, unknown with the right link",
     "foreign_named_rate": "effects outside the vocabulary, for which one of the vocabulary was named",
@@ -34,11 +37,22 @@ def diagnosis_report(records: Sequence[dict[str, Any]], summary: dict[str, Any])
     """Rates, what was called what, how small an effect may be."""
     report = Report("Diagnosis of hidden effects")
     report.lead(
-        f"Of {summary['sets']['single']} sets with one hidden effect {100 * summary['named_rate']:.0f} % were named, "
-        f"of {summary['sets']['healthy']} healthy ones {100 * summary['false_alarm_rate']:.0f} % raised an alarm."
+        f"{summary['done']} sets of measured data from an independent rig, each with something hidden in it or nothing: "
+        f"{sum(g['right'] for g in summary['groups'])} were judged rightly."
     )
     rows = [[text, "-" if summary[name] is None else f"{summary[name]:.3f}"] for name, text in RATES.items()]
     report.table(["figure", "value"], rows, _counted(summary))
+    if summary["done"] < summary["planned"]:
+        report.text(f"{summary['done']} of {summary['planned']} sets, in an order at random, were done in the time that was given.")
+    rows = [
+        [
+            g["rig"], g["kind"], g["sets"], g["right"], f"{g['low']:.2f} to {g['high']:.2f}", f"{g['cpu_median']:.0f}",
+            f"{g['cpu_longest']:.0f}",
+        ]
+        for g in summary["groups"]
+    ]  # fmt: skip
+    columns = ["rig", "hidden", "sets", "right", "95 % interval of the share", "CPU s, median", "longest"]
+    report.table(columns, rows, "Each kind of set on each kind of rig.")
     report.figure(_strengths(records), "Single effects: how far each stood above the noise of its link, and whether it was named.")
     if summary["reliability"]:
         report.figure(reliability_plot(summary["reliability"]), "Whether probabilities hold, with the interval that so few sets leave.")
@@ -50,7 +64,7 @@ def diagnosis_report(records: Sequence[dict[str, Any]], summary: dict[str, Any])
     small = [[name, f"{found['strength']:.2g}", _sizes(found)] for name, found in summary["smallest_found"].items()]
     report.table(["effect", "rms over noise", "parameters"], small, "The smallest size of each effect that was named.")
     wrong = [
-        [r["seed"], f"{r['kind']}, {r['design']}", _names(r["hidden"]), r["verdict"], _names(r["causes"], "effect")]
+        [r["seed"], f"{r['kind']}, {_rig(r)}", _names(r["hidden"]), r["verdict"], _names(r["causes"], "effect")]
         for r in records
         if not r["right"]
     ]
@@ -63,6 +77,11 @@ def _counted(summary: dict[str, Any]) -> str:
         return ", ".join(f"{n} {kind}" for kind, n in counts.items())
 
     return f"Sets of a bumper: {words(summary['sets'])}; of dockings: {words(summary['docking_sets'])}."
+
+
+def _rig(record: dict[str, Any]) -> str:
+    noise = f"{record['noise'][0]} {record['noise'][1]:g}" if record["noise"] else ""
+    return noise or (record["design"] if record["computing"] == "plain" else record["computing"])
 
 
 def _sizes(found: dict[str, Any]) -> str:

@@ -5,20 +5,17 @@ None holds more than a few chunks at a time: work is handed out as results come 
 
 from __future__ import annotations
 
-import os
 import re
 import sys
-import threading
-import time
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
 from itertools import islice
 
-from hiltestbed import plugins
 from hiltestbed.campaign.chunk import ChunkResult, run_chunk
 from hiltestbed.campaign.schema import LoadedCampaign
 from hiltestbed.errors import HiltestbedError, InputError, MissingExtra
+from hiltestbed.workers import end_pool, new_pool
 
 Chunk = Sequence[int]
 Results = Generator[ChunkResult, None, None]
@@ -59,9 +56,7 @@ def processes(workers: int) -> Engine:
 
 def _until_broken(campaign: LoadedCampaign, waiting: Iterator[Chunk], again: list[Chunk], workers: int):
     """Yields results until all is done or a worker dies; returns the chunks that were under way then."""
-    from multiprocessing import get_context
-
-    pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_begin_worker, initargs=(os.getpid(),))
+    pool = new_pool(workers)
     running: dict[Future[ChunkResult], Chunk] = {}
     next_up = list(again)
     try:
@@ -79,32 +74,7 @@ def _until_broken(campaign: LoadedCampaign, waiting: Iterator[Chunk], again: lis
     except BrokenProcessPool:
         return (*running.values(), *next_up)
     finally:
-        _end(pool)
-
-
-def _end(pool: ProcessPoolExecutor) -> None:
-    """Ends the pool now: a chunk under way is worth less than a prompt return."""
-    children = list((pool._processes or {}).values())
-    pool.shutdown(wait=False, cancel_futures=True)
-    for child in children:
-        child.terminate()
-    for child in children:
-        child.join()
-
-
-def _begin_worker(parent: int) -> None:
-    """A worker leaves Ctrl-C to its parent, and ends when the parent is gone, however it went."""
-    import signal
-
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-
-    def watch() -> None:
-        while os.getppid() == parent:
-            time.sleep(0.5)
-        os._exit(1)
-
-    threading.Thread(target=watch, daemon=True).start()
-    plugins.load()  # a campaign holds objects of their classes
+        end_pool(pool)
 
 
 def dask(address: str) -> Engine:

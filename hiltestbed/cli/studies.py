@@ -23,6 +23,9 @@ BENCHES = {  # name to the module whose function of that name measures
     "robustness": "hiltestbed.bench.robustness.run",
     "throughput": "hiltestbed.bench.throughput",
 }
+LASTING = ("diagnosis", "robustness")  # those that go on for as long as there is time
+LONG = ", ".join(LASTING)
+KEPT = ".sets.jsonl"  # beside the folder of a diagnosis benchmark: what it has done so far
 
 
 @app.command()
@@ -32,23 +35,28 @@ def bench(
     quick: Annotated[bool, typer.Option("--quick", help="A smaller grid.")] = False,
     noise: Annotated[bool, typer.Option("--noise", help="diagnosis: healthy rigs under every kind of noise alone.")] = False,
     docking: Annotated[bool, typer.Option("--docking", help="diagnosis: the docking sets alone.")] = False,
-    minutes: Annotated[float | None, typer.Option("--for", metavar="MINUTES", min=0.01, help="robustness: how long to go on.")] = None,
-    workers: Annotated[int | None, typer.Option("--workers", min=1, help="robustness: processes, else one a core.")] = None,
+    computing: Annotated[
+        bool, typer.Option("--computing", help="diagnosis: facilities alone that divide and stamp their ticks in other ways.")
+    ] = False,
+    minutes: Annotated[float | None, typer.Option("--for", metavar="MINUTES", min=0.01, help=f"{LONG}: how long to go on.")] = None,
+    workers: Annotated[int | None, typer.Option("--workers", min=1, help=f"{LONG}: processes, else one a core.")] = None,
     as_json: Json = False,
 ) -> None:
     """Run a benchmark and write its bench.json and report.html.
 
     hiltestbed bench cor --quick --plugin my_method.py
+
+    hiltestbed bench diagnosis --noise --for 60 --out runs/noise      (the same again goes on where it stopped)
     """
     from importlib import import_module
 
     if name not in BENCHES:
         raise InputError(f"bench: unknown benchmark (got {name!r}); allowed: {', '.join(BENCHES)}")
-    chosen = {option: True for option, given in (("noise", noise), ("docking", docking)) if given}
+    chosen = {option: True for option, given in (("noise", noise), ("docking", docking), ("computing", computing)) if given}
     if chosen and name != "diagnosis":
         raise InputError(f"bench {name}: --{next(iter(chosen))} is an option of bench diagnosis alone; leave it out")
-    if (minutes is not None or workers is not None) and name != "robustness":
-        raise InputError(f"bench {name}: --for and --workers are options of bench robustness alone; leave them out")
+    if (minutes is not None or workers is not None) and name not in LASTING:
+        raise InputError(f"bench {name}: --for and --workers are options of bench {' and '.join(LASTING)} alone; leave them out")
     from hiltestbed.bench.result import BENCH, write_bench
     from hiltestbed.kernels import tell_of_compiling
     from hiltestbed.progress import count_bar
@@ -57,9 +65,15 @@ def bench(
     folder = out if out is not None else free_folder(Path("runs") / f"bench-{name}")
     refuse_foreign(folder, BENCH)
     tell_of_compiling()
-    with count_bar(f"bench {name}") as progress:
-        more: dict[str, Any] = {k: v for k, v in (("minutes", minutes), ("workers", workers)) if v is not None}
-        result = getattr(import_module(BENCHES[name]), name)(quick=quick, progress=progress, **chosen, **more)
+    more: dict[str, Any] = {k: v for k, v in (("minutes", minutes), ("workers", workers)) if v is not None}
+    keep = {"keep": folder.with_name(folder.name + KEPT)} if name == "diagnosis" else {}
+    try:
+        with count_bar(f"bench {name}") as progress:
+            result = getattr(import_module(BENCHES[name]), name)(quick=quick, progress=progress, **chosen, **more, **keep)
+    except KeyboardInterrupt:
+        if not keep:
+            raise
+        raise HiltestbedError(f"interrupted; the same command with --out {folder} goes on from {keep['keep']}") from None
     called = {"quick": True} if quick else {}
     write_bench(result, folder, called | chosen | {"for" if k == "minutes" else k: v for k, v in more.items()})
     if as_json:

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import itertools
 from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 from typing import Any
 
 import pytest
 
-from hiltestbed.bench.diagnosis import FULL, Task, docking_tasks, noise_tasks, summarise, tasks
+from hiltestbed.bench import diagnosis as bench
+from hiltestbed.bench.diagnosis import diagnosis
 from hiltestbed.bench.diagnosis_report import diagnosis_report
-from hiltestbed.bench.independent_rig import NOISE_KINDS, acting_in
+from hiltestbed.bench.diagnosis_sets import COMPUTING_FULL, FULL, NOISE_FULL, Task, computing_tasks, docking_tasks, noise_tasks, tasks
+from hiltestbed.bench.diagnosis_summary import groups, summarise
+from hiltestbed.bench.independent_rig import NOISE_KINDS, Nuisances, acting_in, alike
 from hiltestbed.bench.reliability import reliability, wilson
 from hiltestbed.cli import main
 
@@ -17,7 +23,8 @@ from hiltestbed.cli import main
 def record(task: Task, verdict: str, right: bool) -> dict[str, Any]:
     return {
         "seed": task.seed, "kind": task.kind, "design": task.design, "scale": 1.0, "hidden": [{"kind": n} for n in task.names or ()],
-        "noise": list(task.noise) if task.noise else None, "strengths": [5.0], "verdict": verdict, "link": None, "right": right,
+        "noise": list(task.noise) if task.noise else None, "computing": task.computing, "strengths": [5.0],
+        "verdict": verdict, "link": None, "right": right,
         "intervals_held": 0, "intervals": 0, "causes": [], "alarm": {"taken_off": 1.0, "excess": 0.5}, "cpu": 3.0, "gain": None,
         "gain_true": None,
     }  # fmt: skip
@@ -29,12 +36,12 @@ def test_every_effect_that_acts_in_a_docking_comes_up_in_a_design_in_which_it_ac
     for t in drawn:
         assert t.names is not None
         assert t.names[0] in acting_in(t.design)  # type: ignore[arg-type]
-    everything = [*drawn, *tasks(FULL, False), *noise_tasks(60)]
-    assert len({t.seed for t in everything}) == len(everything)
+    everything = [*drawn, *tasks(FULL, True), *noise_tasks(NOISE_FULL), *computing_tasks(COMPUTING_FULL)]
+    assert len({(t.seed, t.scale) for t in everything}) == len(everything)
 
 
 def test_every_kind_of_noise_is_tried_at_each_of_its_strengths() -> None:
-    drawn = Counter(t.noise for t in noise_tasks(3))
+    drawn = Counter(t.noise for t in noise_tasks({"healthy": 3}))
     assert set(drawn) == {(name, s) for name, kind in NOISE_KINDS.items() for s in kind.strengths}
     assert set(drawn.values()) == {3}
 
@@ -51,7 +58,7 @@ def test_bumpers_dockings_and_noises_are_counted_apart() -> None:
     assert (summary["named_rate"], summary["docking_named_rate"], summary["false_alarm_rate"]) == (1.0, 0.0, 0.0)
     assert summary["noise_alarms"] == {"pink 1": "1 of 1"}
     assert summary["confusion"] == {"sensor.delay": {"": 1}, "sensor.gain": {"unknown": 1}}
-    assert diagnosis_report([], summary) is not None
+    assert diagnosis_report([], summary | {"planned": 4, "done": 4}) is not None
 
 
 def test_false_names_are_counted_in_part_and_for_what_no_name_is_right() -> None:
@@ -86,3 +93,79 @@ def test_options_of_another_benchmark_are_refused(monkeypatch: pytest.MonkeyPatc
         main()
     assert ended.value.code == 2
     assert "bench diagnosis alone" in capsys.readouterr().err
+
+
+def test_a_facility_that_divides_its_ticks_otherwise_keeps_its_clocks() -> None:
+    divided, clocks = (next(t for t in computing_tasks({"single": 6}) if t.computing == way) for way in ("divided", "clocks"))
+    found = divided.draw().nuisances
+    assert (found.substeps, found.lever) != (Nuisances().substeps, None)
+    assert (found.read, found.move, found.encoder, found.step, found.stamps) == (0.0, 0.0, 0.0, 0.0, {})
+    assert all(0.0 < part <= 0.5 for part in (clocks.draw().nuisances.read, clocks.draw().nuisances.move))
+
+
+def test_three_causes_are_none_of_them_alike() -> None:
+    hidden = Task(5, "triple").draw()
+    assert len(hidden.effects) == 3
+    names = [e["kind"] for e in hidden.effects]
+    assert not any(alike(a, b) for a, b in itertools.combinations(names, 2))
+
+
+def test_a_group_is_a_rig_and_a_kind_of_set() -> None:
+    plain, odd = Task(1, "single", ("sensor.delay",)), Task(2, "single", ("platform.lag",), computing="clocks")
+    small = Task(3, "single", ("sensor.delay",), scale=0.1)
+    rows = groups([record(plain, "named", True), record(odd, "unknown", False), record(small, "unknown", False) | {"scale": 0.1}])
+    assert [(r["rig"], r["kind"], r["right"], r["sets"]) for r in rows] == [
+        ("bumper", "single", 1, 1), ("bumper", "single, 0.1 of its size", 0, 1), ("clocks", "single", 0, 1)
+    ]  # fmt: skip
+
+
+class Threads(ThreadPoolExecutor):
+    """In place of a pool of processes."""
+
+    _processes = None
+
+
+def played(monkeypatch: pytest.MonkeyPatch, last: int) -> list[int]:
+    """Has no set diagnosed: the seeds of those that are asked for, the last of which is interrupted."""
+    asked: list[int] = []
+
+    def one_set(task: Task) -> dict[str, Any]:
+        asked.append(task.seed)
+        if len(asked) == last:
+            raise KeyboardInterrupt
+        return record(task, "no_discrepancy", task.kind == "healthy")
+
+    monkeypatch.setattr(bench, "one_set", one_set)
+    monkeypatch.setattr(bench, "new_pool", Threads)
+    return asked
+
+
+def test_a_benchmark_that_was_stopped_goes_on_where_it_was(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    keep = tmp_path / "bench.sets.jsonl"
+    before = played(monkeypatch, last=5)
+    with pytest.raises(KeyboardInterrupt):
+        diagnosis(quick=True, keep=keep, workers=1)
+    with keep.open("a", encoding="utf-8") as file:
+        file.write('{"seed": 40')  # cut off
+    after = played(monkeypatch, last=0)
+    result = diagnosis(quick=True, keep=keep, workers=1)
+    assert set(before[:4]).isdisjoint(after)
+    assert len(result.records) == len(set(before) | set(after)) == result.summary["planned"] == result.summary["done"]
+    assert not keep.exists()
+
+
+def test_records_of_another_program_are_not_taken_over(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    keep = tmp_path / "bench.sets.jsonl"
+    played(monkeypatch, last=5)
+    with pytest.raises(KeyboardInterrupt):
+        diagnosis(quick=True, keep=keep, workers=1)
+    monkeypatch.setattr("hiltestbed.bench.kept.made_by", lambda: "another")
+    after = played(monkeypatch, last=0)
+    assert len(diagnosis(quick=True, keep=keep, workers=1).records) == len(after)
+
+
+def test_when_the_time_is_up_what_is_done_is_told(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    played(monkeypatch, last=0)
+    result = diagnosis(quick=True, minutes=1e-6, keep=tmp_path / "bench.sets.jsonl", workers=1)
+    assert (result.summary["done"], result.records, result.summary["named_rate"]) == (0, [], None)
+    assert (tmp_path / "bench.sets.jsonl").exists()

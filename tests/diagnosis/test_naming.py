@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 import yaml
 
-from hiltestbed.bench.diagnosis import Task, judged_right, one_set
+from hiltestbed.bench.diagnosis import judged_right, one_set
+from hiltestbed.bench.diagnosis_sets import Task
 from hiltestbed.bench.independent_rig import SIZES
 from hiltestbed.diagnosis.find import cause_of
 from hiltestbed.diagnosis.investigate import investigate

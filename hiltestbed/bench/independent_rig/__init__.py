@@ -6,7 +6,7 @@ a compliant mount. Every effect of the vocabulary can be hidden in it, alone and
 name for.
 
     rng = np.random.default_rng(7)
-    hidden = draw_set(rng, "single")                        # healthy | single | pair | foreign | alike
+    hidden = draw_set(rng, "single")                        # healthy | single | pair | triple | foreign | alike
     hidden = draw_set(rng, "pair", names=("contact.preload", "sensor.hum"))
     hidden = draw_set(rng, "single", names=("sensor.delay",), scale=0.2)      # how small can it be?
     hidden = draw_set(rng, "single", design="docking")      # bumper | docking | mounted (on a compliant mount) | held (by a latch)

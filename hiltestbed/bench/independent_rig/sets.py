@@ -34,7 +34,7 @@ from hiltestbed.bench.independent_rig.nuisances import Nuisances
 from hiltestbed.bench.independent_rig.sizes import NEEDS, SIZES, alike
 from hiltestbed.bench.independent_rig.strengths import strength
 
-Kind = Literal["healthy", "single", "pair", "foreign", "alike"]
+Kind = Literal["healthy", "single", "pair", "triple", "foreign", "alike"]
 Design = Literal["bumper", "docking", "mounted", "held"]
 FACILITIES = 200  # drawn at most before a set is given up
 STRONG_ENOUGH = 150  # draws, after which a weak effect is taken too
@@ -51,7 +51,7 @@ class HiddenSet:
     """A set and the truth about it.
 
     Attributes:
-        kind: healthy, single, pair, foreign or alike.
+        kind: healthy, single, pair, triple, foreign or alike.
         effects: what is hidden, as in a scenario's `effects`; foreign ones have a kind `unknown.*`.
         links: of the effects, in their order.
         strengths: of the effects, in their order: rms of what the effect changes in its link's records during contact, in
@@ -201,7 +201,10 @@ def _names(rng: Generator, kind: Kind, design: Design, compensation: str, pair: 
     first = str(rng.choice(list(vocabulary)))
     if kind == "single":
         return (first,)
-    return (first, str(rng.choice([name for name in vocabulary if not alike(first, name)])))
+    second = str(rng.choice([name for name in vocabulary if not alike(first, name)]))
+    if kind == "pair":
+        return (first, second)
+    return (first, second, str(rng.choice([name for name in vocabulary if not (alike(first, name) or alike(second, name))])))
 
 
 def _alike_names(rng: Generator, design: Design, pair: Pair | None) -> tuple[str, ...]:

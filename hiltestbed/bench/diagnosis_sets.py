@@ -1,0 +1,123 @@
+"""The sets that the benchmark of diagnosis draws: what is hidden, on which rig, under which noise."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+
+from hiltestbed.effects.table import EFFECTS
+
+Computing = Literal["plain", "divided", "clocks"]
+
+SEED, DOCKING_SEED, NOISE_SEED, COMPUTING_SEED = 400_000, 500_000, 600_000, 700_000
+FULL = {"single": 82, "pair": 40, "healthy": 120, "foreign": 40, "triple": 20, "alike": 26}
+QUICK = {"single": 8, "pair": 3, "healthy": 3, "foreign": 3}
+DOCKING_FULL = {"single": 60, "pair": 20, "healthy": 60, "foreign": 20}
+DOCKING_QUICK = {"single": 3, "pair": 1, "healthy": 2, "foreign": 1}
+DOCKINGS = ("docking", "docking", "mounted", "held")  # in turn
+NOISE_FULL, NOISE_QUICK = {"healthy": 60, "single": 10}, {"healthy": 1}  # sets of each kind of noise at each strength
+OF_COMPUTING = (  # what depends most on how a tick is divided and stamped
+    "platform.friction", "platform.backlash", "platform.mode", "platform.lag", "frame.compliance", "sensor.delay",
+)  # fmt: skip
+WAYS: tuple[Computing, ...] = ("divided", "clocks")
+COMPUTING_FULL, COMPUTING_QUICK = {"single": 60, "healthy": 20}, {"single": 2, "healthy": 1}  # of each way of computing
+SMALLER = (0.3, 0.1, 0.03, 0.01)  # of the drawn size, down the ladder of the smallest that is found
+UNSCALED = {"dynamics.integrator", "dynamics.step_delay"}  # there is no smaller one
+
+
+@dataclass(frozen=True)
+class Task:
+    """One set to draw and diagnose.
+
+    Attributes:
+        kind, names, scale, design, noise: see :func:`~hiltestbed.bench.independent_rig.draw_set`.
+        computing: plain | divided (a tick into any number of sub-steps, the force at any lever) | clocks (divided, and every instant and
+            stamp off, too).
+    """
+
+    seed: int
+    kind: str
+    names: tuple[str, ...] | None = None
+    scale: float = 1.0
+    design: str = "bumper"
+    noise: tuple[str, float] | None = None
+    computing: Computing = "plain"
+
+    def draw(self) -> Any:
+        """The set: a :class:`~hiltestbed.bench.independent_rig.HiddenSet`."""
+        from hiltestbed.bench.independent_rig import draw_set
+
+        options: dict[str, Any] = {"names": self.names} if self.names else {}
+        return draw_set(
+            np.random.default_rng(self.seed), self.kind, scale=self.scale, design=self.design, noise=self.noise,  # type: ignore[arg-type]
+            nuisances=self._nuisances(), **options,
+        )  # fmt: skip
+
+    def _nuisances(self) -> Any:
+        from hiltestbed.bench.independent_rig import Nuisances, draw_nuisances
+
+        if self.computing == "plain":
+            return None
+        drawn = draw_nuisances(np.random.default_rng([self.seed, 1]))
+        return drawn if self.computing == "clocks" else replace(Nuisances(), substeps=drawn.substeps, lever=drawn.lever)
+
+
+def tasks(counts: Mapping[str, int], ladder: bool) -> list[Task]:
+    """The sets of a bumper; singles go through the vocabulary in turn, then each effect ever smaller if there is a ``ladder``."""
+    from hiltestbed.bench.independent_rig import SIZES
+
+    out: list[Task] = []
+    ids = [name for name in EFFECTS if name in SIZES]  # learned laws are not drawn
+    for kind, count in counts.items():
+        for i in range(count):
+            out.append(Task(SEED + len(out), kind, (ids[(i * 7) % len(ids)],) if kind == "single" else None))
+    if ladder:
+        out += [Task(SEED + 5000 + i, "single", (name,), scale) for scale in SMALLER for i, name in enumerate(ids) if name not in UNSCALED]
+    return out
+
+
+def docking_tasks(counts: Mapping[str, int]) -> list[Task]:
+    """The docking sets; singles go through the effects that act in their design in turn."""
+    from hiltestbed.bench.independent_rig import acting_in
+
+    out: list[Task] = []
+    for kind, count in counts.items():
+        for i in range(count):
+            design = DOCKINGS[i % len(DOCKINGS)]
+            acting = acting_in(design)  # type: ignore[arg-type]
+            names = (acting[(i * 7) % len(acting)],) if kind == "single" else None
+            out.append(Task(DOCKING_SEED + len(out), kind, names, design=design))
+    return out
+
+
+def noise_tasks(counts: Mapping[str, int]) -> list[Task]:
+    """Sets of a bumper under every kind of noise at each of its strengths."""
+    from hiltestbed.bench.independent_rig import NOISE_KINDS
+
+    noises = [(name, strength) for name, kind in NOISE_KINDS.items() for strength in kind.strengths]
+    each = [(kind, noise) for kind, count in counts.items() for noise in noises for _ in range(count)]
+    return [Task(NOISE_SEED + i, kind, noise=noise) for i, (kind, noise) in enumerate(each)]
+
+
+def computing_tasks(counts: Mapping[str, int]) -> list[Task]:
+    """Sets of a bumper whose facility divides its ticks, samples and stamps in ways that are drawn."""
+    each: list[tuple[Computing, str, int]] = [(way, kind, i) for way in WAYS for kind, count in counts.items() for i in range(count)]
+    return [
+        Task(COMPUTING_SEED + n, kind, (OF_COMPUTING[i % len(OF_COMPUTING)],) if kind == "single" else None, computing=way)
+        for n, (way, kind, i) in enumerate(each)
+    ]  # fmt: skip
+
+
+def plan(quick: bool, parts: Sequence[str] = ()) -> list[Task]:
+    """The sets of the ``parts`` asked for (docking, noise, computing), by default those of the bumper and of dockings."""
+    out = [] if parts else tasks(QUICK if quick else FULL, not quick)
+    if not parts or "docking" in parts:
+        out += docking_tasks(DOCKING_QUICK if quick else DOCKING_FULL)
+    if "noise" in parts:
+        out += noise_tasks(NOISE_QUICK if quick else NOISE_FULL)
+    if "computing" in parts:
+        out += computing_tasks(COMPUTING_QUICK if quick else COMPUTING_FULL)
+    return out

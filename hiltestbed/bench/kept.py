@@ -1,0 +1,66 @@
+"""Records of a long benchmark, kept on disk as they come: stopped, it goes on from there when it is asked for the same again."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Hashable
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+import hiltestbed
+from hiltestbed.errors import InputError
+from hiltestbed.versions import versions
+
+
+def made_by() -> str:
+    """SHA-256 of the program that makes a record: every module of the package, and the versions of what it calls."""
+    package = Path(hiltestbed.__file__).parent
+    seen = sha256(json.dumps(versions(), sort_keys=True).encode())
+    for file in sorted(package.rglob("*.py")):
+        seen.update(str(file.relative_to(package)).encode() + b"\0" + file.read_bytes())
+    return seen.hexdigest()
+
+
+class Kept:
+    """Records by key in a file of one JSON object a line, the first of which says what made them.
+
+    Records of another program are not taken over, and a last line that was cut off is left out.
+    """
+
+    def __init__(self, path: Path | None, key_of: Callable[[dict[str, Any]], Hashable]) -> None:
+        """``path``: of the file, None to keep nothing. ``key_of``: what tells a record from others."""
+        self._path, self._key_of = path, key_of
+        self.records: dict[Hashable, dict[str, Any]] = {}
+        if path is None:
+            return
+        lines = path.read_text(encoding="utf-8").split("\n")[:-1] if path.is_file() else []
+        program = {"made_by": made_by()}
+        if lines and _parsed(lines[0]) == program:
+            self.records = {key_of(record): record for line in lines[1:] if (record := _parsed(line)) is not None}
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            beside = path.with_name(path.name + ".new")
+            beside.write_text("".join(json.dumps(one) + "\n" for one in (program, *self.records.values())), encoding="utf-8")
+            beside.replace(path)
+        except OSError as error:
+            raise InputError(f"{path}: cannot be written ({error.strerror}); choose another --out") from None
+
+    def add(self, record: dict[str, Any]) -> None:
+        """Keep a record."""
+        self.records[self._key_of(record)] = record
+        if self._path is not None:
+            with self._path.open("a", encoding="utf-8") as file:
+                file.write(json.dumps(record) + "\n")
+
+    def done(self) -> None:
+        """Everything is in the result: nothing is left to go on with."""
+        if self._path is not None:
+            self._path.unlink(missing_ok=True)
+
+
+def _parsed(line: str) -> Any:
+    try:
+        return json.loads(line)
+    except ValueError:
+        return None
