@@ -7,15 +7,13 @@ hiltestbed rig 02-bumper --plugin examples/plugins/gantry.py --set 'rig.platform
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 from pydantic import Field
 
-from hiltestbed.platform.facilities.settings import CommandPath, MjcfSettings
+from hiltestbed.platform.facilities.settings import CommandPath
+from hiltestbed.platform.shipped.mjcf import MjcfSettings
 from hiltestbed.plugins import register
-
-if TYPE_CHECKING:
-    from hiltestbed.platform.facilities.facility import Facility
 
 MODEL = Path(__file__).with_name("gantry") / "gantry.xml"
 
@@ -29,9 +27,3 @@ class Gantry(MjcfSettings):
     command: CommandPath = Field(
         default=CommandPath(controller_rate=1000.0), description="How commands reach the drives: every millisecond"
     )
-
-    def facility(self) -> Facility:
-        """Model, kinematics, drives and limits, measured on the MJCF model."""
-        from hiltestbed.platform.facilities.mjcf import Mjcf
-
-        return Mjcf(self)

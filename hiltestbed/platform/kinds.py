@@ -111,6 +111,4 @@ class Platform(Strictly):
         return self.facility().response(scenario.rate, scenario.compensation.motion.feeds).bandwidth[2]
 
 
-PLATFORMS: Registry[Platform] = Registry(
-    "platform", Platform, ("hiltestbed.platform.pss33.settings", "hiltestbed.platform.facilities.settings")
-)
+PLATFORMS: Registry[Platform] = Registry("platform", Platform, ("hiltestbed.platform.pss33.settings", "hiltestbed.platform.shipped"))

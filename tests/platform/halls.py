@@ -11,9 +11,12 @@ from scipy.spatial.transform import Rotation
 from hiltestbed.frames import Array
 from hiltestbed.platform.facilities.mjcf import Mjcf
 from hiltestbed.platform.facilities.serial_arm import SerialArm
-from hiltestbed.platform.facilities.settings import MjcfSettings, SerialArmSettings, StewartSettings, TwoArmsSettings
 from hiltestbed.platform.facilities.stewart import Stewart
 from hiltestbed.platform.facilities.two_arms import TwoArms
+from hiltestbed.platform.shipped.mjcf import MjcfSettings
+from hiltestbed.platform.shipped.serial_arm import SerialArmSettings
+from hiltestbed.platform.shipped.stewart import StewartSettings
+from hiltestbed.platform.shipped.two_arms import TwoArmsSettings
 
 UPRIGHT = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
 DIRECT = {"controller_rate": None, "delay_cycles": 0}

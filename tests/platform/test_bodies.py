@@ -14,8 +14,8 @@ from hiltestbed.frames import Array
 from hiltestbed.platform.facilities.air_bearing import AirBearing
 from hiltestbed.platform.facilities.bodies import GRAVITY, Article
 from hiltestbed.platform.facilities.facility import compiled
-from hiltestbed.platform.facilities.settings import AirBearingSettings
 from hiltestbed.platform.facilities.suspension import HOOK, Suspension, SuspensionSettings, swing_frequency
+from hiltestbed.platform.shipped.air_bearing import AirBearingSettings
 
 STEP = 2.5e-4
 CHASER = Article(500.0, np.diag([200.0, 180.0, 150.0]), np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]))

@@ -14,9 +14,9 @@ import pytest
 from hiltestbed.frames import Array
 from hiltestbed.platform.facilities.facility import compiled
 from hiltestbed.platform.facilities.measure import dynamic_stiffness, frequency_response, modes, static_compliance
-from hiltestbed.platform.facilities.settings import HydraulicDrive
 from hiltestbed.platform.facilities.stand import TOOL, Stand
 from hiltestbed.platform.facilities.stewart import ARMATURE, STROKE, Stewart
+from hiltestbed.platform.shipped.stewart import HydraulicDrive
 from tests.platform.halls import GANTRY, arm, arms, mass_and_jacobian, own, stewart
 
 NO_SEALS: dict[str, Any] = {"friction": {"coulomb": 0.0, "stiction": 0.0, "stribeck_speed": 0.005, "viscous": 0.0}}

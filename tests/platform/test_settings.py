@@ -7,13 +7,17 @@ import sys
 from typing import get_args
 
 import pytest
-from pydantic import BaseModel, TypeAdapter, ValidationError
+from pydantic import BaseModel, ValidationError
 
-from hiltestbed.platform.facilities import KINDS, FacilitySettings, build_facility
 from hiltestbed.platform.facilities.settings import ResponseSettings
+from hiltestbed.platform.kinds import PLATFORMS, Platform
 
-BARE = {kind: {"kind": kind} | ({"model": "rig.xml"} if kind == "mjcf" else {}) for kind in KINDS}
-ADAPTER = TypeAdapter(FacilitySettings)
+KINDS = [kind for kind, cls in PLATFORMS.items() if cls.__module__.startswith("hiltestbed.platform.shipped.")]
+
+
+def bare(kind: str, **more: object) -> Platform:
+    """A platform of which nothing is said but its kind."""
+    return PLATFORMS[kind].model_validate({"kind": kind, **({"model": "rig.xml"} if kind == "mjcf" else {}), **more})
 
 
 def sections(model: type[BaseModel]) -> list[type[BaseModel]]:
@@ -28,7 +32,7 @@ def sections(model: type[BaseModel]) -> list[type[BaseModel]]:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_number_has_a_default_and_says_its_unit(kind: str) -> None:
-    settings = ADAPTER.validate_python(BARE[kind])
+    settings = bare(kind)
     for section in sections(type(settings)):
         for name, field in section.model_fields.items():
             if name == "kind" or any(isinstance(part, type) and issubclass(part, BaseModel) for part in (field.annotation,)):
@@ -40,21 +44,24 @@ def test_every_number_has_a_default_and_says_its_unit(kind: str) -> None:
 
 @pytest.mark.parametrize("kind", sorted(set(KINDS) - {"mjcf"}))
 def test_a_kind_is_found_by_its_settings(kind: str) -> None:
-    found = build_facility(ADAPTER.validate_python(BARE[kind]))
+    found = bare(kind).facility()
     assert found.kind == kind
     assert found.physical == (kind in ("air_bearing", "suspension"))
 
 
 def test_what_is_not_a_key_is_refused() -> None:
     with pytest.raises(ValidationError, match="bandwith"):
-        ADAPTER.validate_python({"kind": "serial_arm", "controller": {"bandwith": 3.0}})
+        bare("serial_arm", controller={"bandwith": 3.0})
     with pytest.raises(ValidationError, match="delay_cycles"):
-        ADAPTER.validate_python({"kind": "serial_arm", "command": {"delay_cycles": -1}})
+        bare("serial_arm", command={"delay_cycles": -1})
     with pytest.raises(ValidationError, match="bandwidth"):
         ResponseSettings.model_validate({"bandwidth": [1.0, 2.0]})
 
 
 def test_settings_are_read_without_the_physics() -> None:
     """A scenario is checked before MuJoCo or compiled code is loaded."""
-    code = "import sys, hiltestbed.platform.facilities; print([m for m in ('mujoco', 'numba', 'scipy') if m in sys.modules])"
+    code = (
+        "import sys; from hiltestbed.platform.kinds import PLATFORMS; "
+        "assert len(PLATFORMS) > 5; print([m for m in ('mujoco', 'numba', 'scipy') if m in sys.modules])"
+    )
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip() == "[]"

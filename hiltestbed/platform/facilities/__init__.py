@@ -1,7 +1,7 @@
 """The facilities that a scenario may name, each of which describes itself, and what the plant asks of them.
 
 A facility is the motion platform of a rig with its drives: models in ``models/<kind>``, settings with unit, default and source, kinematics,
-drives, limits, nominal response. ``build_facility(settings)`` finds it by the kind of its settings; nothing else knows its name.
+drives, limits, nominal response. Its settings build it (:mod:`hiltestbed.platform.shipped`, one file each); nothing else knows its name.
 
 Before a run
     facility.problems(rate)                what in the settings cannot be in a loop of this rate: (path, message)
@@ -48,32 +48,3 @@ There is no command: the commanded pose of a row is the one reached, the force u
 
 Any kind may be followed by a response alone, without mass: :class:`response.ResponsePath`, with ideal tracking behind it.
 """
-
-from __future__ import annotations
-
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
-
-from hiltestbed.platform.facilities.settings import FacilitySettings, ResponseSettings
-
-if TYPE_CHECKING:
-    from hiltestbed.platform.facilities.facility import Facility
-
-# Kind, module, class: read when one is wanted, so that a scenario can be checked without MuJoCo.
-KINDS = {
-    "stewart": ("stewart", "Stewart"),
-    "serial_arm": ("serial_arm", "SerialArm"),
-    "two_arms": ("two_arms", "TwoArms"),
-    "mjcf": ("mjcf", "Mjcf"),
-    "air_bearing": ("air_bearing", "AirBearing"),
-    "suspension": ("suspension", "Suspension"),
-}
-
-
-def build_facility(settings: Any) -> Facility:
-    """The facility that the settings describe. Raises InputError for a model of the user's own that does not do."""
-    module, name = KINDS[settings.kind]
-    return getattr(import_module(f"{__name__}.{module}"), name)(settings)
-
-
-__all__ = ["KINDS", "FacilitySettings", "ResponseSettings", "build_facility"]

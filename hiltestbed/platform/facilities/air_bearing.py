@@ -23,7 +23,7 @@ from hiltestbed.jit import njit
 from hiltestbed.models import load
 from hiltestbed.platform.facilities.bodies import GRAVITY, SIDES, Bodies, PhysicalFacility
 from hiltestbed.platform.facilities.facility import MOUNT, per_run
-from hiltestbed.platform.facilities.settings import AirBearingSettings
+from hiltestbed.platform.shipped.air_bearing import AirBearingSettings
 
 CREEP = 1e-4  # [m/s] below which the pads' rubbing fades
 TILT_X, TILT_Z, FILM, RADIUS, RUB, HOSE, HOSE_DAMPING, NUMBERS = range(8)

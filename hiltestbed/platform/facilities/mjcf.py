@@ -33,8 +33,8 @@ from hiltestbed.platform.facilities.facility import (
 )
 from hiltestbed.platform.facilities.kinematics import Axis, Kinematics
 from hiltestbed.platform.facilities.position_actuators import PositionActuators
-from hiltestbed.platform.facilities.settings import MjcfSettings
 from hiltestbed.platform.facilities.tree import compose, inverse_pose, site_pose
+from hiltestbed.platform.shipped.mjcf import MjcfSettings
 
 PREFIX = "rig/"  # of every name of the file in the composed model
 PASSIVE = "passive"

@@ -21,7 +21,7 @@ from hiltestbed.platform.facilities.elastic_joint import ElasticJoints
 from hiltestbed.platform.facilities.facility import MOUNT, Facility, Response, add_carrier, frame_of, per_run
 from hiltestbed.platform.facilities.friction import Rubbing
 from hiltestbed.platform.facilities.kinematics import Axis, Kinematics
-from hiltestbed.platform.facilities.settings import SerialArmSettings
+from hiltestbed.platform.shipped.serial_arm import SerialArmSettings
 
 # Travel and speed of KR 210 R2700 extra as in the public description of the ROS-Industrial project; torque and acceleration: estimates.
 TRAVEL_DEG = ((-185, 185), (-140, -5), (-120, 155), (-350, 350), (-125, 125), (-350, 350))

@@ -31,7 +31,7 @@ from hiltestbed.platform.facilities.facility import (
 from hiltestbed.platform.facilities.force_servo import ForceServo
 from hiltestbed.platform.facilities.friction import Rubbing
 from hiltestbed.platform.facilities.kinematics import Axis
-from hiltestbed.platform.facilities.settings import HydraulicDrive, StewartSettings
+from hiltestbed.platform.shipped.stewart import HydraulicDrive, StewartSettings
 
 STROKE = 1.04  # [m] of a cylinder
 ARMATURE = 120.0  # [kg] of an electric leg: rotor and screw 3e-3 kg m^2 at a lead of 31 mm

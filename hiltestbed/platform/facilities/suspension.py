@@ -26,8 +26,8 @@ from hiltestbed.jit import njit
 from hiltestbed.models import load
 from hiltestbed.platform.facilities.bodies import GRAVITY, SIDES, Bodies, PhysicalFacility
 from hiltestbed.platform.facilities.facility import MOUNT, per_run
-from hiltestbed.platform.facilities.settings import SuspensionSettings
 from hiltestbed.platform.friction import drag
+from hiltestbed.platform.shipped.suspension import SuspensionSettings
 
 PRESLIDING = 2.0e5  # [N/m] of a winch before it breaks away
 STRIBECK_SPEED = 0.002  # [m/s]

@@ -39,8 +39,8 @@ from hiltestbed.platform.facilities.facility import (
 )
 from hiltestbed.platform.facilities.kinematics import Axis, Kinematics
 from hiltestbed.platform.facilities.serial_arm import FRICTION_SHARE, arm_axes, arm_rubbing, pose_arm
-from hiltestbed.platform.facilities.settings import TwoArmsSettings
 from hiltestbed.platform.facilities.tree import compose, inverse_pose
+from hiltestbed.platform.shipped.two_arms import TwoArmsSettings
 
 ACTIVE, PASSIVE = "chaser_", "target_"  # prefixes of the two arms' names
 HOME = (0.0, -1.0506357359978915, 1.6113790755209094, 0.0, -0.5607433395296182, 1.5707963267948966)  # [rad], a6 of the passive arm

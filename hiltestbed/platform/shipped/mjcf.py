@@ -1,0 +1,52 @@
+"""The rig of the user, from an MJCF file."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable
+from pathlib import Path
+from typing import TYPE_CHECKING, ClassVar, Literal
+
+from pydantic import Field
+
+from hiltestbed.folders import is_file
+from hiltestbed.platform.facilities.settings import CommandPath, Driven
+from hiltestbed.plugins import register
+from hiltestbed.validation import Positive
+
+if TYPE_CHECKING:
+    from hiltestbed.platform.facilities.mjcf import Mjcf
+
+
+@register
+class MjcfSettings(Driven):
+    """The user's own rig."""
+
+    distorts: ClassVar[str] = (
+        "Whatever the file holds. Plain position servos follow a feed-forward of the velocity and bend under load; coupled axes ring at "
+        "frequencies that no single axis shows."
+    )
+
+    drives: ClassVar[tuple[str, ...]] = ("command",)
+    kind: Literal["mjcf"]
+    model: str = Field(description="MJCF file of the rig, with a site `mount` and position actuators")
+    speed: Positive = Field(default=1.0, description="Highest speed of a sliding joint [m/s]; MJCF has no such number")
+    spin: Positive = Field(default=2.0, description="Highest speed of a turning joint [rad/s]; MJCF has no such number")
+    acceleration: Positive = Field(default=20.0, description="Highest acceleration of a joint [m/s^2, rad/s^2]; MJCF has no such number")
+    command: CommandPath = Field(default=CommandPath(), description="How commands reach the drives")
+
+    def file(self) -> Path:
+        """The MJCF: as it is named, or among the shipped models."""
+        from hiltestbed.models import models_folder
+
+        given, shipped = Path(self.model), models_folder() / self.model
+        return shipped if not is_file(given) and is_file(shipped) else given
+
+    def stamp(self) -> Hashable:
+        """The file as it stands."""
+        path = self.file()
+        return (str(path.resolve()), path.stat().st_mtime_ns) if is_file(path) else None
+
+    def build(self) -> Mjcf:
+        from hiltestbed.platform.facilities.mjcf import Mjcf
+
+        return Mjcf(self)
