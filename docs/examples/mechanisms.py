@@ -35,6 +35,7 @@ VIEWS = {
     "idss_ring": View(0.45, (0.0, 0.0, -0.34), 2.45, 100.0, -13.0),
     "probe_drogue": View(0.16, (0.0, 0.0, -0.25), 1.75, 100.0, -6.0, glass=("passive_shell",)),
     "marman_gripper": View(0.34, (0.0, 0.0, -0.22), 2.15, 105.0, -15.0),
+    "kinematic_coupling": View(0.22, (0.0, 0.0, -0.16), 1.7, 100.0, -10.0),
 }
 
 

@@ -1,0 +1,67 @@
+"""The kinematic coupling: its seat's stiffness in closed form, capture from beside and turned, energy kept where nothing damps."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from hiltestbed.platform.plant import Plant
+from tests.models.rig import Rig
+from tests.platform.rigs import scenario
+from tests.slow import slow
+
+K, R = 1e5, 0.25  # N/m of a contact, m: as mechanism.yaml and the files have them
+PRELOAD, SHIFT = 2e-4, 5e-5  # m: seated so deep, and moved by so little, that all six points bear
+
+
+def wrench(shift: np.ndarray) -> np.ndarray:
+    """Wrench (6,) on P of balls that are PRELOAD deep and moved by ``shift`` (6,) [m, rad]."""
+    contact = {"stiffness": K, "damping": 0.0, "friction": 0.0}
+    plant = Plant([scenario("ideal", mechanism={"kind": "kinematic_coupling", "contact": contact})])
+    place = shift[:3] + np.array([0.0, 0.0, PRELOAD])
+    plant.reset(np.concatenate([place, Rotation.from_rotvec(shift[3:]).as_quat()])[None], np.zeros((1, 6)))
+    return plant.wrench_sub[0, -1].copy()
+
+
+def test_a_seat_is_six_springs_that_do_not_act_on_each_other() -> None:
+    """The sum of k J^T J over six points, J = (n, p x n): k diag(3/2, 3/2, 3) and k R^2 diag(3/2, 3/2, 3), nothing beside the diagonal.
+
+    A turned pair's forces also move with their points, by PRELOAD over R of the stiffness at most: 8e-4.
+    """
+    steps = np.diag([SHIFT] * 3 + [SHIFT / R] * 3)
+    found = np.stack([(wrench(s) - wrench(-s)) / (2.0 * s.sum()) for s in steps], axis=1)
+    scale = np.array([1.0] * 3 + [R] * 3)
+    assert found / (K * np.outer(scale, scale)) == pytest.approx(np.diag([1.5, 1.5, 3.0] * 2), abs=3.0 * PRELOAD / R)
+
+
+def test_a_seat_bears_its_preload_on_six_faces_at_45_degrees() -> None:
+    """Each face is met PRELOAD/sqrt(2) deep and pushes at 45 degrees: 6 k PRELOAD/2 in all; the files give places to 1e-9 m."""
+    assert wrench(np.zeros(6)) == pytest.approx([0.0, 0.0, 3.0 * K * PRELOAD, 0.0, 0.0, 0.0], abs=6.0 * K * 1e-9)
+
+
+@pytest.mark.parametrize(
+    ("offset", "attitude"), [((0.02, -0.01), (0.0, 0.0, 2.0)), slow((0.0, 0.0), (0, 0, 0)), slow((0.03, 0.02), (1.0, -1.0, 2.0))]
+)
+def test_it_seats_and_is_latched(offset, attitude) -> None:
+    rig = Rig("kinematic_coupling", timestep=5e-4)
+    rig.start(0.05, (0.0, 0.0, 0.03), offset, attitude)
+    rig.run(8.0)
+    assert rig.done == ["soft_capture", "hard_capture"]
+    assert np.linalg.norm(rig.site("active_A") - rig.site("passive_P")) < 0.003
+    assert rig.momentum()[2] == pytest.approx(500.0 * 0.03, rel=1e-5)
+
+
+def test_a_bounce_that_nothing_damps_keeps_its_energy() -> None:
+    rig = Rig("kinematic_coupling", dissipative=False)
+    rig.start(0.03, (0.0, 0.0, 0.03), (0.004, -0.003))
+    rig.step()
+    energy = rig.energy.sum()
+    touched = False
+    for _ in range(round(4.0 / rig.model.opt.timestep)):
+        rig.step()
+        touched |= bool(rig.found.any())
+        if touched and not rig.found.any() and rig.site("active_A")[2] - rig.site("passive_P")[2] < -0.02:
+            break
+    assert touched
+    assert rig.energy.sum() == pytest.approx(energy, rel=1e-3)
