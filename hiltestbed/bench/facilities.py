@@ -20,6 +20,7 @@ from hiltestbed.gallery import shipped
 from hiltestbed.numerical_model.bodies import effective_mass
 from hiltestbed.platform.facilities.hall import facility_of
 from hiltestbed.platform.facilities.measure import workspace
+from hiltestbed.platform.kinds import PLATFORMS
 from hiltestbed.scenario import Scenario, load_scenario
 from hiltestbed.simulation import log_error, reference_scenario, simulate
 from hiltestbed.stability import measured_response, stability
@@ -27,37 +28,32 @@ from hiltestbed.stability import measured_response, stability
 DELAY = 0.002  # [s] of the force sensor
 RATIO = 0.05  # damping ratio of the contacts
 STIFFNESS = (1.0e4, 5.0e4, 1.0e5)  # [N/m]: 0.8, 1.8, 2.5 Hz
-FACILITIES: dict[str, dict[str, Any]] = {  # name to rig.platform
-    "pss33": {"kind": "pss33"},
-    "stewart, hydraulic": {"kind": "stewart", "drive": {"kind": "hydraulic"}},
-    "stewart, electric": {"kind": "stewart", "drive": {"kind": "electric"}},
-    "serial_arm": {"kind": "serial_arm"},
-    "two_arms": {"kind": "two_arms"},
-    "mjcf": {"kind": "mjcf", "model": "xyz_table/xyz_table.xml"},
-    "air_bearing": {"kind": "air_bearing"},
-    "suspension": {"kind": "suspension"},
-}
 NONE = {"force": {"kind": "none"}, "motion": {"kind": "none"}}
 Progress = Callable[[int, int], None]
 
 
 def facilities(quick: bool = False, progress: Progress | None = None) -> BenchResult:
     """Every facility with every treatment; ``quick``: one contact, no docking."""
-    stiffness = STIFFNESS[1:2] if quick else STIFFNESS
+    stiffness, entered = STIFFNESS[1:2] if quick else STIFFNESS, facilities_entered()
     records, rigs = [], []
-    for done, (name, platform) in enumerate(FACILITIES.items()):
+    for done, (name, platform) in enumerate(entered.items()):
         if progress:
-            progress(done, len(FACILITIES))
+            progress(done, len(entered))
         contacts = [bounce(platform, k) for k in stiffness]
         records += [r | {"facility": name} for r in _bounces(contacts)]
         if not quick:
             records += [r | {"facility": name} for r in _dockings(platform)]
         rigs.append(_rig(name, contacts[0], 2 if quick else 6))
     if progress:
-        progress(len(FACILITIES), len(FACILITIES))
+        progress(len(entered), len(entered))
     summary = {"rigs": rigs, "worst": _worst(records)}
     lines = [(f"{w['facility']}, {w['treatment']}", _line(w)) for w in summary["worst"]]
     return BenchResult("facilities", records, summary, facilities_report(records, summary), lines)
+
+
+def facilities_entered() -> dict[str, dict[str, Any]]:
+    """Name to `rig.platform` of all that take part: every kind of platform in its forms, those of plugins as well."""
+    return {name: dict(settings) for platform in PLATFORMS.values() for name, settings in platform.contest().items()}
 
 
 def bounce(platform: dict[str, Any], stiffness: float) -> Scenario:

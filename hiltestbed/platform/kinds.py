@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterator, Sequence
+from collections.abc import Hashable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from hiltestbed.plugins import Registry, placeholder
+from hiltestbed.plugins import Registry, kind_of, placeholder
 from hiltestbed.validation import Problem, Strictly
 
 if TYPE_CHECKING:
@@ -99,6 +99,16 @@ class Platform(Strictly):
         lost: damping [N s/m] that sensor and platform take out of the contact, for methods that are designed by it.
         """
         return "phase lead of the force", {"force": {"kind": "phase_lead"}, "motion": {"kind": "feedforward"}}
+
+    @classmethod
+    def contest(cls) -> Mapping[str, Mapping[str, Any]]:
+        """Name to `rig.platform` of each of its forms that takes part in `bench facilities`; by default one, with its defaults.
+
+        A kind that has to be told more than that takes no part unless it says what here.
+        """
+        kind = kind_of(cls)
+        needs = [name for name, field in cls.model_fields.items() if field.is_required() and name != "kind"]
+        return {} if kind is None or needs else {kind: {"kind": kind}}
 
     distorts: ClassVar[str] = ""  # what this kind of rig makes of a contact, in two or three sentences
 

@@ -7,13 +7,20 @@ import math
 import pytest
 
 from hiltestbed.bench import facilities as bench
+from hiltestbed.platform.kinds import PLATFORMS
 
 
 @pytest.fixture(scope="module")
 def result():
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(bench, "FACILITIES", {name: bench.FACILITIES[name] for name in ("serial_arm", "two_arms", "air_bearing")})
+        entered = bench.facilities_entered()
+        patch.setattr(bench, "facilities_entered", lambda: {name: entered[name] for name in ("serial_arm", "two_arms", "air_bearing")})
         return bench.facilities(quick=True)
+
+
+def test_every_kind_of_platform_takes_part() -> None:
+    assert {settings["kind"] for settings in bench.facilities_entered().values()} == set(PLATFORMS)
+    assert {"stewart, hydraulic", "stewart, electric"} <= set(bench.facilities_entered())
 
 
 def test_a_record_a_facility_and_treatment(result) -> None:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Hashable, Sequence
-from typing import Any, ClassVar
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -78,7 +78,6 @@ class Floats(Bodies):
 class AirBearing(PhysicalFacility):
     """The floor of ``models/air_bearing``."""
 
-    kind: ClassVar[str] = "air_bearing"
     settings: AirBearingSettings
 
     def floats(self, side: str) -> bool:

@@ -70,12 +70,16 @@ class Facility(ABC):
             in place of the numerical model (:class:`hiltestbed.platform.facilities.bodies.Bodies`).
     """
 
-    kind: ClassVar[str]
     moves_passive: ClassVar[bool] = False
     physical: ClassVar[bool] = False
 
     def __init__(self, settings: Any) -> None:
         self.settings = settings
+
+    @property
+    def kind(self) -> str:
+        """What a scenario calls it."""
+        return self.settings.kind
 
     @property
     @abstractmethod

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Hashable, Iterator, Sequence
-from typing import Any, ClassVar
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -47,7 +47,6 @@ SCALAR = (int(mujoco.mjtJoint.mjJNT_SLIDE), int(mujoco.mjtJoint.mjJNT_HINGE))
 class Mjcf(Facility):
     """A rig from an MJCF file."""
 
-    kind: ClassVar[str] = "mjcf"
     settings: MjcfSettings
 
     def __init__(self, settings: MjcfSettings) -> None:

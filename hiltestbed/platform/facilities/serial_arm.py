@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Hashable, Sequence
-from typing import Any, ClassVar
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -70,7 +70,6 @@ def arm_rubbing(
 class SerialArm(Facility):
     """The arm of ``models/serial_arm``, which stands on the floor beside the frame."""
 
-    kind: ClassVar[str] = "serial_arm"
     settings: SerialArmSettings
 
     @property

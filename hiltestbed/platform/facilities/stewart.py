@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Hashable, Sequence
-from typing import Any, ClassVar
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -41,7 +41,6 @@ PRESLIDING = 2.0e7  # [N/m] of a seal: 300 N at 15 um
 class Stewart(Facility):
     """The Stewart platform of ``models/stewart``."""
 
-    kind: ClassVar[str] = "stewart"
     settings: StewartSettings
 
     @property

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Hashable, Sequence
-from typing import Any, ClassVar
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -90,7 +90,6 @@ class Hung(Bodies):
 class Suspension(PhysicalFacility):
     """The cables of ``models/suspension``."""
 
-    kind: ClassVar[str] = "suspension"
     settings: SuspensionSettings
 
     def hangs(self, side: str) -> bool:

@@ -117,7 +117,6 @@ class FacingArms(ElasticJoints):
 class TwoArms(Facility):
     """The hall of ``models/two_arms`` with two arms of ``models/serial_arm``."""
 
-    kind: ClassVar[str] = "two_arms"
     moves_passive: ClassVar[bool] = True
     settings: TwoArmsSettings
 

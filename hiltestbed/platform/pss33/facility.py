@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, ClassVar
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -56,7 +56,6 @@ class SliderDrives(Drives):
 class Pss33Facility(Facility):
     """The platform of ``models/pss33``."""
 
-    kind: ClassVar[str] = "pss33"
     settings: Pss33
 
     @property

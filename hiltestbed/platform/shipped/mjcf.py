@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable
+from collections.abc import Hashable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from pydantic import Field
 
@@ -45,6 +45,11 @@ class MjcfSettings(Driven):
         """The file as it stands."""
         path = self.file()
         return (str(path.resolve()), path.stat().st_mtime_ns) if is_file(path) else None
+
+    @classmethod
+    def contest(cls) -> Mapping[str, Mapping[str, Any]]:
+        own = cls is MjcfSettings  # which has to be told a file
+        return {"mjcf": {"kind": "mjcf", "model": "xyz_table/xyz_table.xml"}} if own else super().contest()
 
     def build(self) -> Mjcf:
         from hiltestbed.platform.facilities.mjcf import Mjcf

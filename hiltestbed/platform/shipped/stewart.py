@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
@@ -97,6 +98,10 @@ class StewartSettings(Driven):
 
     def cure(self, lost: float) -> tuple[str, dict[str, Any]]:
         return "feed-forward on the rig's model, lead of the force (Harbin)", super().cure(lost)[1]
+
+    @classmethod
+    def contest(cls) -> Mapping[str, Mapping[str, Any]]:
+        return {f"stewart, {drive}": {"kind": "stewart", "drive": {"kind": drive}} for drive in ("hydraulic", "electric")}
 
     def build(self) -> Stewart:
         from hiltestbed.platform.facilities.stewart import Stewart
