@@ -21,11 +21,11 @@ CHAIN = """
 <mujoco><compiler angle="radian"/><option gravity="1 -2 -9"/><worldbody>
  <body name="a" pos="0.1 0.2 0.3" quat="0.8 0.2 -0.4 0.4"><inertial pos="0.1 -0.2 0.05" mass="3" fullinertia="0.3 0.4 0.5 0.01 0.02 -0.03"/>
   <joint name="s" type="slide" axis="0.6 0 0.8" ref="0.2"/><joint name="h" axis="0 0.6 0.8" pos="0.1 0 0.2" ref="0.5" armature="0.7"/>
-  <body name="b" pos="0.5 0 0.1"><inertial pos="0 0.1 0" mass="2" diaginertia="0.1 0.2 0.25"/>
+  <body name="b" pos="0.5 0 0.1" gravcomp="1"><inertial pos="0 0.1 0" mass="2" diaginertia="0.1 0.2 0.25"/>
    <joint name="ball" type="ball" pos="0.05 0.1 0"/>
    <body name="c" pos="0 0.4 0"><inertial pos="0.1 0 0.1" mass="1" diaginertia="0.1 0.1 0.1"/><joint name="k" axis="1 0 0"/>
     <site name="tool" pos="0.3 0.1 0" quat="0.5 0.5 -0.5 0.5"/></body></body></body>
- <body name="d" pos="0 0 1"><freejoint name="free"/>
+ <body name="d" pos="0 0 1" gravcomp="0.4"><freejoint name="free"/>
   <inertial pos="0.1 0.2 0" mass="4" diaginertia="0.5 0.6 0.7"/><site name="loose"/></body>
 </worldbody></mujoco>
 """

@@ -34,7 +34,7 @@ def joint_forces(tree, v, a, gravity, w, out):
     for b in range(1, tree.bodies.shape[0]):
         _accelerate(tree, w, b, v, a, gravity)
     for b in range(tree.bodies.shape[0]):
-        _inertial_load(tree, w, b)
+        _inertial_load(tree, gravity, w, b)
     _gather(tree, w, out)
     for d in range(out.shape[0]):
         out[d] += tree.armature[d] * a[d]
@@ -88,15 +88,15 @@ def _accelerate(tree, w, b, v, a, gravity):
 
 
 @njit(cache=True)
-def _inertial_load(tree, w, b):
-    """``w.loads``: force on a body, and its moment about W's origin, for its acceleration; the moment of inertia in the body's frame."""
+def _inertial_load(tree, gravity, w, b):
+    """``w.loads``: force on a body, and its moment about W's origin, for its acceleration, less what a counterweight bears of its weight."""
     r, arm, spin, twirl, load = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     mass, motion, pose, out = tree.masses[b], w.motion[b], w.poses[b], w.loads[b]
     rotate(pose[3:7], mass[1:4], r)
     for i in range(3):
         arm[i] = _component(motion, 3, r, 0, i)
     for i in range(3):
-        out[i] = mass[0] * (motion[6 + i] + _component(motion, 9, r, 0, i) + _component(motion, 3, arm, 0, i))
+        out[i] = mass[0] * (motion[6 + i] + _component(motion, 9, r, 0, i) + _component(motion, 3, arm, 0, i) + mass[13] * gravity[i])
     rotate_back(pose[3:7], motion[3:6], spin)
     rotate_back(pose[3:7], motion[9:12], twirl)
     for i in range(3):
@@ -145,14 +145,17 @@ def _gather(tree, w, out):
 
 @njit(cache=True)
 def weights(tree, gravity, w, out):
-    """``out`` (nv,) [N, N m]: forces in the joints that carry the bodies' weight. Places must be current."""
+    """``out`` (nv,) [N, N m]: forces in the joints that carry what counterweights leave of the bodies' weight.
+
+    Places must be current.
+    """
     r = np.empty(3)
     for b in range(tree.bodies.shape[0]):
         mass, pose, load = tree.masses[b], w.poses[b], w.loads[b]
         rotate(pose[3:7], mass[1:4], r)
         for i in range(3):
             r[i] += pose[i]
-            load[i] = -mass[0] * gravity[i]
+            load[i] = -mass[0] * (1.0 - mass[13]) * gravity[i]
         for i in range(3):
             load[3 + i] = _component(r, 0, load, 0, i)
     _gather(tree, w, out)

@@ -87,8 +87,8 @@ def unpack(integers, numbers, room):
     i += 3 * nl + 2 * ne
     tools, prescribed, unknown = integers[i : i + nt], integers[i + nt : i + nt + np_], integers[i + nt + np_ : i + nt + np_ + u]
     frames = _next(numbers, 0, nb, 7)
-    masses = _next(numbers, 7 * nb, nb, 13)
-    f = 20 * nb
+    masses = _next(numbers, 7 * nb, nb, 14)
+    f = 21 * nb
     axes = _next(numbers, f, nj, 7)
     f += 7 * nj
     armature = numbers[f : f + nv]

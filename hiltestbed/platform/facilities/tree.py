@@ -28,7 +28,8 @@ class Tree(NamedTuple):
 
     Attributes:
         bodies: (nb, 3) parent, first joint, number of joints. frames: (nb, 7) pose of a body in its parent, joints at their reference.
-        masses: (nb, 13) mass [kg], centre of mass (3) [m] and inertia about it (9) [kg m^2], in the body's frame.
+        masses: (nb, 14) mass [kg], centre of mass (3) [m] and inertia about it (9) [kg m^2], in the body's frame, and the part of its
+            weight that a counterweight bears (MuJoCo's gravcomp).
         joints: (nj, 4) type, body, address of its position, of its rate. axes: (nj, 7) place (3) [m] and axis (3) in its body, reference.
         armature: (nv,) [kg, kg m^2].
         loops: (nl, 3) POINT or FRAME, the two bodies. loop_frames: (nl, 2, 7) what coincides, in its body.
@@ -93,7 +94,7 @@ def build_tree(m: mujoco.MjModel, tools: Sequence[str], prescribed: Sequence[str
     return Tree(
         bodies=np.column_stack([m.body_parentid, m.body_jntadr, m.body_jntnum]).astype(np.int64),
         frames=np.hstack([m.body_pos, quat_from_mujoco(m.body_quat)]),
-        masses=np.hstack([m.body_mass[:, None], m.body_ipos, _inertias(m)]),
+        masses=np.hstack([m.body_mass[:, None], m.body_ipos, _inertias(m), m.body_gravcomp[:, None]]),
         joints=np.column_stack([kinds, m.jnt_bodyid, m.jnt_qposadr, m.jnt_dofadr]).astype(np.int64),
         axes=np.hstack([m.jnt_pos.reshape(-1, 3), m.jnt_axis.reshape(-1, 3), reference.reshape(-1, 1)]),
         armature=m.dof_armature.copy(),
