@@ -1,0 +1,36 @@
+"""A bridge crane over a hall, with a wrist below its ram."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar, Literal
+
+from pydantic import Field
+
+from hiltestbed.platform.facilities.settings import CommandPath
+from hiltestbed.platform.shipped.mjcf import MjcfSettings
+from hiltestbed.plugins import register
+from hiltestbed.validation import Positive
+
+
+@register
+class OverheadGantrySettings(MjcfSettings):
+    """An overhead gantry: bridge, trolley, ram and a wrist of three axes; travel in metres, drives of a few hertz."""
+
+    distorts: ClassVar[str] = (
+        "Tonnes of bridge under position loops of 4 to 8 Hz: without feed-forward the lag of the slides is most of what makes a contact "
+        "active, and the ram yields to the force. Its reach of metres is what no other rig has."
+    )
+
+    kind: Literal["overhead_gantry"]
+    model: str = Field(
+        default="overhead_gantry/overhead_gantry.xml", description="MJCF file of the gantry, with a site `mount` and position actuators"
+    )
+    speed: Positive = Field(default=0.6, description="Highest speed of bridge, trolley and ram [m/s]; fast bridge cranes")
+    spin: Positive = Field(default=0.8, description="Highest speed of a wrist joint [rad/s]; 45 deg/s, as motorised wrists have")
+    acceleration: Positive = Field(default=5.0, description="Highest acceleration of a joint [m/s^2, rad/s^2]; 20 kN on 4 t")
+    command: CommandPath = Field(
+        default=CommandPath(controller_rate=500.0), description="How commands reach the drives; every 2 ms, as fieldbus drives take them"
+    )
+
+    def cure(self, lost: float) -> tuple[str, dict[str, Any]]:
+        return "feed-forward of the drives, lead of the force", super().cure(lost)[1]
