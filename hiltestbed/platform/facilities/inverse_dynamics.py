@@ -89,7 +89,7 @@ def _accelerate(tree, w, b, v, a, gravity):
 
 @njit(cache=True)
 def _inertial_load(tree, gravity, w, b):
-    """``w.loads``: force on a body, and its moment about W's origin, for its acceleration, less what a counterweight bears of its weight."""
+    """``w.loads``: force on a body for its acceleration, less what a counterweight bears of its weight, and its moment about W's origin."""
     r, arm, spin, twirl, load = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     mass, motion, pose, out = tree.masses[b], w.motion[b], w.poses[b], w.loads[b]
     rotate(pose[3:7], mass[1:4], r)
