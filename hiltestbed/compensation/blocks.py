@@ -99,7 +99,7 @@ class ForceDrive:
             raise InputError(f"{name}: {last.filename}:{last.lineno}: {type(error).__name__}: {error}") from error
         if getattr(given, "shape", None) != self.wrench.shape:
             what = f"an array {given.shape}" if isinstance(given, np.ndarray) else type(given).__name__
-            raise InputError(f"{name}: gave {what}; allowed is an array {self.wrench.shape}, a wrench a run; return it")
+            raise InputError(f"{name}: gave {what}; allowed is an array {self.wrench.shape}, one wrench per run; return that")
         if not np.isfinite(given).all() and np.isfinite(measurement.wrench).all() and np.isfinite(self.pose).all():
             raise InputError(f"{name}: gave NaN or infinity for readings that are finite; look for 0/0 in it")
         return given

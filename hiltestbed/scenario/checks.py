@@ -58,7 +58,7 @@ def _platform_problems(scenario: Scenario) -> Iterator[Problem]:
     if upper.kind != "fixed" and not platform.carries_upper:
         yield (
             ("rig", "upper", "kind"),
-            f"belongs to the 3-3 PSS platform (got {upper.kind!r} beside platform kind {platform.kind!r}); allowed is fixed",
+            f"belongs to the 3-3 PSS platform (got {upper.kind!r} with platform kind {platform.kind!r}); allowed is fixed",
         )
         return
     yield from platform.problems(scenario)

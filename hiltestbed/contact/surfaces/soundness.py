@@ -79,19 +79,19 @@ def _edges(faces: NDArray[np.int_]) -> list[Finding]:
     forward = np.bincount(number.reshape(-1), weights=directed[:, 0] < directed[:, 1], minlength=len(count))
     findings = []
     if n := int((count == 1).sum()):
-        what = f"{n} edges belong to one triangle only: the mesh is not closed, so inside and outside are not told apart; close it"
+        what = f"{n} edges belong to one triangle only: the mesh is not closed, so inside and outside are undefined; close it"
         findings.append(Finding("open", n, what, usable=False))
     if n := int((count > 2).sum()):
         what = f"{n} edges belong to more than two triangles: surfaces branch there; make the mesh one boundary of one solid"
         findings.append(Finding("branched", n, what, usable=False))
     if n := int(((count == 2) & (forward != 1.0)).sum()):
-        what = f"{n} edges lie between triangles of opposite orientation; turn the inverted faces over"
+        what = f"{n} edges lie between triangles of opposite orientation; flip the inverted faces"
         findings.append(Finding("crossed", n, what, usable=False))
     return findings
 
 
 def _orientation(vertices: Array, faces: NDArray[np.int_]) -> list[Finding]:
     if volume(vertices - vertices.mean(axis=0), faces) < 0.0:
-        what = "the normals of all faces point inwards: the volume inside is negative; turn the faces over"
+        what = "the normals of all faces point inwards: the enclosed volume is negative; flip the faces"
         return [Finding("inverted", len(faces), what, usable=False)]
     return []

@@ -23,9 +23,7 @@ class Rls(Identifier):
     """Recursive least squares of k and c on each axis, during contact only, with the pose at the time the force acted."""
 
     kind: Literal["rls"] = "rls"
-    forgetting: Annotated[float, Field(gt=0, le=1)] = Field(
-        default=1.0, description="Forgetting factor a tick [-]; 1: nothing is forgotten"
-    )
+    forgetting: Annotated[float, Field(gt=0, le=1)] = Field(default=1.0, description="Forgetting factor per tick [-]; 1: no forgetting")
     delay: Literal["known", "estimate"] = Field(
         default="known",
         description="Delay of the force. known: sensor.delay is taken as exact; estimate: it is estimated from the instant of touch",
@@ -42,9 +40,7 @@ class RlsRaw(Identifier):
     """Recursive least squares of k and c on the raw force, with the pose of the same tick: the delay biases c."""
 
     kind: Literal["rls_raw"] = "rls_raw"
-    forgetting: Annotated[float, Field(gt=0, le=1)] = Field(
-        default=1.0, description="Forgetting factor a tick [-]; 1: nothing is forgotten"
-    )
+    forgetting: Annotated[float, Field(gt=0, le=1)] = Field(default=1.0, description="Forgetting factor per tick [-]; 1: no forgetting")
 
     @classmethod
     def start(cls, scenarios: Sequence[Scenario]) -> RecursiveLeastSquares:
@@ -56,9 +52,7 @@ class RlsLead(Identifier):
     """Recursive least squares of k and c on the force after a first-order phase lead, with the pose of the same tick."""
 
     kind: Literal["rls_lead"] = "rls_lead"
-    forgetting: Annotated[float, Field(gt=0, le=1)] = Field(
-        default=1.0, description="Forgetting factor a tick [-]; 1: nothing is forgotten"
-    )
+    forgetting: Annotated[float, Field(gt=0, le=1)] = Field(default=1.0, description="Forgetting factor per tick [-]; 1: no forgetting")
     lag: Positive = Field(default=0.0005, description="Time constant T2 of the phase lead's pole [s]; its T1 is sensor.delay + T2")
 
     @property

@@ -44,7 +44,7 @@ class DynamicsMass(Effect):
 
     @classmethod
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:
-        if scales.driven is not None:  # the regression gives the size, whatever the nominal mass
+        if scales.driven is not None:  # the regression gives the mass, whatever the nominal one
             f = scales.driven.factor
             return iter([candidate(cls, {"factor": [f]}, bounds={"factor": (f / OFF, f * OFF)}, body="chaser")])
         return (candidate(cls, {"factor": [0.6, 0.9, 1.1, 1.6]}, body=body) for body in BODIES)

@@ -81,7 +81,7 @@ class DynamicsForce(Effect):
     @classmethod
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:
         """Along a driven axis: friction that is equal in both directions, and friction that is not."""
-        if scales.driven is not None:  # on free-flying vehicles no force beside the contact's is searched for
+        if scales.driven is not None:  # on free-flying vehicles only the contact force acts
             yield cls._of_driven_axis(scales.driven)
             yield cls._of_driven_axis(scales.driven, viscous_asymmetry=[0.0])
 
