@@ -29,7 +29,7 @@ class InputParameters:
 
     @classmethod
     def of(cls, effects: Iterable[Effect]) -> InputParameters:
-        """What the effects of the compensation among ``effects`` make of it."""
+        """The dead zone caused by those of ``effects`` that act on the compensation."""
         p = cls()
         for effect in effects:
             if effect.link == "compensation":

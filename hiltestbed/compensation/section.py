@@ -1,4 +1,4 @@
-"""The compensation's section of a scenario."""
+"""The compensation section of a scenario."""
 
 from __future__ import annotations
 

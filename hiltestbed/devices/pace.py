@@ -106,8 +106,8 @@ def pace_of(sensor: SensorClient, platform: PlatformClient, tick: float) -> Pace
         records = max(round(tick / link.period), 1)
         if abs(records * link.period / tick - 1.0) > RATE_ERROR:
             raise DeviceError(
-                f"{link.where}: sets the clock at {1.0 / link.period:g} Hz, of which the scenario's rate of {1.0 / tick:g} Hz is no whole "
-                f"part; set rate to {1.0 / link.period:g} or a whole part of it"
+                f"{link.where}: sets the clock at {1.0 / link.period:g} Hz, which is not a whole multiple of the scenario's rate of "
+                f"{1.0 / tick:g} Hz; set rate to {1.0 / link.period:g}, or to that divided by a whole number"
             )
         return DevicePace(link, tick, records)
     return HostPace(tick)

@@ -103,7 +103,7 @@ class DeviceRig:
     def __init__(self, scenario: Scenario, connected: Connected, ticks: int) -> None:
         if scenario.rig.platform.physical:
             kind = scenario.rig.platform.kind
-            raise InputError(f"rig.platform: the bodies of {kind!r} move by themselves; devices are for platforms that are commanded")
+            raise InputError(f"rig.platform: the bodies of {kind!r} move freely; devices are only for platforms that are commanded")
         tick = scenario.tick
         self.scenario, self.connected, self.tick = scenario, connected, tick
         self.mounting = Mounting(scenario.devices)

@@ -193,7 +193,7 @@ def rests(appendage: Array, whole: Array, inertia: Array) -> tuple[Array, Array]
         if np.linalg.eigvalsh(left[i, b]).min() <= 0.0:
             raise InputError(
                 f"effects: dynamics.appendage: the appendages of the {BODIES[b]} take more inertia than it has; "
-                "hang them nearer to its centre of mass, or lighter"
+                "place them nearer to its centre of mass, or lower their mass_ratio"
             )
         centre[i, b] = -ratio @ place / (1.0 - ratio.sum())
     return centre, left

@@ -1,4 +1,4 @@
-"""The sensor's section of a scenario."""
+"""The sensor section of a scenario."""
 
 from __future__ import annotations
 

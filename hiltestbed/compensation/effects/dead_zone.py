@@ -1,4 +1,4 @@
-"""Small forces are not passed on."""
+"""A dead zone between the measured and the compensated wrench."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Compliant contact: the platform yields along the insertion so that the contact force stays under a limit.
+"""Admittance: the platform yields along the insertion so that the contact force stays below a limit.
 
 The admittance is that of a preloaded slider in series with the contact: it stays at its stop until the force reaches the limit, then
 yields so that the force stays there (N. Hogan, "Impedance control", ASME J. Dyn. Syst. Meas. Control 107, 1985, for the admittance). With

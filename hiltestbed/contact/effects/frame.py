@@ -57,7 +57,7 @@ class FrameCompliance(Effect):
 
 @register
 class FrameMode(Effect):
-    """A lightly damped mode of the sensor's frame: the contact force excites it, and the sensor reads the force in the frame."""
+    """A vibration mode of the sensor's frame: the contact force excites it, and the sensor reads the force in the frame."""
 
     kind: Literal["frame.mode"] = "frame.mode"
     frequency: float = quantity("Hz", "Natural frequency of the frame", gt=0.0, search=(3.0, 200.0), ratio=True)

@@ -1,4 +1,4 @@
-"""The wrench arrives late."""
+"""The force reading is delayed, by a constant or a varying time."""
 
 from __future__ import annotations
 
