@@ -1,1 +1,1 @@
-"""Compensation of the delay: between the measured wrench and the motion that the rig is told to make."""
+"""Compensation of the delay, between the measured wrench and the commanded motion of the rig."""

@@ -1,8 +1,8 @@
-"""What a compensation is in the loop: between the measured wrench and the motion that the rig is told to make.
+"""Interfaces of a compensation in the loop, between the measured wrench and the commanded motion of the rig.
 
-A *drive* turns what the rig measured at t_k into the motion that the rig is to reach at t_(k+1). Most methods correct the wrench and
-drive the numerical model with it: they are a :class:`ForceBlock` behind :class:`ForceDrive`. A method that drives the model in another
-way (a delayed copy of it, a prediction) is a drive of its own.
+A *drive* turns the measurements at t_k into the motion that the rig is to reach at t_(k+1). Most methods correct the wrench and drive the
+numerical model with it: they are a :class:`ForceBlock` called by :class:`ForceDrive`. A method that drives the model in another way (by a
+delayed model and a predictor) is a drive itself.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ class ForceBlock(Protocol):
     """A method that corrects the wrench."""
 
     def compensate(self, measurement: Measurement) -> Array:
-        """``(n, 6)`` the wrench to drive the numerical model with."""
+        """``(n, 6)`` the wrench that drives the numerical model."""
         ...
 
 
 @runtime_checkable
 class Drive(Protocol):
-    """From what was measured at t_k to the motion commanded for t_(k+1).
+    """From the measurements at t_k to the motion commanded for t_(k+1).
 
     Attributes:
         pose: ``(n, 7)`` pose of A in P, commanded.
@@ -47,7 +47,7 @@ class Drive(Protocol):
     wrench: Array
 
     def advance(self, measurement: Measurement) -> None:
-        """Move on by one tick."""
+        """Advance by one tick."""
         ...
 
 
@@ -61,18 +61,18 @@ class PoseBlock(Protocol):
     rate: Array | None
 
     def command(self, pose: Array, derivatives: tuple[Array, Array, Array], measurement: Measurement, out: Array) -> None:
-        """Write the pose ``out`` (n, 7) to tell the platform.
+        """Write to ``out`` (n, 7) the pose commanded to the platform.
 
         Args:
             pose: ``(n, 7)`` pose of A in P that is to be reached at t_(k+1).
-            derivatives: ``(n, 6)`` each: velocity then, acceleration and jerk over the tick.
-            measurement: what is known at t_k.
+            derivatives: ``(n, 6)`` each: velocity at t_(k+1), acceleration and jerk over the tick.
+            measurement: the measurements at t_k.
         """
         ...
 
 
 class ForceDrive:
-    """Correct the wrench, drive the numerical model with it, command where it goes."""
+    """Corrects the wrench, drives the numerical model with it and commands the model's motion."""
 
     def __init__(self, model: NumericalModel, method: ForceBlock, corrects_force: bool = False) -> None:
         self.model = model
@@ -84,10 +84,10 @@ class ForceDrive:
         self._foreign = not type(method).__module__.startswith("hiltestbed.")
 
     def _looked_at(self, measurement: Measurement) -> Array:
-        """``(n, 6)`` what a method from outside this package makes of a measurement.
+        """``(n, 6)`` the checked output of a method from outside this package.
 
         Raises:
-            InputError: it failed, told with its place, or gave what is no finite wrench a run.
+            InputError: it raised an exception (the message gives file and line), or did not return one finite wrench per run.
         """
         name = f"compensation.force: {type(self.method).__name__}.compensate"
         try:
@@ -99,7 +99,7 @@ class ForceDrive:
             raise InputError(f"{name}: {last.filename}:{last.lineno}: {type(error).__name__}: {error}") from error
         if getattr(given, "shape", None) != self.wrench.shape:
             what = f"an array {given.shape}" if isinstance(given, np.ndarray) else type(given).__name__
-            raise InputError(f"{name}: gave {what}; allowed is an array {self.wrench.shape}, a wrench a run; return it")
+            raise InputError(f"{name}: gave {what}; allowed is an array {self.wrench.shape}, one wrench per run; return that")
         if not np.isfinite(given).all() and np.isfinite(measurement.wrench).all() and np.isfinite(self.pose).all():
             raise InputError(f"{name}: gave NaN or infinity for readings that are finite; look for 0/0 in it")
         return given
@@ -112,7 +112,7 @@ class ForceDrive:
 
 
 def make_drive(scenarios: Sequence[Scenario], model: NumericalModel) -> Drive:
-    """The drive that ``compensation`` names; one kind for all runs of a batch."""
+    """The drive that ``compensation`` selects; one kind for all runs of a batch."""
     compensation = scenarios[0].compensation
     method = FORCE_METHODS[compensation.force.kind].start(scenarios, model)
     if isinstance(method, Drive):

@@ -1,4 +1,4 @@
-"""Values as they were some time ago, each run with its own delay."""
+"""A delay line: past values of an array, each run with its own delay."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from hiltestbed.jit import njit
 
 
 class History:
-    """The last values of an array ``(n, m)``, one a tick; between two ticks they are interpolated, before the first they are the first."""
+    """The last values of an array ``(n, m)``, one per tick, interpolated between ticks; before the first tick the first value holds."""
 
     def __init__(self, width: int, longest: Array) -> None:
-        """``longest`` (n,): ticks that are looked back at most, a run."""
+        """``longest`` (n,): longest delay of each run [ticks]."""
         n = len(longest)
         self.values = np.zeros((n, math.ceil(float(np.max(longest))) + 2, width))
         self.clock = np.zeros(1, dtype=np.int64)
 
     def remember(self, value: Array) -> None:
-        """The value ``(n, m)`` of this tick."""
+        """Store the value ``(n, m)`` of this tick."""
         k = int(self.clock[0])
         if k == 0:
             self.values[:] = value[:, None]
@@ -29,7 +29,7 @@ class History:
         self.clock[0] = k + 1
 
     def before(self, ticks: Array, out: Array) -> Array:
-        """``out`` (n, m): the value ``ticks`` (n,) before the last one remembered."""
+        """``out`` (n, m): the value ``ticks`` (n,) before the last stored one."""
         _before(int(self.clock[0]) - 1, self.values, ticks, out)
         return out
 

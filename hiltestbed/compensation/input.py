@@ -1,4 +1,4 @@
-"""What the compensation is given of the sensor's reading."""
+"""The input of the compensation: the sensor's reading after a dead zone in the loop."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ PLACES = {"before": COMPONENTS, "magnitude": MAGNITUDE, "after": AFTER}
 
 @dataclass
 class InputParameters:
-    """The dead zone of one run. width: [N], 0 for none. where: "before" the compensation axis by axis, on the force's "magnitude", or
-    "after" the compensation."""
+    """The dead zone of one run. width: [N], 0 for none. where: "before" the compensation on each axis, before it on the force's
+    "magnitude", or "after" the compensation on each axis."""
 
     width: float = 0.0
     where: str = "before"
 
     @classmethod
     def of(cls, effects: Iterable[Effect]) -> InputParameters:
-        """What the effects of the compensation among ``effects`` make of it."""
+        """The dead zone caused by those of ``effects`` that act on the compensation."""
         p = cls()
         for effect in effects:
             if effect.link == "compensation":
@@ -38,10 +38,10 @@ class InputParameters:
 
 
 class InputDeadZone:
-    """What the compensation is given of a reading, for ``n`` runs.
+    """The dead zone between reading and compensation, for ``n`` runs.
 
     Attributes:
-        active: whether any run has a dead zone. wrench: ``(n, 6)`` what is left of the last reading.
+        active: whether any run has a dead zone. wrench: ``(n, 6)`` the last reading after the dead zone.
     """
 
     def __init__(self, scenarios: Sequence[Scenario], parameters: Sequence[InputParameters] | None = None) -> None:
@@ -53,12 +53,12 @@ class InputDeadZone:
         self.wrench = np.zeros((len(found), 6))
 
     def update(self, reading: Array) -> Array:
-        """Take in a reading ``(n, 6)``: a force below the width is zero, torques pass."""
+        """Apply the dead zone to a reading ``(n, 6)``: a force below the width is zero; torques pass, except with "magnitude"."""
         _dead(reading, self._width, self._where, False, self.wrench)
         return self.wrench
 
     def after(self, wrench: Array) -> None:
-        """Cut small forces of the compensated ``wrench`` (n, 6), in place, where the dead zone lies behind the compensation."""
+        """Zero small forces of the compensated ``wrench`` (n, 6), in place, for runs whose dead zone lies after the compensation."""
         _dead(wrench, self._width, self._where, True, wrench)
 
 

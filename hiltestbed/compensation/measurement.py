@@ -1,4 +1,4 @@
-"""What a compensation method may know at a tick."""
+"""The measurements available to a compensation method at a tick."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from hiltestbed.frames import Array
 
 @dataclass
 class Measurement:
-    """The rig's side of the loop at t_k, for ``n`` runs. The arrays are the blocks' own: read, do not keep, do not write.
+    """The measurements at t_k, for ``n`` runs. The arrays belong to other blocks and are reused: read them, do not store or modify them.
 
     Attributes:
-        wrench: ``(n, 6)`` what the sensor gave.
+        wrench: ``(n, 6)`` the sensor's reading.
         pose: ``(n, 7)`` pose of A in P that the rig reached.
         twist: ``(n, 6)`` its velocity.
         stiffness: ``(n, 6)`` stiffness identified so far, NaN before the first estimate.
-        damping: ``(n, 6)`` likewise damping.
-        captured: ``(n,)`` bool, whether the latches hold.
-        lever: ``(n, 3)`` [m] from A, in A, of the latched place whose shift, turn, force and torque the six axes are; 0: A itself.
+        damping: ``(n, 6)`` damping identified so far, likewise.
+        captured: ``(n,)`` bool, whether the mechanism is captured.
+        lever: ``(n, 3)`` [m] from A, in A, to the reference point of the latch, to which the six identified axes refer; 0: A itself.
     """
 
     wrench: Array

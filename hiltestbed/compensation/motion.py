@@ -1,4 +1,4 @@
-"""From the numerical model's motion to what the platform's servo is told."""
+"""From the numerical model's motion to the references of the platform's servo."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ if TYPE_CHECKING:
 class MotionCommand:
     """Pose, velocity and acceleration references of the platform for ``n`` runs.
 
-    With ``compensation.motion: feedforward`` (and with an admittance on top of it) the servo is told the velocity and the acceleration
-    of the tick that it is to run; else it is told the pose alone, changed by the method if there is one, and follows with its own lag.
+    With ``compensation.motion: feedforward`` (and with an admittance, which includes it) the servo receives the velocity and acceleration
+    of the coming tick as feed-forward; otherwise it receives the pose alone, changed by the method if any, and follows with its own lag.
 
     Attributes:
         pose: ``(n, 7)`` pose reference for the end of the tick.
         twist: ``(n, 6)`` velocity reference over the tick.
-        acceleration: ``(n, 6)`` change of the velocity reference a second.
+        acceleration: ``(n, 6)`` rate of change of the velocity reference.
     """
 
     def __init__(self, scenarios: Sequence[Scenario]) -> None:
@@ -41,8 +41,8 @@ class MotionCommand:
         self._rate_before, self._still = np.zeros((n, 6)), np.zeros((n, 6))
         self._velocity, self._accel, self._jerk = np.zeros((n, 6)), np.zeros((n, 6)), np.zeros((n, 6))
 
-        self._tell = Call(
-            _tell, GIVEN, GIVEN, self.pose, self._still, self._rate, self._feed, self._previous, self._rate_before, self.twist,
+        self._pass_pose = Call(
+            _pass_pose, GIVEN, GIVEN, self.pose, self._still, self._rate, self._feed, self._previous, self._rate_before, self.twist,
             self.acceleration,
         )  # fmt: skip
 
@@ -53,7 +53,7 @@ class MotionCommand:
     def update(self, pose: Array, twist: Array, measurement: Measurement) -> None:
         """Set the references from the pose ``(n, 7)`` and twist ``(n, 6)`` commanded for the coming tick."""
         if self._method is None:
-            self._tell.on(pose, twist)()
+            self._pass_pose.on(pose, twist)()
             return
         derivatives = (self._velocity, self._accel, self._jerk)
         _differentiate(twist, self._previous, self._rate, *derivatives)
@@ -63,17 +63,17 @@ class MotionCommand:
 
 
 @njit(cache=True)
-def _tell(pose, twist, told, *references):
-    """The pose as it is, with its references."""
+def _pass_pose(pose, twist, commanded, *references):
+    """Command the pose unchanged, with its references."""
     for i in range(pose.shape[0]):
         for j in range(7):
-            told[i, j] = pose[i, j]
+            commanded[i, j] = pose[i, j]
     _refer(twist, *references)
 
 
 @njit(cache=True)
 def _refer(twist, yielding, rate, feed, previous, rate_before, velocity, acceleration):
-    """Velocity and acceleration references of the tick, of which ``yielding`` (n, 6) is what an admittance adds to the velocity."""
+    """Velocity and acceleration references of the tick; ``yielding`` (n, 6) is the velocity that an admittance adds."""
     for i in range(twist.shape[0]):
         for j in range(6):
             change = twist[i, j] - previous[i, j] + yielding[i, j] - rate_before[i, j]
@@ -84,7 +84,7 @@ def _refer(twist, yielding, rate, feed, previous, rate_before, velocity, acceler
 
 @njit(cache=True)
 def _differentiate(twist, previous, rate, velocity, acceleration, jerk):
-    """A semi-implicit velocity belongs to the middle of its tick: half a tick of the acceleration takes it to the end."""
+    """The semi-implicit velocity is that at the middle of its tick: half a tick of acceleration extrapolates it to the end."""
     for i in range(twist.shape[0]):
         for j in range(6):
             change = rate * (twist[i, j] - previous[i, j])

@@ -1,4 +1,4 @@
-"""The compensation's section of a scenario."""
+"""The compensation section of a scenario."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 class Compensation(Strictly):
-    """What is done against the delays of the loop."""
+    """Compensation of the delays in the loop."""
 
     force: AnyForceMethod = Field(
         default_factory=lambda: FORCE_METHODS["resynchronised"](kind="resynchronised"),
@@ -28,11 +28,11 @@ class Compensation(Strictly):
     def idle(self, scenario: Scenario) -> Iterator[Problem]:
         platform = scenario.rig.platform
         if platform.physical:
-            why = f"on a platform of kind {platform.kind} the bodies move by themselves: there is no loop, and nothing to compensate"
+            why = f"on a platform of kind {platform.kind} the bodies move freely: there is no loop, and nothing to compensate"
             yield from (((name,), why) for name in ("force", "motion") if getattr(self, name).kind != "none")
         elif self.motion.feeds and platform.prescribed and platform.tracking != "ideal":
             yield (
                 ("motion",),
-                f"{self.motion.kind} hands velocity and acceleration to the drives, and with tracking {platform.tracking} there are none; "
-                "take tracking servo, or a method that moves the command (inverse_model, adaptive_time_series)",
+                f"{self.motion.kind} feeds velocity and acceleration to the drives, and with tracking {platform.tracking} there are none; "
+                "take tracking servo, or a method that changes the command (inverse_model, adaptive_time_series)",
             )

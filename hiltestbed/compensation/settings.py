@@ -1,4 +1,4 @@
-"""The compensation's section of a scenario: what is done against the delays of the loop, one class a method."""
+"""The compensation section of a scenario: methods against the delays in the loop, one class per method."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ if TYPE_CHECKING:
     from hiltestbed.numerical_model.model import NumericalModel
     from hiltestbed.scenario import Scenario
 
-# What a method may read at t_k: the measured wrench; the pose and twist that the rig reached; stiffness and damping as identified so far;
-# whether the latches hold; the pose and twist of the numerical model that it drives.
+# What a method may read at t_k: the measured wrench; the pose and twist that the rig reached; the stiffness and damping identified so far;
+# whether the mechanism is captured; the pose and twist of the numerical model that it drives.
 Input = Literal["wrench", "pose", "twist", "identified", "captured", "model"]
 INPUTS: frozenset[str] = frozenset(get_args(Input))
 
 
 class ForceMethod(Strictly):
-    """Base of every compensation of the force. A class needs a docstring and the parts named in :data:`PARTS`.
+    """Base of every force compensation. A class needs a docstring and the parts named in :data:`PARTS`.
 
     Attributes:
-        reads: what it needs to know at t_k. corrects_platform: whether it corrects the force for where the platform is not.
+        reads: its inputs at t_k. corrects_platform: whether it corrects the force for the platform's tracking error.
     """
 
     PARTS: ClassVar[tuple[str, ...]] = ("docstring", "reads", "start")
@@ -31,40 +31,40 @@ class ForceMethod(Strictly):
 
     kind: str
     reads: ClassVar[frozenset[Input]] = None  # type: ignore[assignment]
-    adds_force: ClassVar[bool] = False  # a force of its own, beside what it makes of the measured one
+    adds_force: ClassVar[bool] = False  # whether it adds a force that is not derived from the measured one
     corrects_platform: ClassVar[bool] = False
 
     @classmethod
     @placeholder
     def start(cls, scenarios: Sequence[Scenario], model: NumericalModel) -> ForceBlock | Drive:
-        """The method for ``n`` runs: what corrects the wrench, or a drive of its own that steps ``model`` itself."""
+        """The method for ``n`` runs: a block that corrects the wrench, or a drive that steps ``model`` itself."""
         raise NotImplementedError
 
     def removes(self, scenario: Scenario) -> Mapping[str, float]:
-        """Name to the delay [s] that it takes out of the loop at low frequency, once it knows the contact that it needs to know."""
+        """Name to the delay [s] that it removes from the loop at low frequency, once any contact model it needs is identified."""
         return {}
 
     def memory(self) -> float:
-        """The time constant [s] with which it forgets a force that has ended."""
+        """The time constant [s] with which its output decays after a force has ended."""
         return 0.0
 
     @classmethod
     def contest(cls, stiffness: float, damping: float, delay: float) -> Mapping[str, Any]:
-        """Keys of its section of the scenario for a contact of `bench cor`, with the true stiffness [N/m] and damping [N s/m] and the
-        believed delay [s].
+        """Keys of its scenario section for a contact of `bench cor`, given the true stiffness [N/m] and damping [N s/m] and the nominal
+        delay [s].
 
-        A method that needs no knowledge of the contact leaves it as it is here, and takes part with its defaults.
+        A method that needs no knowledge of the contact does not override this, and is benchmarked with its defaults.
         """
         return {}
 
 
 class MotionMethod(Strictly):
-    """Base of every way to tell the platform where to go. A class needs a docstring and the parts named in :data:`PARTS`.
+    """Base of every motion compensation. A class needs a docstring and the parts named in :data:`PARTS`.
 
     Attributes:
-        reads: what it needs to know at t_k. feeds: whether the servo is told velocity and acceleration, too.
-        tells_model_pose: whether the platform is told the numerical model's pose itself.
-        corrects_force: whether it corrects the force for where the platform is not, in place of the motion.
+        reads: its inputs at t_k. feeds: whether the servo receives velocity and acceleration feed-forward.
+        tells_model_pose: whether the command is the numerical model's pose itself.
+        corrects_force: whether it corrects the force for the platform's tracking error, instead of the command.
     """
 
     PARTS: ClassVar[tuple[str, ...]] = ("docstring", "reads")
@@ -78,7 +78,7 @@ class MotionMethod(Strictly):
 
     @classmethod
     def start(cls, scenarios: Sequence[Scenario]) -> PoseBlock | None:
-        """The method for ``n`` runs; None where the pose is commanded as it is."""
+        """The method for ``n`` runs; None if the pose is commanded unchanged."""
         return None
 
 
@@ -95,12 +95,12 @@ Motion = TypeVar("Motion", bound=MotionMethod)
 
 
 def force_of(scenarios: Sequence[Scenario], method: type[Force]) -> list[Force]:
-    """``compensation.force`` of each scenario, all of one class. Raises TypeError for another."""
+    """``compensation.force`` of each scenario, all of class ``method``. Raises TypeError for another class."""
     return _all_of(method, [s.compensation.force for s in scenarios])
 
 
 def motion_of(scenarios: Sequence[Scenario], method: type[Motion]) -> list[Motion]:
-    """``compensation.motion`` of each scenario, all of one class. Raises TypeError for another."""
+    """``compensation.motion`` of each scenario, all of class ``method``. Raises TypeError for another class."""
     return _all_of(method, [s.compensation.motion for s in scenarios])
 
 

@@ -1,1 +1,1 @@
-"""The contact: mechanisms, where they touch, the force law between them, friction, latch and mount."""
+"""The contact: mechanisms, contact geometry, force law, friction, latch and mount."""

@@ -1,7 +1,7 @@
-"""Puts both sides of a mechanism into a rig's MJCF, with all that MuJoCo needs to let them touch and latch.
+"""Inserts both sides of a mechanism into a rig's MJCF, with everything that MuJoCo needs for contacts and latches.
 
 Names in the composed model begin with ``active_`` and ``passive_``. The sites ``active_A`` and ``passive_P`` are the ports. Every contact
-is an explicit pair, ``facet_<k>`` or ``native_<k>``; a latch is a weld or a ball joint (``connect``) that is switched on.
+is an explicit pair, ``facet_<k>`` or ``native_<k>``; a latch is a weld or ball-joint (``connect``) equality that is switched on.
 """
 
 from __future__ import annotations
@@ -26,33 +26,34 @@ FLANGE = ACTIVE + "flange"  # the body that carries the active side
 LATCH = "latch"
 # Contact that is a spring and a damper in N/m and N s/m (hiltestbed.contact.solref) needs a small, constant impedance.
 IMPEDANCE = 1e-4
-INVERSE_WEIGHT = 1.0  # [1/kg], [1/(kg m^2)] of the active side, as contact and latch take it
+INVERSE_WEIGHT = 1.0  # [1/kg], [1/(kg m^2)] of the active side, as used by contacts and latches
 CONTACT_SOLIMP = (IMPEDANCE, IMPEDANCE, 1e-3, 0.5, 1.0)
-FACET = (0.2, 0.2, 0.25)  # [m] half sizes: a ball that is deeper than its radius still finds the facet's face nearest
-AWAY = 1e3  # [m] where a facet is parked that nothing is near to
+FACET = (0.2, 0.2, 0.25)  # [m] half sizes, so large that the facet's face is nearest even to a ball deeper than its radius
+AWAY = 1e3  # [m] position at which an unused facet is parked
 ORIGIN = np.zeros(3)
-PROXY = np.array([0.0, 0.0, -0.1])  # somewhere, and not at the body's own origin: MuJoCo would take a short cut when it moves
-_UNALIGNED = (0.9, 0.1, 0.2, 0.3)  # likewise for attitudes
-# What the sensor of a native pair says of its deepest point: how many points there are; distance; place; normal; velocity across it.
+PROXY = np.array([0.0, 0.0, -0.1])  # any position but the body's origin, where MuJoCo would short-cut the geom's kinematics
+_UNALIGNED = (0.9, 0.1, 0.2, 0.3)  # likewise any attitude but the body's
+# Readings of the sensor of a native pair: number of points; of the deepest point distance, position, normal, velocity in its frame.
 _READ = (
     mujoco.mjtConDataField.mjCONDATA_FOUND, mujoco.mjtConDataField.mjCONDATA_DIST, mujoco.mjtConDataField.mjCONDATA_POS,
     mujoco.mjtConDataField.mjCONDATA_NORMAL, mujoco.mjtConDataField.mjCONDATA_LINVEL,
 )  # fmt: skip
-FOUND, DIST, POS, NORMAL, LINVEL, READ = 0, 1, 2, 5, 8, 11  # where each stands in what it says
-IMMOVABLE = 1e8  # [kg], [kg m^2] of a joint's own inertia
+FOUND, DIST, POS, NORMAL, LINVEL, READ = 0, 1, 2, 5, 8, 11  # offset of each in the reading, and the reading's length
+IMMOVABLE = 1e8  # [kg], [kg m^2] armature that keeps a joint from moving
 DEEPEST = 1  # the sensor's reduction "mindist"
 _UNSEEN = {"contype": 0, "conaffinity": 0, "mass": 0.0, "group": 5}
 
 
 @dataclass(frozen=True)
 class Structure:
-    """What a rig's model depends on as far as the mechanism goes, apart from numbers: runs of one structure go in lockstep.
+    """The structure of a rig's model as given by the mechanism, apart from numerical parameters: runs of one structure go in lockstep.
 
     Attributes:
-        shape: of the mechanism. mounted: the passive side is on a compliant mount.
-        constant: springs and dampers without friction, which MuJoCo's own collision computes exactly: nothing is written between steps.
-        rubs: there is friction. latched: the sides may be latched to each other. touches: the sides touch at all; else a wrench is
-            applied from outside. held: parts that move on a side stand still on it.
+        shape: of the mechanism. mounted: whether the passive side is on a compliant mount.
+        constant: whether all contacts are springs and dampers without friction, which MuJoCo's own collision computes exactly: nothing is
+            written between steps.
+        rubs: whether there is friction. latched: whether the sides may be latched. touches: whether the sides touch; otherwise an external
+            wrench is applied. held: whether moving parts are kept fixed to their side.
         mechanism: one of this shape.
     """
 
@@ -67,15 +68,15 @@ class Structure:
 
     @property
     def sides(self) -> Sides:
-        """The mechanism as its MJCF has it."""
+        """The contents of the mechanism's MJCF."""
         return sides_of(self.mechanism)
 
 
 def structure_of(mechanism: Mechanism, departs: bool, rubs: bool) -> Structure:
-    """What a mechanism's model is made of.
+    """The structure of a mechanism's model.
 
     Args:
-        departs: effects change the law. rubs: friction acts, by the mechanism's numbers or by an effect.
+        departs: whether effects change the law. rubs: whether friction acts, from the mechanism's settings or an effect.
     """
     mounted = mechanism.mount is not None
     latched = mechanism.captured or mechanism.latch is not None
@@ -84,19 +85,19 @@ def structure_of(mechanism: Mechanism, departs: bool, rubs: bool) -> Structure:
 
 
 def drawn(mechanism: Mechanism) -> Structure:
-    """A mechanism on a rigid mount that does not touch: to be looked at, or to be weighed."""
+    """A mechanism on a rigid mount without contacts, for drawing or weighing."""
     return Structure(mechanism.shape(), mounted=False, constant=True, rubs=False, latched=False, mechanism=mechanism, touches=False)
 
 
 def add_active(spec: mujoco.MjSpec, structure: Structure, body: mujoco.MjsBody, plane: Array, height: Array) -> None:
-    """Put the active side on ``body`` so that A stands ``height`` (3,) above ``plane`` (3,) [m] in it, its axes along the body's."""
+    """Attach the active side to ``body`` with A at ``plane`` + ``height`` (3,) [m] in it, axes along the body's."""
     add_side(spec, structure.mechanism, ACTIVE, body, plane, height)
 
 
 def add_passive(spec: mujoco.MjSpec, structure: Structure, carrier: mujoco.MjsBody) -> None:
-    """Put the passive side, on its mount if it has one, on ``carrier`` behind the six-axis force sensor; P at the carrier's origin.
+    """Attach the passive side, with its compliant mount if any, and the six-axis force sensor to ``carrier``; P at the carrier's origin.
 
-    The carrier gets the site ``P_nominal``, where the sensor is.
+    The carrier gets the site ``P_nominal``, at which the sensor is.
     """
     carrier.add_site(name="P_nominal")
     body = carrier
@@ -109,7 +110,7 @@ def add_passive(spec: mujoco.MjSpec, structure: Structure, carrier: mujoco.MjsBo
 
 
 def add_contact(spec: mujoco.MjSpec, structure: Structure) -> None:
-    """Everything that touches and latches, once both sides are in ``spec``."""
+    """Add all contacts and latches, once both sides are in ``spec``."""
     for prefix in (ACTIVE, PASSIVE):
         for geom in spec.geoms:
             if geom.name.startswith(prefix):
@@ -131,7 +132,7 @@ def add_contact(spec: mujoco.MjSpec, structure: Structure) -> None:
 def add_side(
     spec: mujoco.MjSpec, mechanism: Mechanism, prefix: str, body: mujoco.MjsBody, plane: Array = ORIGIN, height: Array = ORIGIN
 ) -> None:
-    """The active or the passive side, as the ``prefix`` says, on ``body`` so that its port stands ``height`` above ``plane``, unturned."""
+    """Attach the side given by ``prefix`` to ``body``, with its port at ``plane`` + ``height`` (3,) [m] and axes along the body's."""
     which = (ACTIVE, PASSIVE).index(prefix)
     port = sides_of(mechanism).ports[which]
     back, offset = quat_to_mujoco(port[3:7] * [-1.0, -1.0, -1.0, 1.0]), np.zeros(3)
@@ -140,14 +141,15 @@ def add_side(
 
 
 def weigh_contact(model: mujoco.MjModel, carrier: str, held: bool = False) -> None:
-    """Have contact and latch of a compiled ``model`` push with K x + C v, however the ``carrier`` of the active side accelerates.
+    """Make contacts and latches of a compiled ``model`` exert K x + C v, whatever the acceleration of the active side's ``carrier``.
 
     MuJoCo's soft force is f = (a_ref - a)/R with R = A (1 - d)/d. A is the sum of both bodies' ``body_invweight0``, a the acceleration at
-    the contact: f lacks d a/A of K x + C v. Where a newton accelerates the carrier by y, and MuJoCo's own estimate of y is all that A is,
-    that is d of the force along the normal, and several times that across it. Here A is 1/kg, so that it is d y, 3e-7 on a platform of
-    334 kg. Only contact and latch ask for this weight: the carrier is a body of its own, no joint or loop of the rig is fastened to it.
+    the contact: f is d a/A less than K x + C v. If A is MuJoCo's estimate of y, the carrier's acceleration per newton, the error is a
+    fraction d of the force along the normal, and several times that across it. Here A is set to 1/kg, so that the fraction is d y, 3e-7
+    on a platform of 334 kg. Only contacts and latches use this weight: the carrier is a separate body, to which no joint or loop of the
+    rig is attached.
 
-    ``held``: what moves by itself on the carrier is kept from it.
+    ``held``: parts that move on the carrier are kept fixed.
     """
     fixed, parts = carried_by(model, carrier)
     _weigh_parts(model, parts, held)
@@ -155,7 +157,7 @@ def weigh_contact(model: mujoco.MjModel, carrier: str, held: bool = False) -> No
 
 
 def carried_by(model: mujoco.MjModel, carrier: str) -> tuple[list[int], list[int]]:
-    """Numbers of the bodies that are fixed to the ``carrier``, itself among them, and of those that move on it."""
+    """Numbers of the bodies that are fixed to the ``carrier``, including itself, and of those that move on it."""
     body = model.body(carrier).id
     fixed, parts = [body], []
     for other in range(body + 1, model.nbody):
@@ -167,9 +169,9 @@ def carried_by(model: mujoco.MjModel, carrier: str) -> tuple[list[int], list[int
 
 
 def _weigh_parts(model: mujoco.MjModel, parts: list[int], held: bool) -> None:
-    """Have the ``parts`` rub, stop and push as if what carries them stood still.
+    """Set the inverse weights of the ``parts`` (for friction, limits and contacts) as if their carrier were fixed.
 
-    The joints of the rig count in MuJoCo's own inverse weights, by which a joint's friction creeps while it sticks.
+    MuJoCo's own inverse weights include the joints of the rig, which would make a sticking joint's friction creep.
     """
     dofs = np.flatnonzero(np.isin(model.dof_bodyid, parts))
     if not dofs.size:
@@ -184,21 +186,21 @@ def _weigh_parts(model: mujoco.MjModel, parts: list[int], held: bool) -> None:
     for body in parts:
         mujoco.mj_jacBodyCom(model, data, jac[:3], jac[3:], body)
         moved = np.diag(jac[:, dofs] @ yields @ jac[:, dofs].T).reshape(2, 3).mean(axis=1)
-        _put(model.body_invweight0, body, np.where(moved > mujoco.mjMINVAL, moved, INVERSE_WEIGHT))  # else it is fixed in that way
+        _put(model.body_invweight0, body, np.where(moved > mujoco.mjMINVAL, moved, INVERSE_WEIGHT))  # else it cannot move in that way
     if held:
         model.dof_armature[dofs] = IMMOVABLE
 
 
 def _put(weights: Array, at: NDArray[np.int_] | int, value: Array | float) -> None:
-    """Write ``value`` where MuJoCo's own differs by more than what so heavy a carrier as one that is placed yields."""
+    """Write ``value`` where MuJoCo's own differs by more than 1e-6; the motion of a prescribed, very heavy carrier is less than that."""
     weights[at] = np.where(np.isclose(weights[at], value, rtol=1e-6, atol=0.0), weights[at], value)
 
 
 def inverse_mass(model: mujoco.MjModel, bodies: NDArray[np.int_]) -> Array:
-    """``(k,)`` what a stiffness [N/m] between ``bodies`` (2, k) is multiplied with in a direct solref [1/kg].
+    """``(k,)`` factor of a stiffness [N/m] between ``bodies`` (2, k) in a direct solref [1/kg].
 
-    A - d w: A the sum of both inverse weights, w that of the active side (:func:`weigh_contact`), beside which it hardly yields. A part
-    that moves by itself has the inverse weight that MuJoCo finds, and yields by about as much: d of the force, which is left in.
+    A - d w: A the sum of both inverse weights, w that of the active side (:func:`weigh_contact`), compared with which its true mobility
+    is small. A moving part has MuJoCo's inverse weight, close to its true mobility: the resulting error, d of the force, is not corrected.
     """
     weight = model.body_invweight0[bodies, 0]
     carries = model.body_weldid[bodies] == model.body_weldid[model.site_bodyid[model.site(ACTIVE + "A").id]]
@@ -210,7 +212,7 @@ def _pair(spec: mujoco.MjSpec, name: str, active: str, passive: str, rubs: bool)
 
 
 def _facet(spec: mujoco.MjSpec, k: int, pair: Pair, rubs: bool) -> None:
-    """A box on the body of the surface, and on that of the round a ball: of a rod it stands where the rod is nearest."""
+    """Add a box to the body of the surface, and to that of the round a ball, which for a rod is placed at its nearest point."""
     one, other = spec.geom(ACTIVE + pair.active), spec.geom(PASSIVE + pair.passive)
     round_, surface = (other, one) if pair.swapped else (one, other)
     box, ball = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_SPHERE
@@ -220,7 +222,7 @@ def _facet(spec: mujoco.MjSpec, k: int, pair: Pair, rubs: bool) -> None:
 
 
 def _native(spec: mujoco.MjSpec, k: int, pair: Pair, rubs: bool) -> None:
-    """A pair of MuJoCo's own, and a sensor of how many points it has, how deep the deepest is, and where."""
+    """Add a pair for MuJoCo's own collision detection, and a sensor of its number of points and its deepest point."""
     active, passive = ACTIVE + pair.active, PASSIVE + pair.passive
     _pair(spec, f"native_{k}", active, passive, rubs)
     geom = mujoco.mjtObj.mjOBJ_GEOM
@@ -231,7 +233,7 @@ def _native(spec: mujoco.MjSpec, k: int, pair: Pair, rubs: bool) -> None:
 
 
 def _latches(spec: mujoco.MjSpec, structure: Structure) -> None:
-    """Between the bodies that carry the sites of each closure; none is on."""
+    """Add an equality between the bodies that carry the sites of each closure; none is active."""
     closures = [(LATCH, "weld", "A", "P")] if structure.latched else []
     closures += [(p.name, p.close.kind, p.close.active, p.close.passive) for p in structure.mechanism.phases() if p.close is not None]
     for name, kind, active, passive in closures:

@@ -1,4 +1,4 @@
-"""All that happens between the two sides of `n` rigs, for the plants that move them: contacts, latch, mount, wrenches from outside."""
+"""All interaction between the two sides of `n` rigs, for the plants that move them: contacts, latch, mount, applied wrenches."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ class Contacts:
     """The sides of `n` runs.
 
     Attributes:
-        written: whether :meth:`meet` must be called at every instant; else MuJoCo does it all by itself.
-        stage: up to which MuJoCo has to be forward before that.
-        looking: the parts of :meth:`look`.
+        written: whether :meth:`meet` must be called at every instant; otherwise MuJoCo computes the contacts alone.
+        stage: up to which MuJoCo must have computed the forward dynamics before that.
+        looking: the calls of :meth:`look`.
         touching: (n,) bool, whether they touch; latched: (n,) bool. mount: of the passive side.
     """
 
@@ -43,7 +43,7 @@ class Contacts:
         least_creep: float,
         force: AppliedForce | None,
     ) -> None:
-        """``dt``, ``least_creep``: see :class:`Engagement`. ``force``: acts in place of the contacts."""
+        """``dt``, ``least_creep``: see :class:`Engagement`. ``force``: applied instead of the contacts."""
         n, model = len(scenarios), batch.model
         self._force, self._engagement = force, None
         if structure.touches and structure.constant:
@@ -71,28 +71,26 @@ class Contacts:
 
     @property
     def engagement(self) -> Engagement:
-        """Where what touches. Raises InputError where MuJoCo's own collision does it all."""
+        """The contacts' geometry and forces. Raises InputError if MuJoCo's own collision computes them."""
         if self._engagement is None:
-            raise InputError(
-                "a spring and a damper without friction, mount or effects touch in MuJoCo's own contact: its force is all there is"
-            )
+            raise InputError("a spring and damper without friction, mount or effects is MuJoCo's own contact: only its force is available")
         return self._engagement
 
     def reset(self) -> None:
-        """Begin anew."""
+        """Return to the start of a run."""
         if self._engagement is not None:
             self._engagement.reset()
 
     def balance(self) -> None:
-        """Hold the weight of what is on the mount, wherever the sides are, with nothing latched; undone by :meth:`reset`."""
+        """Balance the weight on the mount with nothing latched, wherever the sides are; undone by :meth:`reset`."""
         if self._engagement is not None:
             self._engagement.latches.open(captured=False)
         load_body(1.0, self.mount.balance, self.mount.body, self.mount.centre, self._applied)
 
     def meet(self, pose: Array, twist: Array, place: Array | None = None, motion: Array | None = None) -> None:
-        """Make MuJoCo exert what belongs to the state: pose (n, 7) and twist (n, 6) of A in W, and that of the mount's joints.
+        """Make MuJoCo exert the forces for the state: pose (n, 7) and twist (n, 6) of A in W, and that of the mount's joints.
 
-        place, motion: (n, 7), (n, 6) those of P, where the passive side moves; else it stands in W.
+        place, motion: (n, 7), (n, 6) pose and twist of P if the passive side moves; otherwise it is fixed in W.
         """
         mount = self.mount
         if place is None or motion is None:
@@ -113,7 +111,7 @@ class Contacts:
             load_body(1.0, self._load, mount.body, mount.centre, self._applied)
 
     def meeting(self, pose: Array, twist: Array, place: Array | None = None, motion: Array | None = None) -> list[Callable[[], None]]:
-        """The parts of :meth:`meet`, in order, of arrays that stay; none where they are not compiled."""
+        """The calls of :meth:`meet`, in order, bound to arrays that are reused; none if they are not all compiled."""
         mount = self.mount
         if self._engagement is None or self._pulls or mount.moves:
             return []
@@ -121,7 +119,7 @@ class Contacts:
         return ride + self._engagement.updating(pose, twist, mount.place, mount.motion)
 
     def look(self) -> None:
-        """Set ``touching`` where MuJoCo does it all by itself."""
+        """Set ``touching`` where MuJoCo computes the contacts alone."""
         for count in self.looking:
             count()
 
@@ -134,7 +132,7 @@ def _count(contacts, touching):
 
 @njit(cache=True)
 def _into_world(place, wrench):
-    """Wrenches (n, 6) in P at P's origin become wrenches in W at W's origin, P at ``place`` (n, 7)."""
+    """Transform wrenches (n, 6), in place, from P at P's origin to W at W's origin; P at ``place`` (n, 7)."""
     local = np.empty(6)
     for i in range(wrench.shape[0]):
         local[:] = wrench[i]
@@ -143,7 +141,7 @@ def _into_world(place, wrench):
 
 @njit(cache=True)
 def _centres(pose, offset, out):
-    """``out`` (n, 3) [m]: the place in W of a point ``offset`` (3,) from A's origin, in A."""
+    """``out`` (n, 3) [m]: the position in W of a point at ``offset`` (3,) from A's origin, in A."""
     for i in range(pose.shape[0]):
         rotate(pose[i, 3:7], offset, out[i])
         for j in range(3):

@@ -1,4 +1,4 @@
-"""Mechanisms that say themselves what touches and how they capture: classes of pairs of geoms, and phases."""
+"""Mechanisms with a description file: classes of geom pairs that may touch, and phases of capture."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ class Described(Mechanism):
 
     folder: ClassVar[str] = ""
     contact: Contact = Field(
-        default_factory=lambda: Contact(stiffness=1.0),  # never reached: the validator below fills it in
-        description="Stiffness, damping and friction of the first class of pairs in mechanism.yaml; left out: as they stand there",
+        default_factory=lambda: Contact(stiffness=1.0),  # never used: the validator below fills it in
+        description="Stiffness, damping and friction of the first class of pairs; omitted: the values in the mechanism's own description",
     )
 
     @model_validator(mode="before")
@@ -37,12 +37,12 @@ class Described(Mechanism):
 
     @classmethod
     def described(cls) -> description.Mechanism:
-        """What mechanism.yaml says. Raises InputError."""
+        """The content of mechanism.yaml. Raises InputError."""
         file = models_folder() / cls.folder / "mechanism.yaml"
         return _read(file, file.stat().st_mtime_ns if file.is_file() else 0)
 
     def touching(self) -> tuple[Touching, ...]:
-        """Classes of pairs of geoms that may touch."""
+        """Classes of geom pairs that may touch."""
         return tuple(self.described().contact)
 
     def files(self) -> tuple[Path, Path]:

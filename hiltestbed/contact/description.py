@@ -1,7 +1,7 @@
-"""What a mechanism's folder says beside its MJCF: which geoms touch and how, and the phases of its capture.
+"""The description of a mechanism beyond its MJCF: which geoms touch and how, and the phases of its capture.
 
-``mechanism.yaml`` stands beside ``active.xml`` and ``passive.xml``: a pair of geoms, a latch between both sides, a criterion on both
-belong to neither file. Names are those of the geoms, sites and actuators in the two files; ``*`` stands for any ending.
+``mechanism.yaml`` complements ``active.xml`` and ``passive.xml``: pairs of geoms, latches between both sides and conditions on both sides
+belong to neither file. Names are those of the geoms, sites and actuators in the two files; ``*`` stands for any characters.
 """
 
 from __future__ import annotations
@@ -25,30 +25,30 @@ class _Strict(BaseModel):
 
 
 class Touching(_Strict):
-    """A class of pairs of geoms that may touch; stiffness and damping are those of a pair, however many points it touches at."""
+    """A class of geom pairs that may touch; stiffness and damping are those of a pair, whatever its number of contact points."""
 
-    active: str = Field(description="Geoms of the active side that may touch; * stands for any ending")
-    passive: str = Field(description="Geoms of the passive side that may touch; * stands for any ending")
+    active: str = Field(description="Geoms of the active side that may touch; * stands for any characters")
+    passive: str = Field(description="Geoms of the passive side that may touch; * stands for any characters")
     stiffness: Positive = Field(description="Stiffness of a pair of geoms [N/m]")
     damping: NotNegative = Field(0.0, description="Damping of a pair of geoms [N s/m]")
-    friction: NotNegative = Field(0.0, description="Coulomb coefficient of a pair of geoms [-]")
+    friction: NotNegative = Field(0.0, description="Coulomb friction coefficient of a pair of geoms [-]")
     reach: Positive | None = Field(
-        None, description="Distance from which pairs are left out [m]: those farther apart than this across the axis, ports aligned"
+        None, description="Largest lateral distance of a pair, ports aligned [m]; pairs farther apart are excluded; omitted: no limit"
     )
 
 
 class Condition(_Strict):
-    """Pairs of sites, active and passive, that are near, aligned and slow at the same time, and joints that stand where they must."""
+    """Pairs of sites, active and passive, that are close, aligned and slow at the same time, and joints within given ranges."""
 
     pairs: list[tuple[str, str]] = Field(min_length=1, description="Pairs of sites, one of the active and one of the passive side")
     within: Positive = Field(description="Largest distance between the sites of a pair [m]")
     angle_deg: Annotated[float, Field(gt=0.0, le=180.0)] = Field(180.0, description="Largest angle between the z axes of the sites [deg]")
     speed: Positive = Field(description="Highest relative speed of the sites [m/s]")
     joints: dict[str, tuple[float, float]] = Field(
-        default_factory=dict, description="Joints of the active side that must stand between two values [m, rad]"
+        default_factory=dict, description="Joints of the active side and the range in which each must be [m, rad]"
     )
-    count: Annotated[int, Field(ge=1)] | None = Field(None, description="Number of pairs that is enough [-]; left out: all")
-    lasting: NotNegative = Field(0.0, description="Time for which all of it must hold without a break [s]")
+    count: Annotated[int, Field(ge=1)] | None = Field(None, description="Number of pairs that must meet the limits [-]; omitted: all")
+    lasting: NotNegative = Field(0.0, description="Time for which the condition must hold without interruption [s]")
 
     @model_validator(mode="after")
     def _enough(self) -> Condition:
@@ -58,48 +58,48 @@ class Condition(_Strict):
 
 
 class Closure(_Strict):
-    """A latch between two sites: it holds them where they are when it closes, or draws them together."""
+    """A latch between two sites: it holds them in the relative pose at which it closes, or draws them together."""
 
-    kind: Literal["weld", "connect"] = Field(description="Kind of latch. weld: holds six axes; connect: a ball joint")
+    kind: Literal["weld", "connect"] = Field(description="Kind of latch. weld: holds all six axes; connect: a ball joint")
     active: str = Field(description="Site of the active side that is held")
     passive: str = Field(description="Site of the passive side that holds it")
-    stiffness: Positive = Field(description="Stiffness against shift [N/m]")
-    damping: NotNegative = Field(description="Damping against shift [N s/m]")
+    stiffness: Positive = Field(description="Translational stiffness [N/m]")
+    damping: NotNegative = Field(description="Translational damping [N s/m]")
     hold: Literal["here", "together"] = Field(
-        "here", description="Where it holds. here: the sites stay as they are then; together: they are drawn into one place"
+        "here", description="Pose that it holds. here: the relative pose of the sites when it closes; together: the sites coincide"
     )
     radius: Positive | None = Field(
-        None, description="Radius of the ring of latches [m]; the stiffness against turning is stiffness radius^2"
+        None, description="Radius of the ring of latches [m], for a weld; the rotational stiffness is stiffness radius^2"
     )
 
     @model_validator(mode="after")
     def _turning(self) -> Closure:
         if (self.radius is None) == (self.kind == "weld"):
             raise ValueError(
-                "a weld needs its radius [m]" if self.kind == "weld" else "a connect has no stiffness against turning: no radius"
+                "a weld needs its radius [m]" if self.kind == "weld" else "a connect has no rotational stiffness: leave radius out"
             )
         return self
 
 
 class Phase(_Strict):
-    """A step of capture: begins when its condition holds and the phase before has begun."""
+    """A phase of capture: it begins when its condition holds and the previous phase has begun."""
 
     name: str = Field(description="Name of the phase")
     when: Condition = Field(description="Condition that begins the phase")
     close: Closure | None = Field(None, description="Latch that closes when the phase begins")
     command: dict[str, float] = Field(
-        default_factory=dict, description="Actuators of the active side to what they are told from then on, in their units"
+        default_factory=dict, description="Actuators of the active side and their commands from then on, in the actuators' units"
     )
-    drop_contacts: list[str] = Field(default_factory=list, description="Geoms of the active side that touch no more")
+    drop_contacts: list[str] = Field(default_factory=list, description="Geoms of the active side that no longer touch from then on")
 
     def sites(self) -> list[tuple[str, str]]:
-        """Port of its side (A, P) and name of each site that the phase names."""
+        """Port (A or P) of its side, and name, of each site in the phase."""
         pairs = [*self.when.pairs, *([(self.close.active, self.close.passive)] if self.close else [])]
         return [(port, name) for pair in pairs for port, name in zip("AP", pair, strict=True)]
 
 
 class Mechanism(_Strict):
-    """The whole of ``mechanism.yaml``."""
+    """The content of ``mechanism.yaml``."""
 
     contact: list[Touching] = Field(min_length=1)
     phases: list[Phase] = Field(default_factory=list)
@@ -108,12 +108,12 @@ class Mechanism(_Strict):
     def _names(self) -> Mechanism:
         names = [p.name for p in self.phases]
         if len(set(names)) != len(names):
-            raise ValueError(f"phases of one name: {', '.join(sorted({n for n in names if names.count(n) > 1}))}")
+            raise ValueError(f"several phases have the same name: {', '.join(sorted({n for n in names if names.count(n) > 1}))}")
         return self
 
 
 def read(path: Path) -> Mechanism:
-    """The description in the file ``path``; every fault of it as an InputError."""
+    """The description in the file ``path``. Raises InputError with all its faults."""
     try:
         tree = YAML(typ="safe", pure=True).load(path.read_text(encoding="utf-8"))
         return Mechanism.model_validate(tree)
@@ -127,5 +127,5 @@ def read(path: Path) -> Mechanism:
 
 
 def matching(pattern: str, names: list[str]) -> list[str]:
-    """Those of the ``names`` that the ``pattern`` stands for."""
+    """Those of the ``names`` that match the ``pattern``."""
     return [name for name in names if fnmatchcase(name, pattern)]

@@ -1,7 +1,7 @@
-"""Along what a contact can act: the insertion, the normal of the first touch with the probe's lever, and the axes of what is latched.
+"""Directions in which a contact can act: the insertion, the normal of the first touch with the probe's lever arm, the axes of a latch.
 
-A direction is a row J of the relative twist q' of A's origin, x' = J q'. A force F along it moves both bodies by M^-1 J^T F, M^-1 being
-their relative mobility at A, so that x has the mass 1/(J M^-1 J^T).
+A direction is a row J that maps the relative twist q' of A's origin to x' = J q'. A force F along it accelerates the relative motion by
+M^-1 J^T F, with the relative mobility M^-1 at A, so that x has the effective mass 1/(J M^-1 J^T).
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ if TYPE_CHECKING:
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 INSERTION = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
-STOPS, BEYOND = 400, 0.05  # on the way to the first touch, and how far beyond the nominal one [m]
-ALIKE = 1e-6  # of a direction's components, by which two are one
+STOPS, BEYOND = 400, 0.05  # poses checked on the way to the first touch, and distance searched beyond the nominal touch [m]
+ALIKE = 1e-6  # largest difference between the components of two equal directions
 
 
 @dataclass(frozen=True)
 class Direction:
-    """One way in which a contact acts.
+    """One direction in which a contact acts.
 
     Attributes:
-        name: in words. row: (6,) J. mass: [kg], [kg m^2]. stiffness, damping: along it [N/m, N m/rad], [N s/m, N m s/rad].
-        turns: whether it is a turn. pulls: whether the contact pulls as well as pushes. slant: whether it is the normal of a surface that
-        lies askew to the insertion. first: whether the approach makes its first contact along it.
+        name: in words. row: (6,) J. mass: effective [kg], [kg m^2]. stiffness, damping: along it [N/m, N m/rad], [N s/m, N m s/rad].
+        turns: whether it is a rotation. pulls: whether the contact pulls as well as pushes. slant: whether it is the normal of a surface
+        inclined to the insertion. first: whether the first contact of the approach is along it.
     """
 
     name: str
@@ -56,8 +56,8 @@ def insertion(scenario: Scenario) -> Direction:
 def directions(scenario: Scenario) -> list[Direction]:
     """The insertion, then every other direction in which the contact of a scenario acts.
 
-    Where parts move or MuJoCo finds the contacts, the first touch does not follow from the pose alone, and what holds in the end has
-    springs of the mechanism before it: the insertion alone is told.
+    Only the insertion is given if the mechanism has moving parts or native pairs: the first touch then does not follow from the pose
+    alone, and the mechanism's own springs are in series with its latches.
     """
     mechanism, inverse = scenario.mechanism, mobility(scenario)
     if mechanism.captured:
@@ -74,8 +74,8 @@ def directions(scenario: Scenario) -> list[Direction]:
 
 
 def _modes(scenario: Scenario, inverse: Array, when: str) -> list[Direction]:
-    """In what a latch swings: the modes phi of its six springs K between both bodies, K phi = w^2 M phi, named by the axis that has most
-    of the energy, of whose shift or turn mass, stiffness and damping are. All six springs have one ratio of c to k, so that a mode is one
+    """The modes phi of a latch's six springs K between both bodies, K phi = w^2 M phi. A mode is named after the axis with most of its
+    energy, to whose displacement mass, stiffness and damping refer. The ratio c/k is equal for all six springs, so that a mode is one
     direction, J = phi^T K/(phi^T K phi)."""
     latch = believed_contacts(scenario.mechanism)[-1]
     springs = latch.stiffness * np.array([1.0] * 3 + [LATCH_RADIUS**2] * 3)
@@ -93,7 +93,7 @@ def _modes(scenario: Scenario, inverse: Array, when: str) -> list[Direction]:
 
 
 class _Meeting:
-    """How deep the surfaces of a mechanism that stands still are in each other, from the pose of A in P."""
+    """Penetration of the surfaces of a rigid mechanism at rest, from the pose of A in P."""
 
     def __init__(self, sides: Sides) -> None:
         self._index, self._values = sides.geometry
@@ -106,7 +106,7 @@ class _Meeting:
         self.point, self.normal, self._slip = np.zeros((count, 3)), np.zeros((count, 3)), np.zeros((count, 3))
 
     def deepest(self, pose: Array) -> float:
-        """[m] of A at ``pose`` (7,), below 0 while apart; where is in ``depth``, ``point`` and ``normal``."""
+        """Largest penetration [m] with A at ``pose`` (7,), negative while apart; details in ``depth``, ``point`` and ``normal``."""
         self.frames[0] = pose
         meet_all(
             self._index, self._values, self._p, self.frames, self._motions, self._work, self.depth, self._rate, self.point, self.normal,
@@ -116,16 +116,16 @@ class _Meeting:
 
 
 def time_of_touch(scenario: Scenario) -> float | None:
-    """[s] to the last instant before the first touch of the uniform approach, looked at :data:`STOPS` times, whether or not the run ends
-    before it; None where the pose alone does not tell, or nothing is met: a few centimetres beyond the nominal touch, or, of an approach
-    that does not lead there, within the run."""
+    """Time [s] of the last of :data:`STOPS` instants before the first touch of the uniform approach, whether or not the run ends
+    before it; None if it does not follow from the pose alone, or if nothing touches up to :data:`BEYOND` after the nominal touch or, for an
+    approach that does not lead there, within the run."""
     sides = sides_of(scenario.mechanism)
     if not sides.rigid or not sides.geometry.count:
         return None
     meeting, start = _Meeting(sides), approach_state(scenario)
     pose, end = start[:7].copy(), scenario.duration
     ahead = scenario.approach.velocity[2]
-    if ahead > 0.0:  # beyond the nominal touch there is no more to meet than a few centimetres off the axis
+    if ahead > 0.0:  # beyond BEYOND after the nominal touch no first touch is possible
         end = (scenario.approach.gap + BEYOND) / ahead
     times = np.linspace(0.0, end, STOPS)
     for k, t in enumerate(times):
@@ -136,8 +136,8 @@ def time_of_touch(scenario: Scenario) -> float | None:
 
 
 def first_touch(scenario: Scenario) -> tuple[Array, float, float] | None:
-    """J of the first contact that the approach, straight along the insertion, makes, and its stiffness and damping; None where the pose
-    alone does not tell, or nothing is met within the approach's gap beyond the nominal touch."""
+    """J of the first contact of an approach straight along the insertion, and its stiffness and damping; None if it does not follow from
+    the pose alone, or if nothing touches up to the approach's gap plus :data:`BEYOND` after the nominal touch."""
     sides = sides_of(scenario.mechanism)
     if not sides.rigid or not sides.geometry.count:
         return None

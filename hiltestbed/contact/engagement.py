@@ -1,16 +1,16 @@
-"""The contacts of `n` runs in MuJoCo: facets, pairs and latches as they are before each step.
+"""The contacts of `n` runs in MuJoCo: facets, pairs and latches, updated before each step.
 
-A step of MuJoCo's takes what a pair's ``solref`` says at its start for F = K x + C v. Before each step, therefore,
+A MuJoCo step evaluates F = K x + C v at its start, with K and C from the pair's ``solref``. Before each step, therefore,
 
 - the box of a facet is re-posed to the tangent plane at the point of the surface that is nearest to the ball or the rod;
 - a linear law is written as (-K g, -C g), any other as (-F g/x, -0), g = A for bodies that yield (:mod:`hiltestbed.contact.solref`);
 - friction is written as its secant: the pair's ``solreffriction`` is (-0, -mu |F|/sqrt(v^2 + v_0^2) g), with a cone ten times as wide,
   which never acts;
-- a native pair of c points gets a share 1/c of all that;
-- what holds one side in the other is moved on with them (:mod:`hiltestbed.contact.latches`).
+- a native pair of c points gets 1/c of these per point;
+- the anchors of closed latches are updated (:mod:`hiltestbed.contact.latches`).
 
-What pulls without being latched (adhesion, a frame that rings) cannot come from a contact of MuJoCo's: that part is :attr:`pull`, to be
-applied from outside.
+MuJoCo's contacts cannot pull, as adhesion and the frame's mode may without a latch: that part of the force is :attr:`pull`, to be
+applied as an external wrench.
 """
 
 from __future__ import annotations
@@ -63,26 +63,26 @@ from hiltestbed.jit import njit
 if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario
 
-WIDE = 10.0  # times the friction coefficient: MuJoCo's cone, which must not act
-LEAST = 1e-9  # [m] of the penetration that MuJoCo is shown where a law pushes without any
+WIDE = 10.0  # friction coefficient of MuJoCo's cone, which must not act, over the true one
+LEAST = 1e-9  # [m] penetration that MuJoCo is given if a law pushes without penetration
 
 
 class Engagement:
     """The contacts of `n` runs.
 
     Attributes:
-        met: (n, T, MET) of each facet and each native pair: penetration [m], negative while apart, and its rate [m/s]; where the force
-            acts [m], the direction in which the passive side is pushed and the slip of the active side [m/s], all (3,) in W; normal force
-            [N] and what friction is worth [N s/m].
-        linear: (n, T) whether a spring and a damper are all that acts along the normal; parameters: (n, T + 1, PARAMETERS) of the laws, the
-            latch's last. touching: (n,) bool. latched: (n,) bool, whether something holds. latches: what does.
+        met: (n, T, MET) of each facet and each native pair: penetration [m], negative while apart, and its rate [m/s]; point of
+            application of the force [m], direction of the force on the passive side and slip of the active side [m/s], all (3,) in W;
+            normal force [N] and friction coefficient [N s/m].
+        linear: (n, T) whether only a linear spring and damper act along the normal; parameters: (n, T + 1, PARAMETERS) of the laws, the
+            latch's last. touching: (n,) bool. latched: (n,) bool, whether any latch is closed. latches: all of them.
         pull: (n, 6) the part of the wrench on the passive side that MuJoCo's contacts do not exert, in W at W's origin; pulls: whether
-            there can be any. stage: up to which MuJoCo has to be forward before :meth:`update`.
-        tilt: (n, 7) pose of S in the passive side's nominal place.
+            there can be any. stage: up to which MuJoCo must have computed the forward dynamics before :meth:`update`.
+        tilt: (n, 7) pose of S in its nominal frame.
     """
 
     def __init__(self, batch: Batch, scenarios: Sequence[Scenario], structure: Structure, dt: float, least_creep: float) -> None:
-        """``dt`` [s] between two instants; ``least_creep`` [m/s per N] bounds the slope of friction from above by that of a step,
+        """``dt`` [s] between two instants; ``least_creep`` [m/s per N] limits the slope of friction to what one step can resolve,
         v_0 >= least_creep mu |F|."""
         n, sides = len(scenarios), structure.sides
         self._geometry, self._facets = sides.geometry, len(sides.facets)
@@ -109,14 +109,14 @@ class Engagement:
         self.reset()
 
     def reset(self) -> None:
-        """Unlatched, or latched with A at P where the mechanism always is."""
+        """Return to the start: unlatched, or latched with A at P for a mechanism captured from the start."""
         self.state[:] = 0.0
         self.latched[:] = self._captured
         self._live[:] = True
         self.latches.open(captured=self._captured)
 
     def _touches(self, dt: float, least_creep: float) -> list[Callable[[], None]]:
-        """What makes contacts of where the bodies are."""
+        """The calls that compute the contacts from the poses of the bodies."""
         b, p = self._bodies, self._pairs
         found = [bound(_none, self.wrench, self.pull, self.touching)]
         rows = (self.parameters, self.linear, self._live, p.gain)
@@ -136,7 +136,7 @@ class Engagement:
 
     @property
     def frames(self) -> Array:
-        """(n, F, 7) poses in W of A, S and of parts that move, at the last update."""
+        """(n, F, 7) poses in W of A, S and moving parts, at the last update."""
         return self._bodies.frames
 
     @property
@@ -145,15 +145,15 @@ class Engagement:
         return self._bodies.motions
 
     def update(self, pose: Array, twist: Array, place: Array, motion: Array) -> None:
-        """Make MuJoCo's contacts those of the state: pose (n, 7) and twist (n, 6) of A in W, and those of S; once an instant."""
+        """Update MuJoCo's contacts for the state: pose (n, 7) and twist (n, 6) of A in W, and those of S; once per instant."""
         self._updated.on(pose, twist, place, motion)()
 
     def updating(self, pose: Array, twist: Array, place: Array, motion: Array) -> list[Callable[[], None]]:
-        """The parts of :meth:`update`, in order, of arrays that stay."""
+        """The calls of :meth:`update`, in order, bound to arrays that are reused."""
         return [self._bodies.standing(pose, twist, place, motion), *self._bodies.moving, *self._touching]
 
     def capture(self, which: NDArray[np.bool_]) -> None:
-        """Latch the runs ``which`` (n,) where they are, under the force that they bear, from the next instant on; what touched lets go."""
+        """Latch the runs ``which`` (n,) at their present pose and force, from the next instant on; their contacts are switched off."""
         new = which & ~self.latched
         if not new.any():
             return
@@ -165,39 +165,39 @@ class Engagement:
         self._live[new] = False
 
     def close(self, k: int, which: NDArray[np.bool_], force: Array) -> None:
-        """Close the closure ``k`` in the runs ``which`` (n,); its springs bear the ``force`` (n, 3) in the passive site."""
+        """Close closure ``k`` in the runs ``which`` (n,); its springs carry the ``force`` (n, 3), in the passive site's frame."""
         self.latches.close(k, which, force)
         self.latched |= which
 
     def release(self, which: NDArray[np.bool_], contacts: NDArray[np.int_]) -> None:
-        """Let the ``contacts`` touch no more in the runs ``which`` (n,) from the next instant on."""
+        """Switch off the ``contacts`` in the runs ``which`` (n,) from the next instant on."""
         self._live[np.ix_(which, contacts)] = False
 
     def relative(self) -> tuple[Array, Array]:
-        """Pose (n, 7) and twist (n, 6) of A in S at the last update, of a mechanism with a latch."""
+        """Pose (n, 7) and twist (n, 6) of A in S at the last update, for a mechanism with a latch."""
         if self._relative is None:
-            raise InputError("this mechanism has no latch; allowed are those that close where A is in S")
+            raise InputError("this mechanism has no latch between A and S; allowed are mechanisms that have one")
         return self._relative
 
 
 def _rows(scenario: Scenario, rules: Sequence[int]) -> Array:
-    """``(T + 1, PARAMETERS)`` of each pair and of the latch, effects included."""
+    """``(T + 1, PARAMETERS)`` rows of each pair and of the latch, effects included."""
     contacts = [c.with_effects(scenario.effects) for c in believed_contacts(scenario.mechanism)]
     return contact_rows(contacts, rules, scenario.mechanism.captured)
 
 
 def _linear(rows: Array) -> NDArray[np.bool_]:
-    """Where nothing but a spring and a damper acts along the normal."""
+    """Whether only a linear spring and damper act along the normal."""
     neutral = ContactParameters(1.0).row()
     return np.all(rows[..., LINEAR] == neutral[list(LINEAR)], axis=-1)
 
 
 class _Bodies:
-    """Where the frames are in which something stands still.
+    """The frames to which geoms and sites are fixed.
 
     Attributes:
-        frames, motions: (n, F, 7), (n, F, 6) poses and twists in W of A, S, and of parts that move. carry: (n, F, 7) where each frame is
-        in MuJoCo's body that carries it.
+        frames, motions: (n, F, 7), (n, F, 6) poses and twists in W of A, S and moving parts. carry: (n, F, 7) pose of each frame in the
+        MuJoCo body that carries it.
     """
 
     def __init__(self, batch: Batch, structure: Structure, tilt: Array) -> None:
@@ -227,7 +227,7 @@ class _Bodies:
             )
 
     def standing(self, pose: Array, twist: Array, place: Array, motion: Array) -> Callable[[], None]:
-        """What moves A and S on to the state; ``moving``: what moves the parts that move."""
+        """The call that updates the frames A and S; ``moving`` holds those for moving parts."""
         return bound(_stand, pose, twist, place, motion, self.frames, self.motions)
 
 
@@ -235,8 +235,8 @@ class _Pairs:
     """MuJoCo's pairs and facets.
 
     Attributes:
-        ids: (T, 3) of each contact its pair, its facet and its ball; -1 where there is none. gain: (n, T) g [1/kg].
-        geom_pos, geom_quat, solref, friction: MuJoCo's, of each run. reading: (n, READ native pairs) what their sensors say.
+        ids: (T, 3) numbers of each contact's pair, facet and ball; -1: none. gain: (n, T) g [1/kg].
+        geom_pos, geom_quat, solref, friction: MuJoCo's arrays, per run. reading: (n, READ native pairs) of their sensors.
     """
 
     def __init__(self, batch: Batch, structure: Structure, parameters: Array) -> None:
@@ -261,7 +261,7 @@ class _Pairs:
 
 @njit(cache=True)
 def _none(wrench, pull, touching):
-    """Nothing touches yet."""
+    """Clear the results before the contacts are computed."""
     wrench[:] = 0.0
     pull[:] = 0.0
     touching[:] = False
@@ -275,7 +275,7 @@ def _or(touching, latched):
 
 @njit(cache=True)
 def _stand(pose, twist, place, motion, frames, motions):
-    """A and S in their places."""
+    """Set poses and twists of A and S."""
     for i in range(pose.shape[0]):
         for j in range(7):
             frames[i, A, j], frames[i, S, j] = pose[i, j], place[i, j]
@@ -306,7 +306,7 @@ def _touch_facets(
     index, values, ids, dt, least_creep, p, linear, live, gain, frames, motions, carry, state, met, geom_pos, geom_quat, solref, friction,
     wrench, pull, touching,
 ):  # fmt: skip
-    """Facets, springs and friction of each run from where its sides are."""
+    """Facets, springs and friction of each run from the poses of its sides."""
     count = index[-1]
     depth, rate = np.empty(count), np.empty(count)
     point, normal, slip = np.zeros((count, 3)), np.zeros((count, 3)), np.zeros((count, 3))
@@ -347,7 +347,7 @@ def _touch_facets(
 def _touch_natively(
     facets, ids, dt, least_creep, p, linear, live, gain, state, reading, met, solref, friction, wrench, pull, touching
 ):  # fmt: skip
-    """Springs and friction of the pairs that MuJoCo collides itself, from what their sensors say of the deepest points."""
+    """Springs and friction of native pairs, from their sensors' readings of the deepest points."""
     f, slip = np.empty(6), np.zeros(3)
     for i in range(met.shape[0]):
         for native in range(ids.shape[0] - facets):

@@ -1,4 +1,4 @@
-"""What MuJoCo is told of one contact: springs in its ``solref``, and where a facet and its ball stand."""
+"""MuJoCo's inputs for one contact: stiffness and damping in ``solref``, and the poses of a facet and its ball."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from hiltestbed.contact.solref import NO_DAMPING
 from hiltestbed.frames import quat_mul, rotate, rotate_back
 from hiltestbed.jit import njit
 
-POINT, NORM, SLIP, PUSH, DRAG, MET = 2, 5, 8, 11, 12, 13  # columns of what a contact met; the first two are penetration and rate
-NO_FRICTION = -1e-9  # [1/s^2] of a stiffness along the surface, per A
+POINT, NORM, SLIP, PUSH, DRAG, MET = 2, 5, 8, 11, 12, 13  # columns of a contact's results; the first two are penetration and rate
+NO_FRICTION = -1e-9  # [1/s^2] tangential stiffness over A: practically none
 
 
 @njit(cache=True)
 def spring(linear, row, push, drag, show, g, solref, friction):
-    """What MuJoCo is told of a contact that it sees ``show`` [m] deep, for a normal force ``push`` and a friction worth ``drag``."""
+    """MuJoCo's solref for a contact that it sees ``show`` [m] deep, for a normal force ``push`` [N] and friction ``drag`` [N s/m]."""
     if linear:
         solref[0] = -row[STIFFNESS] * g
         solref[1] = min(-row[DAMPING] * g, NO_DAMPING)
@@ -29,7 +29,7 @@ def spring(linear, row, push, drag, show, g, solref, friction):
 
 @njit(cache=True)
 def outwards(point, normal, slip, place, side, out):
-    """Point, normal and slip in W: what pushes the passive side, and how the active side slips."""
+    """Point, normal and slip in W, with the normal as the direction of the force on the passive side, the slip that of the active side."""
     rotate(place[3:7], point, out[POINT : POINT + 3])
     rotate(place[3:7], normal, out[NORM : NORM + 3])
     rotate(place[3:7], slip, out[SLIP : SLIP + 3])
@@ -41,7 +41,7 @@ def outwards(point, normal, slip, place, side, out):
 
 @njit(cache=True)
 def pose_facet(point, normal, show, radius, frames, carry, surface, round_, ids, geom_pos, geom_quat, work):
-    """Put the facet in the tangent plane and the ball ``show`` [m] into it, so that MuJoCo's contact is at ``point`` (3,)."""
+    """Place the facet in the tangent plane and the ball ``show`` [m] into it, so that MuJoCo's contact is at ``point`` (3,)."""
     at, turn = work[0], work[1]
     for j in range(3):
         at[j] = point[j] + normal[j] * (FACET[2] - 0.5 * show)

@@ -1,4 +1,4 @@
-"""What is wrong with a mechanism's files, and what one should know of its contacts before a run."""
+"""Faults in a mechanism's files, and remarks on its contacts before a run."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ if TYPE_CHECKING:
     from hiltestbed.contact.settings import Mechanism
     from hiltestbed.scenario import Scenario
 
-OVERLAP = 1e-6  # [m] by which geoms may overlap at the start
+OVERLAP = 1e-6  # [m] overlap of geoms that is tolerated at the start
 LISTED = 6
 
 
 def faults(scenario: Scenario) -> Iterator[str]:
-    """Why the mechanism cannot run: its files, its phases, geoms that overlap where A starts."""
+    """Reasons why the mechanism cannot run: its files, its phases, geoms that overlap at A's initial pose."""
     mechanism = scenario.mechanism
     try:
         sides = sides_of(mechanism)
@@ -43,7 +43,7 @@ def faults(scenario: Scenario) -> Iterator[str]:
                 yield str(error)
         lost = [pattern for pattern in phase.drop_contacts if not dropped_by(sides, [pattern]).size]
         if lost:
-            yield f"phase {phase.name!r}: no geom of the active side that touches is called {', '.join(lost)}"
+            yield f"phase {phase.name!r}: no geom of the active side that may touch is called {', '.join(lost)}"
     if scenario.approach.gap > 0.0 and not mechanism.captured:
         yield from _overlaps(scenario, sides, model)
 
@@ -59,7 +59,7 @@ def _overlaps(scenario: Scenario, sides: Sides, model: mujoco.MjModel) -> Iterat
 
 
 def _penetrations(sides: Sides, model: mujoco.MjModel, pose: Array) -> Iterator[tuple[float, Pair]]:
-    """How deep each pair is [m] with A at ``pose`` (7,) in P; parts that move stand where the files have them."""
+    """Penetration [m] of each pair with A at ``pose`` (7,) in P; moving parts are in the positions of their files."""
     data = mujoco.MjData(model)
     at = int(model.joint("A_joint").qposadr[0])
     data.qpos[at : at + 3], data.qpos[at + 3 : at + 7] = pose[:3], quat_to_mujoco(pose[3:7])
@@ -102,7 +102,7 @@ def _compiled(structure: Structure, stamps: tuple[tuple[int, ...], ...]) -> mujo
 
 
 def remarks(mechanism: Mechanism) -> list[str]:
-    """What to know of a mechanism's contacts: which geoms can meet and how, where the stiffness is not a pair's alone, meshes."""
+    """Remarks on a mechanism's contacts: which geoms may touch and how, pairs that divide their stiffness among points, meshes."""
     sides = sides_of(mechanism)
     contacts, out = mechanism.contacts(), []
     for what, pairs in (("nearest point", sides.facets), ("MuJoCo's own collision", sides.native)):
@@ -116,8 +116,8 @@ def remarks(mechanism: Mechanism) -> list[str]:
     shared = [p for p in sides.native if not p.single]
     if shared:
         out.append(
-            f"{len(shared)} pairs of flat or convex parts share their stiffness among the points that MuJoCo finds: exact where they all "
-            "go equally deep, up to 8 % stiffer where parts roll on an edge"
+            f"{len(shared)} pairs of flat or convex parts divide their stiffness among the points that MuJoCo finds: exact if all have the "
+            "same penetration, up to 8 % too stiff if parts roll on an edge"
         )
     out += [f"mesh of the geom {name!r}: {finding.message}" for name, finding in sides.findings]
     return out

@@ -1,8 +1,8 @@
-"""Where a ball or a rod of the active side meets a surface of the passive one: penetration, its rate, the point and the normal.
+"""Contact geometry of a ball or rod and a surface: penetration, its rate, the contact point and the normal.
 
-Dimensions come from the MJCF (:mod:`hiltestbed.contact.sides`). All surfaces of a mechanism lie in two flat arrays, so that one compiled
-kernel serves every mechanism: ``index``, for each of C candidates a row of ROW integers and then the links of the trees; ``values``, for
-each a row of VALUES numbers and then profiles, triangles and boxes.
+Dimensions come from the MJCF (:mod:`hiltestbed.contact.sides`). All surfaces of a mechanism are stored in two flat arrays, so that one
+compiled kernel serves every mechanism: ``index``, for each of C candidates a row of ROW integers, then the links of the trees; ``values``,
+for each a row of VALUES numbers, then profiles, triangles and boxes.
 """
 
 from __future__ import annotations
@@ -20,18 +20,18 @@ from hiltestbed.contact.surfaces.surface import Surface, bounds, segment_beyond,
 from hiltestbed.frames import Array, rotate, rotate_back
 from hiltestbed.jit import njit
 
-# Columns of a row of `index`: frames of the round and of the surface; 1 where the surface is on the passive side, else -1; kind of the
-# surface; where its parts begin, and how long they are.
+# Columns of a row of `index`: frames of the round (ball or rod) and of the surface; 1 if the surface is on the passive side, else -1; kind
+# of the surface; start and length of its parts.
 ROUND_FRAME, SURFACE_FRAME, SIDE, KIND, PROFILE, PROFILE_ROWS, CORNERS, FACES, NORMALS, BOXES, NODES, LINKS, ROW = range(13)
 # Columns of a row of `values`: radius of the round, both ends of its axis in its frame, pose of the surface in its frame, sizes of the
-# surface, centre of a ball that holds it, in its own frame, and the ball's radius.
+# surface, centre of its bounding sphere, in its own frame, and the sphere's radius.
 RADIUS, END_0, END_1, PLACE, SIZES, CENTRE, BOUND, VALUES = 0, 1, 4, 7, 14, 17, 20, 21
-ACTIVE, PASSIVE, FRAMES = 0, 1, 2  # numbers of the frames A and S; those of parts that move follow
-DEEPEST = 0.1  # [m] inside a mesh down to which the nearest point is searched
+ACTIVE, PASSIVE, FRAMES = 0, 1, 2  # numbers of the frames A and S; those of moving parts follow
+DEEPEST = 0.1  # [m] depth inside a mesh up to which the nearest point is searched
 
 
 class Geometry(NamedTuple):
-    """The candidates of a mechanism as the kernels take them: ``index`` int64, ``values`` float64, both flat."""
+    """The candidates of a mechanism as arrays for the kernels: ``index`` int64, ``values`` float64, both flat."""
 
     index: NDArray[np.int64]
     values: Array
@@ -43,7 +43,7 @@ class Geometry(NamedTuple):
 
 
 class Round(NamedTuple):
-    """A ball or a rod: its radius [m], both ends (2, 3) of its axis in the frame number ``frame`` [m]; a ball has one end twice."""
+    """A ball or a rod: radius [m], both ends (2, 3) of its axis [m] in the frame number ``frame``; the ends of a ball are equal."""
 
     radius: float
     ends: Array
@@ -60,7 +60,7 @@ class Placed(NamedTuple):
 
 
 def packed(candidates: Sequence[tuple[Round, Placed]]) -> Geometry:
-    """The candidates in flat arrays; a surface that serves several of them is stored once."""
+    """The candidates in flat arrays; a surface that several of them share is stored once."""
     count = len(candidates)
     rows, numbers = np.zeros((count, ROW), dtype=np.int64), np.zeros((count, VALUES))
     values, links = [], []
@@ -111,13 +111,13 @@ def meet(index, values, c, pose, twist, lever, blunt, ahead, work, point, normal
     """One candidate of one run; returns penetration [m], negative while apart, and its rate [m/s].
 
     Args:
-        pose, twist: (7,), (6,) of the round's frame in the surface's. lever: where in the overlap the force acts, 0 at the undeformed
-            surface, 1 at the tip. blunt: 1 where a ball touches, 0 where its foremost point does. ahead: [m] how far apart the two may
-            be for a penetration, then negative, that is more than a bound.
+        pose, twist: (7,), (6,) of the round's frame in the surface's. lever: point of application of the force within the overlap, 0 at
+            the undeformed surface, 1 at the tip. blunt: 1 if a ball touches, 0 if its foremost point does. ahead: [m] largest distance
+            at which the (negative) penetration is exact, not a bound.
         work: (5, 3) scratch.
-        point, normal, slip: (3,) where the force acts [m], direction in which the passive side is pushed, and velocity of the active
-            side across it [m/s], in the surface's frame. Where the two are farther apart than ``ahead``, only a bound from above of the
-            penetration is given, no more than -``ahead``.
+        point, normal, slip: (3,) point of application of the force [m], direction of the force on the surface, and tangential velocity
+            of the round [m/s], in the surface's frame. If the two are farther apart than ``ahead``, the penetration is only an upper
+            bound, at most -``ahead``, and these are zero.
     """
     row = values[c * VALUES : (c + 1) * VALUES]
     start, end, free, nearest, v = work[0], work[1], work[2], work[3], work[4]
@@ -147,7 +147,7 @@ def meet(index, values, c, pose, twist, lever, blunt, ahead, work, point, normal
         return _apart(-near, point, normal, slip)
     turned = index[c * ROW + KIND] == TURNED
     if ball:
-        if turned:  # no tree to hand over, which costs as much again
+        if turned:  # passing a tree as well would double the cost
             distance = profile_distance(_profile(index, values, c), start, free)
         else:
             distance = signed_distance(_surface(index, values, c), start, radius + DEEPEST, free)
@@ -181,7 +181,7 @@ def meet(index, values, c, pose, twist, lever, blunt, ahead, work, point, normal
 
 @njit(cache=True, inline="always")
 def _apart(bound, point, normal, slip):
-    """Nothing is known but a bound of the penetration: that of another run is not left standing."""
+    """Return only a bound of the penetration; clear point, normal and slip, which may be left from another run."""
     for j in range(3):
         point[j] = normal[j] = slip[j] = 0.0
     return bound, 0.0
@@ -189,7 +189,7 @@ def _apart(bound, point, normal, slip):
 
 @njit(cache=True)
 def _beyond(row, start, end, ball):
-    """Least that the axis can be away from the surface by the ball that holds it [m]; 0 or less where that says nothing."""
+    """Lower bound of the distance [m] of the axis from the surface, from its bounding sphere; 0 or less if that gives no bound."""
     bound = row[BOUND]
     if not bound < math.inf:
         return 0.0

@@ -1,12 +1,12 @@
-"""Stiffness and damping of a pair that is held in phases, from the model's own Jacobians at its state.
+"""Stiffness and damping of a mechanism captured in phases, from the model's Jacobians at its state.
 
-What acts between the sides is a set of springs and dampers: the closures that hold, the pairs of geoms that push, and within a side the
-joints of parts that move. A spring k whose stretch changes by J = [J_x J_q] per shift and turn of the active side (x) and per motion of
-the joints (q) adds k J^T J. At frequencies well below those of the parts the joints follow by q = -K_qq^-1 K_qx x, and with
+The springs and dampers between the sides are the closed latches, the geom pairs in contact, and within a side the joints of moving parts.
+A spring k whose stretch changes by J = [J_x J_q] per displacement of the active side (x) and of the joints (q) adds k J^T J. At frequencies
+well below those of the parts the joints follow by q = -K_qq^-1 K_qx x, and with
 T = [1; -K_qq^-1 K_qx] stiffness and damping are T^T K T and T^T C T (static condensation, R. J. Guyan, AIAA Journal 3, 1965).
 
-A joint at an end of its range is held. Left out are friction, which is no damper, and the stiffness of the loads themselves, a force over
-the radius on which its place moves: 4 % of a clamped gripper, below 1 % of the other mechanisms that are shipped.
+A joint at an end of its range is fixed. Neglected are friction, which is not a linear damper, and the geometric stiffness of the loads (a
+force over the radius on which its point of application moves): 4 % of a clamped gripper, below 1 % of the other shipped mechanisms.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ PREFIX = {"A": composition.ACTIVE, "P": composition.PASSIVE}
 
 
 class _Spring(NamedTuple):
-    """Springs along ``axes`` (3, m) in W, at a place (3,) in W, between two frames; ``turns``: against turning about them."""
+    """Springs along ``axes`` (3, m) in W, at a point ``place`` (3,) in W, between two frames; ``turns``: rotational, about the axes."""
 
     frames: tuple[int, int]
     place: Array
@@ -43,10 +43,10 @@ class _Spring(NamedTuple):
 
 
 def held_pair(engagement: Engagement, batch: Batch, structure: Structure, i: int) -> tuple[Array, Array] | None:
-    """Stiffness and damping (6, 6) of run ``i``, of shift and turn of the active side about the place that is held, in P.
+    """Stiffness and damping (6, 6) of run ``i``, for translation and rotation of the active side about the latch's reference point, in P.
 
-    The place is that of :mod:`hiltestbed.identification.held`. Units N/m and N s/m, those of turning N m/rad and N m s/rad. None where
-    nothing holds, where a law that is not linear pushes, and on a compliant mount.
+    The point is that of :mod:`hiltestbed.identification.held`. Units N/m and N s/m, rotational N m/rad and N m s/rad. None if no latch
+    is closed, if a contact with a non-linear law pushes, and on a compliant mount.
     """
     closed = np.flatnonzero(engagement.latches.closed[i])
     if not closed.size or structure.mounted:
@@ -89,7 +89,7 @@ def _springs(engagement: Engagement, structure: Structure, model: mujoco.MjModel
 
 
 def _frames_of(engagement: Engagement, structure: Structure, model: mujoco.MjModel, c: int) -> tuple[int, int]:
-    """The frames in which the geoms of a pair stand still."""
+    """The frames to which the geoms of a pair are fixed."""
     sides = structure.sides
     if c < len(sides.facets):
         index = sides.geometry[0]
@@ -101,7 +101,7 @@ def _frames_of(engagement: Engagement, structure: Structure, model: mujoco.MjMod
 
 
 def _moving(structure: Structure, model: mujoco.MjModel) -> list[tuple[str, str]]:
-    """Port and body of each frame beyond A and S: those of the sides, and the parts whose geoms MuJoCo collides itself."""
+    """Port and body of each frame beyond A and S: those of the sides, and moving parts with geoms in native pairs."""
     sides = structure.sides
     native = [("A", _carrier("A", pair.active, model)) for pair in sides.native]
     native += [("P", _carrier("P", pair.passive, model)) for pair in sides.native]
@@ -109,7 +109,7 @@ def _moving(structure: Structure, model: mujoco.MjModel) -> list[tuple[str, str]
 
 
 def _carrier(port: str, geom: str, model: mujoco.MjModel) -> str:
-    """Name of the body of a side that moves and that a geom is on; empty where it stands still."""
+    """Name of the moving body that carries a geom of a side; empty if the geom is fixed to the side."""
     body = model.body(int(model.geom(PREFIX[port] + geom).bodyid[0]))
     while body.name.startswith(PREFIX[port]):
         if body.jntnum[0]:
@@ -119,7 +119,7 @@ def _carrier(port: str, geom: str, model: mujoco.MjModel) -> str:
 
 
 def _stretch(spring: _Spring, place: Array, axes: Array, joints: _Joints) -> Array:
-    """(m, 6 + joints) how the springs' ends part per shift and turn of the active side, in P, and per motion of the joints."""
+    """(m, 6 + joints) change of the springs' stretch per displacement of the active side, in P, and per motion of the joints."""
     a, p = spring.frames
     rigid = np.zeros((3, 6))
     if spring.turns:
@@ -133,14 +133,14 @@ def _stretch(spring: _Spring, place: Array, axes: Array, joints: _Joints) -> Arr
 
 
 class _Joints:
-    """The joints of parts that move, without those that are held.
+    """The joints of moving parts, without those at an end of their range.
 
     Attributes:
-        count: of them. stiffness, damping: (count,) of each, its actuator's included.
+        count: their number. stiffness, damping: (count,) of each, including its actuators'.
     """
 
     def __init__(self, batch: Batch, structure: Structure, i: int, places: Array) -> None:
-        """places: (2, 7) of A and P in W."""
+        """places: (2, 7) poses of A and P in W."""
         m, self._frames = batch.model, _moving(structure, batch.model)
         bodies = [m.body(PREFIX[port] + name).id for port, name in self._frames]
         self._chains = [_chain(m, body) for body in bodies]
@@ -157,11 +157,11 @@ class _Joints:
             self.damping[k] += damper
 
     def side(self, frame: int) -> str:
-        """Port of the side on which a frame is."""
+        """Port of the side to which a frame belongs."""
         return {ACTIVE: "A", PASSIVE: "P"}[frame] if frame < FRAMES else self._frames[frame - FRAMES][0]
 
     def motion(self, frame: int, place: Array, turns: bool) -> Array:
-        """(3, count) velocity in W of ``place`` (3,) on a frame, or its turning, per speed of each joint."""
+        """(3, count) velocity in W of the point ``place`` (3,) of a frame, or its angular velocity, per unit speed of each joint."""
         out = np.zeros((3, self.count))
         chain: list[int] = self._chains[frame - FRAMES] if frame >= FRAMES else []
         for k, j in enumerate(self._free):
@@ -175,7 +175,7 @@ class _Joints:
 
 
 def _in_place(batch: Batch, i: int, places: Array) -> tuple[Array, Array]:
-    """(J, 3) anchors and axes in W of all joints; those of a side stand to its port, at one of ``places`` (2, 7), as in its file."""
+    """(J, 3) anchors and axes in W of all joints, with the port of each side at its pose in ``places`` (2, 7)."""
     m = batch.model
     data = mujoco.MjData(m)
     data.qpos[:] = batch.bind("qpos")[i]
@@ -191,7 +191,7 @@ def _in_place(batch: Batch, i: int, places: Array) -> tuple[Array, Array]:
 
 
 def _chain(m: mujoco.MjModel, body: int) -> list[int]:
-    """Joints between a part that moves and its side."""
+    """Joints between a moving part and its side."""
     out: list[int] = []
     while body and m.body(body).name.startswith(tuple(PREFIX.values())):
         out += range(m.body_jntadr[body], m.body_jntadr[body] + m.body_jntnum[body])
@@ -200,13 +200,13 @@ def _chain(m: mujoco.MjModel, body: int) -> list[int]:
 
 
 def _held(batch: Batch, i: int, j: int) -> bool:
-    """Whether a joint stands at an end of its range. Its friction does not hold it: MuJoCo's gives way slowly, like a damper."""
+    """Whether a joint is at an end of its range. Joint friction does not count: MuJoCo's friction creeps like a damper."""
     m = batch.model
     return bool(m.jnt_limited[j]) and not m.jnt_range[j, 0] < batch.bind("qpos")[i, m.jnt_qposadr[j]] < m.jnt_range[j, 1]
 
 
 def _driven(batch: Batch, i: int, j: int) -> tuple[float, float]:
-    """Stiffness and damping of the actuators of a joint, of those that are not at the end of their force."""
+    """Stiffness and damping of the actuators of a joint, except those at their force limit."""
     m, spring, damper = batch.model, 0.0, 0.0
     q, v = float(batch.bind("qpos")[i, m.jnt_qposadr[j]]), float(batch.bind("qvel")[i, m.jnt_dofadr[j]])
     for u in range(m.nu):

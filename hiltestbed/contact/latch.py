@@ -1,4 +1,4 @@
-"""When the latches of a probe in its cone close."""
+"""The condition for the latches of a probe in its cone to close."""
 
 from __future__ import annotations
 
@@ -17,14 +17,15 @@ if TYPE_CHECKING:
 
 
 def latch_limits(scenarios: Sequence[Scenario]) -> Array:
-    """``(n, 3)`` least pz [m], cosine between the axes and speed [m/s] at which latches close; never met where there is no latch."""
+    """``(n, 3)`` limits at which latches close: depth [m] (pz >= -depth), least cosine between the axes, highest speed [m/s]; without a
+    latch they are never met."""
     latches = [s.mechanism.latch for s in scenarios]
     never = (-np.inf, 2.0, 0.0)
     return np.array([(la.depth, np.cos(np.radians(la.angle_deg)), la.speed) if la else never for la in latches])
 
 
 class LatchCondition:
-    """The conditions of `n` runs: depth, alignment and speed, all at once; a run without a latch never closes."""
+    """The closing conditions of `n` runs: depth, alignment and speed, all at once."""
 
     def __init__(self, scenarios: Sequence[Scenario]) -> None:
         self._limits = latch_limits(scenarios)
@@ -47,7 +48,7 @@ def closes(pose, twist, limits):
 
 @njit(cache=True)
 def _due(pose, twist, limits, latched, due):
-    """Mark in ``due`` (n,) the runs that are to latch now; True where there is one."""
+    """Mark in ``due`` (n,) the runs that are to latch now; returns whether there is any."""
     some = False
     for i in range(pose.shape[0]):
         due[i] = not latched[i] and closes(pose[i], twist[i], limits[i])

@@ -1,9 +1,9 @@
-"""What holds one side in the other: welds and ball joints of MuJoCo's, which exert what springs, dampers and the law ask for.
+"""Latches between the sides: MuJoCo's weld and connect equalities, made to exert the forces of springs, dampers and the contact law.
 
-A closure holds a site of the active side at a place in a site of the passive one. Its force in the passive site's frame is K (r - r_hold)
-+ C r', along z that of the contact's law where the closure is the contact itself; its torque K radius^2 times the rotation vector, and
-likewise with C. MuJoCo's equality takes spring and damper from its ``solref``; its two anchors are placed before each step, a
-STIFFER-th of the deflection apart, so that force and reaction act along one line and a law of any shape is exerted.
+A closure holds a site of the active side at a pose in a site of the passive one. Its force in the passive site's frame is K (r - r_hold)
++ C r', along z that of the contact's law if the closure is the contact itself; its torque is K radius^2 times the rotation vector, plus the
+corresponding damping. MuJoCo's equality takes spring and damper from its ``solref``; its two anchors are placed before each step, 1/STIFFER
+of the deflection apart, so that force and reaction act along one line and any force law can be exerted.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from hiltestbed.contact.wrench import LATCH_RADIUS, relate_one
 from hiltestbed.frames import Array, quat_exp, quat_mul, quat_mul_conj, rotate, rotation_vector
 from hiltestbed.jit import njit
 
-STIFFER = 1e4  # times the stiffness of a closure: that of MuJoCo's spring between anchors that are so much nearer
+STIFFER = 1e4  # stiffness of MuJoCo's spring over that of the closure; the distance of the anchors is smaller by the same factor
 SITE = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
 
 
@@ -34,9 +34,9 @@ class Closure:
     """One of a mechanism's closures.
 
     Attributes:
-        name: of MuJoCo's equality. turns: whether it holds against turning. law: along z acts the contact's law. together: it draws the
-        sites into one place, else it holds them where they are when it closes. stiffness [N/m], damping [N s/m] and radius [m]; None where
-        they are those of the contact. frames: of the active and of the passive site; places: (2, 7) of the sites in them.
+        name: of MuJoCo's equality. turns: whether it resists rotation. law: whether the contact's law acts along z. together: whether it
+        makes the sites coincide; otherwise it holds the relative pose at which it closes. stiffness [N/m], damping [N s/m] and radius [m];
+        None: those of the contact. frames: of the active and of the passive site; places: (2, 7) poses of the sites in them.
     """
 
     name: str
@@ -51,7 +51,7 @@ class Closure:
 
 
 def closures_of(structure: Structure) -> list[Closure]:
-    """What may hold the sides of a mechanism."""
+    """The closures of a mechanism."""
     found = (
         [Closure(LATCH, True, True, False, None, None, LATCH_RADIUS, (ACTIVE, PASSIVE), np.array([SITE, SITE]))]
         if structure.latched
@@ -75,7 +75,7 @@ class Latches:
 
     Attributes:
         closed: (n, K) bool. springs: (n, K, 3) stiffness [N/m], damping [N s/m] and radius [m] of each.
-        hold: (n, K, 7) the pose of the active site in the passive one that each holds.
+        hold: (n, K, 7) the held pose of each, of the active site in the passive one.
     """
 
     def __init__(self, batch: Batch, structure: Structure, rows: Array) -> None:
@@ -107,7 +107,7 @@ class Latches:
         self.pose, self.twist = np.zeros((n, count, 7)), np.zeros((n, count, 6))
 
     def open(self, captured: bool) -> None:
-        """Hold nothing; or A at P, where the mechanism is ``captured`` from the start."""
+        """Open all closures; or hold A at P if the mechanism is ``captured`` from the start."""
         self.closed[:] = captured
         self._closing[:] = False
         self.state[:] = 0.0
@@ -115,13 +115,13 @@ class Latches:
         self._active[:, self._ids] = captured
 
     def number(self, name: str) -> int:
-        """Which closure has a name."""
+        """The index of the closure of this name."""
         return [c.name for c in self.closures].index(name)
 
     def close(self, k: int, which: NDArray[np.bool_], force: Array) -> None:
-        """Let closure ``k`` hold where its sites are, in the runs ``which`` (n,), from the next :meth:`update` on.
+        """Close closure ``k`` at the present pose of its sites, in the runs ``which`` (n,), from the next update on.
 
-        Its springs bear the ``force`` (n, 3) on the passive side, in the passive site.
+        Its springs carry the ``force`` (n, 3) on the passive side, in the passive site's frame.
         """
         self.hold[which, k] = SITE if self._together[k] else self.pose[which, k]
         if not self._together[k]:
@@ -129,7 +129,7 @@ class Latches:
         self.closed[which, k] = self._closing[which, k] = True
 
     def holding(self, dt: float, frames: Array, motions: Array, carry: Array) -> Callable[[], None]:
-        """What finds, once an instant, where the sites are in each other and sets the anchors of what is closed, of arrays that stay."""
+        """A call, once per instant, that updates the sites' relative poses and the anchors of closed closures; its arrays are reused."""
         return bound(
             _hold, dt, self._rows, self.springs, self._law, self._turns, self._frames, self._places, self._ids, frames, motions, carry,
             self.closed, self._closing, self._active, self.hold, self.state, self.pose, self.twist, self._data,
@@ -140,7 +140,7 @@ class Latches:
 def _hold(
     dt, rows, spring, law, turns, pairs, places, ids, frames, motions, carry, closed, closing, active, hold, state, pose, twist, data
 ):
-    """Relative pose and twist of the sites of each closure, and the anchors of those that are closed."""
+    """Relative pose and twist of the sites of each closure, and the anchors of closed closures."""
     site = np.empty((2, 7))
     velocity = np.empty((2, 6))
     work, turn, f, q, r = np.empty((1, 3)), np.empty(3), np.empty(3), np.empty(4), np.empty(4)
@@ -160,7 +160,7 @@ def _hold(
             if law[k]:
                 f[2] = contact_force(at[2] - hold[i, k, 2], rate[2], dt, rows[i], state[i], True) - damping * rate[2]
             carrier, passive = carry[i, pairs[k, 0]], carry[i, pairs[k, 1]]
-            first, second = (0, 3) if turns[k] else (3, 0)  # where the anchors of the active and of the passive body stand
+            first, second = (0, 3) if turns[k] else (3, 0)  # positions in eq_data of the anchors of the active and the passive body
             _anchor(carrier, places[k, 0], 0.0 * f, out[first : first + 3], r)
             for j in range(3):
                 f[j] = at[j] - f[j] / (STIFFER * stiffness)
@@ -172,7 +172,7 @@ def _hold(
 
 @njit(cache=True)
 def site_state(frame, motion, place, pose, twist):
-    """Pose (7,) and twist (6,) in W of a site at ``place`` (7,) in a frame."""
+    """Pose (7,) and twist (6,) in W of a site at the pose ``place`` (7,) in a frame."""
     rotate(frame[3:7], place[0:3], pose[0:3])
     quat_mul(frame[3:7], place[3:7], pose[3:7])
     x, y, z = pose[0], pose[1], pose[2]
@@ -186,7 +186,7 @@ def site_state(frame, motion, place, pose, twist):
 
 @njit(cache=True)
 def _anchor(carry, place, at, out, scratch):
-    """``out`` (3,) in a body of a point ``at`` (3,) in a site at ``place`` (7,) of a frame, the frame at ``carry`` (7,) in the body."""
+    """``out`` (3,): a point ``at`` (3,) of a site, in a body's frame; site at ``place`` (7,) in a frame at ``carry`` (7,) in the body."""
     v = scratch[0:3]
     rotate(place[3:7], at, v)
     for j in range(3):
@@ -198,7 +198,7 @@ def _anchor(carry, place, at, out, scratch):
 
 @njit(cache=True)
 def _less(now, hold, turn, out):
-    """``out`` (4,): the attitude from which ``now`` (4,) has turned a STIFFER-th of what it has turned from ``hold`` (4,)."""
+    """``out`` (4,): the attitude from which ``now`` (4,) is rotated by 1/STIFFER of its rotation from ``hold`` (4,)."""
     q = np.empty(4)
     quat_mul_conj(now, hold, q)
     rotation_vector(q, turn)
@@ -210,7 +210,8 @@ def _less(now, hold, turn, out):
 
 @njit(cache=True)
 def _attitude(active, passive, places, hold, r, out):
-    """``out`` (4,), w first: the active body in the passive one where the active site has the attitude ``hold`` (4,) in the passive."""
+    """``out`` (4,), w first: attitude of the active body in the passive one if the active site has the attitude ``hold`` (4,) in the
+    passive site."""
     q = np.empty(4)
     quat_mul(passive[3:7], places[1, 3:7], q)
     quat_mul(q, hold, r)

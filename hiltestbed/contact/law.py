@@ -1,11 +1,11 @@
-"""The force law of the contact, with everything that a real buffer or a real frame adds to k x + c v.
+"""The force law of the contact: k x + c v and everything that a real buffer or frame adds to it.
 
-One contact's law is a row of parameters (:mod:`hiltestbed.contact.parameters`) and a row of states. Order: the frame gives way, the touch
-is shifted, play is taken out, then elastic force, damping, friction, preload, hard stop and relaxation add up, and the sum is kept from
-pulling. Dry friction that gives before it slips is a spring that drags a slider: play, where there is any, lies between the port and
-that spring, and travels with the slider; the frame's deflection is not seen by it. Curves that were learned are added: over the penetration
-beyond the play, over the rate, and over the stretch of a slider of their own, which feels no play; others change the spring by a part
-that hangs on penetration and rate.
+One contact's law is a row of parameters (:mod:`hiltestbed.contact.parameters`) and a row of states. Order: the frame deflects, the touch
+offset and the play are subtracted, then elastic force, damping, friction, preload, hard stop and relaxation are summed, and the sum is
+limited to pushing. Elastic dry friction is a spring in series with a slider: any play lies between the port and that spring, and moves with
+the slider; the frame's deflection does not act on it. Learned curves are added: over the penetration beyond the play, over the rate, and
+over the stretch of a slider of their own, on which play does not act; others change the elastic force by a fraction that depends on
+penetration and rate.
 """
 
 from __future__ import annotations
@@ -44,16 +44,16 @@ from hiltestbed.piecewise import PACKED, along, between, steepest
 
 BRANCH, TOUCHING, DEFLECTION, DEFLECTION_RATE, SLIDER, LEARNED_SLIDER, STATES = 0, 1, 2, 3, 4, 5, 6
 SLIP_SPEED = 2e-4  # [m/s] sgn(v) is tanh(v/SLIP_SPEED)
-MODE_STEP = 0.05  # [rad] largest phase that the frame's mode advances in one inner step
+MODE_STEP = 0.05  # [rad] largest phase advance of the frame's mode in one inner step
 
 
 @njit(cache=True)
 def _law(x, v, branch, p, held):
-    """Force [N] at penetration x [m] and rate v [m/s], Maxwell branch and slider carrying `branch` [N]; `held`: it pulls, too."""
+    """Force [N] at penetration x [m] and rate v [m/s]; `branch` [N]: of Maxwell branch and sliders; `held`: it may pull."""
     if held:
         half = 0.5 * p[PLAY]
         if abs(x) <= half and half > 0.0:
-            return branch if p[DRAG] > 0.0 or p[OVER_STRETCH] > 0.0 else 0.0  # play that travels with the slider is in the branch
+            return branch if p[DRAG] > 0.0 or p[OVER_STRETCH] > 0.0 else 0.0  # play that moves with the slider is already in branch
         x = x - half if x > 0.0 else x + half
     elif x <= 0.0:
         return 0.0
@@ -82,20 +82,20 @@ def _law(x, v, branch, p, held):
 
 @njit(cache=True)
 def _of_spring(x, v, p):
-    """The part of the elastic force that learned curves add."""
+    """The fraction of the elastic force that learned curves add."""
     deep = between(p[SPRING_OVER_PENETRATION : SPRING_OVER_PENETRATION + PACKED], x)
     return deep + between(p[SPRING_OVER_RATE : SPRING_OVER_RATE + PACKED], v)
 
 
 @njit(cache=True)
 def _with_frame(x, v, branch, p, held):
-    """The force with the frame's spring in series, at the rate v of the whole: the root of F = law(x - F/k_frame)."""
+    """The force with the frame's spring in series, at the total rate v: the root of F = law(x - F/k_frame)."""
     rigid = _law(x, v, branch, p, held)
     if p[FRAME] <= 0.0 or rigid == 0.0:
         return rigid
     low, high = min(rigid, 0.0), max(rigid, 0.0)
     force = rigid
-    for _ in range(60):  # the law rises with x: one root between 0 and the rigid force
+    for _ in range(60):  # the law increases with x: one root between 0 and the rigid force
         gap = _law(x - force / p[FRAME], v, branch, p, held) - force
         if gap > 0.0:
             low = force
@@ -116,7 +116,7 @@ def contact_force(x, v, dt, p, state, held):
     """The contact force [N] at an instant.
 
     Args:
-        x: penetration [m] by geometry, v: its rate [m/s], both at the instant. dt: time since the last instant [s].
+        x: geometric penetration [m], v: its rate [m/s], both at the instant. dt: time since the last instant [s].
         p: (PARAMETERS,). state: (STATES,), changed in place; zero at the start. held: whether the mechanism pulls as well as pushes.
     """
     if p[MODE] > 0.0:
@@ -151,7 +151,7 @@ def _at_rest(x, v, dt, p, state, held):
 
 @njit(cache=True)
 def _dragged(x, p, state, held):
-    """Friction [N] of a slider that a spring drags, through the play of a captured mechanism: within the play, stuck, or slipping."""
+    """Friction [N] of a slider behind a spring and the play of a captured mechanism: within the play, sticking, or slipping."""
     half = 0.5 * p[PLAY] if held else 0.0
     reach = half + p[DRY] / p[DRAG]
     stretch = x - state[SLIDER]
@@ -163,7 +163,7 @@ def _dragged(x, p, state, held):
 
 @njit(cache=True)
 def _over_stretch(x, curve, state):
-    """Force [N] of a curve over the stretch of a slider, which lies still until the stretch would leave the ends of the curve."""
+    """Force [N] of a curve over the stretch of a slider, which sticks until the stretch would leave the curve's range."""
     low, high = curve[1], curve[int(curve[0])]
     stretch = min(max(x - state[LEARNED_SLIDER], low), high)
     state[LEARNED_SLIDER] = x - stretch
@@ -172,7 +172,7 @@ def _over_stretch(x, curve, state):
 
 @njit(cache=True)
 def _ringing(x, v, dt, p, state, held):
-    """The frame's mode in steps of at most MODE_STEP, drift, kick, drift (second order), under the force that it feels."""
+    """Integrate the frame's mode in steps of at most MODE_STEP, drift-kick-drift (second order), under the contact force."""
     springs = p[STIFFNESS] + p[STOP_STIFFNESS] + p[BRANCH_STIFFNESS]
     springs += steepest(p[OVER_PENETRATION : OVER_PENETRATION + PACKED]) + steepest(p[OVER_STRETCH : OVER_STRETCH + PACKED])
     stiffest = math.sqrt(p[MODE] ** 2 + springs / p[MODE_MASS])

@@ -1,8 +1,8 @@
-"""The passive side on its compliant mount: where its frame S is, from the six joints between mechanism and sensor.
+"""The passive side on its compliant mount: pose of its frame S from the six joints between mechanism and sensor.
 
 Three slides x, y, z and three hinges rx, ry, rz in this order, all through P's origin; each has the stiffness and damping of its axis.
-The weight of what moves on them hangs on a constant-force balance at its centre of mass, as gravity is unloaded on a real rig: springs
-that sag, and a weight whose lever arm at the sensor swings, would otherwise stand in the reading of the torques.
+A constant force at the centre of mass balances the weight of the moving parts, as gravity is offloaded on a real rig: otherwise the sag of
+the springs, and the weight's changing lever arm at the sensor, would appear in the torque readings.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
-CARRIER, MOUNTED = "passive_carrier", "passive_mount"  # bodies: what carries the force sensor, and the passive side on its mount
+CARRIER, MOUNTED = "passive_carrier", "passive_mount"  # bodies: the carrier of the force sensor, and the passive side on its mount
 
 
 def add_joints(body: mujoco.MjsBody) -> None:
-    """Put ``body``, which carries the passive side with P at its origin, on the mount's joints."""
+    """Add the mount's joints to ``body``, which carries the passive side with P at its origin."""
     for k, axis in enumerate(AXES):
         kind = mujoco.mjtJoint.mjJNT_SLIDE if k < 3 else mujoco.mjtJoint.mjJNT_HINGE
         body.add_joint(name=f"mount_{axis}", type=kind, axis=np.eye(3)[k % 3], stiffness=1.0, damping=1.0)
@@ -37,13 +37,13 @@ class Mount:
     """The mounts of `n` runs.
 
     Attributes:
-        place: (n, 7) pose of S in W; motion: (n, 6) its twist in W. On a rigid mount ``tilt``, and no motion.
-        body: number of the body that carries the passive side; centre: (n, 3) its centre of mass in W [m], as MuJoCo has it.
-        balance: (n, 6) constant force against gravity on the whole, in W at W's origin; 0 on a rigid mount.
+        place: (n, 7) pose of S in W; motion: (n, 6) its twist in W. On a rigid mount ``tilt``, without motion.
+        body: number of the body that carries the passive side; centre: (n, 3) its centre of mass in W [m], as in MuJoCo.
+        balance: (n, 6) constant force that balances the total weight, in W at W's origin; 0 on a rigid mount.
     """
 
     def __init__(self, batch: Batch, scenarios: Sequence[Scenario], tilt: Array) -> None:
-        """``tilt``: (n, 7) pose of S in the passive side's nominal place: level but for a port that is misaligned."""
+        """``tilt``: (n, 7) pose of S in its nominal frame: the identity, except for a misaligned port."""
         n = len(scenarios)
         model = batch.model
         self.tilt = tilt
@@ -69,16 +69,16 @@ class Mount:
             damping[i, self._adr[1] : self._adr[1] + 6] = s.mechanism.mount.damping
 
     def observe(self, qpos: Array, qvel: Array) -> None:
-        """Set ``place`` and ``motion`` from the joints of the model; a rigid mount stays where it is."""
+        """Set ``place`` and ``motion`` from the joints of the model; on a rigid mount they do not change."""
         if self.moves:
             self._seen.on(qpos, qvel)()
 
     def ride(self, place: Array, motion: Array) -> None:
-        """Take over where the passive side is: P at ``place`` (n, 7), moving with ``motion`` (n, 6), on a rigid mount."""
+        """Set the pose of a rigidly mounted passive side: P at ``place`` (n, 7), moving with ``motion`` (n, 6)."""
         self.riding(place, motion)()
 
     def riding(self, place: Array, motion: Array) -> Callable[[], None]:
-        """:meth:`ride` of arrays that stay."""
+        """:meth:`ride` bound to arrays that are reused."""
         return self._ridden.on(place, motion)
 
 
@@ -97,7 +97,7 @@ def _observe(qpos, qvel, adr, tilt, offset, middle, place, motion, centre, balan
 @njit(cache=True)
 def _ride(carrier, speed, tilt, offset, place, motion, centre):
     for i in range(place.shape[0]):
-        place[i, 0:3] = carrier[i, 0:3]  # a tilt turns about P's origin
+        place[i, 0:3] = carrier[i, 0:3]  # a tilt rotates about P's origin
         quat_mul(carrier[i, 3:7], tilt[i, 3:7], place[i, 3:7])
         motion[i] = speed[i]
         rotate(carrier[i, 3:7], offset, centre[i])
@@ -107,7 +107,7 @@ def _ride(carrier, speed, tilt, offset, place, motion, centre):
 
 @njit(cache=True)
 def _turn(q, before, r):
-    """``before`` (4,) becomes the attitude that the three hinges of ``q`` (6,) make; ``r`` (4,) is scratch."""
+    """Write to ``before`` (4,) the attitude of the three hinges in ``q`` (6,); ``r`` (4,) is scratch."""
     turn = np.empty(4)
     before[:] = 0.0
     before[3] = 1.0
@@ -132,7 +132,7 @@ def mount_place(q, qd, tilt, place, motion):
         motion[j] = qd[j]
         axis[:] = 0.0
         axis[j] = 1.0
-        rotate(attitude, axis, axis)  # the hinge's axis, turned by those before it
+        rotate(attitude, axis, axis)  # the hinge's axis, rotated by the hinges before it
         for k in range(3):
             motion[3 + k] += qd[3 + j] * axis[k]
         half = 0.5 * q[3 + j]
@@ -147,7 +147,7 @@ def mount_place(q, qd, tilt, place, motion):
 
 @njit(cache=True)
 def _centre(q, offset, centre):
-    """``centre`` (3,) of mass in W of a body whose centre lies at ``offset`` (3,) from its joints."""
+    """``centre`` (3,): centre of mass in W of a body, at ``offset`` (3,) from its joints."""
     attitude, r = np.empty(4), np.empty(4)
     _turn(q, attitude, r)
     rotate(attitude, offset, centre)
@@ -156,7 +156,7 @@ def _centre(q, offset, centre):
 
 
 def centre_of(model: mujoco.MjModel, body: int) -> tuple[Array, float]:
-    """Centre of mass (3,) of a body and all that it carries, in its frame [m], and the mass of that [kg]."""
+    """Centre of mass (3,) of a body and everything that it carries, in its frame [m], and their mass [kg]."""
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     return data.xmat[body].reshape(3, 3).T @ (data.subtree_com[body] - data.xpos[body]), float(model.body_subtreemass[body])

@@ -1,4 +1,4 @@
-"""A compliant mount in closed form, as MuJoCo integrates it: what a replay moves where the loop steps the rig."""
+"""A compliant mount in closed form, integrated as MuJoCo does: for a replay, which does not step the rig."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class MountDynamics:
-    """The mounts of R runs as MuJoCo integrates them: six joints, one rigid body on them whose weight is balanced at its centre of mass.
+    """The mounts of R runs, integrated as in MuJoCo: six joints and one rigid body whose weight is balanced at its centre of mass.
 
     Attributes:
         stiffness, damping: (R, 6) [N/m, N m/rad; N s/m, N m s/rad].
@@ -35,7 +35,7 @@ class MountDynamics:
 
     @classmethod
     def of(cls, scenarios: Sequence[Scenario]) -> MountDynamics | None:
-        """The mounts of scenarios of one mechanism; None where it is rigid."""
+        """The mounts of scenarios with one mechanism; None if its mount is rigid."""
         if scenarios[0].mechanism.mount is None:
             return None
         mounts = [s.mechanism.mount for s in scenarios if s.mechanism.mount is not None]
@@ -46,10 +46,10 @@ class MountDynamics:
 
 
 def borne(scenario: Scenario, reading: Array) -> Array:
-    """``(N, 6)`` what a contact exerts where the sensor stands behind a mount and reads ``reading`` (N, 6), both in P at P's origin.
+    """``(N, 6)`` contact wrench for a ``reading`` (N, 6) of the sensor behind the mount, both in P at P's origin.
 
-    The body on the mount has an inertia of its own: w = r + M q'' while r = K q + C q', to the first order in the mount's motion q.
-    Without a mount they are the same.
+    The body on the mount has inertia: w = r + M q'' with r = K q + C q', to first order in the mount's motion q.
+    Without a compliant mount they are equal.
     """
     dynamics = MountDynamics.of([scenario])
     if dynamics is None:
@@ -57,7 +57,7 @@ def borne(scenario: Scenario, reading: Array) -> Array:
     stiffness, damping, body, h = dynamics.stiffness[0], dynamics.damping[0], dynamics.body, scenario.tick
     rate = np.empty_like(reading)
     for j in range(6):
-        if damping[j] > 0.0:  # q' = (r - K q)/C, r straight over a tick
+        if damping[j] > 0.0:  # q' = (r - K q)/C, r linear over a tick
             stays = math.exp(-stiffness[j] * h / damping[j])
             mean = (1.0 - stays) * damping[j] / (stiffness[j] * h)
             pressed = lfilter([1.0 - mean, mean - stays], [1.0, -stays], reading[:, j])  # K q
@@ -68,18 +68,18 @@ def borne(scenario: Scenario, reading: Array) -> Array:
 
 
 def _inertia(body: Array) -> Array:
-    """``(6, 6)`` inertia of a body (BODY,) about P's origin: what a twist's rate (linear, then angular) takes of force and moment."""
+    """``(6, 6)`` inertia of a body (BODY,) about P's origin: from the rate of a twist (linear, then angular) to force and moment."""
     m, c = body[MASS], body[CENTRE : CENTRE + 3]
     cross = np.array([[0.0, -c[2], c[1]], [c[2], 0.0, -c[0]], [-c[1], c[0], 0.0]])
     return np.block([[m * np.eye(3), -m * cross], [m * cross, body[INERTIA:BODY].reshape(3, 3)]])
 
 
-MASS, CENTRE, INERTIA, BODY = 0, 1, 4, 13  # where each part of a body begins, and its length
-SCRATCH = 17  # rows of 3 that a step of one mount needs
+MASS, CENTRE, INERTIA, BODY = 0, 1, 4, 13  # start of each part of a body row, and its length
+SCRATCH = 17  # scratch rows of 3 that a step of one mount needs
 
 
 def carried(model: mujoco.MjModel, body: str) -> Array:
-    """``(BODY,)`` a body and all that it carries, as one rigid body, about the body's origin in its axes."""
+    """``(BODY,)`` a body and everything that it carries, as one rigid body, about the body's origin in its axes."""
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     root = model.body(body).id
@@ -101,7 +101,7 @@ def carried(model: mujoco.MjModel, body: str) -> Array:
 
 @njit(cache=True)
 def _axes(q, axes, turn):
-    """``axes`` (3, 3): a row for each hinge, turned by those before it; ``turn`` (3, 3): the attitude that they make together."""
+    """``axes`` (3, 3): axis of each hinge as a row, rotated by those before it; ``turn`` (3, 3): the resulting attitude."""
     cx, sx, cy, sy, cz, sz = math.cos(q[3]), math.sin(q[3]), math.cos(q[4]), math.sin(q[4]), math.cos(q[5]), math.sin(q[5])
     axes[0, 0], axes[0, 1], axes[0, 2] = 1.0, 0.0, 0.0
     axes[1, 0], axes[1, 1], axes[1, 2] = 0.0, cx, sx
@@ -113,10 +113,10 @@ def _axes(q, axes, turn):
 
 @njit(cache=True)
 def mount_step(stiffness, damping, body, dt, wrench, q, qd, work):
-    """One step of one mount under ``wrench`` (6,) on the passive side, in W at W's origin: rates first, dampers implicit, as MuJoCo's.
+    """One step of one mount under ``wrench`` (6,) on the passive side, in W at W's origin: rates first, dampers implicit, as in MuJoCo.
 
-    Newton and Euler for the body about the point that the slides carry, projected on the joints (R. Featherstone, Rigid Body Dynamics
-    Algorithms, 2008, chapter 3). ``q``, ``qd`` (6,) are moved on; ``work`` (SCRATCH, 3) is scratch.
+    Newton-Euler equations of the body about the point that the slides carry, projected onto the joints (R. Featherstone, Rigid Body
+    Dynamics Algorithms, 2008, chapter 3). ``q``, ``qd`` (6,) are updated; ``work`` (SCRATCH, 3) is scratch.
     """
     axes, turn, inertia, half = work[0:3], work[3:6], work[6:9], work[10:13]
     w, m = work[9], body[MASS]
@@ -133,7 +133,7 @@ def mount_step(stiffness, damping, body, dt, wrench, q, qd, work):
     for a in range(3):
         for b in range(a, 3):
             inertia[a, b] = inertia[b, a] = half[a, 0] * turn[b, 0] + half[a, 1] * turn[b, 1] + half[a, 2] * turn[b, 2]
-    # What the hinges' axes turn each other by: the part of the angular acceleration that no joint's acceleration makes
+    # Velocity-dependent part of the angular acceleration, from the rotation of the hinges' axes
     ux, uy, uz = qd[3] * ax[0] + qd[4] * ay[0], qd[3] * ax[1] + qd[4] * ay[1], qd[3] * ax[2] + qd[4] * ay[2]
     bx = qd[4] * qd[3] * (ax[1] * ay[2] - ax[2] * ay[1]) + qd[5] * (uy * az[2] - uz * az[1])
     by = qd[4] * qd[3] * (ax[2] * ay[0] - ax[0] * ay[2]) + qd[5] * (uz * az[0] - ux * az[2])
@@ -159,14 +159,14 @@ def mount_step(stiffness, damping, body, dt, wrench, q, qd, work):
 
 @njit(cache=True)
 def _accelerate(stiffness, damping, m, cx, cy, cz, dt, force, torque, axes, inertia, q, qd, taken, load):
-    """Add ``dt (M + dt C)^-1`` times force (3,) and torque (3,) to the rates, the slides eliminated first: their block is diagonal.
+    """Add ``dt (M + dt C)^-1`` times force (3,) and torque (3,) to the rates; the slides, whose block is diagonal, are eliminated first.
 
     ``taken`` (3, 3), ``load`` (3,): scratch.
     """
     ix, iy, iz = 1.0 / (m + dt * damping[0]), 1.0 / (m + dt * damping[1]), 1.0 / (m + dt * damping[2])
     fx, fy, fz = force
     tx, ty, tz = torque
-    for a in range(3):  # the force that a hinge's acceleration takes, and what loads the hinge
+    for a in range(3):  # the force that a hinge's acceleration requires, and the load on the hinge
         wx, wy, wz, hinge = axes[a, 0], axes[a, 1], axes[a, 2], 3 + a
         px, py, pz = m * (wy * cz - wz * cy), m * (wz * cx - wx * cz), m * (wx * cy - wy * cx)
         taken[a, 0], taken[a, 1], taken[a, 2] = px, py, pz
@@ -192,7 +192,7 @@ def _accelerate(stiffness, damping, m, cx, cy, cz, dt, force, torque, axes, iner
 
 @njit(cache=True)
 def _between(w, v, p, r, inertia, ix, iy, iz):
-    """Entry of the hinges' inertia between those about ``w`` and ``v`` (3,), which take the forces ``p`` and ``r`` (3,)."""
+    """Entry of the hinges' reduced inertia matrix about ``w`` and ``v`` (3,), whose accelerations require forces ``p`` and ``r`` (3,)."""
     total = -(p[0] * ix * r[0] + p[1] * iy * r[1] + p[2] * iz * r[2])
     for i in range(3):
         total += w[i] * (inertia[i, 0] * v[0] + inertia[i, 1] * v[1] + inertia[i, 2] * v[2])
@@ -210,9 +210,9 @@ def _solved(a, b, c, d, e, f, u, v, w):
 
 @njit(cache=True)
 def mount_reading(stiffness, damping, q, qd, out):
-    """``out`` (6,): what the mount hands on to the sensor, in W at W's origin.
+    """``out`` (6,): the wrench that the mount transmits to the sensor, in W at W's origin.
 
-    A hinge's torque is the component of the moment along its axis: of the three, which are not at right angles, the moment is found.
+    A hinge's torque is the moment's component along its axis; the moment is solved from the three axes, which are not orthogonal.
     """
     for j in range(6):
         out[j] = stiffness[j] * q[j] + damping[j] * qd[j]

@@ -1,4 +1,4 @@
-"""The numbers of a contact: what its settings and its effects make of the force law and of the surfaces."""
+"""Parameters of a contact, of its force law and its surfaces, from the settings and the effects."""
 
 from __future__ import annotations
 
@@ -18,25 +18,25 @@ if TYPE_CHECKING:
 
 @dataclass
 class ContactParameters:
-    """One contact; a part of the law that is not there has the neutral number.
+    """One contact; an inactive term of the law has a neutral value.
 
     Attributes:
         stiffness [N/m], damping [N s/m], friction [-]: of k x + c v and of Coulomb's law.
-        power_stiffness [N/m^n], exponent: k x^n in place of k x where the stiffness is positive.
-        alpha: [s/m] of Hunt and Crossley in place of the damper where it is not negative.
-        dry: [N] dry friction; drag: [N/m] of the spring that pulls its slider, 0 where it is rigid.
-        preload: [N]. stop [m], stop_stiffness [N/m]: a second spring past a position.
-        branch_stiffness [N/m], branch_time [s]: of a Maxwell branch. adhesion: [N] that a pull may reach.
+        power_stiffness [N/m^n], exponent: k x^n in place of k x if power_stiffness is positive.
+        alpha: [s/m] of Hunt-Crossley damping, in place of the linear damper if not negative.
+        dry: [N] dry friction; drag: [N/m] of the spring in series with its slider, 0: rigid.
+        preload: [N]. stop [m], stop_stiffness [N/m]: a second spring beyond a penetration.
+        branch_stiffness [N/m], branch_time [s]: of a Maxwell branch. adhesion: [N] largest pulling force.
         frame: [N/m] of the sensor's frame in series; 0: rigid. offset: [m] by which the touch comes later.
-        captured: 1 where the mechanism pulls as well as pushes. play: [m] in a captured mechanism.
-        mode [rad/s], mode_damping [-], mode_mass [kg]: of the frame that rings; reaction: 1 where the sensor reads the frame's reaction.
-        tilt_x, tilt_y: [rad] of the passive port. lever: where the force acts, 0 at the undeformed surface, 1 at the tip.
-        side_stiffness, side_damping: [-] of what is held, across the insertion and about each axis, over those along it.
-        ring: [-] radius at which a latch resists turning, over LATCH_RADIUS; 0: it does not.
-        blunt: 1 where the ball of the tip touches, 0 where its foremost point does, on a plane that is tilted.
-        over_penetration, over_rate, over_stretch: (PACKED,) curves of a force [N] that is added, over penetration [m], its rate [m/s] and
-            the stretch [m] of a slider, which follows as soon as that would leave the curve's ends.
-        spring_over_penetration, spring_over_rate: (PACKED,) curves of a part [-] of the elastic force that is added.
+        captured: 1 if the mechanism pulls as well as pushes. play: [m] in a captured mechanism.
+        mode [rad/s], mode_damping [-], mode_mass [kg]: of the frame's mode; reaction: 1 if the sensor reads the frame's reaction.
+        tilt_x, tilt_y: [rad] of the passive port. lever: point of application of the force, 0 at the undeformed surface, 1 at the tip.
+        side_stiffness, side_damping: [-] of a captured mechanism across the insertion and about each axis, relative to those along it.
+        ring: [-] radius at which a latch resists rotation, over LATCH_RADIUS; 0: it does not.
+        blunt: 1 if the ball of the tip touches; 0 if its foremost point does (this differs on a tilted plane).
+        over_penetration, over_rate, over_stretch: (PACKED,) curves of an added force [N] over penetration [m], its rate [m/s] and the
+            stretch [m] of a slider, which slips where the stretch would leave the curve's range.
+        spring_over_penetration, spring_over_rate: (PACKED,) curves of a fraction [-] of the elastic force that is added.
     """
 
     stiffness: float
@@ -76,45 +76,45 @@ class ContactParameters:
 
     @classmethod
     def believed(cls, contact: Contact, captured: bool = False) -> ContactParameters:
-        """What a scenario's settings say of a contact, without any effect."""
+        """The nominal contact: the settings of a scenario, without effects."""
         return cls(contact.stiffness, contact.damping, friction=contact.friction, captured=float(captured))
 
     def with_effects(self, effects: Iterable[Effect]) -> ContactParameters:
-        """The same object after the effects of the contact among ``effects`` have changed it."""
+        """Apply those of ``effects`` that act on the contact, in place, and return the same object."""
         for effect in effects:
             if effect.link == "contact":
                 effect.apply(self)
         return self
 
     def after_capture(self) -> ContactParameters:
-        """The same object as a latch that closed in the course of a run knows it: no touch, no step at it, no stop past a depth."""
+        """Adapt it, in place, to a latch that closed during a run: no touch offset, preload, hard stop or curve over penetration."""
         self.offset = self.preload = self.stop_stiffness = 0.0
         self.stop, self.over_penetration, self.spring_over_penetration = np.inf, packed(()), packed(())
         return self
 
     def row(self) -> Array:
-        """``(PARAMETERS,)`` as the kernels take it."""
+        """``(PARAMETERS,)`` row for the kernels."""
         numbers = np.array([getattr(self, name) for name in NUMBERS], dtype=float)
         return np.concatenate([numbers, *(getattr(self, name) for name in CURVES)])
 
 
 def believed_contacts(mechanism: Mechanism) -> list[ContactParameters]:
-    """Of each rule of a mechanism, and last of its latch, without any effect."""
+    """The nominal contact of each rule of a mechanism, and last of its latch, without effects."""
     found = [ContactParameters.believed(c) for c in mechanism.contacts()]
     return [*found, ContactParameters.believed(mechanism.latch_contact(), mechanism.captured)]
 
 
 def contact_rows(contacts: Sequence[ContactParameters], rules: Sequence[int], captured: bool) -> Array:
-    """``(T + 1, PARAMETERS)`` of each pair, which falls under one of the ``rules`` (T,), and last of the latch.
+    """``(T + 1, PARAMETERS)`` rows of each pair, which belongs to one of the ``rules`` (T,), and last of the latch.
 
-    ``contacts``: of each rule and of the latch, effects included. captured: whether the latch holds from the start.
+    ``contacts``: of each rule and of the latch, effects included. captured: whether the latch is closed from the start.
     """
     latch = contacts[-1] if captured else replace(contacts[-1]).after_capture()
     rows = np.array([c.row() for c in (*contacts[:-1], latch)])
     return rows[[*rules, len(rows) - 1]]
 
 
-# The columns of a row, by the names of the fields; a curve takes PACKED of them, from the one that says how many knots it has.
+# The columns of a row, named after the fields; a curve takes PACKED columns, the first of which is its number of knots.
 NAMES = tuple(f.name for f in fields(ContactParameters))
 CURVES = ("over_penetration", "over_rate", "over_stretch", "spring_over_penetration", "spring_over_rate")  # the last ones
 NUMBERS = NAMES[: -len(CURVES)]
@@ -124,7 +124,7 @@ NUMBERS = NAMES[: -len(CURVES)]
     SIDE_STIFFNESS, SIDE_DAMPING, RING, OVER_PENETRATION,
 ) = range(len(NUMBERS) + 1)  # fmt: skip
 OVER_RATE, OVER_STRETCH, SPRING_OVER_PENETRATION, SPRING_OVER_RATE, PARAMETERS = (OVER_PENETRATION + i * PACKED for i in range(1, 6))
-# Those that are neutral where a spring and a damper are all that acts along the normal.
+# Those that are neutral if only a linear spring and damper act along the normal.
 LINEAR = [
     POWER_STIFFNESS, ALPHA, DRY, PRELOAD, STOP, BRANCH_STIFFNESS, ADHESION, FRAME, OFFSET, PLAY, MODE, OVER_PENETRATION, OVER_RATE,
     OVER_STRETCH, SPRING_OVER_PENETRATION, SPRING_OVER_RATE,

@@ -1,7 +1,7 @@
-"""The steps of capture: when each begins, and what it sets in motion.
+"""The phases of capture: when each begins, and what it does.
 
-Looked at once a tick, at the state that the contacts were last evaluated in. A phase begins when its condition has held for as long as
-it asks and the phase before it has begun: its latch closes, its actuators get their commands, its geoms touch no more.
+They are evaluated once per tick, at the state for which the contacts were last evaluated. A phase begins when its condition has held for
+the required time and the previous phase has begun: its latch closes, its actuators get their commands, its geoms no longer touch.
 """
 
 from __future__ import annotations
@@ -26,26 +26,26 @@ from hiltestbed.jit import njit
 
 
 class _Condition(NamedTuple):
-    """What a kernel needs of a condition: frames (Q, 2) and places (Q, 2, 7) of its pairs of sites, how many must meet, and the limits."""
+    """A condition as arrays: frames (Q, 2) and poses (Q, 2, 7) of its pairs of sites, number of pairs needed, and the limits."""
 
     frames: NDArray[np.int64]
     places: Array
     needed: int
     limits: Array  # distance [m], cosine, speed [m/s]
-    joints: NDArray[np.int64]  # where they stand in qpos
+    joints: NDArray[np.int64]  # indices in qpos
     ranges: Array  # (J, 2) [m, rad]
     lasting: float
 
 
 class Phases:
-    """How far the capture of `n` runs has come.
+    """The progress of capture of `n` runs.
 
     Attributes:
-        begun: (n,) int64, phases that have begun. since: (n, K) [ticks] when each began, -1 before. names: of the phases.
+        begun: (n,) int64, number of phases begun. since: (n, K) tick at which each began, -1 before. names: of the phases.
     """
 
     def __init__(self, batch: Batch, structure: Structure, tick: float, n: int) -> None:
-        """``tick`` [s] between two looks. Raises InputError where a phase names a joint, an actuator or a geom that there is not."""
+        """``tick`` [s] between two evaluations. Raises InputError if a phase names a joint or an actuator that does not exist."""
         self._phases = structure.mechanism.phases()
         self.names = [p.name for p in self._phases]
         self._tick, model = tick, batch.model
@@ -59,14 +59,14 @@ class Phases:
         self._ticks = np.zeros(1, dtype=np.int64)
 
     def reset(self) -> None:
-        """No phase has begun."""
+        """Return to the state before the first phase."""
         self.begun[:], self.since[:], self._held[:], self._ticks[0] = 0, -1, 0.0, 0
 
     def look(self, engagement: Engagement) -> None:
-        """Once a tick: begin the phases whose conditions hold."""
+        """Begin the phases whose conditions hold; call once per tick."""
         self._ticks[0] += 1
         frames, motions = engagement.frames, engagement.motions
-        for k in range(len(self._phases) - 1, -1, -1):  # from the last one down: a run begins one phase a tick
+        for k in range(len(self._phases) - 1, -1, -1):  # from the last phase down, so that a run begins at most one phase per tick
             if not (self.begun == k).any():
                 continue
             c = self._conditions[k]
@@ -101,19 +101,19 @@ def _condition(phase: Phase, sites: dict[tuple[str, str], tuple[int, Array]], mo
 
 
 def joints_of(phase: Phase, model: mujoco.MjModel) -> NDArray[np.int64]:
-    """Where the joints of a phase's condition stand in qpos. Raises InputError."""
+    """Indices in qpos of the joints of a phase's condition. Raises InputError."""
     names = [model.joint(i).name for i in range(model.njnt)]
     return np.array([model.jnt_qposadr[_index(name, names, phase, "joint")] for name in phase.when.joints], dtype=np.int64)
 
 
 def actuators_of(phase: Phase, model: mujoco.MjModel) -> list[tuple[int, float]]:
-    """Numbers of the actuators that a phase commands, and what they are told. Raises InputError."""
+    """Numbers of the actuators that a phase commands, and their commands. Raises InputError."""
     names = [model.actuator(i).name for i in range(model.nu)]
     return [(_index(name, names, phase, "actuator"), value) for name, value in phase.command.items()]
 
 
 def dropped_by(sides: Sides, patterns: Sequence[str]) -> NDArray[np.int64]:
-    """Numbers of the pairs whose active geom is called by one of the ``patterns``."""
+    """Numbers of the pairs whose active geom matches one of the ``patterns``."""
     pairs = (*sides.facets, *sides.native)
     return np.array([k for k, pair in enumerate(pairs) if any(matching(p, [pair.active]) for p in patterns)], dtype=np.int64)
 
@@ -127,7 +127,7 @@ def _index(name: str, names: list[str], phase: Phase, what: str) -> int:
 
 @njit(cache=True)
 def _look(k, begun, pairs, places, needed, limits, joints, ranges, lasting, tick, qpos, frames, motions, held, due):
-    """Mark in ``due`` (n,) the runs in which the phase ``k`` begins now; ``held`` (n,) [s]: for how long its condition has held."""
+    """Mark in ``due`` (n,) the runs in which phase ``k`` begins now; ``held`` (n,) [s]: time for which its condition has held."""
     site, velocity = np.empty((2, 7)), np.empty((2, 6))
     at, rate, work = np.empty(7), np.empty(6), np.empty((1, 3))
     for i in range(begun.shape[0]):

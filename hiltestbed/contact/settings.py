@@ -1,4 +1,4 @@
-"""The mechanism's section of a scenario."""
+"""The mechanism section of a scenario."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ if TYPE_CHECKING:
 
 
 class Contact(Strictly):
-    """Contact of the mechanism's surfaces: F = stiffness x + damping v, never pulling in a bumper or a cone."""
+    """Contact of the mechanism's surfaces: F = stiffness x + damping v; in a bumper or a cone never negative (no pulling)."""
 
-    stiffness: Positive = Field(description="Stiffness of the surfaces [N/m]")
-    damping: NotNegative = Field(default=0.0, description="Damping of the surfaces [N s/m]")
-    friction: Annotated[float, Field(ge=0, le=2)] = Field(default=0.0, description="Coulomb coefficient between the surfaces [-]")
+    stiffness: Positive = Field(description="Contact stiffness [N/m]")
+    damping: NotNegative = Field(default=0.0, description="Contact damping [N s/m]")
+    friction: Annotated[float, Field(ge=0, le=2)] = Field(default=0.0, description="Coulomb friction coefficient between the surfaces [-]")
 
 
 class Mount(Strictly):
-    """Compliance of the passive side between the mechanism and the sensor: x, y, z, rx, ry, rz."""
+    """Compliant mount of the passive side, between mechanism and sensor; axes x, y, z, rx, ry, rz."""
 
     stiffness: Annotated[tuple[Positive, ...], Field(strict=False, min_length=6, max_length=6)] = Field(
         description="Stiffness of each axis, 3 x [N/m] and 3 x [N m/rad]"
@@ -39,38 +39,38 @@ class Mount(Strictly):
 
 
 class Latch(Strictly):
-    """When the latches of a probe in its cone close: all three hold at once. From then on the mechanism pulls as well as pushes."""
+    """Condition for the latches of a probe in its cone to close: all three limits hold at once. From then on the mechanism can pull."""
 
     depth: Annotated[float, Field(ge=0, le=0.1)] = Field(
-        default=0.004, description="Distance of the tip from the nominal touch up to which the latches close [m]: pz >= -depth"
+        default=0.004, description="Largest distance of the tip before the nominal touch at which the latches close [m]: pz >= -depth"
     )
     angle_deg: Annotated[float, Field(gt=0, le=30)] = Field(
-        default=5.0, description="Largest angle between the axes of both sides at which the latches close [deg]"
+        default=5.0, description="Largest angle between the z axes of A and P at which the latches close [deg]"
     )
     speed: Positive = Field(default=0.02, description="Highest relative speed of A's origin at which the latches close [m/s]")
 
 
 class Mechanism(Strictly):
-    """The docking mechanism: what touches what. Base of every kind.
+    """The docking mechanism: its two sides and their contacts. Base of every kind.
 
     Attributes:
-        captured: whether it holds from the start. flat: whether the passive surface is the plane z = 0 of P.
-        latches: whether a latch may close while it runs.
+        captured: whether it is captured from the start. flat: whether the passive surface is the plane z = 0 of P.
+        latches: whether a latch may close during a run.
     """
 
     PARTS: ClassVar[tuple[str, ...]] = ("docstring", "files")
 
     kind: str
-    contact: Contact = Field(description="Stiffness, damping and friction of the surfaces that touch")
-    mount: Mount | None = Field(default=None, description="Compliance between the passive mechanism and the sensor; null: rigid")
-    latch: Latch | None = Field(default=None, description="When the latches of a mechanism that captures close; null: it has none")
+    contact: Contact = Field(description="Stiffness, damping and friction of the contact")
+    mount: Mount | None = Field(default=None, description="Compliant mount between the passive mechanism and the sensor; null: rigid")
+    latch: Latch | None = Field(default=None, description="Condition for the latches to close; null: no latches")
     captured: ClassVar[bool] = False
     flat: ClassVar[bool] = False
     latches: ClassVar[bool] = False
 
     def idle(self, scenario: Scenario) -> Iterable[Problem]:
         if self.captured and self.contact.friction > 0.0:
-            yield ("contact", "friction"), f"a mechanism of kind {self.kind} holds from the start, nothing slides in it; leave it out"
+            yield ("contact", "friction"), f"a mechanism of kind {self.kind} is captured from the start, nothing slides in it; leave it out"
 
     @placeholder
     def files(self) -> tuple[Path, Path]:
@@ -78,18 +78,18 @@ class Mechanism(Strictly):
         raise NotImplementedError
 
     def fingerprint(self) -> dict[str, str]:
-        """Keys of the section that name a file of the user's, and the SHA-256 of all that the file holds."""
+        """Keys of the section that name a user's file, with the SHA-256 of the file's whole content."""
         return {}
 
     def sides(self) -> tuple[MjSpec, MjSpec]:
-        """Both sides as MJCF, every geom and body with a name. Raises InputError."""
+        """Both sides as MJCF, with every geom and body named. Raises InputError."""
         from hiltestbed.contact.sides import named
 
         active, passive = self.files()
         return named(active), named(passive)
 
     def rules(self) -> tuple[Rule, ...]:
-        """Which geoms may touch; one rule without names: those that MuJoCo would let collide."""
+        """Which geoms may touch; by default one rule without names: all geoms that MuJoCo would let collide."""
         from hiltestbed.contact.sides import Rule
 
         return (Rule(),)
@@ -103,11 +103,11 @@ class Mechanism(Strictly):
         return self.contact
 
     def phases(self) -> tuple[Phase, ...]:
-        """The steps of capture, in their order."""
+        """The phases of capture, in order."""
         return ()
 
     def shape(self) -> Hashable:
-        """What its MuJoCo model depends on, apart from numbers: runs of one shape go in lockstep."""
+        """What its MuJoCo model depends on, apart from numerical parameters: runs of the same shape are simulated in lockstep."""
         return (self.kind, *map(str, self.files()), self.rules(), tuple(p.model_dump_json() for p in self.phases()))
 
     @model_validator(mode="after")

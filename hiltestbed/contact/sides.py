@@ -1,12 +1,12 @@
-"""Both sides of a mechanism as their MJCF has them: what may touch what, and where it is.
+"""Both sides of a mechanism, from their MJCF: which geoms may touch, and the contact geometry.
 
-A rule of the mechanism names geoms of both sides; without rules a geom touches where MuJoCo would let it collide (``contype`` and
-``conaffinity`` not both 0). Of each pair of geoms that may touch one of two things is made:
+A rule of the mechanism names geoms of both sides; without rules a geom may touch if MuJoCo would let it collide (``contype`` and
+``conaffinity`` not both 0). A pair of geoms that may touch is one of two kinds:
 
-- a ball against any surface, a rod (capsule) against a cylinder, an ellipsoid or a mesh: a *facet*. The nearest point of the surface is
-  found in closed form (of a mesh that was turned about an axis on its profile, of any other on its triangles), and MuJoCo gets a facet
+- *facet*: a ball against any surface, a rod (capsule) against a cylinder, an ellipsoid or a mesh. The nearest point of the surface is
+  computed (for a mesh of revolution exactly from its profile, for any other mesh from its triangles), and MuJoCo gets a facet
   in the tangent plane there (:mod:`hiltestbed.contact.engagement`);
-- any other two collide as MuJoCo collides them, their stiffness shared by the points that it finds.
+- *native*: any other pair. MuJoCo's own collision detection is used, and the stiffness is divided among the points that it finds.
 """
 
 from __future__ import annotations
@@ -36,16 +36,16 @@ _G = mujoco.mjtGeom
 SPHERE, CAPSULE, CYLINDER, ELLIPSOID, MESH = (
     int(g) for g in (_G.mjGEOM_SPHERE, _G.mjGEOM_CAPSULE, _G.mjGEOM_CYLINDER, _G.mjGEOM_ELLIPSOID, _G.mjGEOM_MESH)
 )
-ROD_FACETS = (CYLINDER, ELLIPSOID, MESH)  # a rod that lies on a plane or a box touches at both of its ends, which MuJoCo knows
+ROD_FACETS = (CYLINDER, ELLIPSOID, MESH)  # on a plane or a box a rod touches at both ends, which MuJoCo handles
 EXACT = tuple(int(g) for g in (_G.mjGEOM_PLANE, _G.mjGEOM_SPHERE, _G.mjGEOM_CAPSULE, _G.mjGEOM_BOX))  # closed form against a ball
 MOST_PAIRS = 4000
 
 
 class Rule(NamedTuple):
-    """Geoms of both sides that may touch, by name (``*``: any ending); both None: those that MuJoCo would let collide.
+    """Geoms of both sides that may touch, by name (``*``: any characters); both None: those that MuJoCo would let collide.
 
     Attributes:
-        reach: [m] pairs that are farther apart across the axis, ports aligned, are left out; None: none is.
+        reach: [m] pairs with a larger lateral distance, ports aligned, are excluded; None: no limit.
     """
 
     active: str | None = None
@@ -58,7 +58,7 @@ class Pair:
     """Two geoms that may touch.
 
     Attributes:
-        active, passive: their names. rule: number of the rule that they fall under. swapped: the round is on the passive side.
+        active, passive: their names. rule: number of their rule. swapped: whether the round is on the passive side.
         single: whether they touch at one point at most.
     """
 
@@ -71,15 +71,15 @@ class Pair:
 
 @dataclass(frozen=True, eq=False)
 class Sides:
-    """A mechanism as its MJCF has it.
+    """The contents of a mechanism's MJCF.
 
     Attributes:
-        facets: pairs that touch by facets; geometry: theirs, in the same order. native: pairs that MuJoCo collides itself.
-        frames: of each frame beyond A and S, the port of its side and the name of the body that it is.
-        sites: of each site that a phase of capture names, by port and name, the number of its frame and its pose (7,) in it.
-        exact: whether MuJoCo's own collision has a closed form and one point for each of the pairs, facets among them.
+        facets: pairs with facets; geometry: theirs, in the same order. native: pairs for which MuJoCo's collision detection is used.
+        frames: of each frame beyond A and S, the port of its side and the name of its body.
+        sites: of each site in a phase of capture, by port and name, the number of its frame and its pose (7,) in it.
+        exact: whether MuJoCo's own collision detection has a closed form and one point for every pair, including those with facets.
         ports: (2, 7) pose of A in the file of the active side, of P in that of the passive one.
-        moving: whether a side has joints of its own. findings: on the meshes that touch, with the name of the geom.
+        moving: whether a side has joints. findings: on the meshes that may touch, with the name of the geom.
     """
 
     facets: tuple[Pair, ...]
@@ -99,12 +99,12 @@ class Sides:
 
     @property
     def rigid(self) -> bool:
-        """Whether all that touches stands still on its side and does so by facets: its wrench then follows from the pose of A in S."""
+        """Whether all contacts are facets on geoms fixed to their side: the wrench then follows from the pose of A in S."""
         return not self.native and not self.frames and not self.moving
 
 
 def sides_of(mechanism: Mechanism) -> Sides:
-    """What the MJCF of a mechanism says of its contacts. Raises InputError."""
+    """The contacts of a mechanism, from its MJCF. Raises InputError."""
     stamps = tuple((str(f), stamp(f)) for f in mechanism.files())
     sites = {site for phase in mechanism.phases() for site in phase.sites()}
     return _sides(stamps, mechanism.rules(), tuple(sorted(sites)), mechanism.captured)
@@ -120,8 +120,8 @@ def _sides(
         raise InputError(_nothing_touches(active, passive, rules))
     if len(pairs) > MOST_PAIRS:
         raise InputError(
-            f"{active.file}, {passive.file}: {len(pairs)} pairs of geoms may touch (at most {MOST_PAIRS}); name those that do in rules, "
-            "or give a rule its reach"
+            f"{active.file}, {passive.file}: {len(pairs)} pairs of geoms may touch (at most {MOST_PAIRS}); name only those that do, "
+            "or give a class of pairs a reach"
         )
     facets, native, candidates, frames = [], [], [], _Frames()
     for a, p, k in pairs:
@@ -162,7 +162,7 @@ def _candidate(one: _Side, round_: int, other: _Side, surface: int, frames: _Fra
 
 
 class _Frames:
-    """Numbers of the frames in which geoms stand still: A, S, and bodies that move on a side."""
+    """Numbers of the frames to which geoms are fixed: A, S, and moving bodies of a side."""
 
     def __init__(self) -> None:
         self.names: list[tuple[str, str]] = []
@@ -174,7 +174,7 @@ class _Frames:
 
 
 class _Side:
-    """One side as compiled alone."""
+    """One side, compiled alone."""
 
     def __init__(self, file: str, site: str) -> None:
         self.file, self.port = file, site
@@ -188,7 +188,7 @@ class _Side:
                 f"{file}: has no site {site!r} (sites: {have}); the port's frame is a site of that name, its +z along the insertion"
             )
         if m.body_weldid[m.site_bodyid[found]] != 0:
-            raise InputError(f"{file}: the site {site!r} is on a part that moves; the port's frame stands still on its side")
+            raise InputError(f"{file}: the site {site!r} is on a part that moves; the port's frame must be fixed to its side")
         self.origin, self.axes = self.data.site_xpos[found].copy(), self.data.site_xmat[found].reshape(3, 3).copy()
         self.findings: dict[str, list[Finding]] = {}
         self._surfaces: dict[int, Surface] = {}
@@ -212,7 +212,7 @@ class _Side:
         return [g for g in range(m.ngeom) if m.geom_contype[g] or m.geom_conaffinity[g]]
 
     def in_frame(self, geom: int, frames: _Frames) -> tuple[int, tuple[Array, Array]]:
-        """Number of the frame in which a geom stands still, and its place (3,) and axes (3, 3) in it."""
+        """Number of the frame to which a geom is fixed, and its position (3,) and axes (3, 3) in it."""
         d = self.data
         return self._in_frame(self.model.geom_bodyid[geom], d.geom_xpos[geom], d.geom_xmat[geom].reshape(3, 3), frames)
 
@@ -225,7 +225,7 @@ class _Side:
         return frames.number(self.port, m.body(root).name), ((place - d.xpos[root]) @ axes, axes.T @ turn)
 
     def site(self, name: str, frames: _Frames) -> tuple[int, Array]:
-        """Number of the frame in which a site stands still, and its pose (7,) in it. Raises InputError where there is none."""
+        """Number of the frame to which a site is fixed, and its pose (7,) in it. Raises InputError if there is no such site."""
         m, d = self.model, self.data
         found = mujoco.mj_name2id(m, mujoco.mjtObj.mjOBJ_SITE, name)
         if found < 0:
@@ -235,7 +235,7 @@ class _Side:
         return frame, np.concatenate([place, _quaternion(turn)])
 
     def surface(self, geom: int) -> Surface:
-        """What a facet is put on. Raises InputError for a mesh that cannot be touched."""
+        """The surface on which a facet is placed. Raises InputError for a mesh that cannot be used."""
         m = self.model
         if m.geom_type[geom] != MESH:
             return of_geom(int(m.geom_type[geom]), m.geom_size[geom])
@@ -253,7 +253,7 @@ class _Side:
         return found
 
     def ends(self, geom: int) -> Array:
-        """``(k, 2)`` places across the port's axis of what bounds a geom: points along a rod, the middle of anything else [m]."""
+        """``(k, 2)`` lateral positions [m], in the port's axes, of points along a rod, or of the centre of any other geom."""
         half = self.model.geom_size[geom, 1] if self.type(geom) == CAPSULE else 0.0
         along = self.data.geom_xmat[geom].reshape(3, 3)[:, 2] * half
         points = self.data.geom_xpos[geom] + np.linspace(-1.0, 1.0, 9)[:, None] * along
@@ -261,7 +261,7 @@ class _Side:
 
 
 def _meeting(active: _Side, passive: _Side, rule: Rule) -> list[tuple[int, int]]:
-    """Numbers of the geoms of a rule."""
+    """Pairs of geom numbers that a rule selects."""
     chosen = []
     for side, pattern in ((active, rule.active), (passive, rule.passive)):
         if pattern is None:
@@ -283,15 +283,15 @@ def _apart(a: Array, p: Array) -> float:
 
 def _nothing_touches(active: _Side, passive: _Side, rules: Sequence[Rule]) -> str:
     if any(rule.active for rule in rules):
-        return f"{active.file}, {passive.file}: no pair of geoms is within the reach of its rule; give the rules a longer reach"
+        return f"{active.file}, {passive.file}: no pair of geoms is within the reach of its class; give a longer reach"
     return (
-        f"{active.file}, {passive.file}: no geom of one can meet one of the other; a geom touches where contype and conaffinity are not 0: "
+        f"{active.file}, {passive.file}: no geom of one can touch one of the other; a geom may touch if contype and conaffinity are not 0: "
         'give at least one geom of each side contype="1" conaffinity="1"'
     )
 
 
 def compiled(file: Path) -> mujoco.MjModel:
-    """The model of one side alone, its geoms and bodies named. Raises InputError."""
+    """The model of one side alone, with geoms and bodies named. Raises InputError."""
     spec = named(file)
     try:
         return spec.compile()
@@ -300,13 +300,13 @@ def compiled(file: Path) -> mujoco.MjModel:
 
 
 def named(file: Path) -> mujoco.MjSpec:
-    """The MJCF of one side; geoms and bodies without a name are called by their number. Raises InputError."""
+    """The MJCF of one side; geoms and bodies without a name get their number as a name. Raises InputError."""
     if not is_file(Path(file)):
         raise InputError(f"{file}: no such file")
     try:
         spec = mujoco.MjSpec.from_file(str(file))
     except ValueError as error:
-        raise InputError(f"{file}: is no MJCF that MuJoCo can read: {_first_line(error)}") from error
+        raise InputError(f"{file}: not an MJCF file that MuJoCo can read: {_first_line(error)}") from error
     for what, things in (("geom", spec.geoms), ("body", spec.bodies)):
         for i, thing in enumerate(things):
             if not thing.name:

@@ -1,11 +1,11 @@
-"""Stiffness and damping in N/m and N s/m, compiled to MuJoCo's contact parameters.
+"""Stiffness [N/m] and damping [N s/m] as MuJoCo's contact parameters.
 
 With a direct ``solref = (-K A, -C A)``, a constant impedance d = 1e-4 and elliptic cones, MuJoCo's soft contact gives
 F = K x + C v, never negative, for penetration x and its rate v at the start of the step. A [1/kg] is the sum of the inverse
-weights of the two bodies that carry the geoms, ``body_invweight0``, less a share of it: see
+weights of the two bodies that carry the geoms, ``body_invweight0``, with a correction: see
 :func:`hiltestbed.contact.composition.inverse_mass`.
 
-This serves contacts that push along the normal alone; friction, other laws and other surfaces are :mod:`hiltestbed.contact.engagement`.
+This is for contacts that push only along the normal; for friction, other laws and other surfaces see :mod:`hiltestbed.contact.engagement`.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def linear_solref(stiffness: Array, damping: Array, inverse_mass: Array) -> Arra
 
 
 def set_linear(batch: Batch, scenarios: Sequence[Scenario]) -> None:
-    """Give each run of a batch its scenario's stiffness and damping."""
+    """Set each run of a batch to its scenario's stiffness and damping."""
     contacts, m = [s.mechanism.contact for s in scenarios], batch.model
     stiffness, damping = (np.array([getattr(c, name) for c in contacts]) for name in ("stiffness", "damping"))
     bodies = m.geom_bodyid[np.stack([m.pair_geom1, m.pair_geom2])]

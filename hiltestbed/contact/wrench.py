@@ -1,10 +1,10 @@
-"""The contact wrench at an instant: what the law makes of where the surfaces meet.
+"""The contact wrench at an instant, from the contact geometry and the force law.
 
-Normal force by the law (:mod:`hiltestbed.contact.law`); friction mu |F| v/sqrt(v^2 + v_0^2) with v_0 = 1e-4 m/s, in a servo no less than
-what one physics step can follow. A latch holds A at a place in S by a spring and a damper on each of six axes, along z by the law.
+Normal force by the law (:mod:`hiltestbed.contact.law`); friction mu |F| v/sqrt(v^2 + v_0^2) with v_0 = 1e-4 m/s, or larger with a servo, so
+that one physics step can resolve it. A latch holds A at a pose in S by a spring and a damper on each of six axes, along z by the law.
 
-The kernels serve the loop, where MuJoCo exerts the force that they ask for (:mod:`hiltestbed.contact.engagement`), and the replay, where
-nothing but the wrench is wanted.
+The kernels serve the loop, where MuJoCo exerts the force that they compute (:mod:`hiltestbed.contact.engagement`), and the replay, which
+needs only the wrench.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ from hiltestbed.frames import Array, pose_between, quat_mul, rotate, rotate_back
 from hiltestbed.jit import njit
 
 CREEP = 1e-4  # [m/s] speed below which friction is viscous
-LATCH_RADIUS = 0.15  # [m] of the ring of latches: stiffness against turning is k LATCH_RADIUS^2
+LATCH_RADIUS = 0.15  # [m] of the ring of latches: the rotational stiffness is k LATCH_RADIUS^2
 
 
 def tilts(parameters: Array) -> Array:
-    """``(n, 7)`` pose of the passive port in its nominal place, for contacts of the ``parameters`` (n, PARAMETERS): R_y R_x."""
+    """``(n, 7)`` pose of the passive port in its nominal frame, for contacts with the ``parameters`` (n, PARAMETERS): R_y R_x."""
     x, y = 0.5 * parameters[:, TILT_X], 0.5 * parameters[:, TILT_Y]
     out = np.zeros((len(parameters), 7))
     out[:, 3], out[:, 4] = np.sin(x) * np.cos(y), np.cos(x) * np.sin(y)
@@ -46,7 +46,7 @@ def tilts(parameters: Array) -> Array:
 
 @njit(cache=True)
 def relate_one(pose, twist, place, motion, pose_out, twist_out, work):
-    """One run: pose and twist of A in S; positions, and velocities relative to S as it moves and turns, in S. ``work`` (1, 3): scratch."""
+    """One run: pose and twist of A relative to the moving frame S, expressed in S. ``work`` (1, 3): scratch."""
     v = work[0]
     pose_between(place, pose, pose_out)
     ax, ay, az = pose[0] - place[0], pose[1] - place[1], pose[2] - place[2]
@@ -70,13 +70,13 @@ def relate(pose, twist, place, motion, pose_out, twist_out):
 
 @njit(cache=True)
 def meet_all(index, values, p, frames, motions, work, depth, rate, point, normal, slip):
-    """Where the candidates of one run meet, or come so near that they touch, with the parameters ``p`` (C, PARAMETERS).
+    """Contact geometry of the candidates of one run, with the parameters ``p`` (C, PARAMETERS).
 
     Args:
         frames, motions: (F, 7), (F, 6) poses and twists of the frames in W. work: (9, 7) scratch.
         depth, rate: (C,) penetration [m], negative while apart, and its rate [m/s].
-        point, normal, slip: (C, 3) in the frame of the surface: where the force acts [m], the direction in which the surface is pushed,
-            and the velocity of what touches it across that [m/s].
+        point, normal, slip: (C, 3) in the frame of the surface: point of application of the force [m], direction of the force on the
+            surface, and tangential velocity of the body that touches it [m/s].
     """
     pose, twist, scratch = work[5], work[6][:6], work[:5, :3]
     a, s = -1, -1
@@ -92,7 +92,7 @@ def meet_all(index, values, p, frames, motions, work, depth, rate, point, normal
 
 @njit(cache=True)
 def law_of(dt, least_creep, p, state, depth, rate, slip):
-    """Normal force [N] of a contact and what friction is worth [N s/m]: the force across is that times the ``slip`` (3,)."""
+    """Normal force [N] of a contact and friction coefficient [N s/m]: the tangential force is that times the ``slip`` (3,)."""
     push = contact_force(depth, rate, dt, p, state, False)
     if push == 0.0 or p[FRICTION] == 0.0:
         return push, 0.0
@@ -105,7 +105,7 @@ def law_of(dt, least_creep, p, state, depth, rate, slip):
 def add_contact(push, drag, point, normal, slip, place, side, f, wrench):
     """Add to ``wrench`` (6,), in W at W's origin on the passive side, a contact on a surface whose frame is at ``place`` (7,).
 
-    ``side``: 1 where the surface is on the passive side, else -1. ``f`` (6,) is scratch.
+    ``side``: 1 if the surface is on the passive side, else -1. ``f`` (6,) is scratch.
     """
     for j in range(3):
         f[j] = push * normal[j] + drag * slip[j]
@@ -126,7 +126,7 @@ def contact_wrench(
 
     Args:
         dt: time since the last instant [s]. p: (C + 1, PARAMETERS), of each candidate and of the latch. frames, motions: (F, 7), (F, 6).
-        state: (C + 1, STATES) of the laws, moved on. depth ... slip: see :func:`meet_all`. work: (9, 7) scratch.
+        state: (C + 1, STATES) of the laws, updated. depth ... slip: see :func:`meet_all`. work: (9, 7) scratch.
     """
     wrench[:] = 0.0
     count = depth.shape[0]
@@ -142,7 +142,7 @@ def contact_wrench(
 
 @njit(cache=True)
 def surface_wrench(index, dt, least_creep, p, frames, state, depth, rate, point, normal, slip, f, wrench):
-    """Add to ``wrench`` (6,) what the laws make of a geometry; returns whether the surfaces touch. ``f`` (6,) is scratch."""
+    """Add to ``wrench`` (6,) the forces of the laws for a contact geometry; returns whether surfaces touch. ``f`` (6,) is scratch."""
     touching = False
     for c in range(depth.shape[0]):
         push, drag = law_of(dt, least_creep, p[c], state[c], depth[c], rate[c], slip[c])
@@ -155,7 +155,7 @@ def surface_wrench(index, dt, least_creep, p, frames, state, depth, rate, point,
 
 @njit(cache=True)
 def to_frame(place, local, wrench):
-    """``wrench`` (6,) in W at W's origin of a wrench ``local`` (6,) in S at S's origin, S at ``place`` (7,) in W."""
+    """Transform a wrench ``local`` (6,), in S at S's origin, to ``wrench`` (6,) in W at W's origin; S at ``place`` (7,) in W."""
     rotate(place[3:7], local[0:3], wrench[0:3])
     rotate(place[3:7], local[3:6], wrench[3:6])
     fx, fy, fz = wrench[0], wrench[1], wrench[2]
@@ -176,7 +176,7 @@ def add_at(point, f, wrench):
 
 @njit(cache=True)
 def latch_wrench(p, dt, pose, twist, hold, state, work, local):
-    """``local`` (6,) in S at S's origin: springs and dampers between A and where it is held in S, at A's origin; along z the law.
+    """``local`` (6,) in S at S's origin: springs and dampers between A and its held pose ``hold`` in S, at A's origin; along z the law.
 
     ``work`` (4, >= 4): scratch.
     """
@@ -198,7 +198,7 @@ def latch_wrench(p, dt, pose, twist, hold, state, work, local):
 
 @njit(cache=True)
 def held_at(pose, wrench, place, p, hold):
-    """Where a latch that closes at ``pose`` (7,) holds A in S so that its springs bear the force of the ``wrench`` (6,) in W."""
+    """``hold`` (7,): held pose of a latch that closes at ``pose`` (7,), such that its springs carry the force of ``wrench`` (6,) in W."""
     f = np.empty(3)
     rotate_back(place[3:7], wrench[0:3], f)
     hold[:] = pose

@@ -1,7 +1,7 @@
 """Latency, jitter and deadline misses of the cycle on this machine, with and without a device on the loopback address.
 
-The device is an emulated platform (plain records over UDP) in a separate process of the same priority, for a real device does not wait for
-what else this machine does: each cycle sends a pose and waits for its echo. A cycle misses its deadline if its work ends after the next one
+The device is an emulated platform (plain records over UDP) in a separate process of the same priority, since a real device does not depend
+on this machine's load: each cycle sends a pose and waits for its echo. A cycle misses its deadline if its work ends after the next one
 is due, or if the echo has not arrived by then.
 """
 
@@ -28,7 +28,7 @@ from hiltestbed.devices.url import LOOPBACK
 from hiltestbed.errors import InputError
 
 PERCENTILES = (50.0, 90.0, 99.0, 99.9, 99.99)
-BIN, BINS = 5e-6, 200  # [s] of the histogram: up to 1 ms; one more bin for longer times
+BIN, BINS = 5e-6, 200  # bin width [s] and number of bins of the histogram: up to 1 ms, plus one bin for longer times
 PATIENCE = 20.0  # [s] to wait for the device's process
 
 
@@ -48,10 +48,10 @@ class Steadiness:
 
     Attributes:
         device: whether a device was in the cycle.
-        cycles, skipped, missed: number begun; skipped because of overruns; that missed their deadline.
+        cycles, skipped, missed: number of cycles begun, skipped because of overruns, and with a missed deadline.
         wake_up: from due time to start of a cycle. round_trip: from command to echo, None without a device.
         granted, refused: of the real-time settings requested.
-        stolen: part of the processors' time in which the hypervisor of a virtual machine ran others; None where the system does not say.
+        stolen: fraction of the processors' time that the hypervisor gave to other virtual machines; None if the system does not report it.
     """
 
     rate: float
@@ -133,7 +133,7 @@ def _run(
 
 
 def _processors() -> list[int] | None:
-    """What all processors have done since the start, in the columns of the ``cpu`` line of /proc/stat (proc_stat(5)); None without it."""
+    """Times of all processors since the start, in the columns of the ``cpu`` line of /proc/stat (proc_stat(5)); None without it."""
     try:
         with open("/proc/stat", encoding="ascii") as file:
             columns = file.readline().split()[1:9]
@@ -143,7 +143,7 @@ def _processors() -> list[int] | None:
 
 
 def _stolen(before: list[int] | None, after: list[int] | None) -> float | None:
-    """The part of the time between two such lines in their last column, ``steal``."""
+    """Fraction of the time between two such lines in the column ``steal``."""
     if before is None or after is None:
         return None
     spent = [b - a for a, b in zip(before, after, strict=True)]
@@ -199,7 +199,7 @@ def _free_ports(count: int) -> list[int]:
 
 
 def main() -> int:
-    """Entry point of the device's process: echoes every pose until it is stopped or its parent has died."""
+    """Entry point of the device's process: echoes every pose until it is stopped or its parent dies."""
     parser = argparse.ArgumentParser()
     parser.add_argument("url")
     parser.add_argument("parent", type=int)

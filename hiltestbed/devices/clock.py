@@ -1,4 +1,4 @@
-"""The cycle clock for a loop that no device paces: due times, wake-up latencies and run times of the cycles.
+"""The cycle clock of a loop that is not paced by a device: due times, wake-up latencies and run times of the cycles.
 
 Cycle k is due at ``start + k period`` on the monotonic clock, however long the cycles before it took: there is no drift. The wait sleeps
 until shortly before that and then spins. Cycles that an overrun has passed completely are skipped and counted, not caught up with.
@@ -42,7 +42,7 @@ class CycleClock:
         self._start = self._next = 0
 
     def start(self) -> None:
-        """The first cycle is due one period from now."""
+        """Start the clock: the first cycle is due one period from now."""
         self.cycles = self.skipped = 0
         self._start = time.monotonic_ns()
         self._next = 1

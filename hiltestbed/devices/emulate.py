@@ -1,8 +1,8 @@
-"""The physical side of a scenario behind the protocols of real devices, in real time.
+"""The simulated physical side of a scenario behind the protocols of real devices, in real time.
 
-A cycle: what the controller has sent since the last one is where the platform is to be now; the rig moves there, and pose and wrench are
-published. A command that has not come in time counts as missed, and the platform keeps the last one. The rig stands still until the first
-command.
+In each cycle the rig moves to the pose that the controller has commanded since the last cycle, and pose and wrench are
+published. A command that has not arrived in time counts as missed, and the platform keeps the last one. The rig stands still until the
+first command.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ from hiltestbed.devices.watch import said
 from hiltestbed.errors import Fault, InputError
 from hiltestbed.scenario import Scenario
 
-WARM_UP = 32  # ticks of a rig that nobody sees: they compile what is not compiled yet
+WARM_UP = 32  # ticks of a discarded rig, which compile kernels that are not compiled yet
 RATE_ERROR = 1e-6
 
 
 @dataclass
 class Emulated:
-    """What came of an emulation: cycles, those without a command in time, why it ended, and the events of both connections."""
+    """Result of an emulation: cycles, those without a command in time, why it ended, and the events of both connections."""
 
     cycles: int
     missed: int
@@ -49,7 +49,7 @@ class Emulator:
     """Both devices of a scenario; a context manager that opens and closes them."""
 
     def __init__(self, scenario: Scenario, sensor_url: str, platform_url: str) -> None:
-        """Raises InputError where a URL is wrong or its rate is not the scenario's."""
+        """Raises InputError if a URL is wrong or its rate is not the scenario's."""
         self.scenario = scenario
         self.sensor: SensorServer = sensor_server(with_rate(sensor_url, scenario, "--sensor"), "--sensor")
         self.platform: PlatformServer = platform_server(with_rate(platform_url, scenario, "--platform"), "--platform")
@@ -73,7 +73,7 @@ class Emulator:
         self._opened.close()
 
     def cycle(self) -> None:
-        """Take in the commands, move the rig on by a tick and publish where it is and what it feels."""
+        """Read the commands, step the rig by one tick and publish its pose and wrench."""
         if self.cycles > 0:
             self.sensor.poll()
             new = self.platform.poll()
@@ -89,7 +89,7 @@ class Emulator:
         self.cycles += 1
 
     def publish(self) -> None:
-        """Publish what the rig shows now."""
+        """Publish the rig's present pose and wrench."""
         self.mounting.wrench_shown(self.rig.wrench, self._wrench)
         self.mounting.command_of(self.rig.pose, self._pose)
         now = self.cycles * self.rig.period
@@ -97,7 +97,7 @@ class Emulator:
         self.platform.publish(self._pose, now)
 
     def result(self, ended: str, skipped: int = 0) -> Emulated:
-        """What has come of it so far."""
+        """The result so far."""
         return Emulated(self.cycles, self.missed, skipped, ended, said(self.sensor), said(self.platform))
 
 
@@ -109,10 +109,10 @@ def emulate(
     cpu: int | None = None,
     ready: Callable[[], None] | None = None,
 ) -> Emulated:
-    """Play the devices for ``seconds``, or until the controller stops the platform, or until Ctrl-C.
+    """Emulate the devices for ``seconds``, or until the controller stops the platform, or until Ctrl-C.
 
     Args:
-        ready: called when both devices are there.
+        ready: called when both devices are open.
 
     Raises:
         InputError: a URL is wrong. HiltestbedError: the rig diverged.
@@ -137,10 +137,10 @@ def emulate(
 
 
 def with_rate(url: str, scenario: Scenario, place: str) -> str:
-    """``url`` with the scenario's rate, where its protocol has that option and it is not given.
+    """``url`` with the scenario's rate, if its protocol has that option and it is not given.
 
     Raises:
-        InputError: another rate is given, or the protocol's period is another.
+        InputError: another rate is given, or the protocol has a different period.
     """
     options = find(url, place).settings.model_fields
     settings = find(url, place).settings

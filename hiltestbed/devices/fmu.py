@@ -4,7 +4,7 @@ Modelica Association, "Functional Mock-up Interface Specification", version 3.0,
 and stepping by FMPy; both come with the extra ``fmi``. A packed FMU holds neither Python nor hiltestbed: the tool that loads it must be
 able to load a Python in which hiltestbed is installed (on Linux, with its libpython among the global symbols).
 
-Inputs are held over a communication step, outputs are those at its end. A tool that exchanges them once a step therefore adds up to one
+Inputs are held over a communication step, outputs are those at its end. A tool that exchanges them once per step therefore adds up to one
 communication step of delay to the loop.
 """
 
@@ -29,7 +29,7 @@ from hiltestbed.validation import nearest
 
 POSE = ("px", "py", "pz", "qx", "qy", "qz", "qw")
 WRENCH = ("fx", "fy", "fz", "tx", "ty", "tz")
-WHOLE = 1e-6  # of a tick: a communication step is so close to a whole number of them, or it is refused
+WHOLE = 1e-6  # of a tick: largest deviation of a communication step from a whole number of ticks
 SCENARIO = "scenario.yaml"  # its name among the FMU's resources
 
 _SCRIPT = """\
@@ -57,7 +57,7 @@ class {name}(Fmi3Slave):
 
 
 class PhysicalSide(Protocol):
-    """What is packed: rig, mechanism and force sensor, tick by tick.
+    """The physical side to be packed: rig, mechanism and force sensor, stepped tick by tick.
 
     Attributes:
         period: of a tick [s].
@@ -69,7 +69,7 @@ class PhysicalSide(Protocol):
     wrench: Array
 
     def step(self, pose_cmd: Array) -> None:
-        """Move on by a tick, at whose end ``pose_cmd`` (7,) is to be reached."""
+        """Advance by one tick, at whose end ``pose_cmd`` (7,) is to be reached."""
         ...
 
 
@@ -82,10 +82,10 @@ class PackedSide:
         self._register(slave)
 
     def advance(self, step: float) -> str:
-        """A communication step [s]; what is wrong with it, or nothing: an exception would end the tool that steps the FMU."""
+        """Advance by a communication step [s]; returns an error message or "", since an exception would end the tool that steps the FMU."""
         ticks = round(step / self.side.period)
         if ticks < 1 or abs(step / self.side.period - ticks) > WHOLE:
-            return f"the communication step is no whole number of ticks (got {step:g} s); allowed: multiples of {self.side.period:g} s"
+            return f"the communication step is not a whole number of ticks (got {step:g} s); allowed: multiples of {self.side.period:g} s"
         try:
             for _ in range(ticks):
                 self.side.step(self._command)
@@ -121,7 +121,7 @@ def _setter(values: Callable[[], Array], i: int) -> Callable[[float], None]:
 
 
 def _made(factory: str) -> Callable[[Path], PhysicalSide]:
-    """The function that ``module:function`` names. Raises InputError."""
+    """The function named ``module:function``. Raises InputError."""
     module, _, name = factory.partition(":")
     try:
         return getattr(import_module(module), name)
@@ -133,7 +133,7 @@ def pack(factory: str, scenario: Path, folder: Path, name: str = "Rig", descript
     """Write ``folder/name.fmu``; returns its path.
 
     Args:
-        factory: ``module:function``, called inside the FMU with the path of the scenario, of which it gets a copy; returns a
+        factory: ``module:function``, called inside the FMU with the path of its copy of the scenario; returns a
             :class:`PhysicalSide`.
 
     Raises:
@@ -171,7 +171,7 @@ class CoSimulation:
         self._time = 0.0
 
     def open(self) -> None:
-        """Unpack and start at time 0. Raises DeviceError where the FMU does not start."""
+        """Unpack and start at time 0. Raises DeviceError if the FMU does not start."""
         import fmpy
         from fmpy.fmi3 import FMU3Slave
 
@@ -188,10 +188,10 @@ class CoSimulation:
         except Exception as error:  # FMPy raises no narrower class
             self._slave = None
             self.close()
-            raise DeviceError(f"{self.path}: the FMU does not start ({error}); see what its tool says of its needs") from error
+            raise DeviceError(f"{self.path}: the FMU does not start ({error}); check what its exporting tool requires") from error
 
     def step(self, values: Array, period: float) -> Array:
-        """Set the inputs, step by ``period`` [s], and return the outputs at its end. Raises DeviceError where the FMU fails."""
+        """Set the inputs, step by ``period`` [s], and return the outputs at its end. Raises DeviceError if the FMU fails."""
         from fmpy.fmi1 import FMICallException
 
         if self._slave is None:
@@ -201,7 +201,7 @@ class CoSimulation:
             self._slave.doStep(self._time, period)
             outputs = np.array(self._slave.getFloat64(self._outputs))
         except FMICallException as error:
-            self._slave = None  # after an error the FMU may not be called any more, not even to end it
+            self._slave = None  # after an error the FMU must not be called again, not even to terminate it
             raise DeviceError(f"{self.path}: the FMU failed at t = {self._time:.6f} s ({error})") from None
         self._time += period
         if not all(map(math.isfinite, outputs)):
@@ -209,13 +209,13 @@ class CoSimulation:
         return outputs
 
     def outputs(self) -> Array:
-        """The outputs as they are now. Raises DeviceError."""
+        """The present outputs. Raises DeviceError."""
         if self._slave is None:
             raise DeviceError(f"{self.path}: is not open")
         return np.array(self._slave.getFloat64(self._outputs))
 
     def close(self) -> None:
-        """End it and remove what was unpacked; may be called twice."""
+        """Terminate the FMU and remove the unpacked files; may be called twice."""
         if self._slave is not None:
             self._slave.terminate()
             self._slave.freeInstance()
@@ -244,7 +244,7 @@ class CoSimulation:
 
 
 def _silent(*_: object) -> None:
-    """What an FMU logs is not ours to print."""
+    """Discard an FMU's log messages."""
 
 
 def _described(path: Path) -> Any:

@@ -1,4 +1,4 @@
-"""The last look at a pose before it is sent: finite, within reach, no faster and no harder than allowed."""
+"""The last check of a pose before it is sent: finite, and within the limits of position, speed and acceleration."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _SAID = (
 
 
 class Guard:
-    """Judges each commanded pose (7,) of A in P against the limits, one a tick of ``tick`` [s]."""
+    """Checks each commanded pose (7,) of A in P against the limits, one per tick of ``tick`` [s]."""
 
     def __init__(self, limits: MotionLimits, tick: float) -> None:
         self._tick = tick
@@ -32,11 +32,11 @@ class Guard:
         self.refusal(self._before)  # compile now, not in the first cycle
 
     def start(self, pose: Array) -> None:
-        """The platform rests at ``pose`` (7,)."""
+        """Start from rest at ``pose`` (7,)."""
         self._before[:], self._twist[:] = pose, 0.0
 
     def refusal(self, pose: Array) -> str | None:
-        """Why ``pose`` (7,) may not be sent; None where it may, and then it counts as sent."""
+        """Why ``pose`` (7,) must not be sent; None if it may be, and it then counts as sent."""
         if _within(pose, self._before, self._twist, self._tick, self._limits, self._quantities):
             return None
         if not np.isfinite(pose).all():
@@ -57,7 +57,7 @@ def _within(pose, before, twist, tick, limits, q):
     q[3] = math.degrees(math.sqrt(slope[3] ** 2 + slope[4] ** 2 + slope[5] ** 2))
     q[4] = math.sqrt((slope[0] - twist[0]) ** 2 + (slope[1] - twist[1]) ** 2 + (slope[2] - twist[2]) ** 2) / tick
     for i in range(q.shape[0]):
-        if not q[i] <= limits[i]:  # a NaN is not within
+        if not q[i] <= limits[i]:  # true for NaN as well
             return False
     before[:] = pose
     twist[:] = slope

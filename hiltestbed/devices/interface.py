@@ -1,8 +1,8 @@
 """The interface of a device: sensor and platform, client and server side.
 
-A *client* is what the loop talks to a real device with; a *server* is the device's side of the same protocol, for an emulated one. All
-values are SI: wrench (6,) [N, N m] in the sensor's own frame at its own origin, pose (7,) [m, quaternion x y z w] in the platform's own
-base frame. How these frames lie in the rig is the caller's business.
+A *client* is the loop's side of the connection to a real device; a *server* is the device's side of the same protocol, for an emulated
+one. All values are SI: wrench (6,) [N, N m] in the sensor's own frame at its own origin, pose (7,) [m, quaternion x y z w] in the
+platform's own base frame. The caller knows the poses of these frames in the rig.
 
 A client processes what has arrived with :meth:`Link.poll` or :meth:`Link.wait` and keeps the newest good sample. A datagram that is
 malformed, from an unexpected sender, repeated or older than the newest does not change the sample; it is counted in ``counts``, by
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-SPIN = 150e-6  # [s] of a busy wait before an instant, or after one that passes; an ordinary kernel oversleeps by about as much
+SPIN = 150e-6  # [s] of busy waiting around an instant; an ordinary kernel oversleeps by about as much
 LONGEST_DRAIN = 256  # datagrams processed per poll: a flood must not stall the loop
 
 
@@ -64,7 +64,7 @@ class Sample:
 
     Attributes:
         sequence: the device's own number of the record; -1 before the first.
-        device_time: by the device's clock [s]; NaN where the protocol has none.
+        device_time: by the device's clock [s]; NaN if the protocol has none.
         status: the device's status, 0 for no error.
         arrival: when it was received, monotonic clock [ns].
     """
@@ -100,10 +100,10 @@ class Link(ABC):
     """One end of a connection; a context manager that opens and closes it.
 
     Attributes:
-        where: the device as the user named it, for messages.
+        where: the device as the user specified it, for messages.
         counts: (10,) number of each :class:`Event` since :meth:`open`.
         period: time between two records or cycles [s]; NaN until it is known.
-        step: by which the number of a record grows from one to the next.
+        step: increment of the sequence number from one record to the next.
     """
 
     step = 1
@@ -115,7 +115,7 @@ class Link(ABC):
 
     @abstractmethod
     def open(self) -> None:
-        """Connect. Raises InputError where the address cannot be used, DeviceError where the device does not answer."""
+        """Connect. Raises InputError if the address cannot be used, DeviceError if the device does not answer."""
 
     @abstractmethod
     def close(self) -> None:
@@ -128,7 +128,7 @@ class Link(ABC):
     def wait(self, timeout: float, expected: float = math.inf) -> bool:
         """As :meth:`poll`, but wait up to ``timeout`` [s] for a new record.
 
-        Around the instant at which one is ``expected`` [s] from now the wait is busy: a thread that sleeps wakes up late.
+        Around the time at which one is ``expected`` ([s] from now) the wait is busy, since a sleeping thread wakes up late.
         """
         begin = time.monotonic()
         until, busy_from, busy_to = begin + timeout, begin + expected - SPIN, begin + expected + SPIN
@@ -198,7 +198,7 @@ class PlatformClient(Link):
         """Repeat the last command; before the first one, the pose found at :meth:`open`."""
 
     def stop(self) -> None:
-        """Make the device stop by itself if the protocol has a way to; otherwise hold."""
+        """Make the device stop by itself if the protocol supports it; otherwise hold."""
         self.hold()
 
     def _check(self, pose: Array) -> None:
@@ -244,11 +244,11 @@ class Keeper(ABC):
 
     @abstractmethod
     def hold(self, held: Array) -> None:
-        """Send one hold message for ``held`` (8,) of the client; called once a period."""
+        """Send one hold message for ``held`` (8,) of the client; called once per period."""
 
     @abstractmethod
     def stop(self, held: Array) -> None:
-        """Send one stop message, or nothing where silence stops the platform; called once a period."""
+        """Send one stop message, or nothing if silence stops the platform; called once per period."""
 
 
 @dataclass(frozen=True)

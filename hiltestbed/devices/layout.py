@@ -1,18 +1,18 @@
-"""Records whose layout the user describes, field by field in the order of the wire.
+"""Records with a user-defined layout, described field by field in the order of transmission.
 
     byte_order: little                          # little | big
     sensor:
-      - {name: const, type: uint16, value: 0x5AA5}      # what a record must begin with
+      - {name: const, type: uint16, value: 0x5AA5}      # every record must begin with this
       - {name: sequence, type: uint32}
       - {name: time, type: uint32, scale: 1.0e-6}       # SI = scale * what is on the wire: here microseconds
-      - {name: status, type: uint16}                    # 0: the device is well
+      - {name: status, type: uint16}                    # 0: no error
       - {name: fx, type: float32}                       # ... fy fz tx ty tz [N, N m]
-      - {name: pad, type: uint8, size: 2}               # bytes that mean nothing
+      - {name: pad, type: uint8, size: 2}               # unused bytes
       - {name: crc, type: crc32}                        # crc32 (IEEE 802.3) | crc16 (CCITT, from 0xFFFF), over all before it
     state:   [...]   # px py pz [m] and qx qy qz qw, or rx ry rz (a rotation vector) [rad]
-    command: [...]   # the same, and stop: 0 go on, 1 stop
+    command: [...]   # as for state, and stop: 0 continue, 1 stop
 
-What is not named is not checked: without ``sequence`` no record can be missed, without ``crc`` a damaged one not be told.
+Fields that are absent are not checked: without ``sequence`` lost records are not detected, without ``crc`` damaged ones are not.
 """
 
 from __future__ import annotations
@@ -47,8 +47,8 @@ CODES = {
 CRC = {"crc16": "H", "crc32": "I"}
 FORCE = ("fx", "fy", "fz", "tx", "ty", "tz")
 POSITION, QUATERNION, ROTATION = ("px", "py", "pz"), ("qx", "qy", "qz", "qw"), ("rx", "ry", "rz")
-UNIT_LENGTH = 1e-2  # a quaternion may be off its length by this much: 32-bit numbers are by 1e-7, wrong bytes by more
-LARGEST = 1472  # [byte] of a record: what one Ethernet frame carries
+UNIT_LENGTH = 1e-2  # tolerance of a quaternion's length: 32-bit numbers deviate by 1e-7, wrong bytes by more
+LARGEST = 1472  # [byte] of a record: the payload of one Ethernet frame
 
 Name = Literal[
     "const", "pad", "crc", "sequence", "time", "status", "stop",
@@ -63,12 +63,12 @@ class FieldOfRecord(Strictly):
     name: Name
     type: Type
     scale: float = Field(default=1.0, description="SI value of 1 on the wire")
-    value: int | None = Field(default=None, description="what a const field holds")
-    size: int = Field(default=1, ge=1, le=256, description="fields of this type, of padding")
+    value: int | None = Field(default=None, description="value of a const field")
+    size: int = Field(default=1, ge=1, le=256, description="number of fields of this type, for padding")
 
 
 class Layout(Strictly):
-    """The three records; a device needs those of its kind."""
+    """The three records; a device needs those for its kind."""
 
     byte_order: Literal["little", "big"] = "little"
     sensor: list[FieldOfRecord] = Field(default_factory=list)
@@ -82,7 +82,7 @@ class Layout(Strictly):
 
 
 def _faults(layout: Layout, record: str) -> list[tuple[tuple, str]]:
-    """What is wrong with a record as a whole: (path below it, message)."""
+    """Faults of a record as a whole: (path below it, message)."""
     fields: list[FieldOfRecord] = getattr(layout, record)
     names = [field.name for field in fields]
     needed = [FORCE] if record == "sensor" else [(*POSITION, *QUATERNION), (*POSITION, *ROTATION)]
@@ -90,9 +90,7 @@ def _faults(layout: Layout, record: str) -> list[tuple[tuple, str]]:
     found: list[tuple[tuple, str]] = []
     for i, field in enumerate(fields):
         if field.name not in allowed:
-            found.append(
-                ((i, "name"), f"does not belong into a {record} record (got {field.name!r}); allowed: {', '.join(sorted(allowed))}")
-            )
+            found.append(((i, "name"), f"does not belong in a {record} record (got {field.name!r}); allowed: {', '.join(sorted(allowed))}"))
         if field.name not in ("const", "pad") and names.index(field.name) != i:
             found.append(((i, "name"), f"is given twice (got {field.name!r}); each value may stand once"))
         if (field.name == "crc") != (field.type in CRC) or (field.name == "crc" and i != len(fields) - 1):
@@ -100,15 +98,15 @@ def _faults(layout: Layout, record: str) -> list[tuple[tuple, str]]:
                 ((i, "type"), f"does not fit (got {field.name!r} of type {field.type!r}); a crc is the last field, of crc16 or crc32")
             )
         if (field.name == "const") != (field.value is not None) or (field.name == "const" and not _fits(field)):
-            found.append(((i,), "a const field needs a whole number as value that its type holds, and no other field has one"))
+            found.append(((i,), "a const field needs a whole number as value that fits its type, and no other field has a value"))
         if field.name in ("sequence", "status", "stop") and not field.type.startswith("uint"):
             found.append(((i, "type"), f"does not fit {field.name} (got {field.type!r}); allowed: uint8, uint16, uint32, uint64"))
         if field.scale == 0.0:
-            found.append(((i, "scale"), "is 0; a value would be lost"))
+            found.append(((i, "scale"), "is 0; the value would be lost"))
         if field.size != 1 and field.name != "pad":
-            found.append(((i, "size"), f"is for padding alone (got {field.size}); give each value a field of its own"))
+            found.append(((i, "size"), f"is only for padding (got {field.size}); give each value its own field"))
     if fields and not any(set(group) <= set(names) for group in needed):
-        found.append(((), f"is not whole (got {', '.join(names)}); needed: {' or '.join(' '.join(group) for group in needed)}"))
+        found.append(((), f"is incomplete (got {', '.join(names)}); needed: {' or '.join(' '.join(group) for group in needed)}"))
     return found
 
 
@@ -148,8 +146,8 @@ class Record:
 
     Attributes:
         size: of the record [byte].
-        sequence_bits: width of the counter; 0 where there is none.
-        sequence, time, flag: of the record last unpacked; ``flag`` is the status, or of a command the stop.
+        sequence_bits: width of the counter; 0 if there is none.
+        sequence, time, flag: of the record last unpacked; ``flag`` is the status, or the stop of a command.
         values: (6,) the wrench or (7,) the pose of the record last unpacked, and of the one to pack.
     """
 
@@ -173,7 +171,7 @@ class Record:
         self.values: Array = np.zeros(6 if kind == "sensor" else 7)
 
     def unpack(self, data: bytes | bytearray | memoryview) -> bool:
-        """Take in a record; False, with nothing changed, for anything that is not one."""
+        """Unpack a record; for anything else return False and change nothing."""
         if len(data) != self.size:
             return False
         if self._crc is not None and self._crc.unpack_from(data, self._body.size)[0] != self._check(data[: self._body.size]):
@@ -202,7 +200,7 @@ class Record:
         return True
 
     def pack(self, values: Array, sequence: int, time: float, flag: int = 0) -> bytes:
-        """The record of a wrench (6,) or a pose (7,); a whole-number field is rounded, and held at its limits."""
+        """The record of a wrench (6,) or a pose (7,); an integer field is rounded, and clipped at its limits."""
         values = poses.rotation_vector_from_pose(values) if self._turned else values
         known = dict(zip(self._names, values.tolist(), strict=True)) | {"time": time, "sequence": sequence, self._flag: flag}
         body = self._body.pack(*(_on_wire(field, known) for field in self._fields))

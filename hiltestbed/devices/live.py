@@ -1,4 +1,4 @@
-"""The loop against real devices: what the command `live` does. How a run goes is in :mod:`hiltestbed.devices.session`."""
+"""The loop with real devices, for the command `live`. The sequence of a run is in :mod:`hiltestbed.devices.session`."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ __all__ = ["Observed", "Options", "live"]
 
 
 def live(scenario: Scenario, options: Options) -> Run | Observed:
-    """Run ``scenario`` against devices; unarmed, only watch them.
+    """Run ``scenario`` with devices; unarmed, only observe them.
 
     Raises:
         InputError, DeviceError: the devices cannot be connected, or their rate is not the scenario's. Later faults end in the run.

@@ -68,7 +68,7 @@ class Mailbox:
             before = int(self._words[1])
             number, flag, crc = int(self._words[2]), int(self._words[3]), int(self._words[4])
             copy = self._numbers.copy()
-            damaged = before & 1 == 0 and int(self._words[1]) == before  # the writer was not active: complete, unless the CRC differs
+            damaged = before & 1 == 0 and int(self._words[1]) == before  # no write was active: complete, unless the CRC differs
             if not damaged:
                 continue
             if crc != self._crc(number, flag, copy) or not np.isfinite(copy).all():

@@ -1,4 +1,4 @@
-"""Between the devices' own frames and the rig's: how sensor and platform are mounted."""
+"""Mounting of sensor and platform: conversions between the devices' own frames and the rig's."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def inverted(pose: Array) -> Array:
 
 
 class Mounting:
-    """Conversions of one pair of devices; all arrays are one-dimensional and ``out`` is written."""
+    """Conversions for one sensor and one platform; all arrays are one-dimensional, results are written to ``out``."""
 
     def __init__(self, devices: Devices) -> None:
         sensor, platform = devices.sensor, devices.platform
@@ -48,21 +48,21 @@ class Mounting:
         self.pose_in_P(np.array(_IDENTITY), np.empty(7))
 
     def wrench_in_P(self, reading: Array, out: Array) -> None:
-        """What the sensor shows (6,) as the wrench of A on P, in P at P's origin."""
+        """Convert the sensor's reading (6,) to the wrench of A on P, in P at P's origin."""
         wrench_moved(self._pose_PS, reading, out)
         out *= self._sign
 
     def wrench_shown(self, wrench_P: Array, out: Array) -> None:
-        """What the sensor shows (6,) of a wrench in P at P's origin; undoes :meth:`wrench_in_P`."""
+        """Convert a wrench in P at P's origin to the sensor's reading (6,); the inverse of :meth:`wrench_in_P`."""
         wrench_moved(self._pose_SP, wrench_P, out)
         out *= self._sign
 
     def pose_in_P(self, pose_BT: Array, out: Array) -> None:
-        """The pose of A in P (7,) where the platform reports ``pose_BT``."""
+        """The pose of A in P (7,) when the platform reports ``pose_BT``."""
         pose_compose(self._pose_PB, pose_BT, self._pose)
         pose_compose(self._pose, self._pose_TA, out)
 
     def command_of(self, pose_PA: Array, out: Array) -> None:
-        """The pose (7,) to command to the platform for A to be at ``pose_PA``; undoes :meth:`pose_in_P`."""
+        """The pose (7,) to command to the platform for A to be at ``pose_PA``; the inverse of :meth:`pose_in_P`."""
         pose_compose(self._pose_BP, pose_PA, self._pose)
         pose_compose(self._pose, self._pose_AT, out)

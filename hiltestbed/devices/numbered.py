@@ -1,4 +1,4 @@
-"""What protocols have in common that send one numbered pose a cycle: plain records over UDP, and shared memory."""
+"""Common parts of the protocols that send one numbered pose per cycle: plain records over UDP, and shared memory."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Literal, Protocol
 from hiltestbed.devices.interface import Array, Clock, Event, Keeper, PlatformClient, PlatformServer
 from hiltestbed.devices.url import DeviceSettings
 
-STOP = 1  # in the stop field of a command
+STOP = 1  # value of the stop field of a command that requests a stop
 
 
 class Paced(Protocol):
@@ -22,7 +22,7 @@ class Paced(Protocol):
 
 
 class NumberedClient(PlatformClient):
-    """Sends a pose a cycle, numbered from 1 after :meth:`open`; a hold is the last pose again, a stop the last pose with a flag."""
+    """Sends one pose per cycle, numbered from 1 after :meth:`open`; a hold repeats the last pose, a stop is the last pose with a flag."""
 
     def __init__(self, settings: Paced) -> None:
         super().__init__(settings.where)
@@ -60,7 +60,7 @@ class NumberedClient(PlatformClient):
 
 
 class NumberedServer(PlatformServer):
-    """Takes such poses in until the stop flag comes, and numbers the poses that it reports from 1."""
+    """Accepts such poses until the stop flag arrives, and numbers the poses that it reports from 1."""
 
     def __init__(self, settings: Paced) -> None:
         super().__init__(settings.where)
@@ -72,7 +72,7 @@ class NumberedServer(PlatformServer):
         """Send the pose reached."""
 
     def _commanded(self, pose: Array, stop: int) -> bool:
-        """Take in a command; whether it is obeyed."""
+        """Process a command; returns whether it is followed."""
         if stop:
             self.stopped = "the client asked for a stop"
         if self.stopped is not None:
@@ -91,7 +91,7 @@ class NumberedServer(PlatformServer):
 
 
 class NumberedKeeper(Keeper):
-    """Repeats the last pose, or sends it with the stop flag, numbered on from the last command."""
+    """Repeats the last pose, or sends it with the stop flag; the numbering continues from the last command."""
 
     def __init__(self, settings: DeviceSettings, fileno: int) -> None:
         super().__init__(settings, fileno)

@@ -1,8 +1,8 @@
-"""What a tick of the loop waits for: the record of the device that sets the clock, or the loop's own clock.
+"""Pacing of the loop: each tick waits for a record of the device that sets the clock, or for the loop's own clock.
 
-A tick belongs to a record by the device's own number of it, not by the time of its arrival. A record that is lost or late costs the loop
-its tick, not its time base: half a period after it was due the tick begins without it, and where several records have come at once the
-loop catches up.
+A tick is assigned to a record by the device's own record number, not by the time of arrival. A lost or late record affects only its tick,
+not the time base: half a period after it was due the tick begins without it, and if several records have arrived at once, the loop
+catches up.
 """
 
 from __future__ import annotations
@@ -14,30 +14,30 @@ from typing import Protocol
 from hiltestbed.devices.clock import CycleClock
 from hiltestbed.devices.interface import Clock, DeviceError, PlatformClient, SensorClient
 
-SLACK = 0.5  # periods after which a record that has not come is a miss
-RATE_ERROR = 0.02  # of the device's rate against the scenario's
+SLACK = 0.5  # periods after the due time at which a missing record counts as a miss
+RATE_ERROR = 0.02  # largest relative deviation of the device's rate from the scenario's
 
 
 class Pace(Protocol):
     """Waits for the ticks of a loop.
 
     Attributes:
-        source: what sets the clock, for the record of a run.
+        source: what sets the clock, for the results of a run.
     """
 
     source: str
 
     def start(self) -> None:
-        """The next tick is the first."""
+        """Start counting: the next tick is the first."""
         ...
 
     def wait(self) -> int:
-        """Wait for the next tick; the number of ticks that have begun since the last call, at least 1."""
+        """Wait for the next tick; returns the number of ticks that have begun since the last call, at least 1."""
         ...
 
 
 class DevicePace:
-    """Ticks begin with the records of ``link``, every ``records`` of them."""
+    """Ticks that begin with every ``records``-th record of ``link``."""
 
     def __init__(self, link: SensorClient | PlatformClient, tick: float, records: int) -> None:
         self.source = link.where
@@ -68,7 +68,7 @@ class DevicePace:
 
 
 class AtOnce:
-    """Ticks that follow each other without a wait."""
+    """Ticks without any waiting."""
 
     source = "none"
 
@@ -80,7 +80,7 @@ class AtOnce:
 
 
 class HostPace:
-    """Ticks of the loop's own clock."""
+    """Ticks from the loop's own clock."""
 
     source = "the loop's own clock"
 
@@ -95,10 +95,10 @@ class HostPace:
 
 
 def pace_of(sensor: SensorClient, platform: PlatformClient, tick: float) -> Pace:
-    """The platform sets the clock if its protocol does; else a sensor that streams; else the loop.
+    """The platform sets the clock if its protocol does so; otherwise a streaming sensor; otherwise the loop.
 
     Raises:
-        DeviceError: the device that sets the clock has a rate that the loop's does not divide.
+        DeviceError: the rate of the device that sets the clock is not a whole multiple of the loop's.
     """
     for link, sets in ((platform, platform.clock is Clock.DEVICE), (sensor, math.isfinite(sensor.period))):
         if not sets:
@@ -106,8 +106,8 @@ def pace_of(sensor: SensorClient, platform: PlatformClient, tick: float) -> Pace
         records = max(round(tick / link.period), 1)
         if abs(records * link.period / tick - 1.0) > RATE_ERROR:
             raise DeviceError(
-                f"{link.where}: sets the clock at {1.0 / link.period:g} Hz, of which the scenario's rate of {1.0 / tick:g} Hz is no whole "
-                f"part; set rate to {1.0 / link.period:g} or a whole part of it"
+                f"{link.where}: sets the clock at {1.0 / link.period:g} Hz, which is not a whole multiple of the scenario's rate of "
+                f"{1.0 / tick:g} Hz; set rate to {1.0 / link.period:g}, or to that divided by a whole number"
             )
         return DevicePace(link, tick, records)
     return HostPace(tick)

@@ -1,4 +1,4 @@
-"""The physical side of a scenario by itself: rig, mechanism and force sensor, in the order of the loop, without the numerical model."""
+"""The physical side of a scenario alone: rig, mechanism and force sensor, in the order of the loop, without the numerical model."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from hiltestbed.scenario import Scenario, load_scenario
 
 
 class SimulatedRig:
-    """The simulated rig, which is told poses alone: it makes velocity and acceleration of them where the scenario feeds them forward.
+    """The simulated rig, commanded with poses only: if the scenario uses feed-forward, it derives velocity and acceleration from them.
 
     Attributes:
         period: of a tick [s].
@@ -22,7 +22,7 @@ class SimulatedRig:
     """
 
     def __init__(self, scenario: Scenario, moving: bool = False) -> None:
-        """``moving``: from a uniform approach, as a run starts; else it rests at the start pose."""
+        """``moving``: start with a uniform approach, as a run does; otherwise at rest in the start pose."""
         self.scenario, self.period = scenario, scenario.tick
         self._sensor, self._plant, _ = simulated([scenario], 1)
         state = approach_state(scenario)
@@ -37,7 +37,7 @@ class SimulatedRig:
         self._read()
 
     def step(self, pose_cmd: Array) -> None:
-        """Move on by a tick, at whose end ``pose_cmd`` (7,) of A in P is to be reached.
+        """Advance by one tick, at whose end ``pose_cmd`` (7,) of A in P is to be reached.
 
         Raises:
             HiltestbedError: the rig has diverged.
@@ -70,5 +70,5 @@ class SimulatedRig:
 
 
 def from_file(path: Path) -> SimulatedRig:
-    """The rig of a scenario's file, moving as a run starts: what an FMU is made of."""
+    """The rig of a scenario file, moving as at the start of a run, for an FMU."""
     return SimulatedRig(load_scenario(path), moving=True)

@@ -1,6 +1,6 @@
-"""Poses as the makers of robots write them.
+"""Poses in the conventions of robot manufacturers.
 
-KUKA: X Y Z [mm] and A B C [deg], turns about z, then about the new y, then about the new x: R = Rz(A) Ry(B) Rx(C) (KUKA System Software
+KUKA: X Y Z [mm] and A B C [deg], rotations about z, the new y, and the new x: R = Rz(A) Ry(B) Rx(C) (KUKA System Software
 operating and programming instructions, "coordinate systems"). Universal Robots: x y z [m] and the rotation vector rx ry rz [rad]
 (URScript manual, "pose").
 """
@@ -31,7 +31,7 @@ def pose_from_kuka(frame: Array) -> Array:
 
 
 def kuka_from_pose(pose: Array) -> Array:
-    """X Y Z A B C (6,) [mm, deg] of a pose (7,); at B = +-90 deg C is 0 and A takes the whole turn."""
+    """X Y Z A B C (6,) [mm, deg] of a pose (7,); at B = +-90 deg C is 0 and A is the whole rotation."""
     position = [float(value) / MILLIMETRE for value in pose[:3]]
     return np.array([*position, *attitude_deg_from_quat(pose[3:7])[::-1]])
 
@@ -45,7 +45,7 @@ def pose_from_rotation_vector(frame: Array) -> Array:
 
 
 def rotation_vector_from_pose(pose: Array) -> Array:
-    """x y z rx ry rz (6,) [m, rad] of a pose (7,), the shorter way round."""
+    """x y z rx ry rz (6,) [m, rad] of a pose (7,), with a rotation of at most pi."""
     frame = np.empty(6)
     frame[:3] = pose[:3]
     rotation_vector(pose[3:7], frame[3:6])
@@ -53,7 +53,7 @@ def rotation_vector_from_pose(pose: Array) -> Array:
 
 
 def offset_in_base(start: Array, pose: Array) -> Array:
-    """The offset (7,) from ``start`` to ``pose``: shift in base axes, turn about base axes through the moved point."""
+    """The offset (7,) from ``start`` to ``pose``: translation in base axes, rotation about base axes through the moved point."""
     offset = np.empty(7)
     offset[:3] = pose[:3] - start[:3]
     quat_mul_conj(pose[3:7], start[3:7], offset[3:7])
@@ -69,7 +69,7 @@ def add_in_base(start: Array, offset: Array) -> Array:
 
 
 def offset_in_tool(start: Array, pose: Array) -> Array:
-    """The offset (7,) from ``start`` to ``pose``, shift and turn in the axes of ``start``."""
+    """The offset (7,) from ``start`` to ``pose``, translation and rotation in the axes of ``start``."""
     offset = np.empty(7)
     pose_between(start, pose, offset)
     return offset

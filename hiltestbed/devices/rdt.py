@@ -2,11 +2,11 @@
 
 ATI Industrial Automation, "Network Force/Torque Sensor System (Net F/T) Installation and Operation Manual", document 9620-05-NET FT,
 section 10 "UDP Interface Using RDT" and section 9 "netftapi2.xml"; "F/T Sensor, Ethernet Axia", document 9620-05-C-Ethernet Axia,
-section 12. All numbers go high byte first. A request is 8 bytes: 0x1234, a command, a count of records (0: without end). A record is 36:
+section 12. All numbers are big-endian. A request has 8 bytes: 0x1234, a command, a count of records (0: unlimited). A record has 36:
 the number of the record (from 1 for each request), the number of the sensor's own sample, a status word, three forces and three
-torques in counts. Counts per unit, the units and the rates stand on the device's page netftapi2.xml. A device serves one client, the
-one that asked last; a request may be lost and is repeated until the first record comes. In buffered streaming several records come in
-one datagram, and the client goes on with the last.
+torques in counts. Counts per unit, the units and the rates are on the device's page netftapi2.xml. A device serves one client, the
+one that sent the last request; a request may be lost and is repeated until the first record arrives. In buffered streaming a datagram
+contains several records, and the client uses the last.
 """
 
 from __future__ import annotations
@@ -28,38 +28,38 @@ from hiltestbed.validation import Positive
 REQUEST = struct.Struct(">HHI")
 RECORD = struct.Struct(">III6i")
 HEADER = 0x1234
-STOP, SINGLE, REALTIME, BUFFERED = 0, 1, 2, 3  # 1 on an Axia alone, and the same as 2 there
+STOP, SINGLE, REALTIME, BUFFERED = 0, 1, 2, 3  # 1 only on an Axia, where it equals 2
 RESET_LATCH, BIAS = 0x41, 0x42
-MOST_RECORDS = 40  # of one datagram
-MONITOR_CONDITION = 1 << 16  # of the status word: a threshold was passed; stays until it is reset
+MOST_RECORDS = 40  # largest number of records in one datagram
+MONITOR_CONDITION = 1 << 16  # of the status word: a threshold was exceeded; latched until it is reset
 ERROR = 1 << 31  # of the status word: set with any other bit
 TRIES, PATIENCE = 10, 0.1  # requests before giving up, and the wait [s] for the first record after each
 
 
 class RdtSettings(DeviceSettings):
-    """Options of ``rdt://``. What is not given comes from the device's page; without a page it must be given."""
+    """Options of ``rdt://``. Options that are not given are read from the device's page; without a page they must be given."""
 
     default_port: ClassVar[int] = 49152
 
     kind: Literal["rdt"] = "rdt"
     counts_per_force: Positive | None = Field(default=None, description="counts per unit of force")
     counts_per_torque: Positive | None = Field(default=None, description="counts per unit of torque")
-    force_unit: Literal["N", "kN", "lbf", "klbf", "kgf"] = Field(default="N", description="unit of force that the counts are per")
+    force_unit: Literal["N", "kN", "lbf", "klbf", "kgf"] = Field(default="N", description="unit of force to which counts_per_force refers")
     torque_unit: Literal["N-m", "N-mm", "kN-m", "lbf-in", "lbf-ft", "kgf-cm"] = Field(
-        "N-m", description="unit of torque that the counts are per"
+        "N-m", description="unit of torque to which counts_per_torque refers"
     )
-    rate: Positive | None = Field(default=None, description="records a second [Hz]")
-    internal_rate: Positive | None = Field(default=None, description="samples of the sensor a second, which its own counter counts [Hz]")
-    mode: Literal["realtime", "buffered"] = Field(default="realtime", description="one record a datagram, or several")
-    buffer: int = Field(default=10, ge=1, le=MOST_RECORDS, description="records a datagram that an emulated sensor sends in buffered mode")
+    rate: Positive | None = Field(default=None, description="rate of the records [Hz]")
+    internal_rate: Positive | None = Field(default=None, description="internal sampling rate, at which the sensor's own counter runs [Hz]")
+    mode: Literal["realtime", "buffered"] = Field(default="realtime", description="one record per datagram, or several")
+    buffer: int = Field(default=10, ge=1, le=MOST_RECORDS, description="records per datagram of an emulated sensor in buffered mode")
     http: Port | None = Field(default=None, description="port of the configuration page; 80 for a client, none for an emulated sensor")
     ignore_status: int = Field(
-        default=0, ge=0, le=0xFFFFFFFF, description="bits of the status word that are no error, 0x80010000: a threshold"
+        default=0, ge=0, le=0xFFFFFFFF, description="bits of the status word that are not errors, such as 0x80010000: a threshold"
     )
 
     @property
     def device_tells_rate(self) -> bool:
-        """Whether the configuration page is read: its rate stands there."""
+        """Whether the configuration page is read, which gives the rate."""
         return self.http is not None or self.counts_per_force is None or self.counts_per_torque is None
 
 
@@ -106,7 +106,7 @@ class RdtClient(SensorClient):
             self._socket = None
 
     def bias(self) -> None:
-        """The device takes its present load for zero (software bias)."""
+        """Tare the device at its present load (software bias)."""
         self._request(BIAS)
 
     def fileno(self) -> int:
@@ -128,7 +128,7 @@ class RdtClient(SensorClient):
         return new
 
     def _take(self, size: int) -> bool:
-        """Take in the datagram of ``size`` bytes in the buffer."""
+        """Process the datagram of ``size`` bytes in the buffer."""
         number, rest = divmod(size, RECORD.size)
         if rest or not 1 <= number <= (MOST_RECORDS if self.settings.mode == "buffered" else 1):
             self.counts[Event.MALFORMED] += 1
@@ -181,7 +181,7 @@ class RdtServer(SensorServer):
         self._scale[3:] = self.page.counts_per_torque / self.page.torque
         self._load, self._bias = np.zeros(6), np.zeros(6)
         self._client: sockets.Address | None = None
-        self._left = 0  # records still to send; -1 without end
+        self._left = 0  # records still to send; -1: unlimited
         self._number, self._latch, self._per_datagram = 0, 0, 1
         self._pending = bytearray()
         self._socket = None

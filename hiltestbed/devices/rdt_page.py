@@ -1,4 +1,4 @@
-"""The configuration page of ATI's sensors, netftapi2.xml: what a count is worth, and how fast the counters run.
+"""The configuration page of ATI's sensors, netftapi2.xml: counts per unit and rates.
 
 ATI Industrial Automation, document 9620-05-NET FT, section 9.1 "System and Configuration Information (netftapi2.xml)": elements below
 ``netft``, among them ``cfgcpf`` and ``cfgcpt`` (counts per force and per torque), ``scfgfu`` and ``scfgtu`` (their units), ``comrdte``
@@ -35,7 +35,7 @@ PATH = "/netftapi2.xml"
 LARGEST = 65536  # [byte]
 PATIENCE = 2.0  # [s]
 HTTP_PORT = 80
-RATE, INTERNAL_RATE = 1000.0, 7000.0  # [Hz] of an emulated sensor where none is given; 7 kHz is a Net F/T's own
+RATE, INTERNAL_RATE = 1000.0, 7000.0  # [Hz] defaults of an emulated sensor; 7 kHz is the internal rate of a Net F/T
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ class Page:
 
 
 def from_options(settings: RdtSettings, counts: float, host: str | None) -> Page:
-    """The page as the URL gives it, completed from the device at ``host``, or (None) with ``counts`` per unit. Raises DeviceError."""
+    """The page from the URL's options, completed from the device at ``host``, or (None) with ``counts`` per unit. Raises DeviceError."""
     scaled = settings.counts_per_force is not None and settings.counts_per_torque is not None
     whole = scaled and settings.rate is not None and settings.internal_rate is not None
     if host is None or whole or (scaled and settings.http is None):
@@ -77,7 +77,7 @@ def from_options(settings: RdtSettings, counts: float, host: str | None) -> Page
 
 
 def fetch(host: str, port: int, where: str) -> Page:
-    """What the page of the device at ``host`` says. Raises DeviceError."""
+    """The content of the page of the device at ``host``. Raises DeviceError."""
     address = f"http://{host}:{port}{PATH}"
     hint = "or give counts_per_force and counts_per_torque in the URL"
     opener = urllib.request.build_opener(urllib.request.ProxyHandler({}), _NoRedirect())
@@ -125,17 +125,17 @@ def _understand(data: bytes, where: str, hint: str) -> Page:
 
 
 class _NoRedirect(urllib.request.HTTPRedirectHandler):
-    """A sensor's page is where it was asked for; nothing sends the request elsewhere."""
+    """Refuses redirects: a sensor's page is at the requested address."""
 
     def redirect_request(self, *_: object) -> None:
         return None
 
 
 class PageServer:
-    """The page of an emulated sensor, served from a thread of its own.
+    """The page of an emulated sensor, served from a separate thread.
 
     Attributes:
-        port: where.
+        port: at which it is served.
     """
 
     def __init__(self, address: tuple[str, int], page: Page, where: str) -> None:

@@ -41,7 +41,7 @@ def prepared(cpu: int | None = None, priority: int | None = PRIORITY) -> Iterato
         priority: of SCHED_FIFO, 1 to 99; None leaves the ordinary scheduling.
 
     Raises:
-        InputError: for a processor or a priority that there is not.
+        InputError: for a processor or a priority that does not exist.
     """
     if priority is not None and not 1 <= priority <= 99:
         raise InputError(f"priority: is out of range (got {priority}); allowed is 1 to 99")
@@ -60,7 +60,7 @@ def prepared(cpu: int | None = None, priority: int | None = PRIORITY) -> Iterato
 
 
 def ordinary() -> None:
-    """Undo what a child process has inherited from a prepared parent: use all processors and ordinary scheduling."""
+    """Undo the settings that a child process inherits from a prepared parent: use all processors and ordinary scheduling."""
     if sys.platform == "linux":
         os.sched_setaffinity(0, range(os.cpu_count() or 1))
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))

@@ -1,4 +1,4 @@
-"""Recording in a separate process, which takes the loop's rows from a ring and writes them to a file: the loop never waits for a disk.
+"""Recording in a separate process, which reads the loop's rows from a ring and writes them to a file: the loop never waits for a disk.
 
     recorder = Recorder(columns=80, rows=20_000, path=folder / "rows.f64")
     recorder.push(row)                       # in the loop
@@ -27,7 +27,7 @@ from hiltestbed.signals import Trace, groups
 
 NAP = 0.005  # [s] between two reads of the ring
 PATIENCE = 20.0  # [s] to wait for the process to start, and to write the remaining rows
-BEHIND = 4000  # rows that the recording may be behind: two seconds at 2 kHz
+BACKLOG = 4000  # rows by which the recording may lag: two seconds at 2 kHz
 
 
 class Recorder:
@@ -42,7 +42,7 @@ class Recorder:
         self.path = path
         self.ring = Ring(columns, rows)
         command = [sys.executable, "-m", "hiltestbed.devices.recorder", self.ring.name, str(path), str(os.getpid())]
-        self._process = subprocess.Popen(  # Ctrl-C is for the loop alone: what it has pushed is still to be written
+        self._process = subprocess.Popen(  # Ctrl-C must reach only the loop: its rows still have to be written
             command, stdout=subprocess.PIPE, stdin=subprocess.DEVNULL, text=True, start_new_session=True
         )
         try:
@@ -81,23 +81,23 @@ class Recorder:
 
 
 class TraceRecorder:
-    """The rows of a run as they come: 64-bit floats in ``path``, and in a JSON file beside it what the columns are.
+    """Writes the rows of a run as they are produced: 64-bit floats in ``path``, and the columns' names in a JSON file next to it.
 
-    Should the loop's process die, ``numpy.fromfile(path).reshape(-1, len(columns))`` is the run up to there.
+    If the loop's process dies, ``numpy.fromfile(path).reshape(-1, len(columns))`` is the run up to that point.
     """
 
     def __init__(self, trace: Trace, path: Path) -> None:
-        """``trace``: takes the rows of one run. Raises HiltestbedError where the file cannot be written."""
+        """``trace``: of one run. Raises HiltestbedError if the file cannot be written."""
         own = groups(trace.joints)
         self._trace = trace
         columns = ["t", *(c for name in trace.data for c in own[name].columns), "contact"]
         self._row = np.empty(len(columns))
         path.parent.mkdir(parents=True, exist_ok=True)
-        self._recorder = Recorder(len(columns), BEHIND, path)
+        self._recorder = Recorder(len(columns), BACKLOG, path)
         path.with_suffix(".json").write_text(json.dumps({"columns": columns}), encoding="utf-8")
 
     def push(self, k: int) -> None:
-        """Row ``k`` of the trace, which is complete."""
+        """Record row ``k`` of the trace, which is complete."""
         row, trace, at = self._row, self._trace, 1
         row[0] = trace.t[k]
         for values in trace.data.values():
@@ -108,12 +108,12 @@ class TraceRecorder:
         self._recorder.push(row)
 
     def finish(self) -> None:
-        """End the recording; what is on disk stays."""
+        """End the recording; the files remain."""
         self._recorder.finish()
 
 
 def discard(path: Path) -> None:
-    """Remove what a :class:`TraceRecorder` has written: the run has been written as a whole."""
+    """Remove the files of a :class:`TraceRecorder`, after the complete run has been written."""
     for file in (path, path.with_suffix(".json")):
         file.unlink(missing_ok=True)
 

@@ -1,4 +1,4 @@
-"""A short run against devices that are none, before real ones are opened: what is not compiled yet is compiled then."""
+"""A short run with dummy devices, before real ones are opened, which compiles all kernels that are not compiled yet."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _UNWATCHED = Devices(limits=MotionLimits(**dict.fromkeys(MotionLimits.model_fiel
 
 
 class _PushedSensor(SensorClient):
-    """Forces of some newtons."""
+    """A sensor that reads forces of some newtons."""
 
     def open(self) -> None:
         pass
@@ -31,7 +31,7 @@ class _PushedSensor(SensorClient):
 
 
 class _Follower(PlatformClient):
-    """It is where it was told to be."""
+    """A platform that reaches every command exactly."""
 
     def open(self) -> None:
         pass
@@ -53,7 +53,7 @@ class _Follower(PlatformClient):
 
 
 def rehearse(scenario: Scenario) -> None:
-    """Make a run of :data:`TICKS` ticks with all that belongs to it."""
+    """Make a complete run of :data:`TICKS` ticks."""
     short = scenario.model_copy(update={"duration": TICKS / scenario.rate, "devices": _UNWATCHED})
     session = Session(short, Options("", "", armed=True, connect=lambda *_: (_PushedSensor("rehearsal"), _Follower("rehearsal"))))
     session.devices.sensor.poll()

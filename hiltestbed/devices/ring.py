@@ -20,7 +20,7 @@ from hiltestbed.errors import InputError
 LINE = 64  # [byte] of a cache line: the two counts are on separate lines
 HEAD = 3 * LINE  # pushed, taken, dimensions
 LARGEST = 1 << 30  # [byte]
-READY = "ready"  # what a process says once it has attached
+READY = "ready"  # printed by a process once it has attached
 
 Array = NDArray[np.float64]
 
@@ -114,9 +114,9 @@ class Ring:
 
 @contextlib.contextmanager
 def attached(*names: str) -> Iterator[list[Ring]]:
-    """The rings that the parent has created, after telling it on standard output that this process is :data:`READY`.
+    """The rings that the parent has created, after printing :data:`READY` on standard output.
 
-    Empty where the parent has died while this process started: its rings, or its end of the pipe, have gone with it.
+    Empty if the parent has died while this process started: its rings, or its end of the pipe, no longer exist.
     """
     rings: list[Ring] = []
     try:
@@ -124,7 +124,7 @@ def attached(*names: str) -> Iterator[list[Ring]]:
         sys.stdout.write(READY + "\n")
         sys.stdout.flush()
     except (FileNotFoundError, BrokenPipeError):
-        sys.stdout = None  # closing it at the exit would write the rest again
+        sys.stdout = None  # closing it at exit would try to write the buffer again
         gone = True
     else:
         gone = False

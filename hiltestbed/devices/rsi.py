@@ -1,7 +1,7 @@
-"""``rsi://``: robots of KUKA by RobotSensorInterface over UDP.
+"""``rsi://``: KUKA robots by RobotSensorInterface over UDP.
 
 KUKA System Technology, "KUKA.RobotSensorInterface 3.2 for KUKA System Software 8.3" (KST RSI 3.2 V1), objects ETHERNET and POSCORR;
-"KUKA.Ethernet RSI XML 1.1" (KST Ethernet RSI XML 1.1 V1) for the older controllers. The robot's controller opens: each cycle (4 ms in
+"KUKA.Ethernet RSI XML 1.1" (KST Ethernet RSI XML 1.1 V1) for the older controllers. The robot's controller initiates: each cycle (4 ms in
 IPO_FAST, 12 ms in IPO) it sends, to the address in its configuration file,
 
     <Rob Type="KUKA"><RIst X="" Y="" Z="" A="" B="" C=""/><RSol .../><Delay D=""/><IPOC>123</IPOC></Rob>
@@ -10,14 +10,14 @@ and expects, before the next cycle and with the same IPOC,
 
     <Sen Type="ImFree"><RKorr X="" Y="" Z="" A="" B="" C=""/><IPOC>123</IPOC></Sen>
 
-RIst is the pose reached, RSol the one set [mm, deg, A B C about z, y', x'']. RKorr is the correction by POSCORR: an offset from the
-pose where the correction began (absolute) or from the last one (relative), in the axes of the base or of the tool. IPOC is the
-controller's clock [ms]. An answer that comes with another IPOC is late; Delay D counts them, and past the Timeout of the object ETHERNET
-the controller ends the correction. With HOLDON = 1 the controller keeps the last correction where none came in time: in relative mode
-the robot goes on with the last step, which is why absolute is the default here.
+RIst is the pose reached, RSol the set pose [mm, deg, A B C about z, y', x'']. RKorr is the correction by POSCORR: an offset from the
+pose at which the correction began (absolute) or from the last one (relative), in the axes of the base or of the tool. IPOC is the
+controller's clock [ms]. An answer with another IPOC is late; Delay D counts such answers, and above the Timeout of the object ETHERNET
+the controller ends the correction. With HOLDON = 1 the controller keeps the last correction if none arrives in time: in relative mode
+the robot then repeats the last step, which is why absolute is the default here.
 
-How A, B, C of a correction turn the tool, where more than one of them is not zero, is taken from the convention of frames: a turn about
-the axes of the reference system. Check it with small moves on the robot before use.
+If more than one of A, B, C of a correction is non-zero, the rotation of the tool is assumed to follow the convention of frames: a rotation
+about the axes of the reference system. Check this with small moves on the robot before use.
 """
 
 from __future__ import annotations
@@ -51,34 +51,34 @@ MILLISECOND = 1e-3  # [s]
 
 
 class RsiSettings(DeviceSettings):
-    """Options of ``rsi://``. The address is where the robot's controller sends to: that of this machine, as the robot sees it."""
+    """Options of ``rsi://``. The address is the one to which the robot's controller sends: that of this machine in the robot's network."""
 
     default_port: ClassVar[int] = 59152
 
     kind: Literal["rsi"] = "rsi"
-    period_ms: Literal[4, 12] = Field(default=4, description="[ms] of the controller's cycle: 4 IPO_FAST, 12 IPO")
+    period_ms: Literal[4, 12] = Field(default=4, description="cycle time of the controller [ms]: 4 IPO_FAST, 12 IPO")
     correction: Literal["absolute", "relative"] = Field(
-        default="absolute", description="what RKorr is measured from: where it began, or the last"
+        default="absolute", description="reference of RKorr: the pose at which the correction began, or the last one"
     )
     reference: Literal["base", "tool"] = Field(default="base", description="axes of the correction: RefCorrSys of the object POSCORR")
     sentype: str = Field(
         "ImFree", min_length=1, max_length=40, pattern=r"^[A-Za-z0-9_.-]+$", description="SENTYPE of the configuration file"
     )
-    robot: str | None = Field(default=None, description="address of the controller; the first that sends a telegram where it is not given")
-    connect: Positive = Field(default=30.0, description="[s] to wait for the controller to open")
+    robot: str | None = Field(default=None, description="address of the controller; by default the first that sends a telegram")
+    connect: Positive = Field(default=30.0, description="time to wait for the controller's first telegram [s]")
     late_limit: int = Field(
-        default=100, ge=0, description="late answers after which an emulated controller stops: Timeout of the object ETHERNET"
+        default=100, ge=0, description="number of late answers after which an emulated controller stops: Timeout of the object ETHERNET"
     )
-    hold: bool = Field(default=True, description="whether an emulated controller keeps the last correction where none came: HOLDON")
-    decimals: int = Field(default=6, ge=1, le=12, description="of the numbers in a telegram")
+    hold: bool = Field(default=True, description="whether an emulated controller keeps the last correction if none arrives: HOLDON")
+    decimals: int = Field(default=6, ge=1, le=12, description="decimals of the numbers in a telegram")
 
 
 class RsiClient(PlatformClient):
-    """Answers the controller's telegrams; the controller sets the clock, and from the first telegram on each wants its answer.
+    """Answers the controller's telegrams; the controller sets the clock, and every telegram from the first on requires an answer.
 
     Attributes:
-        start: (7,) the pose that absolute corrections are measured from: where the robot was found.
-        delay: late answers that the controller has counted; -1 where it does not say.
+        start: (7,) reference pose of absolute corrections: the robot's pose at the first telegram.
+        delay: number of late answers that the controller has counted; -1 if it does not report it.
     """
 
     def __init__(self, settings: RsiSettings) -> None:
@@ -89,7 +89,7 @@ class RsiClient(PlatformClient):
         self.clock = Clock.DEVICE
         self.start: Array = self.state.pose.copy()
         self.delay = -1
-        self._from: Array = self.state.pose.copy()  # the pose that the next correction is measured from
+        self._from: Array = self.state.pose.copy()  # reference pose of the next correction
         self._correction: Array = np.zeros(6)
         self._sequence = Sequence(self.counts, bits=64, step=settings.period_ms)
         self._robot: sockets.Address | None = None
@@ -166,7 +166,7 @@ class RsiClient(PlatformClient):
         return True
 
     def _compare(self, delay: int | None) -> None:
-        """What the controller counts as late, beyond the telegrams that are known to have gone unanswered."""
+        """Count the answers that the controller reports as late, beyond the telegrams known to be unanswered."""
         if delay is None:
             return
         if self.delay < 0:  # what was late before this connection
@@ -189,14 +189,14 @@ class RsiClient(PlatformClient):
         self._send()
 
     def stop(self) -> None:
-        """Answer no more: past its Timeout the controller ends the correction and brakes."""
+        """Stop answering: after its Timeout the controller ends the correction and brakes."""
         self.close()
 
     def _send(self) -> None:
         self.held[:6] = self._correction if self.settings.correction == "absolute" else 0.0
         if self._socket is None or self._robot is None:
             raise DeviceError(f"{self.where}: is not open")
-        if self._answered:  # one answer a telegram
+        if self._answered:  # one answer per telegram
             return
         try:
             self._socket.sendto(answer(self.settings.sentype, self._correction, self.state.sequence, self.settings.decimals), self._robot)
@@ -206,7 +206,7 @@ class RsiClient(PlatformClient):
 
 
 class RsiKeeper(Keeper):
-    """Answers each telegram with the correction held, from the socket that the loop has left."""
+    """Answers each telegram with the held correction, on the socket duplicated from the loop."""
 
     def __init__(self, settings: RsiSettings, fileno: int) -> None:
         super().__init__(settings, fileno)
@@ -229,7 +229,7 @@ class RsiKeeper(Keeper):
             self._socket.sendto(answer(self._settings.sentype, held[:6], newest[0], self._settings.decimals), newest[1])
 
     def stop(self, held: Array) -> None:
-        """Silence: past its Timeout the controller ends the correction."""
+        """Send nothing: after its Timeout the controller ends the correction."""
 
 
 PROTOCOL = Protocol(

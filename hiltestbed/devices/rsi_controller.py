@@ -18,10 +18,10 @@ MILLISECOND = 1e-3  # [s]
 
 
 class RsiServer(PlatformServer):
-    """An emulated controller: :meth:`publish` opens a cycle, what :meth:`poll` takes in until the next one answers it.
+    """An emulated controller: :meth:`publish` begins a cycle, :meth:`poll` receives its answer until the next cycle.
 
     Attributes:
-        late: number of answers that came late or not at all.
+        late: number of late or missing answers.
     """
 
     FIRST_IPOC = 1_000_000
@@ -72,7 +72,7 @@ class RsiServer(PlatformServer):
             self.counts[Event.GONE] += 1
 
     def _missed(self) -> None:
-        """No answer in the cycle that has passed."""
+        """Handle a cycle without an answer."""
         self.late += 1
         self.counts[Event.LATE] += 1
         if self.settings.correction == "relative" and self.settings.hold:

@@ -12,7 +12,7 @@ from hiltestbed.devices.interface import Array
 
 LARGEST = 4096  # [byte] of a telegram
 AXES = ("X", "Y", "Z", "A", "B", "C")
-FARTHEST, LARGEST_ANGLE = 1.0e6, 1.0e3  # [mm], [deg] a telegram that says more is not one
+FARTHEST, LARGEST_ANGLE = 1.0e6, 1.0e3  # [mm], [deg] largest plausible values in a telegram
 LONGEST_IPOC = 18  # digits
 
 
@@ -33,7 +33,7 @@ def answer(sentype: str, correction: Array, ipoc: int, decimals: int) -> bytes:
 
 
 def read_frame(message: plain_xml.Message, name: str) -> Array | None:
-    """The six numbers of an element; None where they are not six plausible numbers."""
+    """The six numbers of an element; None if they are not six plausible numbers."""
     attributes = message.attributes.get(name)
     if attributes is None:
         return None
@@ -46,7 +46,7 @@ def read_frame(message: plain_xml.Message, name: str) -> Array | None:
 
 
 def read_count(text: str | None) -> int | None:
-    """A whole number not below zero; None where the text is none."""
+    """The non-negative integer in a text; None if the text is not one."""
     text = (text or "").strip()
     return int(text) if text.isascii() and text.isdecimal() and len(text) <= LONGEST_IPOC else None
 

@@ -1,9 +1,9 @@
-"""``rtde://``: robots of Universal Robots by Real-Time Data Exchange, TCP.
+"""``rtde://``: Universal Robots by Real-Time Data Exchange over TCP.
 
 Universal Robots, "Real-Time Data Exchange (RTDE) Guide" (fields, types, set-up, data packages); the framing is in
-:mod:`hiltestbed.devices.rtde_wire`. The controller sends the fields asked for at up to 500 Hz (125 Hz on CB3). A pose is commanded
-through six input registers (double, from ``first_register`` on: x y z rx ry rz, m and rad) and one integer register of the same number,
-which counts the commands and is -1 for stop; a program on the robot follows them, for instance
+:mod:`hiltestbed.devices.rtde_wire`. The controller sends the requested fields at up to 500 Hz (125 Hz on CB3). A pose is commanded
+through six input registers (double, from ``first_register`` on: x y z rx ry rz, m and rad) and one integer register, number
+``first_register``, which counts the commands and is -1 for stop; a program on the robot follows them, for instance
 
     while (read_input_integer_register(24) >= 0):
       servoj(get_inverse_kin(p[read_input_float_register(24), ..., read_input_float_register(29)]), t=0.002, lookahead_time=0.03)
@@ -14,7 +14,7 @@ with ``rtde_set_watchdog("input_int_register_24", 10, "STOP")`` before it. Regis
 ``actual_TCP_force`` is in the axes of the base, at the tool centre point, and compensated for the payload; ``ft_raw_wrench`` is the raw
 sensor.
 
-The library ur_rtde is a client only, with threads, a control script and a pace of its own: it cannot emulate the device, nor be read
+The library ur_rtde is only a client, with its own threads, control script and timing: it cannot emulate the device, nor be read
 without waiting. The part of the protocol needed here is small and implemented here.
 """
 
@@ -38,7 +38,7 @@ from hiltestbed.validation import Positive
 
 SAFETY_GOOD, SAFETY_STOPPED = 0b11, 0x7FC  # safety_status_bits: normal or reduced mode; a stop, violation or fault of any kind
 PROGRAM_RUNNING = 0b10  # of robot_status_bits
-NO_SAFE_MODE, NO_PROGRAM = 1 << 30, 1 << 31  # of the status here
+NO_SAFE_MODE, NO_PROGRAM = 1 << 30, 1 << 31  # bits of the status word defined here
 STOPPED = -1  # in the counter of commands
 
 
@@ -48,15 +48,15 @@ class RtdeSettings(DeviceSettings):
     default_port: ClassVar[int] = 30004
 
     kind: Literal["rtde"] = "rtde"
-    rate: Positive = Field(default=500.0, le=500, description="data packages a second [Hz]")
+    rate: Positive = Field(default=500.0, le=500, description="rate of the data packages [Hz]")
     wrench: Literal["actual_TCP_force", "ft_raw_wrench"] = Field(default="actual_TCP_force", description="field that a sensor reads")
     first_register: int = Field(default=24, ge=0, le=42, description="first input register of the commanded pose")
     need_program: bool = Field(default=True, description="whether a robot without a running program is an error")
-    connect: Positive = Field(default=2.0, description="[s] to wait for each answer while connecting")
+    connect: Positive = Field(default=2.0, description="time to wait for each answer while connecting [s]")
 
 
 def status_of(safety: int, robot: int | None) -> int:
-    """The status word here: 0 for a robot in normal or reduced mode, with a program running where ``robot`` bits are given."""
+    """The status word: 0 for a robot in normal or reduced mode, with a running program if ``robot`` status bits are given."""
     status = safety & SAFETY_STOPPED
     if not safety & SAFETY_GOOD:
         status |= NO_SAFE_MODE
@@ -196,7 +196,7 @@ class _Session:
 
 
 class RtdeSensorClient(SensorClient):
-    """The force that a robot's controller reports."""
+    """A sensor that reads the force reported by a robot's controller."""
 
     def __init__(self, settings: RtdeSettings) -> None:
         super().__init__(settings.where)
@@ -284,9 +284,9 @@ class RtdePlatformClient(PlatformClient):
 
 
 class RtdeKeeper(Keeper):
-    """Pauses the exchange on the connection that the loop has left: the controller's own watchdog of its registers then stops the robot.
+    """Pauses the exchange on the loop's connection: the controller's own watchdog of its registers then stops the robot.
 
-    The registers keep their last values, which is the hold.
+    To hold, nothing is needed: the registers keep their last values.
     """
 
     def __init__(self, settings: RtdeSettings, fileno: int) -> None:
@@ -294,7 +294,7 @@ class RtdeKeeper(Keeper):
         self._stream = rtde_wire.Stream(sockets.adopted(fileno))
 
     def hold(self, held: Array) -> None:
-        """Nothing: an input register keeps its value."""
+        """Send nothing: an input register keeps its value."""
 
     def stop(self, held: Array) -> None:
         try:

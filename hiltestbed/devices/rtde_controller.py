@@ -1,6 +1,6 @@
 """The controller's side of Real-Time Data Exchange, for an emulated robot.
 
-It answers what :mod:`hiltestbed.devices.rtde` and other clients ask in their set-up, and has the fields that a contact experiment needs:
+It answers the set-up requests of :mod:`hiltestbed.devices.rtde` and other clients, and has the fields that a contact experiment needs:
 others are NOT_FOUND. Framing and sources: :mod:`hiltestbed.devices.rtde_wire`.
 """
 
@@ -33,7 +33,7 @@ OUTPUTS = {
     "runtime_state": "UINT32",
 }
 INPUTS = {f"input_double_register_{i}": "DOUBLE" for i in range(48)} | {f"input_int_register_{i}": "INT32" for i in range(48)}
-VERSION = struct.pack(">IIII", 5, 15, 0, 0)  # major, minor, bugfix, build that the emulated controller says it is
+VERSION = struct.pack(">IIII", 5, 15, 0, 0)  # major, minor, bugfix, build reported by the emulated controller
 MOST_CLIENTS = 8
 RUNNING = {"safety_status_bits": 0b1, "robot_status_bits": 0b11, "runtime_state": 2}  # normal mode, power on and program running, playing
 
@@ -50,11 +50,11 @@ class _Client:
 
 
 class Controller:
-    """Listens, sets clients up, sends them outputs and takes their inputs.
+    """Listens, sets up clients, sends them outputs and receives their inputs.
 
     Attributes:
         fields: the outputs by name.
-        registers: the inputs that have been received, by name.
+        registers: the received inputs, by name.
     """
 
     def __init__(self, settings: RtdeSettings, counts) -> None:
@@ -80,7 +80,7 @@ class Controller:
             self._socket = None
 
     def poll(self) -> bool:
-        """Serve all clients; True where new inputs have come."""
+        """Serve all clients; True if new inputs have arrived."""
         if self._socket is None:
             return False
         self._accept()
@@ -95,12 +95,12 @@ class Controller:
         return new
 
     def arrived(self, timeout: float) -> bool:
-        """Wait until a client says something, for at most ``timeout`` [s]."""
+        """Wait until a client sends something, for at most ``timeout`` [s]."""
         heard = [client.stream.connection for client in self._clients]
         return self._socket is not None and bool(select.select([self._socket, *heard], [], [], timeout)[0])
 
     def publish(self, device_time: float) -> None:
-        """Send the fields to each client that has started, at the rate that it asked for."""
+        """Send the fields to each client that has started, at the rate that it requested."""
         self.fields["timestamp"] = [device_time]
         for client in self._clients[:]:
             if not client.started or client.layout is None or device_time < client.due - 0.25 / client.frequency:

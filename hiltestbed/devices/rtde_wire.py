@@ -1,9 +1,8 @@
 """The packages of Universal Robots' Real-Time Data Exchange, protocol version 2, and a connection that carries them.
 
 Universal Robots, "Real-Time Data Exchange (RTDE) Guide", sections "Protocol" and "Data types": a package is its size (two bytes, this
-header included), its type (one byte, an ASCII letter) and a payload, high byte first. Each request is answered by a package of its own
-type. A data package begins with the number of its recipe; of protocol version 2 alone, output recipes have one too and their rate may be
-asked for.
+header included), its type (one byte, an ASCII letter) and a payload, big-endian. Each request is answered by a package of the same
+type. A data package begins with the number of its recipe; output recipes have a number and a selectable rate only in protocol version 2.
 """
 
 from __future__ import annotations
@@ -34,7 +33,7 @@ AT_ONCE = 65536  # [byte] read from a connection at a time
 
 
 class Broken(Exception):
-    """What came is not a package: where the next one begins is not known, and the connection is of no more use."""
+    """The received data is not a package: the start of the next one is unknown, and the connection is unusable."""
 
 
 def package(kind: int, payload: bytes = b"") -> bytes:
@@ -47,7 +46,7 @@ def recipe(types: list[str]) -> struct.Struct:
 
 
 class Stream:
-    """Packages out of the bytes of a connection."""
+    """Reads packages from the bytes of a connection, and sends them."""
 
     def __init__(self, connection: socket.socket) -> None:
         connection.setblocking(False)
@@ -55,11 +54,11 @@ class Stream:
         self._buffer = bytearray()
 
     def send(self, kind: int, payload: bytes = b"") -> None:
-        """Raises OSError; BlockingIOError where the other side does not read."""
+        """Send a package. Raises OSError; BlockingIOError if the other side does not read."""
         self.connection.sendall(package(kind, payload))
 
     def receive(self) -> Iterator[tuple[int, bytes]]:
-        """The packages that have arrived whole. Raises Broken, and ConnectionError where the other side has closed."""
+        """The packages that have arrived completely. Raises Broken, and ConnectionError if the other side has closed."""
         try:
             data = self.connection.recv(AT_ONCE)
         except BlockingIOError:
@@ -79,6 +78,6 @@ class Stream:
 
 
 def text_of(payload: bytes) -> str:
-    """The words of a text message of protocol version 2: length and message, length and source, level."""
+    """The text of a text message of protocol version 2: length and message, length and source, level."""
     length = payload[0] if payload else 0
     return payload[1 : 1 + length].decode("ascii", "replace")

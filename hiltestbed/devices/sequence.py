@@ -16,14 +16,14 @@ class Sequence:
 
     def __init__(self, counts: NDArray, bits: int = 32, step: int = 1, longest_gap: int = 10_000) -> None:
         """``longest_gap``: number of records that may be missing at once. A larger step is implausible (malformed), unless the next record
-        goes on from it: then whoever reads has paused, or the device has begun anew (RFC 3550, appendix A.1)."""
+        continues from it: then the reader has paused, or the device has restarted its counter (RFC 3550, appendix A.1)."""
         self._counts = counts
         self._modulus = 1 << bits
         self._step = step
         self._longest = longest_gap * step
         self.newest = -1
         self._wrapped = 0
-        self._resumed = -1  # the number that goes on from the last implausible one
+        self._resumed = -1  # the number that would continue from the last implausible one
 
     def restart(self) -> None:
         """Accept any number next: the device restarts its counter."""
@@ -50,7 +50,7 @@ class Sequence:
             self._counts[Event.REORDERED] += 1
         elif number == self._resumed:
             if ahead < behind:
-                self._counts[Event.LOST] += ahead // self._step - 2  # the one before this came, and was not believed
+                self._counts[Event.LOST] += ahead // self._step - 2  # the previous record did arrive, but was rejected
             self.newest += ahead if ahead < behind else self._step
             self._wrapped = number
             return True

@@ -1,8 +1,8 @@
-"""One run of the loop against two devices: connect, tare, wait, travel to the start, run, stop; a run like any other comes of it.
+"""One run of the loop with two devices: connect, tare, wait, travel to the start, run, stop; the result is a run like any other.
 
-Nothing moves before it is armed. Whatever happens from then on ends in a run with its reason, and the platform held, retracted or stopped
-as the scenario says. The trace is kept in memory that is there before the first cycle, and written after the last; a process beside the
-loop writes its rows as they come, should the loop's process die.
+Nothing moves before it is armed. Any fault from then on ends the run with its reason, and the platform is held, retracted or stopped
+as the scenario specifies. The trace is kept in memory that is allocated before the first cycle, and written after the last; a separate
+process writes its rows as they are produced, in case the loop's process dies.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from hiltestbed.scenario import Scenario
 from hiltestbed.signals import CYCLE, Trace
 from hiltestbed.simulation import Run, collected, concluded, reference_scenario, simulate
 
-OBSERVED = 1.0  # [s] for which devices are watched before the start, at least
+OBSERVED = 1.0  # [s] least time for which the devices are observed before the start
 READY = 20.0  # [s] to wait for the watchdog's process
 
 MakePace = Callable[[SensorClient, PlatformClient, float], Pace]
@@ -42,13 +42,13 @@ MakePace = Callable[[SensorClient, PlatformClient, float], Pace]
 
 @dataclass
 class Options:
-    """How a run against devices is made.
+    """Options of a run with devices.
 
     Attributes:
         sensor, platform: URLs. armed: whether anything may move. cpu: processor to run on.
-        say: is told when the platform is about to move.
-        record: file that takes the rows as they come, for a process that dies; None: they are in memory until the end.
-        pace: makes what a tick waits for, of sensor, platform and tick; for tests without a clock.
+        say: called with a message when the platform is about to move.
+        record: file to which the rows are written as they are produced, in case the process dies; None: they stay in memory until the end.
+        pace: creates the :class:`Pace` from sensor, platform and tick; for tests without a clock.
     """
 
     sensor: str
@@ -70,10 +70,10 @@ def clients(scenario: Scenario, options: Options) -> tuple[SensorClient, Platfor
 
 @dataclass
 class Observed:
-    """What the devices show while nothing moves: reading and pose in P, spread of the reading, rate, and the events so far.
+    """Observation of the devices while nothing moves: reading and pose in P, standard deviation of the reading, rate, and events so far.
 
     Attributes:
-        shown, shown_noise: (6,) mean and spread of the reading in the sensor's own frame.
+        shown, shown_noise: (6,) mean and standard deviation of the reading in the sensor's own frame.
     """
 
     pose: Array
@@ -87,7 +87,7 @@ class Observed:
 
 @dataclass
 class Row:
-    """A tick of a known motion: pose (7,) commanded for its end, pose (7,) of A in P reached, wrench (6,) as the sensor shows it."""
+    """A tick of a known motion: pose (7,) commanded for its end, pose (7,) of A in P reached, reading (6,) in the sensor's own frame."""
 
     command: Array
     pose: Array
@@ -95,7 +95,7 @@ class Row:
 
 
 class Session:
-    """One run against two devices: everything is made before they are opened, since some want their answer from then on."""
+    """One run with two devices: everything is prepared before they are opened, since some require answers from then on."""
 
     def __init__(self, scenario: Scenario, options: Options) -> None:
         self.scenario, self.options, self.armed = scenario, options, options.armed
@@ -113,7 +113,7 @@ class Session:
 
     @contextmanager
     def connected(self) -> Iterator[None]:
-        """Both devices open, in a process that is prepared for them."""
+        """Context with both devices open, in a process prepared for real time."""
         devices, watchdog = self.devices, self.scenario.devices.watchdog
         with ExitStack() as stack:
             self.granted = stack.enter_context(prepared(self.options.cpu))
@@ -132,7 +132,7 @@ class Session:
             yield
 
     def observe(self) -> Observed:
-        """Watch the devices while the platform is held, tare the sensor, and wait for the watchdog's process."""
+        """Observe the devices while the platform is held, tare the sensor, and wait for the watchdog's process."""
         rig, tare = self.rig, self.scenario.devices.sensor.tare
         ticks = round(max(OBSERVED if not self.armed else 0.0, tare) * self.scenario.rate)
         readings, shown = np.zeros((2, max(ticks, 2), 6))
@@ -161,7 +161,7 @@ class Session:
             self.loop.trouble[0] = (0, "stopped", f"before the start: {self.rig.stop}")
 
     def guarded(self, work: Callable[[], None]) -> None:
-        """Arm, do ``work``, and bring the platform to rest whatever comes of it; what has gone wrong stands in ``rig.stop``."""
+        """Arm, do ``work``, and bring the platform to rest whatever happens; ``rig.stop`` holds the reason of a stop."""
         rig = self.rig
         try:
             self.options.say("armed: the platform moves from now on")
@@ -192,14 +192,14 @@ class Session:
             self.wall = time.perf_counter() - began
 
     def _approach(self) -> bool:
-        """To where the run-up begins, and up to the approach velocity; False where something has stopped it."""
+        """Travel to the start of the run-up, and accelerate to the approach velocity; False if stopped."""
         tick, settings = self.rig.tick, self.scenario.devices.platform
         rest = next(run_up(self._pose, self._twist, tick, settings.run_up))
         way = travel(self.rig.last.copy(), rest, tick, settings.travel_speed, np.radians(settings.travel_rate_deg))
         return self.follow(way) and self.follow(run_up(self._pose, self._twist, tick, settings.run_up))
 
     def _end(self) -> None:
-        """Bring the platform to rest: smoothly after a run that is complete, as the scenario says after one that is not."""
+        """Bring the platform to rest: smoothly after a complete run, otherwise as the scenario specifies."""
         rig, platform = self.rig, self.devices.platform
         try:
             if rig.stop is None and not self.loop.trouble:
@@ -211,13 +211,13 @@ class Session:
             else:
                 self._stop()
         except (HiltestbedError, OSError, KeyboardInterrupt):
-            pass  # what can be told has been told; the device's own limits and the watchdog are left
+            pass  # nothing more can be commanded; the device's own limits and the watchdog remain
         finally:
             if self.devices.watchdog is not None:
                 self.devices.watchdog.disarm()
 
     def _leaving(self) -> Array:
-        """The twist (6,) with which the platform is to come to rest: none where no run has moved it."""
+        """The twist (6,) from which the platform is brought to rest: zero if no run has moved it."""
         return self.loop.drive.twist[0].copy() if self.loop.k > 0 else np.zeros(6)
 
     def _stop(self) -> None:
@@ -237,11 +237,11 @@ class Session:
             self._hold()
 
     def follow(self, poses: Iterable[Array], tolerant: bool = False, rows: list[Row] | None = None) -> bool:
-        """Command ``poses`` (7,), one a tick; False where something has stopped it.
+        """Command ``poses`` (7,), one per tick; False if stopped.
 
         Args:
-            tolerant: only the guard stops it: for a way out after a stop.
-            rows: takes what was read at each tick and commanded from it.
+            tolerant: only the guard can stop it, for the retraction after a stop.
+            rows: receives the readings of each tick and the command sent from them.
         """
         rig = self.rig
         for pose in poses:
@@ -266,13 +266,13 @@ class Session:
         return {"sensor": said(self.devices.sensor), "platform": said(self.devices.platform)}
 
     def result(self, observed: Observed) -> Run:
-        """What has come of it, with its reference."""
+        """The result, with its reference."""
         loop, rig = self.loop, self.rig
         rows = self.trace
         rows.length[:] = min(loop.k, self.scenario.ticks)
         for i, (k, *_) in loop.trouble.items():
             rows.length[i] = min(k + 1, self.scenario.ticks) if loop.k > 0 else 0
-        rows.data["wrench_true"][:] = np.nan  # no device shows it
+        rows.data["wrench_true"][:] = np.nan  # no device measures it
         rows.data[CYCLE.name] = rig.log.rows[: self.scenario.ticks, None, :]
         reference = simulate([reference_scenario(self.scenario)], until_parted=True).figures[0]
         run = concluded(collected(loop, rows, self.wall, {}), reference, 0)

@@ -35,13 +35,13 @@ Part = Literal["wrench", "state", "command"]
 
 
 class ShmSettings(DeviceSettings):
-    """Options of ``shm://``; the host is the name."""
+    """Options of ``shm://``; the host part of the URL is the name."""
 
     kind: Literal["shm"] = "shm"
     host: str = Field(default="hiltestbed", pattern=r"^[a-z0-9][a-z0-9_.-]{0,99}$", description="name of the shared memory")
-    rate: Positive = Field(default=1000.0, description="messages a second [Hz]")
-    clock: Literal["device", "host"] = Field(default="device", description="who paces the cycle: the device's messages, or the loop")
-    connect: Positive = Field(default=2.0, description="[s] to wait for the device")
+    rate: Positive = Field(default=1000.0, description="rate of the messages [Hz]")
+    clock: Literal["device", "host"] = Field(default="device", description="what paces the cycle: the device's messages, or the loop")
+    connect: Positive = Field(default=2.0, description="time to wait for the device [s]")
 
 
 def mailbox_name(settings: ShmSettings, part: Part) -> str:
@@ -68,7 +68,7 @@ class _Inbox:
     def __init__(self, counts) -> None:
         self.box: Mailbox | None = None
         self.counts = counts
-        self.sequence = Sequence(counts, bits=63, longest_gap=1 << 61)  # any: a mailbox keeps the newest message, however long nobody reads
+        self.sequence = Sequence(counts, bits=63, longest_gap=1 << 61)  # no limit: a mailbox keeps only the newest message
 
     def open(self, box: Mailbox) -> None:
         self.box = box
@@ -206,7 +206,7 @@ class ShmSensorServer(SensorServer):
 
 
 class ShmPlatformServer(NumberedServer):
-    """A platform in another process."""
+    """A platform for a loop in another process."""
 
     def __init__(self, settings: ShmSettings) -> None:
         super().__init__(settings)

@@ -1,10 +1,10 @@
-"""The physical side made of real devices: what the loop sees in the place of the simulated rig and its sensor.
+"""The physical side made of real devices, in place of the simulated rig and its sensor.
 
 A tick, at t_k: the wrench and the pose at t_k have arrived; ``begin`` sends the pose for t_(k+1), ``finish`` waits for the records of
-t_(k+1). What is sent has passed the guard, and once anything has gone wrong nothing but the stop behaviour is sent. Nothing is commanded
-before :meth:`DeviceRig.arm`: until then the platform is told to hold.
+t_(k+1). Every command passes the guard, and after a fault only the stop behaviour is sent. Nothing is commanded before
+:meth:`DeviceRig.arm`: until then the platform is held.
 
-The switches of a latch come over none of the protocols: capture is read from the force, which no contact alone can make pull.
+None of the protocols transmits the switches of a latch: capture is detected from a pulling force, which a contact alone cannot exert.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ from hiltestbed.loop import MakeSide, Side
 from hiltestbed.monitoring import ProcessMonitor
 from hiltestbed.scenario import Scenario
 
-GATE_SIGMA = 5.0  # a force beyond this many standard deviations of its noise is a contact
-LEAST_FORCE = 0.5  # [N] below it a force is none, where the scenario has no noise
+GATE_SIGMA = 5.0  # a force above this many standard deviations of its noise counts as contact
+LEAST_FORCE = 0.5  # [N] the same threshold if the scenario has no noise
 NANOSECOND = 1e-9
 
 
 @dataclass
 class Connected:
-    """Two devices, what a tick waits for once they are open, and the process that watches over the loop."""
+    """Two devices, the pace of the loop once they are open, and the loop's watchdog process."""
 
     sensor: SensorClient
     platform: PlatformClient
@@ -45,10 +45,10 @@ class Connected:
 
 
 class CycleLog:
-    """Times of the cycles, in arrays that are made before the first.
+    """Times of the cycles, in arrays allocated before the first.
 
     Attributes:
-        rows: ``(capacity, 4)``, one a tick, as in :data:`hiltestbed.signals.CYCLE`. began: start of the last cycle [ns].
+        rows: ``(capacity, 4)``, one per tick, as in :data:`hiltestbed.signals.CYCLE`. began: start of the last cycle [ns].
     """
 
     def __init__(self, capacity: int) -> None:
@@ -57,7 +57,7 @@ class CycleLog:
         self.began = time.monotonic_ns()
 
     def begin(self, ticks: int, age: float) -> None:
-        """A cycle that has waited for ``ticks`` ticks, with a reading of ``age`` [s], begins now."""
+        """Record the start of a cycle, ``ticks`` ticks after the last one, with a reading of age ``age`` [s]."""
         now = time.monotonic_ns()
         self.k += 1
         if self.k < len(self.rows):
@@ -66,13 +66,13 @@ class CycleLog:
         self.began = now
 
     def sent(self) -> None:
-        """The command has been sent."""
+        """Record that the command has been sent."""
         if self.k < len(self.rows):
             self.rows[self.k, 1] = (time.monotonic_ns() - self.began) * NANOSECOND
 
 
 class DeviceSensor:
-    """The reading as it arrives, in P, less the tare: what the scenario's chain describes happens in the device."""
+    """The reading as it arrives, in P, less the tare; the signal chain of the scenario is in the device itself."""
 
     def __init__(self) -> None:
         self.reading = np.zeros((1, 6))
@@ -82,18 +82,18 @@ class DeviceSensor:
         return self.reading
 
     def feel(self, k: int, wrench: Array) -> None:
-        """Nothing: the device has felt it."""
+        """Do nothing: the device measures the wrench itself."""
 
 
 class DeviceRig:
-    """Platform and sensor, as :class:`hiltestbed.platform.plant.Plant` shows them to the loop; one run.
+    """Platform and sensor, with the interface of :class:`hiltestbed.platform.plant.Plant`; one run.
 
     Attributes:
-        units: of the platform's joints, of which the devices show none. physical: the bodies do not move by themselves.
-        stop: why the run has to stop; None while all is well. tare: (6,) taken off the sensor's wrench in P.
+        units: of the platform's joints: empty, since devices do not report them. physical: False, since the bodies do not move freely.
+        stop: why the run has to stop; None while there is no fault. tare: (6,) subtracted from the sensor's wrench in P.
         last: (7,) the pose of A in P that was sent last.
-        late_work: [J] by which the work of the force is more when each reading is paired with the motion that it came from, by the
-            scenario's sensor.delay, than with that of the tick at which it was read.
+        late_work: [J] work of the force with each reading paired with the motion at which it acted, by the scenario's
+            sensor.delay, less that with the motion of the tick at which it was read.
         missed: ticks that began without the record of the device that sets the clock, or too late for an answer.
     """
 
@@ -103,7 +103,7 @@ class DeviceRig:
     def __init__(self, scenario: Scenario, connected: Connected, ticks: int) -> None:
         if scenario.rig.platform.physical:
             kind = scenario.rig.platform.kind
-            raise InputError(f"rig.platform: the bodies of {kind!r} move by themselves; devices are for platforms that are commanded")
+            raise InputError(f"rig.platform: the bodies of {kind!r} move freely; devices are only for platforms that are commanded")
         tick = scenario.tick
         self.scenario, self.connected, self.tick = scenario, connected, tick
         self.mounting = Mounting(scenario.devices)
@@ -124,7 +124,7 @@ class DeviceRig:
         self._slope, self._slope_before = np.zeros(6), np.zeros(6)
         late = scenario.sensor.delay / tick
         self._late, self._part = int(late), late % 1.0
-        self._slopes = np.zeros((self._late + 2, 6))  # of the last ticks: what the force that is read now met
+        self._slopes = np.zeros((self._late + 2, 6))  # of the last ticks: the motion at which the force read now acted
         self._taken = 0
         self.late_work = 0.0
         self._held_rate = scenario.rig.platform.prescribed
@@ -132,7 +132,7 @@ class DeviceRig:
         limit = scenario.safety
         self._limits = [math.inf if v is None else v for v in (limit.force, limit.torque, limit.tracking_error)]
         self._behind = 0
-        self.phases: Phases | None = None  # of capture: the real mechanism's own
+        self.phases: Phases | None = None  # None: phases of capture are those of the real mechanism
         self.pose_act, self.twist_act = np.zeros((1, 7)), np.zeros((1, 6))
         self.pose_act[:, 6] = 1.0
         self.wrench_sub = np.zeros((1, 1, 6))
@@ -150,10 +150,10 @@ class DeviceRig:
         return None
 
     def reset(self, pose: Array, twist: Array) -> None:
-        """Nothing: the platform has been brought to its start."""
+        """Do nothing: the platform has already been brought to its start."""
 
     def watch(self) -> None:
-        """Take the records in from now on: all that has happened so far is past."""
+        """Begin to process the records; events before now are ignored."""
         self.connected.pace.start()
         self._seen[:] = [-1, -1]
         for watch in self._watches:
@@ -162,18 +162,18 @@ class DeviceRig:
         self._before[:] = self.last[:] = self.pose_act[0]
 
     def arm(self) -> None:
-        """From now on the platform is commanded."""
+        """Allow commands to the platform from now on."""
         self.last[:] = self.pose_act[0]
         self.guard.start(self.last)
         self.armed = True
 
     def tick_zero(self) -> None:
-        """The tick that is to come is the first of the run."""
+        """Mark the coming tick as the first of the run."""
         self.log.k, self.log.rows[:] = 0, 0.0
         self.missed, self.late_work = 0, 0.0
 
     def begin(self, pose_cmd: Array, twist_cmd: Array, accel_cmd: Array) -> None:
-        """Send the pose ``(1, 7)`` for the end of the tick; the platform makes its own velocity of it."""
+        """Send the pose ``(1, 7)`` for the end of the tick; the platform derives its velocity from it."""
         platform = self.connected.platform
         if self._behind == 0:
             if self.armed and self.stop is None:
@@ -187,7 +187,7 @@ class DeviceRig:
                 platform.hold()
             if self.armed and self.connected.watchdog is not None:
                 self.connected.watchdog.beat()
-        elif self.armed and self.stop is None:  # its record has been overtaken: the next one is answered
+        elif self.armed and self.stop is None:  # a newer record has arrived: that one is answered
             self.guard.refusal(pose_cmd[0])
             self.last[:] = pose_cmd[0]
         self.log.sent()
@@ -206,7 +206,7 @@ class DeviceRig:
         self.missed += not new
 
     def _take_in(self) -> bool:
-        """Take in what has come, and judge it; whether the device that sets the clock had a new record."""
+        """Process and check the records that have arrived; returns whether the device that sets the clock had a new one."""
         sensor, platform = self.connected.sensor, self.connected.platform
         sensor.poll()
         platform.poll()
@@ -257,7 +257,7 @@ class DeviceRig:
 
 
 class DeviceWatch:
-    """What stops a run against devices: what the rig has seen, and the energy that it has created."""
+    """Stops a run with devices: on a fault of the rig, or if the rig has generated too much energy."""
 
     def __init__(self, scenario: Scenario, rig: DeviceRig) -> None:
         self._rig = rig
@@ -274,7 +274,7 @@ class DeviceWatch:
 
 
 def side_of(rig: DeviceRig) -> MakeSide:
-    """What makes the physical side of a loop out of ``rig``, for one run."""
+    """A function that makes the physical side of a loop from ``rig``, for one run."""
 
     def made(scenarios: Sequence[Scenario], nthread: int) -> Side:
         if len(scenarios) != 1:

@@ -1,7 +1,7 @@
 """The protocols by URL scheme, and a device from its URL.
 
-A protocol is one module with a :class:`~hiltestbed.devices.interface.Protocol` named ``PROTOCOL``; it is imported when a URL asks for it.
-A protocol of the user's own enters the table with :func:`register`.
+A protocol is one module with a :class:`~hiltestbed.devices.interface.Protocol` named ``PROTOCOL``; it is imported when a URL uses it.
+A user's own protocol is added to the table with :func:`register`.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ _registered: dict[str, Protocol] = {}
 
 
 def register(protocol: Protocol) -> None:
-    """Add a protocol, in place of one of the same scheme."""
+    """Add a protocol; it replaces one with the same scheme."""
     _registered[protocol.scheme] = protocol
 
 
@@ -29,7 +29,7 @@ def protocols() -> dict[str, Protocol]:
 
 
 def find(url: str, place: str) -> Protocol:
-    """The protocol of a URL. Raises InputError with the schemes that there are."""
+    """The protocol of a URL. Raises InputError, which lists the known schemes."""
     scheme = scheme_of(url, place)
     if scheme not in MODULES and scheme not in _registered:
         known = sorted(MODULES | _registered)

@@ -46,7 +46,7 @@ class UdpSensorClient(SensorClient):
 
 
 class UdpPlatformClient(NumberedClient):
-    """A platform that receives one pose a datagram and sends the pose reached."""
+    """A platform that receives one pose per datagram and sends the pose reached."""
 
     def __init__(self, settings: UdpSettings) -> None:
         super().__init__(settings)

@@ -32,7 +32,7 @@ class UdpSensorServer(SensorServer):
             self._socket = None
 
     def poll(self) -> bool:
-        """A sensor is told nothing."""
+        """A sensor receives nothing."""
         return False
 
     def publish(self, wrench: Array, device_time: float, status: int = 0) -> None:

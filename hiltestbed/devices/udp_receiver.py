@@ -26,17 +26,17 @@ class UdpSettings(DeviceSettings):
     default_port: ClassVar[int] = 5005
 
     kind: Literal["udp"] = "udp"
-    layout: str | None = Field(default=None, description="YAML file that describes the records; the default layout where it is not given")
+    layout: str | None = Field(default=None, description="YAML file that describes the records; omitted: the default layout")
     listen: str | int | None = Field(default=None, description="address:port (or port) of this machine where the device's records arrive")
     peer: str | int | None = Field(default=None, description="address:port (or port) of the controller that an emulated device sends to")
-    rate: Positive = Field(default=1000.0, description="records a second [Hz]")
-    clock: Literal["device", "host"] = Field(default="device", description="who paces the cycle: the device's records, or the loop")
+    rate: Positive = Field(default=1000.0, description="rate of the records [Hz]")
+    clock: Literal["device", "host"] = Field(default="device", description="what paces the cycle: the device's records, or the loop")
     any_port: bool = Field(default=False, description="whether the device may send from another port than the URL's")
-    connect: Positive = Field(default=2.0, description="[s] to wait for the first record")
+    connect: Positive = Field(default=2.0, description="time to wait for the first record [s]")
 
 
 def record_of(settings: UdpSettings, kind: RecordKind) -> Record:
-    """The record of ``kind``. Raises InputError where the layout has none."""
+    """The record of ``kind``. Raises InputError if the layout has none."""
     layout: Layout = read_layout(settings.layout) if settings.layout is not None else default_layout()
     if not getattr(layout, kind):
         message = f"the layout {settings.layout} has no {kind} record; describe it there"
@@ -60,7 +60,7 @@ def end_of(settings: UdpSettings, key: Literal["listen", "peer"], what: str) -> 
 
 
 class Receiver:
-    """Receives records from one sender; calls ``take`` for each good new one while ``record`` holds it."""
+    """Receives records from one sender; calls ``take`` for each good new one, while ``record`` holds its values."""
 
     def __init__(self, record: Record, counts, take: Callable[[], bool]) -> None:
         self.record, self.counts, self.take = record, counts, take

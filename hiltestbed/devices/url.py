@@ -1,6 +1,6 @@
-"""A device as the user names it: ``scheme://host:port?option=value&...``, checked against its protocol's settings.
+"""A device as the user specifies it: ``scheme://host:port?option=value&...``, checked against its protocol's settings.
 
-An address that is not given is the loopback one. An option's value is read as a scenario's values are, and every fault is told at once.
+The default address is the loopback address. An option's value is parsed like a scenario's values, and all faults are reported at once.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ Settings = TypeVar("Settings", bound=BaseModel)
 
 
 class DeviceSettings(Strictly):
-    """What every protocol's settings have; ``where`` is the URL as it was given, for messages."""
+    """Settings common to all protocols; ``where`` is the URL as given, for messages."""
 
     default_port: ClassVar[int] = 0
 
-    where: str = Field(default="", description="the URL as it was given")
-    host: str = Field(default=LOOPBACK, description="address of the device, or of this machine where the device opens the connection")
+    where: str = Field(default="", description="the URL as given")
+    host: str = Field(default=LOOPBACK, description="address of the device, or of this machine if the device opens the connection")
     port: Port = Field(default=0, description="its port")
 
     @property
     def device_tells_rate(self) -> bool:
-        """Whether a client asks the device itself for its rate."""
+        """Whether a client reads the rate from the device itself."""
         return False
 
 
@@ -40,7 +40,7 @@ _FROM_ADDRESS = ("where", "host", "port", "kind")
 
 
 def scheme_of(url: str, place: str) -> str:
-    """The scheme of a URL. Raises InputError where there is none."""
+    """The scheme of a URL. Raises InputError if there is none."""
     scheme, separator, _ = url.partition("://")
     if not separator or not scheme or len(url) > LONGEST:
         raise InputError(Fault(place, None, None, "", f"is not a device (got {url[:80]!r}); give it as scheme://host:port?option=value"))
@@ -48,11 +48,11 @@ def scheme_of(url: str, place: str) -> str:
 
 
 def parse(url: str, model: type[Settings], place: str) -> Settings:
-    """The settings that a URL stands for.
+    """The settings in a URL.
 
     Args:
-        model: the settings of the URL's protocol.
-        place: where the URL stands (``--sensor``), for the messages.
+        model: class of the settings of the URL's protocol.
+        place: where the URL was given (``--sensor``), for messages.
 
     Raises:
         InputError: every fault of the URL, each with the options that are allowed.
@@ -76,7 +76,7 @@ def parse(url: str, model: type[Settings], place: str) -> Settings:
     options = [name for name in model.model_fields if name not in _FROM_ADDRESS]
     for key, value in parse_qsl(parts.query, keep_blank_values=True):
         if key in _FROM_ADDRESS:
-            faults.append(Fault(file, None, None, key, "is not an option; the address stands before the question mark"))
+            faults.append(Fault(file, None, None, key, "is not an option; the address goes before the question mark"))
         elif key in data:
             faults.append(Fault(file, None, None, key, "is given twice; each option may stand once"))
         elif key not in options:

@@ -1,8 +1,8 @@
-"""Communication monitoring: once a cycle, the events since the last one against the limits.
+"""Communication monitoring: once per cycle, the events since the last cycle are compared with limits.
 
-A cycle that has no new record is a *miss*; so is each record that the sequence numbers show as lost. A rejected record (malformed, from
-another sender, repeated, out of order) is a *disturbance*: it changes nothing, but many of them mean that the connection cannot be
-trusted. An error status, a closed connection and a sample older than allowed stop at their first occurrence.
+A cycle without a new record is a *miss*; so is each record that the sequence numbers show as lost. A rejected record (malformed, from
+another sender, repeated, out of order) is a *disturbance*: it changes nothing, but many of them mean that the connection is unreliable.
+An error status (beyond the allowed number), a closed connection and a sample older than allowed stop the run at once.
 """
 
 from __future__ import annotations
@@ -19,26 +19,26 @@ DISTURBANCES = (Event.MALFORMED, Event.SENDER, Event.REPEATED, Event.REORDERED)
 
 
 class CommunicationLimits(Strictly):
-    """Allowed numbers of communication events; one more stops the run. 0 allows none."""
+    """Allowed numbers of communication events; exceeding one stops the run. 0 allows none."""
 
-    misses_in_a_row: int = Field(default=3, ge=0, description="Allowed misses without a new record between them")
-    misses_in_window: int = Field(default=10, ge=0, description="Allowed misses in the window")
-    disturbances_in_window: int = Field(default=10, ge=0, description="Allowed rejected records in the window")
+    misses_in_a_row: int = Field(default=3, ge=0, description="Allowed consecutive misses, without a new record in between")
+    misses_in_window: int = Field(default=10, ge=0, description="Allowed misses within the window")
+    disturbances_in_window: int = Field(default=10, ge=0, description="Allowed rejected records within the window")
     window: int = Field(default=1000, ge=1, le=1_000_000, description="Length of the window [cycles]")
     stale: Positive = Field(default=0.02, description="Highest age of the newest sample [s]")
-    status_in_a_row: int = Field(default=0, ge=0, description="Allowed records with an error status without a good one between them")
+    status_in_a_row: int = Field(default=0, ge=0, description="Allowed consecutive records with an error status")
 
 
 @dataclass(frozen=True)
 class Stop:
-    """Why a run has to stop: the event, and a sentence with the number and the limit."""
+    """Reason why a run has to stop: the event, and a sentence with the number and the limit."""
 
     event: Event
     reason: str
 
 
 class CommunicationWatch:
-    """Monitors one connection, once a cycle.
+    """Monitors one connection, once per cycle.
 
     Attributes:
         stop: the first reason to stop; None while all is within the limits.
@@ -67,7 +67,7 @@ class CommunicationWatch:
         self.stop = None
 
     def check(self, new: bool) -> Stop | None:
-        """Call after the reads of a cycle; ``new``: whether they gave a new sample. Returns :attr:`stop`."""
+        """Call after the reads of a cycle; ``new``: whether there was a new sample. Returns :attr:`stop`."""
         self.link.counts[Event.LATE] += not new
         age = self.link.sample.age()
         if age > self.limits.stale:
@@ -87,7 +87,7 @@ class CommunicationWatch:
             self._last_miss = Event.LOST
         elif late:
             self._last_miss = Event.LATE
-        # where the loop waited for a record that was lost or late, that cycle has been counted already
+        # if the loop waited for a lost or late record, that cycle has already been counted
         misses = max(late + lost - self._waited, 0) if new else late + lost
         self._waited = 0 if new else self._waited + misses
         for event in DISTURBANCES:

@@ -1,7 +1,7 @@
 """The watchdog: a separate process that holds or stops the platform when the loop's process no longer responds.
 
-The loop sends a heartbeat once a cycle: the time and the last command go into shared memory. When there has been none for ``timeout``, the
-watchdog trips: through its duplicate of the platform's socket it sends the configured message once a period for ``lasting``. A loop that
+The loop sends a heartbeat once per cycle: the time and the last command, written to shared memory. After ``timeout`` without one, the
+watchdog trips: through its duplicate of the platform's socket it sends the configured message once per period for ``lasting``. A loop that
 resumes finds :attr:`Watchdog.tripped` set and has to stop as well.
 
 It covers a loop that hangs or dies, not a failure of the machine or the network. It is not a safety device.
@@ -34,7 +34,7 @@ LASTING = 2.0  # [s]
 
 
 class Watchdog:
-    """The loop's end.
+    """The loop's side of the watchdog.
 
     Attributes:
         timeout: [s] without a heartbeat after which it trips.
@@ -43,10 +43,10 @@ class Watchdog:
     def __init__(
         self, url: str, platform: PlatformClient, timeout: float, action: Action = "hold", lasting: float = LASTING, *, wait: bool = True
     ) -> None:
-        """Start the process for the open ``platform`` at ``url``, and ``wait`` until it watches. Raises InputError, DeviceError."""
+        """Start the process for the open ``platform`` at ``url``, and ``wait`` until it is ready. Raises InputError, DeviceError."""
         if not 0.005 <= timeout <= 10.0 or action not in ACTIONS or lasting <= 0.0:
             raise InputError(
-                f"watchdog: cannot be set so (got timeout {timeout:g} s, action {action!r}, lasting {lasting:g} s); allowed are "
+                f"watchdog: invalid settings (got timeout {timeout:g} s, action {action!r}, lasting {lasting:g} s); allowed are "
                 f"0.005 to 10 s, {' or '.join(ACTIONS)}, and more than 0 s"
             )
         self.timeout = timeout
@@ -69,7 +69,7 @@ class Watchdog:
 
     @property
     def ready(self) -> bool:
-        """Whether its process watches."""
+        """Whether its process is ready."""
         if not self._ready and self._process.stdout and select.select([self._process.stdout], [], [], 0.0)[0]:
             self._heard()
         return self._ready
@@ -80,13 +80,13 @@ class Watchdog:
         return self._ready
 
     def beat(self) -> None:
-        """Send a heartbeat; call once a cycle, after the command. The first one arms the watchdog."""
+        """Send a heartbeat; call once per cycle, after the command. The first one arms the watchdog."""
         self._row[0], self._row[1] = time.monotonic_ns() * 1e-9, 1.0
         self._row[2:] = self._platform.held
         self._ring.push(self._row)
 
     def disarm(self) -> None:
-        """Expect no more heartbeats: the loop ends normally."""
+        """Disarm the watchdog: the loop ends normally and sends no more heartbeats."""
         self._row[0], self._row[1] = time.monotonic_ns() * 1e-9, 0.0
         self._ring.push(self._row)
 

@@ -1,8 +1,8 @@
-"""What an effect is: a departure of one link of the loop from what is believed of it.
+"""What an effect is: a departure of one link of the loop from its nominal model.
 
-An effect changes the parameters of its link's model (:meth:`Effect.apply`), so that nominal and departing are the same equations with
-other numbers. Everything that is known of an effect stands in its class: schema with units and ranges, equation and source, where a
-search for it starts and ends, the delay that it is worth, what it is easily taken for.
+An effect changes the parameters of its link's model (:meth:`Effect.apply`), so that the nominal and the departing model are the same
+equations with different numbers. An effect's class holds everything known about it: schema with units and ranges, equation and source,
+search range and starting points, equivalent delay, and the effects that it is easily mistaken for.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ def quantity(
     """A field of an effect.
 
     Args:
-        unit: "-" for none. meaning: what it is, in words that need no others; after a semicolon what a special value stands for.
-        gt, ge, lt, le: its range. search: the range [unit] that a diagnosis searches, by ``ratio`` or by difference.
+        unit: "-" for none. meaning: a self-contained description; after a semicolon, what a special value stands for.
+        gt, ge, lt, le: its range. search: the range [unit] that a diagnosis searches, logarithmically if ``ratio``, else linearly.
     """
     what, sign, note = meaning.partition(";")
     text = f"{what} [{unit}]{sign}{note}"
@@ -52,10 +52,10 @@ class Effect(Strictly):
 
     Attributes:
         kind: its id in the vocabulary, a literal. link: the link of the loop that it acts on.
-        equation: what it does, in the discrete form where that matters. reference: where the equation comes from.
-        resembles: effects that it is easily taken for. repeats: whether two of its kind act together; else a second one is refused.
-        leading: the parameter that says how large it is. vanishes: whether a smaller effect has a larger parameter (a limit).
-        jumps: a parameter in which a prediction is not smooth, or "".
+        equation: what it does, in discrete form where that matters. reference: source of the equation.
+        resembles: effects that it is easily mistaken for. repeats: whether two of its kind may act together; else a second one is refused.
+        leading: the parameter that sets its size. vanishes: whether the effect becomes smaller as that parameter grows (a limit).
+        jumps: the parameter on which the prediction depends discontinuously, or "".
     """
 
     PARTS: ClassVar[tuple[str, ...]] = ("docstring", "link", "equation", "reference", "apply", "candidates")
@@ -74,42 +74,42 @@ class Effect(Strictly):
 
     @property
     def variant(self) -> Mapping[str, Any]:
-        """Which reading of the equation is meant, where its words leave more than one; empty for the one that a scenario runs."""
+        """Which interpretation of the equation is meant, where it is ambiguous; empty for the one that a scenario simulates."""
         return self._variant
 
     @classmethod
     def hypothesis(cls, variant: Mapping[str, Any], **values: Any) -> Self:
-        """The effect with parameters that are not checked, in a variant: a search may leave what a scenario allows."""
+        """The effect in a variant, with unchecked parameters: a search may leave the range that a scenario allows."""
         effect = cls.model_construct(**values)
         effect._variant = variant
         return effect
 
     @placeholder
     def apply(self, p: Any) -> None:
-        """Change the parameters ``p`` of one run's link, an object of the link's ``Parameters`` class, in place."""
+        """Change the parameters ``p`` of the link in one run, an object of the link's ``Parameters`` class, in place."""
         raise NotImplementedError
 
     @classmethod
     @placeholder
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:
-        """The hypotheses with which a diagnosis searches for it: free parameters, bounds and starts, scaled by what the data hold."""
+        """The hypotheses with which a diagnosis searches for it: free parameters, bounds and starting points, scaled to the data."""
         raise NotImplementedError
 
     def worth(self, scenario: Scenario, frequency: float) -> float | None:
-        """The delay [s] that it is worth in a contact of ``frequency`` [rad/s]; None: it is no delay."""
+        """Its equivalent delay [s] in a contact of ``frequency`` [rad/s]; None: it does not act as a delay."""
         return None
 
     def unfit(self, scenario: Scenario) -> str | None:
-        """Why it cannot act in ``scenario``, in words that say what it takes; None where it can."""
+        """Why it cannot act in ``scenario``, and what it would need; None if it can act."""
         return None
 
     def parameters(self) -> dict[str, Any]:
-        """Its parameters without the kind."""
+        """Its parameters, without ``kind``."""
         return {name: getattr(self, name) for name in type(self).model_fields if name != "kind"}
 
     @classmethod
     def meaning(cls) -> str:
-        """What it is, in a sentence: the first of its docstring."""
+        """What it is: the first line of its docstring."""
         return (cls.__doc__ or "").strip().partition("\n")[0]
 
     @classmethod
@@ -120,7 +120,7 @@ class Effect(Strictly):
 
     @classmethod
     def searched(cls, parameter: str) -> tuple[float, float, bool]:
-        """The range of a parameter that a diagnosis searches, and whether by ratio."""
+        """The range of a parameter that a diagnosis searches, and whether it is searched logarithmically."""
         extra = cls.model_fields[parameter].json_schema_extra
         if not isinstance(extra, dict) or "search" not in extra:
             raise KeyError(f"{cls.__name__}.{parameter} is not searched")
@@ -129,7 +129,7 @@ class Effect(Strictly):
 
 
 def repeated(effects: Sequence[Effect]) -> Iterator[tuple[int, Effect]]:
-    """The place of each effect that stands in a list a second time although its kind does not act together with itself."""
+    """Index and effect of each repeated entry whose kind may appear only once in the list."""
     seen = set()
     for index, effect in enumerate(effects):
         if effect.kind in seen and not effect.repeats:

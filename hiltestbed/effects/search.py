@@ -1,7 +1,7 @@
-"""Hypotheses of a diagnosis: an effect with the parameters to fit, their bounds, and where to start.
+"""Hypotheses of a diagnosis: an effect with the parameters to fit, their bounds and starting points.
 
-Fits of effects are rough (jumps at whole ticks, clipped and dead ranges, several minima), so each candidate brings a grid of starts,
-scaled by what the data hold: peak force, penetration, rate.
+The fit of an effect may be discontinuous at whole ticks, have flat ranges (clipping, dead zone) and several minima, so each candidate
+brings a grid of starting points, scaled to the data: peak force, penetration, rate.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class DrivenAxis:
-    """What a regression of the force on the motion says of an axis that a force drives, to start a search from.
+    """Regression of the force on the motion of an axis that a force drives, as the starting point of a search.
 
     Attributes:
-        factor: of the chaser's mass. viscous: [N s/m]. coulomb, offset: [N]. fastest: speed on record [m/s].
-        stamp: [s] by which the position is read later than the numerical model hands it on; stamps: [s] to each side, that are searched.
+        factor: of the chaser's mass. viscous: [N s/m]. coulomb, offset: [N]. fastest: highest recorded speed [m/s].
+        stamp: [s] by which the log reads the position later than the numerical model outputs it; stamps: [s] searched to each side.
     """
 
     factor: float
@@ -39,17 +39,17 @@ class DrivenAxis:
 
 @dataclass(frozen=True)
 class Scales:
-    """What the data hold, to scale starts and bounds with.
+    """Magnitudes in the data that scale starting points and bounds.
 
     Attributes:
-        force: peak force [N]. depth: largest penetration [m]. stiffness: believed [N/m]. tick: of the loop [s].
+        force: peak force [N]. depth: largest penetration [m]. stiffness: nominal [N/m]. tick: of the loop [s].
         noise: of a force axis [N]. slow, fast: lowest and highest approach speed [m/s]. duration: of the shortest run [s].
-        reading: the highest peaks of the force [N]. travel: the largest that was commanded [m]. substeps: of the believed physics a tick.
-        captured: whether the mechanism holds. slides: whether the tip moves across the surface.
+        reading: the highest force peaks [N]. travel: largest commanded travel [m]. substeps: nominal physics steps per tick.
+        captured: whether the mechanism is captured. slides: whether the tip moves across the surface.
         lines: force axis to frequency [Hz], amplitude [N] and phase [rad] of the strongest spectral line of the residual.
-        sticks: instants a tick to starts for stiction of the platform [m], where the data show any.
-        late: a delay of the force record [s] that another link has told to a tick, or None.
-        driven: an axis that a force drives, with position and force on record and nothing else, or None.
+        sticks: instants per tick to starting values for stiction of the platform [m], where the data show any.
+        late: delay of the force record [s], known to within a tick from another link, or None.
+        driven: an axis that a force drives, of which only position and force are recorded, or None.
     """
 
     force: float
@@ -76,11 +76,11 @@ class Candidate:
     """One effect with its free parameters.
 
     Attributes:
-        effect: its class. names: free parameters, "force.0" for an item of a list. low, high: bounds. log: which are searched by ratio.
-        grid: starts. fixed: parameters that are chosen, not fitted.
-        variant: a reading of the equation where its words leave more than one, or how a facility computes it; name to value, read by
+        effect: its class. names: free parameters, "force.0" for an item of a list. low, high: bounds.
+        log: which are searched logarithmically. grid: starting points. fixed: parameters that are chosen, not fitted.
+        variant: an interpretation of the equation where it is ambiguous, or how a facility computes it; name to value, read by
             :meth:`Effect.apply` from ``effect.variant``.
-        choices: number of siblings that differ in what is fixed: a search among them costs 2 ln(choices).
+        choices: number of candidates that differ only in ``fixed``: choosing among them costs 2 ln(choices) in chi-square.
     """
 
     effect: type[Effect]
@@ -100,25 +100,25 @@ class Candidate:
 
     @property
     def vector(self) -> bool:
-        """Whether the parameters are the components of a vector, whose direction no grid covers."""
+        """Whether the parameters are components of a vector: a grid does not cover its directions."""
         return any("." in name for name in self.names)
 
     @property
     def key(self) -> tuple:
-        """What tells candidates apart."""
+        """Identifies the candidate: kind, free parameters, fixed values and variant."""
         return (self.kind, *self.names, *sorted((k, str(v)) for k, v in {**self.fixed, **self.variant}.items()))
 
     def held(self, index: int, value: float) -> Candidate:
-        """The same effect with one of its free parameters, a number, held at ``value``."""
+        """The same effect with one of its free scalar parameters fixed at ``value``."""
         rest = np.delete(np.arange(len(self.names)), index)
         names = tuple(self.names[i] for i in rest)
         grid = tuple(tuple(start[i] for i in rest) for start in self.grid)
         where = "fixed" if self.names[index] in self.effect.model_fields else "variant"
-        told = {where: {**getattr(self, where), self.names[index]: value}}
-        return replace(self, names=names, low=self.low[rest], high=self.high[rest], log=self.log[rest], grid=grid, **told)
+        extended = {where: {**getattr(self, where), self.names[index]: value}}
+        return replace(self, names=names, low=self.low[rest], high=self.high[rest], log=self.log[rest], grid=grid, **extended)
 
     def at(self, theta: Array) -> Effect:
-        """The effect with the free parameters at theta, unchecked: a search may leave what a scenario allows."""
+        """The effect with the free parameters at theta, unchecked: a search may leave the range that a scenario allows."""
         values: dict[str, Any] = dict(self.fixed)
         variant = dict(self.variant)
         for name, value in zip(self.names, theta, strict=True):
@@ -145,9 +145,9 @@ def candidate(
     choices: int = 1,
     **fixed: Any,
 ) -> Candidate:
-    """A candidate whose starts are all combinations of ``grids`` (or ``starts``), within ``bounds`` or the effect's own search range.
+    """A candidate that starts from all combinations of ``grids`` (or from ``starts``), within ``bounds`` or the effect's search range.
 
-    A name in ``grids`` that is no field of the effect is a free part of the variant; its bounds must be given.
+    A name in ``grids`` that is not a field of the effect is a free parameter of the variant; its bounds must be given.
     """
     low, high, log = [], [], []
     for name in grids:

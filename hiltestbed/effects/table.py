@@ -24,5 +24,5 @@ AnyEffect = Annotated[Effect, OneOf(EFFECTS)]
 
 
 def by_link(effects: Iterable[Effect], *links: str) -> list[Effect]:
-    """The effects that act on one of ``links``, in their order."""
+    """The effects that act on one of ``links``, in the given order."""
     return [e for e in effects if e.link in links]

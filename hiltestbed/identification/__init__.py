@@ -1,1 +1,1 @@
-"""Identification of stiffness and damping, axis by axis, while the contact lasts."""
+"""Identification of stiffness and damping, axis by axis, during the contact."""

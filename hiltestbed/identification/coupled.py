@@ -1,34 +1,33 @@
-"""Turn and shift across each other on a latched pair: what a spring or joint that lies off the latched place puts into another axis.
+"""Coupling of translation and rotation in a captured pair, caused by a spring or joint away from the latch's reference point.
 
-A ball joint of stiffness K at a distance L along the axis from the latched place resists shifts there, and so couples the shift along x
-with the turn about y by K L, and y with rx by -K L. Where both move, ``F = k x + c v + b`` has to explain the coupled force by x and v
-alone, and since the two motions go together the coupling ends up in k and c. The regression of such an axis then takes in the partner's
-shift x' and rate v' as well, ``F = k x + c v + k' x' + c' v' + b``.
+A ball joint of stiffness K at a distance L along the axis from the reference point resists translation there, and so couples translation
+along x with rotation about y by K L, and y with rx by -K L. Where both move, ``F = k x + c v + b`` has to explain the coupled force by x
+and v alone, and since the two motions are correlated the coupling biases k and c. The regression of such an axis then includes the partner
+axis's displacement x' and rate v', ``F = k x + c v + k' x' + c' v' + b``.
 
 With A, B, D the sums of products about the means of (x, v) with themselves, with (x', v'), and of (x', v') with themselves, and a, d
-those of the force with either, two regressors give t = A^-1 a. What the other two do beside them follows by blocks, in
+those of the force with either, the two own regressors give t = A^-1 a. The contribution of the partner's two follows by block elimination,
 
     S = D - B^T A^-1 B,   g = S^-1 (d - B^T t),   (k, c) = t - A^-1 B g,   drop = (d - B^T t) . g
 
-with S their motion that does not go with the axis's own, g their coefficients, and drop what they take off the sum of squares that two
-regressors leave; cov(k, c) = s^2 (A^-1 + A^-1 B S^-1 B^T A^-1) (G. A. F. Seber, A. J. Lee, Linear Regression Analysis, 2nd ed. 2003,
-sections 3.7 and 3.11).
+with S the sums of products of the part of their motion that is not correlated with the axis's own, g their coefficients, and drop the
+reduction of the residual sum of squares; cov(k, c) = s^2 (A^-1 + A^-1 B S^-1 B^T A^-1) (G. A. F. Seber, A. J. Lee, Linear Regression
+Analysis, 2nd ed. 2003, sections 3.7 and 3.11).
 
-**When they are taken in.** Three questions are put to the sensor's noise, of variance s^2:
+**When they are included.** Three tests against the sensor noise, of variance s^2:
 
-- Is there anything for them to explain? Without coupling drop/s^2 is chi-square with 2 degrees of freedom, P(drop > D) = exp(-D/(2 s^2)).
-  It is asked again with every sample: at drop > 4 s^2 ln n each answer is wrong with a chance of 1/n^2, and the sum of those from the
-  eighth sample on is 0.13, however long the record. What is there is found in the end, since drop grows with n.
-- Do they explain all of it? Where springs and dampers are all that acts, what is left over s^2 is chi-square with m = n - 5 degrees of
-  freedom, which exceeds m + 2 sqrt(m ln n) + 2 ln n with a chance below 1/n (B. Laurent, P. Massart, Annals of Statistics 28, 2000,
-  lemma 1). Where more is left, surfaces rub or stops act, and four regressors would fit them as well as two without being any truer:
-  the axis stays as it is.
-- What may the noise still hide? With the same chance chi-square lies below m - 2 sqrt(m ln n), so that what is left counts as more by
-  2 s^2 sqrt(m ln n) when the estimate is judged: few samples cannot show that nothing rubs.
+- Do they explain anything? Without coupling drop/s^2 is chi-square with 2 degrees of freedom, P(drop > D) = exp(-D/(2 s^2)).
+  The test is repeated with every sample: at drop > 4 s^2 ln n the false-positive rate is 1/n^2, which sums to 0.13 from the
+  eighth sample on, however long the record. Any coupling is found eventually, since drop grows with n.
+- Do they explain everything? If only springs and dampers act, the residual sum of squares over s^2 is chi-square with m = n - 5 degrees
+  of freedom, which exceeds m + 2 sqrt(m ln n) + 2 ln n with probability below 1/n (B. Laurent, P. Massart, Annals of Statistics 28, 2000,
+  lemma 1). Above that, friction or stops act, which four regressors would fit no more truly than two: the partner is not included.
+- What may the noise hide? With the same probability chi-square lies below m - 2 sqrt(m ln n), so 2 s^2 sqrt(m ln n) is added to the
+  residual sum of squares when the estimate is judged: few samples cannot prove the absence of friction.
 
-So nothing is taken in where the noise of the force is not known, or none. Motion that goes with the axis's own has nothing left to explain,
-whatever it couples; within rounding (S below 1e-10 of D, as for the two regressors among themselves) it is left out before it is
-divided by. The standard deviations count the noise, not what is hidden in it.
+So the partner is never included where the noise of the force is unknown or zero. If its motion is fully correlated with the axis's own, it
+explains nothing, whatever the coupling; within rounding (S below 1e-10 of D, as for the axis's own two regressors) it is excluded before
+the division. The standard deviations cover the noise, not what may be hidden in it.
 """
 
 from __future__ import annotations
@@ -42,12 +41,12 @@ from hiltestbed.jit import njit
 PAIRS = 2  # x with ry, y with rx
 PARTNERS = np.array([4, 3, -1, 1, 0, -1])  # of each axis; none of z and rz, which lie along the axis of a mechanism
 PRODUCTS = 8  # of each pair, a before b: xa xb, xa vb, va xb, va vb, xb ya, vb ya, xa yb, va yb
-ROUNDING = 1e-10  # part of a regressor's sum of squares, beside those before it, below which it is one of them
+ROUNDING = 1e-10  # fraction of a regressor's sum of squares left by the other regressors, below which it is linearly dependent on them
 
 
 @njit(cache=True)
 def accumulate_pairs(sample, forgetting, products):
-    """Take a ``sample`` (7, 4) of a latched pair into its ``products`` (PAIRS, PRODUCTS)."""
+    """Add a ``sample`` (7, 4) of a captured pair to its ``products`` (PAIRS, PRODUCTS)."""
     for j in range(PAIRS):
         s, p = products[j], PARTNERS[j]
         xa, va, ya = sample[j, 0], sample[j, 1], sample[j, 3]
@@ -66,7 +65,8 @@ def accumulate_pairs(sample, forgetting, products):
 
 @njit(cache=True)
 def _across(j, products, own, other):
-    """About the means, of axis ``j`` with its partner: x x', x v', v x', v v', x' y, v' y; ``own``, ``other``: the sums of both."""
+    """Sums of products about the means, of axis ``j`` with its partner: x x', x v', v x', v v', x' y, v' y; ``own``, ``other``: the sums
+    of both axes."""
     n = own[0]
     if j < PAIRS:
         xx, xv, vx, vv, xy, vy = products[j, 0], products[j, 1], products[j, 2], products[j, 3], products[j, 4], products[j, 5]
@@ -79,14 +79,14 @@ def _across(j, products, own, other):
 
 @njit(cache=True)
 def take_in_partner(j, products, own, other, variance, rest, out):
-    """Put k, c and their standard deviations beside the partner of axis ``j`` into ``out`` (4,), where the partner is to be taken in.
+    """Write to ``out`` (4,) k, c and their standard deviations from the fit with the partner of axis ``j``, if it is to be included.
 
     Args:
-        products: (PAIRS, PRODUCTS) of the pairs. own, other: sums of the axis and of its partner, as of the two regressors.
-        variance: of the sensor's noise. rest: what k and c in ``out`` leave, times the number of samples.
+        products: (PAIRS, PRODUCTS) of the pairs. own, other: sums of the axis and of its partner, as for the two regressors.
+        variance: of the sensor noise. rest: residual sum of squares of k and c in ``out``.
 
     Returns:
-        Whether it is; what is left of the force then, times the number of samples, at most.
+        Whether the partner is included; an upper bound of the residual sum of squares then.
     """
     n = own[0]
     m = n - 5.0

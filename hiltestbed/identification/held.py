@@ -1,14 +1,14 @@
-"""Where a latch acts, and about which attitude it turns: the place in which spring and damper of a captured pair are six separate axes.
+"""Reference point and reference attitude of a latch, for which the spring and damper of a captured pair decouple into six axes.
 
-A latch exerts K (r - r_hold) + C r' at the place r where it holds the active side, and a torque K radius^2 times the turn since it closed
-(:mod:`hiltestbed.contact.latches`). About P's origin the same force has a lever arm, which moves with r; at another point of the active
-side, turning is a shift as well. So pose and wrench are referred to the latched place before anything is fitted:
+A latch exerts K (r - r_hold) + C r' at the point r where it holds the active side, and a torque K radius^2 times the rotation since it
+closed (:mod:`hiltestbed.contact.latches`). About P's origin the same force has a lever arm, which moves with r; at another point of the
+active side, rotation also causes translation. So pose and wrench are referred to the latch's point before anything is fitted:
 
-- shift and velocity are those of the latch's site on the active side, turns are counted from the attitude in which it closed;
-- the torque is that about the place where the site was when the force was felt.
+- translation and velocity are those of the latch's site on the active side, rotation is measured from the attitude in which it closed;
+- the torque is about the position of the site when the force acted.
 
-All of it is known to a facility: the sites from the mechanism's drawing, the closing from its switches, the pose from its platform. A
-site on a part that moves on the active side is taken where the latch closed on it.
+A facility knows all of these: the sites from the mechanism's drawing, the closing from its switches, the pose from its platform. A
+site on a moving part of the active side is taken at its position when the latch closed.
 """
 
 from __future__ import annotations
@@ -28,25 +28,25 @@ from hiltestbed.jit import njit
 if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario
 
-AT_A, ON_ACTIVE, ON_PASSIVE = 0, 1, 2  # what tells where a latch acts: A itself, a site of the active side, one of the passive side
+AT_A, ON_ACTIVE, ON_PASSIVE = 0, 1, 2  # reference point of a latch: A itself, a site of the active side, or one of the passive side
 NONE = -1
 UNTURNED = np.array([0.0, 0.0, 0.0, 1.0])
 
 
 class HeldPlace:
-    """The latched places of ``n`` runs.
+    """The latches' reference points of ``n`` runs.
 
     Attributes:
-        lever: ``(n, 3)`` [m] of the place from A, in A; 0 before anything is latched. origin: ``(n, 3)`` [m] in P, from where its shifts
-        are; reference: ``(n, 4)`` attitude of A in P from which turns are counted. since: ``(n,)`` ticks since the mechanism last became
-        another one. changes: ``(n,)`` how often it has.
+        lever: ``(n, 3)`` [m] from A to the reference point, in A; 0 before capture. origin: ``(n, 3)`` [m] in P, from which its translation
+        is measured; reference: ``(n, 4)`` attitude of A in P from which rotation is measured. since: ``(n,)`` ticks since the mechanism
+        last changed (a capture, a release, a phase). changes: ``(n,)`` number of such changes.
     """
 
     def __init__(self, scenarios: Sequence[Scenario]) -> None:
         n, mechanism = len(scenarios), scenarios[0].mechanism
         sites = sides_of(mechanism).sites
         closing, self._places, kinds, together = NONE, [], [], []
-        self._acts = []  # of each number of phases that have begun, the closure that holds, NONE for a latch without phases
+        self._acts = []  # the closure that holds, by the number of phases that have begun; NONE for a latch without phases
         for phase in mechanism.phases():
             if phase.close is not None:
                 closing += 1
@@ -68,11 +68,11 @@ class HeldPlace:
         )  # fmt: skip
 
     def update(self, pose: Array, captured: NDArray[np.bool_], steps: NDArray[np.int64]) -> None:
-        """Take in the pose ``(n, 7)`` of A in P, whether latches hold ``(n,)``, and how many phases have begun ``(n,)``; once a tick."""
+        """Process the pose ``(n, 7)`` of A in P, whether captured ``(n,)``, and the number of phases begun ``(n,)``; once per tick."""
         self.updating(pose, captured, steps)()
 
     def updating(self, pose: Array, captured: NDArray[np.bool_], steps: NDArray[np.int64]) -> Callable[[], None]:
-        """:meth:`update` of arrays that stay."""
+        """:meth:`update` bound to arrays that are reused at every tick."""
         return self._update.on(pose, captured, steps)
 
 
@@ -111,7 +111,7 @@ def _update(pose, captured, steps, acts, places, kinds, together, held, before, 
 
 @njit(cache=True)
 def referred(pose, twist, lever, reference, position, velocity):
-    """``position`` (6,) and ``velocity`` (6,) in P of the latched place: its shift, and the turn (rotation vector) from ``reference``."""
+    """``position`` (6,) and ``velocity`` (6,) in P of the reference point: its position, and the rotation vector from ``reference``."""
     v, q = np.empty(3), np.empty(4)
     rotate(pose[3:7], lever, v)
     for j in range(3):
@@ -126,7 +126,8 @@ def referred(pose, twist, lever, reference, position, velocity):
 
 @njit(cache=True)
 def add_moment(sign, position, wrench):
-    """Add to the torque of a ``wrench`` (6,) ``sign`` times the moment of its force at ``position`` (3,): -1 refers it to there, 1 back."""
+    """Add to the torque of a ``wrench`` (6,) ``sign`` times the moment of its force at ``position`` (3,): -1 moves the reference point
+    to ``position``, 1 moves it back."""
     wrench[3] += sign * (position[1] * wrench[2] - position[2] * wrench[1])
     wrench[4] += sign * (position[2] * wrench[0] - position[0] * wrench[2])
     wrench[5] += sign * (position[0] * wrench[1] - position[1] * wrench[0])

@@ -1,17 +1,17 @@
-"""Recursive least squares of stiffness and damping, with the pose taken at the time the force was felt.
+"""Recursive least squares of stiffness and damping, with the pose at the time the force acted.
 
-On each axis ``F = k x + c v + b``: the intercept b takes up where the touch is, since an error dx of the touch point costs
-``dk/k ~ -(4/pi) dx/x_max`` without it. The samples are those of :mod:`hiltestbed.identification.samples`: pose and force of one instant.
+On each axis ``F = k x + c v + b``: the intercept b absorbs the position of the touch; without it an error dx of the touch point causes
+``dk/k ~ -(4/pi) dx/x_max``. The samples are those of :mod:`hiltestbed.identification.samples`: pose and force of the same instant.
 
-The recursion is kept in its information form (L. Ljung, System Identification, 2nd ed. 1999, eq. 11.12): the sums of products are
-updated, and the estimate solved from them. It is the usual recursion with P0 to infinity, so no P0 biases the estimate.
+The recursion is in information form (L. Ljung, System Identification, 2nd ed. 1999, eq. 11.12): the sums of products are
+updated, and the estimate is solved from them. It is the usual recursion in the limit P0 to infinity, so that no P0 biases the estimate.
 
-A latch that is alone on an axis is a spring and a damper, and one that a joint off its place couples with another axis is so beside that
-axis's motion (:mod:`hiltestbed.identification.coupled`). Where joints, stops or surfaces that rub share the load it is not: what k and c
-leave of the force is then more than the sensor's noise, and none are given. None are given either where a latched axis hardly moves.
+A latch that alone carries an axis is a spring and damper there; if a joint away from its reference point couples two axes, the partner axis
+enters as additional regressors (:mod:`hiltestbed.identification.coupled`). Where joints, stops or surfaces with friction share the load,
+the residual of k and c exceeds the sensor's noise, and no estimate is given. Nor is one given where a latched axis hardly moves.
 
-The methods that it is compared with take other samples: the raw force beside the pose of the same tick, or the force after the phase
-lead (the field's usual way), for which a delay is a damping ``-k tau`` that goes into c.
+The methods for comparison use other samples: the raw force with the pose of the same tick, or the force after the phase lead (the usual
+method in the literature), for which a delay acts as a damping ``-k tau`` that biases c.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ from hiltestbed.identification.samples import NORMAL, ContactSamples
 from hiltestbed.jit import njit
 
 MINIMUM_SAMPLES = 8
-HELD_REST = 1e-3  # part of the force's variance that k x + c v may leave, beside the noise, on an axis of a latch: 3 % of the force
+HELD_REST = 1e-3  # fraction of the force's variance that k x + c v may leave, beyond noise, on an axis of a latch: 3 % of the force
 MINIMUM_TRAVEL = 1e-6  # [m, rad] standard deviation of x below which an axis is not excited
-EXPLAINED = 0.9  # part of the force's variance that k x + c v must explain, else the axis carries no spring that could be told
+EXPLAINED = 0.9  # fraction of the force's variance that k x + c v must explain; below it no estimate is given
 SUMS = 10  # n, x, v, y, xx, xv, vv, xy, vy, yy
 
 
@@ -44,11 +44,11 @@ class RecursiveLeastSquares:
         stiffness, damping: ``(n, 6)`` [N/m, N m/rad; N s/m, N m s/rad], NaN before the first estimate.
         stiffness_sd, damping_sd: ``(n, 6)`` their standard deviations, from the residual's variance.
         samples: ``(n, 6)`` contact samples used.
-        along_normal: ``(n, 5)`` the same five along the contact's normal, before it is latched.
+        along_normal: ``(n, 5)`` the same five quantities along the contact normal, before capture.
     """
 
     def __init__(self, source: ContactSamples, forgetting: Sequence[float], lead: PhaseLeadBlock | None = None) -> None:
-        """``source`` gives the samples; ``forgetting``: factor of each run a tick; ``lead``: what the force passes first."""
+        """``source``: of the samples; ``forgetting``: factor of each run per tick; ``lead``: filter that the force passes first."""
         n = len(forgetting)
         self.source = source
         self._lead = lead
@@ -68,11 +68,11 @@ class RecursiveLeastSquares:
 
     @property
     def along_normal(self) -> Array:
-        """``(n, 5)`` stiffness, damping, their standard deviations, and samples along the contact's normal."""
+        """``(n, 5)`` stiffness, damping, their standard deviations, and number of samples, along the contact normal."""
         return np.column_stack([*self._found[:, :, NORMAL], self._used[:, NORMAL]])
 
     def update(self, wrench: Array, pose: Array, twist: Array) -> None:
-        """Take in what was measured at t_k: wrench ``(n, 6)``, pose ``(n, 7)``, twist ``(n, 6)``."""
+        """Process the measurements at t_k: wrench ``(n, 6)``, pose ``(n, 7)``, twist ``(n, 6)``."""
         source = self.source
         source.take(wrench, pose, twist, self._lead.lead_wrench(wrench) if self._lead else None)
         self._estimated.on(source.captured)()
@@ -87,7 +87,7 @@ def _estimate(changes, seen, ready, ready_normal, sample, forgetting, captured, 
 
 @njit(cache=True)
 def _begin_anew(changes, seen, sums, products, found, used):
-    """Forget the six axes of the runs in which a latch has closed or a phase of capture has begun: the mechanism is another one."""
+    """Reset the six axes of the runs in which a latch has closed or a phase of capture has begun: the mechanism has changed."""
     for i in range(changes.shape[0]):
         if changes[i] == seen[i]:
             continue
@@ -127,7 +127,7 @@ def _add(s, sample, forgetting):
 
 @njit(cache=True)
 def _variance(j, place, noise):
-    """Of the sensor's noise on an axis, whose torque is that about ``place`` (3,) in P; ``noise`` (2,): variances of force and torque."""
+    """Variance of the sensor noise on an axis, with torques about ``place`` (3,) in P; ``noise`` (2,): variances of force and torque."""
     if j < 3:
         return noise[0]
     return noise[1] + noise[0] * (place[0] ** 2 + place[1] ** 2 + place[2] ** 2 - place[j - 3] ** 2)
@@ -142,9 +142,9 @@ def _about_means(sums):
 
 @njit(cache=True)
 def _fit(sums, out):
-    """k, c and their standard deviations into ``out`` (4,), which stays as it is where the axis has not moved.
+    """Write k, c and their standard deviations to ``out`` (4,), which is unchanged if the axis has not moved.
 
-    Returns the variances of the force, and of what they leave of it, times the number of samples.
+    Returns the sums of squares of the force about its mean, and of the residual of the fit.
     """
     if sums[0] < MINIMUM_SAMPLES:
         return 0.0, 0.0
@@ -175,8 +175,8 @@ def _solve(ready, ready_normal, captured, place, noise, sums, products, found):
             variance = _variance(j, place[i], noise[i]) if held else 0.0
             if held and total > 0.0 and PARTNERS[j] >= 0:
                 _, rest = take_in_partner(j, products[i], sums[i, j], sums[i, PARTNERS[j]], variance, rest, out)
-            told = total > 0.0 and total - rest >= EXPLAINED * total
+            accepted = total > 0.0 and total - rest >= EXPLAINED * total
             if held:
-                told &= rest - sums[i, j, 0] * variance <= HELD_REST * (total - rest)
+                accepted &= rest - sums[i, j, 0] * variance <= HELD_REST * (total - rest)
             for q in range(4):
-                found[q, i, j] = out[q] if told else np.nan
+                found[q, i, j] = out[q] if accepted else np.nan

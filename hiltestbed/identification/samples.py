@@ -1,18 +1,18 @@
-"""Contact samples: what was felt, beside where the rig was when it was felt.
+"""Contact samples: the measured force, aligned with the rig's pose at the time the force acted.
 
-What is measured at t_k left the contact at t_k - delay, so x and v are taken then, from the history of the pose, and pass the sensor's
-own filters: nothing is differentiated and no lead is needed. A sample counts when the axial force is above the noise for a while
-before and after it: at touch and at separation the force is clipped, and the filters remember it.
+The force measured at t_k acted at t_k - delay, so x and v are taken at that time, from the history of the pose, and pass a model of the
+sensor's filters: nothing is differentiated and no lead is needed. A sample is used if the axial force is above the noise for some time
+before and after it: at touch and at separation the force is clipped, and the filters have a memory of that.
 
-On a plane the six components of the relative pose are the axes of spring and damper. In a mechanism that is latched those of the latched
-place are (:mod:`hiltestbed.identification.held`), and nothing counts that was felt before the latch closed. Anywhere else a contact has one
-axis only, its normal, which moves with the point that touches: penetration, its rate and normal then follow from the mechanism's geometry
-and the pose, and the force is that along the normal, where friction has no part.
+On a plane the spring and damper act along the six components of the relative pose. In a captured mechanism they act along those of the
+latch's reference point (:mod:`hiltestbed.identification.held`), and only forces that acted after the latch closed are used. Otherwise a
+contact has a single axis, its normal, which moves with the contact point: penetration, its rate and the normal then follow from the
+mechanism's geometry and the pose, and the force is the component along the normal, which contains no friction.
 
-A delay that is not known can be estimated from the instant of touch: the pose crosses the nominal touch point at t0, the force rises at
-t0 + delay. That is all that tells it: while the contact lasts, c takes up any error of the delay (``c - k d`` fits as well as ``c``, to
-first order in w d). It needs a touch point that is known to ``v0 d`` (30 um for a millisecond at 0.03 m/s), and a force that rises by
-more than its noise within a tick; the standard deviation that is reported grows where it does not.
+An unknown delay can be estimated from the instant of touch: the pose crosses the nominal touch point at t0, the force rises at
+t0 + delay. Nothing else determines it: during the contact, c absorbs any error of the delay (``c - k d`` fits as well as ``c``, to
+first order in w d). The estimate needs a touch point that is known to ``v0 d`` (30 um for a millisecond at 0.03 m/s), and a force that
+rises by more than its noise within a tick; where it does not, the reported standard deviation is larger.
 """
 
 from __future__ import annotations
@@ -36,35 +36,35 @@ from hiltestbed.jit import njit
 if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario
 
-GATE_SIGMA = 5.0  # contact is where the force exceeds this many standard deviations of its noise
-GATE_PEAK = 0.02  # and this part of the peak so far
-NORMAL = 6  # column of the contact's normal, after the six axes
-FILTER_MEMORY = 3.0  # time constants of the low-pass that are left out at both ends of a contact: exp(-3) = 5 % is left
-UNKNOWN = 1e15  # [N, N m] 1 sigma of a force that has passed a lead, or stands beside a pose of another time
-SPARE = 0.03  # [s] that an estimated delay may be longer than the nominal one
+GATE_SIGMA = 5.0  # a sample is in contact if the force exceeds this many standard deviations of its noise
+GATE_PEAK = 0.02  # and this fraction of the peak so far
+NORMAL = 6  # column of the contact normal, after the six axes
+FILTER_MEMORY = 3.0  # time constants of the low-pass that are skipped at both ends of a contact: exp(-3) = 5 % remains
+UNKNOWN = 1e15  # [N, N m] 1 sigma of a force that has passed a lead, or is paired with a pose of another time
+SPARE = 0.03  # [s] by which an estimated delay may exceed the nominal one
 
 
 class ContactSamples:
     """Regressors and force on six axes for ``n`` runs.
 
     Axes are the components of the relative pose (position of A, rotation vector, both in P) against those of the wrench; of a captured
-    pair those of the latched place, with the torque about it.
+    pair those of the latch's reference point, with the torque about it.
 
     Attributes:
-        ready: ``(n,)`` whether ``sample`` counts; ready_normal: ``(n,)`` whether ``whole[:, NORMAL]`` does.
-        noise: ``(n, 2)`` 1 sigma of force [N] and torque [N m]. place: ``(n, 3)`` [m] in P where the latch acts.
-        sample: ``(n, 6, 4)`` x, v and 1 as felt, and the force. whole: ``(n, 7, 4)`` the same with the contact's normal.
-        delay: ``(n,)`` [s] of the force, as known or as estimated.
-        captured: ``(n,)`` bool, whether the latches hold, which a rig's switches tell: then every sample counts, pulled or pushed.
-        steps: ``(n,)`` how many phases of capture have begun. held: where it is latched, and how often it has become another mechanism.
+        ready: ``(n,)`` whether ``sample`` is to be used; ready_normal: ``(n,)`` whether ``whole[:, NORMAL]`` is.
+        noise: ``(n, 2)`` 1 sigma of force [N] and torque [N m]. place: ``(n, 3)`` [m] in P of the latch's reference point.
+        sample: ``(n, 6, 4)`` x, v and 1 when the force acted, and the force. whole: ``(n, 7, 4)`` the same, plus the contact normal.
+        delay: ``(n,)`` [s] of the force, known or estimated.
+        captured: ``(n,)`` bool, from the rig's switches: after capture every sample is used, whether it pulls or pushes.
+        steps: ``(n,)`` number of phases of capture begun. held: the latch's reference point, and the changes of the mechanism.
     """
 
     def __init__(self, scenarios: Sequence[Scenario], aligned: bool = True, estimate: bool = False, lead: Sequence[float] = ()) -> None:
         """Samples of `n` runs.
 
         Args:
-            aligned: False takes pose and force of the same tick, as if there were neither delay nor filter.
-            lead: of each run, the lag [s] of the phase lead that the force has passed, which :meth:`take` is given beside the reading.
+            aligned: False pairs pose and force of the same tick, as if there were neither delay nor filter.
+            lead: of each run, the lag [s] of the phase lead that the force passes; :meth:`take` then needs ``led``.
         """
         n, first = len(scenarios), scenarios[0]
         h = 1.0 / first.rate
@@ -80,7 +80,7 @@ class ContactSamples:
         self._held_rate = first.rig.platform.prescribed
         self._estimate = estimate
         spent = FILTER_MEMORY * lowpass
-        if lead:  # what is led to t_k has touched from t_k on; that it still does is known a delay later
+        if lead:  # the led force is that at t_k; whether the contact still lasts is known only a delay later
             spent = np.array([s.sensor.delay for s in scenarios]) + FILTER_MEMORY * np.array(lead)
         self._margin = 1 + np.ceil(spent / h - 1e-9).astype(np.int64)
         self._longest = self.delay.max() + SPARE * estimate
@@ -89,7 +89,7 @@ class ContactSamples:
         self._v = np.zeros((n, length, 7))
         self._normal = np.zeros((n, length, 3))
         sides = sides_of(first.mechanism)
-        self._known = sides.rigid and len(sides.facets) > 0  # what moves on a side is not seen in the pose
+        self._known = sides.rigid and len(sides.facets) > 0  # the pose does not show moving parts of a side
         self._geometry = sides.geometry
         self._flat = np.array([s.mechanism.flat or s.mechanism.captured for s in scenarios])
         self._clock = np.zeros(1, dtype=np.int64)  # ticks seen
@@ -117,7 +117,7 @@ class ContactSamples:
         )  # fmt: skip
 
     def take(self, wrench: Array, pose: Array, twist: Array, led: Array | None = None) -> None:
-        """Take in what was measured at t_k: wrench ``(n, 6)``, pose ``(n, 7)``, twist ``(n, 6)``; ``led``: the wrench to be explained."""
+        """Process the measurements at t_k: wrench ``(n, 6)``, pose ``(n, 7)``, twist ``(n, 6)``; ``led``: the wrench after the lead."""
         k = int(self._clock[0])
         if led is None and not self._estimate:
             self._taken.on(wrench, pose, twist, self.captured, self.steps)(k)
@@ -136,7 +136,7 @@ class ContactSamples:
     def _taking(
         self, wrench: Array, pose: Array, twist: Array, captured: NDArray[np.bool_], steps: NDArray[np.int64]
     ) -> list[Callable[..., None]]:
-        """The parts of :meth:`take` where the delay is known and nothing led."""
+        """The calls of :meth:`take` for a known delay and no lead."""
         met = [self._met.on(pose, twist)] if self._known else []
         held, gate = self.held.updating(pose, captured, steps), self._gate.on(wrench, captured)
         return [held, self._remembered.on(pose, twist), *met, gate, self._sampled.on(wrench, captured)]
@@ -144,8 +144,8 @@ class ContactSamples:
     def delay_sd(self, stiffness: Array) -> Array:
         """``(n,)`` [s] standard deviation of the estimated delay, given the axial stiffness ``(n,)``; NaN before a touch.
 
-        The touch lies within the tick before the first force; or, where the force rises so slowly that an earlier tick may have been
-        below the noise, within the time that the force takes to come out of it.
+        The touch lies within the tick before the first force or, if the force rises so slowly that an earlier tick may have been
+        below the noise, within the time that the force takes to exceed the threshold.
         """
         force, speed = self._onset[:, 0], self._onset[:, 1]
         hidden = force - stiffness * speed * self.tick <= self.threshold
@@ -158,7 +158,7 @@ def _remember(k, pose, twist, lever, reference, x, v):
     slot = k % x.shape[1]
     for i in range(pose.shape[0]):
         referred(pose[i], twist[i], lever[i], reference[i], x[i, slot], v[i, slot])
-        if k == 0:  # before the start the approach is uniform; no force is felt from then
+        if k == 0:  # the values before the start do not matter: no force acted then
             for s in range(x.shape[1]):
                 x[i, s] = x[i, slot]
                 v[i, s] = v[i, slot]
@@ -166,7 +166,7 @@ def _remember(k, pose, twist, lever, reference, x, v):
 
 @njit(cache=True)
 def _meet(k, index, values, pose, twist, x, v, normal):
-    """Penetration, its rate and normal of the deepest contact at t_k, after the six axes."""
+    """Penetration, its rate and the normal of the deepest contact at t_k, in the column after the six axes."""
     slot, length, count = k % x.shape[1], x.shape[1], index[-1]
     frames, motions, work, p = np.zeros((2, 7)), np.zeros((2, 6)), np.empty((9, 7)), np.ones((count, PARAMETERS))
     p[:, LEVER] = 0.5
@@ -191,14 +191,14 @@ def _sample_and_choose(
     k, h, gated, delay, pending, wrench, x, v, normal, held_rate, captured, origin, place, smooth, leak, memory, margin, held, changes,
     since, flat, known, ready, ready_normal, sample,
 ):  # fmt: skip
-    """The sample of now into ``pending``, and of those there the one that counts."""
+    """Store the current sample in ``pending``, and select the pending sample to be used."""
     _sample(k, wrench, x, v, normal, delay, h, held_rate, gated, captured, origin, place, smooth, leak, memory, pending)
     _choose(k, h, delay, margin, gated, held, changes, since, flat, known, pending, ready, ready_normal, sample)
 
 
 @njit(cache=True)
 def _sample(k, wrench, x, v, normal, delay, h, held_rate, gated, captured, origin, place, smooth, leak, memory, pending):
-    """x, v and 1 at t_k - delay while in contact, else 0, through the sensor's filters, beside the force read at t_k."""
+    """x, v and 1 at t_k - delay while in contact, else 0, through the model of the sensor's filters, with the force read at t_k."""
     length = x.shape[1]
     slot = k % pending.shape[1]
     f = np.empty(6)
@@ -235,9 +235,9 @@ def _sample(k, wrench, x, v, normal, delay, h, held_rate, gated, captured, origi
 
 @njit(cache=True)
 def _choose(k, h, delay, margin, gated, held, changes, since, flat, known, pending, ready, ready_normal, sample):
-    """The sample of ``margin`` (n,) ticks ago, which counts when the contact has lasted as long before it and since.
+    """The sample of ``margin`` (n,) ticks ago, which is used if the contact lasted for as many ticks before and after it.
 
-    On the six axes it must have lasted as the mechanism that it is now, and it was felt a delay ago.
+    On the six axes the mechanism must not have changed in that time, counted from when the force acted.
     """
     for i in range(gated.shape[0]):
         lasted = gated[i] >= 2 * margin[i] + 1
@@ -250,16 +250,16 @@ def _choose(k, h, delay, margin, gated, held, changes, since, flat, known, pendi
 @njit(cache=True)
 def _gate(wrench, threshold, captured, delay, tick, held, peak, gated):
     for i in range(wrench.shape[0]):
-        force = wrench[i, 2]  # pushing is positive; what a high-pass leaves after the contact is negative
+        force = wrench[i, 2]  # pushing is positive; a high-pass leaves a negative undershoot after the contact
         peak[i] = max(peak[i], force)
         held[i] = held[i] + 1 if captured[i] else 0
-        felt = held[i] > delay[i] / tick + 1.0  # what is read now left the mechanism after the latches had closed
+        felt = held[i] > delay[i] / tick + 1.0  # the force read now acted after the latches had closed
         gated[i] = gated[i] + 1 if felt or (force > threshold[i] and force > GATE_PEAK * peak[i]) else 0
 
 
 @njit(cache=True)
 def _find_delay(k, h, longest, wrench, x, v, gated, delay, onset):
-    """At the first contact sample of a run: by how much the pose had passed the nominal touch point when this force was felt."""
+    """At the first contact sample of a run, estimate the delay as the time since the pose crossed the nominal touch point."""
     length = x.shape[1]
     for i in range(wrench.shape[0]):
         if gated[i] != 1 or not np.isnan(onset[i, 0]):

@@ -1,4 +1,4 @@
-"""The identification's section of a scenario: how stiffness and damping are estimated while the contact lasts, one class a method."""
+"""The identification section of a scenario: estimators of stiffness and damping during the contact, one class per method."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Identification(Protocol):
     Attributes:
         stiffness, damping: ``(n, 6)`` running estimates, NaN before the first.
         samples: ``(n, 6)`` number of contact samples used.
-        source: what it takes its samples from.
+        source: of its contact samples.
     """
 
     source: ContactSamples
@@ -30,7 +30,7 @@ class Identification(Protocol):
     samples: Array
 
     def update(self, wrench: Array, pose: Array, twist: Array) -> None:
-        """Take in what was measured at t_k: wrench ``(n, 6)``, pose ``(n, 7)``, twist ``(n, 6)``."""
+        """Process the measurements at t_k: wrench ``(n, 6)``, pose ``(n, 7)``, twist ``(n, 6)``."""
         ...
 
 
@@ -43,13 +43,13 @@ class Identifier(Strictly):
 
     @property
     def settles(self) -> float:
-        """Time constant [s] of a filter of the method's own, whose memory is held as samples; 0: it has none."""
+        """Time constant [s] of the method's own filter, over whose memory samples are buffered; 0: it has none."""
         return 0.0
 
     @classmethod
     @placeholder
     def start(cls, scenarios: Sequence[Scenario]) -> Identification | None:
-        """The estimator for ``n`` runs; None where nothing is estimated."""
+        """The estimator for ``n`` runs; None if nothing is estimated."""
         raise NotImplementedError
 
 
@@ -59,7 +59,7 @@ Own = TypeVar("Own", bound=Identifier)
 
 
 def identifier_of(scenarios: Sequence[Scenario], method: type[Own]) -> list[Own]:
-    """``identification`` of each scenario, all of one class. Raises TypeError for another."""
+    """``identification`` of each scenario, all of class ``method``. Raises TypeError for another class."""
     sections = [s.identification for s in scenarios]
     other = next((s for s in sections if not isinstance(s, method)), None)
     if other is not None:

@@ -1,4 +1,4 @@
-"""Both vehicles as the scenario believes them to be, as arrays."""
+"""The nominal vehicles of a scenario, as arrays."""
 
 from __future__ import annotations
 
@@ -48,9 +48,9 @@ def effective_mass(scenario: Scenario) -> float:
 
 
 def rest_inertia(mass: float, inertia: Array, ratio: Array | Sequence[float], place: Array) -> Array:
-    """``(3, 3)`` about its own centre of mass of what is left of a body without the parts ``ratio`` (S,) of its mass at ``place`` (S, 3).
+    """Inertia ``(3, 3)``, about its own centre of mass, of a body without the fractions ``ratio`` (S,) of its mass at ``place`` (S, 3).
 
-    Steiner: the body's ``inertia`` (3, 3) [kg m^2] about its centre of mass is that of the rest and of all points together.
+    Parallel-axis theorem: the body's ``inertia`` (3, 3) [kg m^2] about its centre of mass is that of the rest plus all point masses.
     """
     ratio = np.asarray(ratio)
     centre = -ratio @ place / (1.0 - ratio.sum())
@@ -74,12 +74,12 @@ def pair_momentum(mass: Array, inertia: Array, q: Array, v: Array) -> Array:
 
 
 def mobility(scenario: Scenario) -> Array:
-    """``(6, 6)`` M^-1: relative acceleration of A's origin for a unit wrench there between both bodies, in P, at the nominal touch."""
+    """``(6, 6)`` M^-1: relative acceleration of A's origin per unit wrench there between both bodies, in P, at the nominal touch."""
     return _mobility(scenario.spacecraft.chaser) + _mobility(scenario.spacecraft.target)
 
 
 def _mobility(body: Body) -> Array:
-    """Of one body at its port, in the port's axes: r its place, ``[1/m - [r] I^-1 [r], -[r] I^-1; I^-1 [r], I^-1]``."""
+    """Of one body at its port, in the port's axes, r the port's position: ``[1/m - [r] I^-1 [r], -[r] I^-1; I^-1 [r], I^-1]``."""
     port = port_pose(body)
     turn = rotation_matrix(port[3:])
     inverse = turn.T @ np.linalg.inv(inertia_matrix(body.inertia)) @ turn

@@ -1,4 +1,4 @@
-"""The numerical model as an FMU of the user's: stepped once a tick by FMPy, an instance a run."""
+"""The numerical model as the user's FMU: stepped once per tick by FMPy, with one instance per run."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario
 
 TWIST = ("vx", "vy", "vz", "wx", "wy", "wz")
-APART = 1e-6  # [m], [rad] of the FMU's start from that of the approach
+APART = 1e-6  # [m], [rad], [m/s], [rad/s] largest difference between the FMU's start and that of the approach
 
 
 class FmuModel(NumericalModel):
-    """What :class:`NumericalModel` is to the loop; masses, inertias and ports are those believed, and the motion is the FMU's."""
+    """A :class:`NumericalModel` whose motion is that of the FMU; masses, inertias and ports are the nominal ones."""
 
     def __init__(self, scenarios: Sequence[Scenario]) -> None:
-        """Raises MissingExtra, DeviceError; InputError where the FMU lacks a variable or does not start at ``approach``."""
+        """Raises MissingExtra, DeviceError; InputError if the FMU lacks a variable or does not start at ``approach``."""
         super().__init__(scenarios)
         inputs = [f"wrench.{name}" for name in WRENCH]
         outputs = [*(f"pose.{name}" for name in POSE), *(f"twist.{name}" for name in TWIST)]

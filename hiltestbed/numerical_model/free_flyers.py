@@ -2,9 +2,9 @@
 
 One Pinocchio model holds the bodies of up to :data:`RUNS_PER_MODEL` runs, so that one call of the articulated-body algorithm
 (R. Featherstone, Rigid Body Dynamics Algorithms, 2008, table 9.6) accelerates them all. The linear velocity is kept in the inertial
-frame, so that the semi-implicit step adds ``h f/m`` to the momentum of one body and takes it from the other; in the body frame, that
-of Pinocchio's free-flyer joint, the same step would lose momentum with every turn of the frame. What a body is accelerated by does
-not depend on its linear velocity: Pinocchio is given each body as it is seen by an observer who moves along with it.
+frame, so that the semi-implicit step adds ``h f`` to the momentum of one body and subtracts it from the other; in the body frame, that
+of Pinocchio's free-flyer joint, the same step would lose momentum with every rotation of the frame. A body's acceleration does
+not depend on its linear velocity, so Pinocchio is given each body in a frame that moves along with it (zero linear velocity).
 """
 
 from __future__ import annotations
@@ -39,13 +39,13 @@ class FreeFlyers:
             self._models.append((model, model.createData(), *views))
 
     def accelerate(self, q: Array, v: Array, tau: Array, tick: float) -> None:
-        """Add what ``tau`` ``(n, 2, 6)``, force in the inertial frame and torque in the body's, changes in a tick to ``v``."""
+        """Add the velocity change of a tick under ``tau`` ``(n, 2, 6)``, force in the inertial and torque in the body frame, to ``v``."""
         as_seen(q, v, tau, *self.seen)
         self.solve()
         gain_speed(q, self.acceleration, tick, v)
 
     def solve(self) -> None:
-        """Write the ``acceleration`` of the bodies as they are ``seen``."""
+        """Compute the ``acceleration`` of the bodies from ``seen``."""
         for model, data, q_, v_, tau_, out in self._models:
             out[:] = pin.aba(model, data, q_, v_, tau_)
 
@@ -63,7 +63,7 @@ def _model(mass: Array, inertia: Array) -> pin.Model:
 
 @njit(cache=True)
 def as_seen(q, v, tau, q_seen, v_seen, tau_seen):
-    """Poses, velocities and forces in body axes, for an observer who moves along with each body."""
+    """Poses, velocities and forces in body axes, in a frame that moves along with each body: positions and linear velocities stay zero."""
     for i in range(q.shape[0]):
         for b in range(2):
             q_seen[i, b, 3:7] = q[i, b, 3:7]
@@ -74,7 +74,7 @@ def as_seen(q, v, tau, q_seen, v_seen, tau_seen):
 
 @njit(cache=True)
 def gain_speed(q, acceleration, tick, v):
-    """Add to the velocities ``v`` (n, 2, 6) what the ``acceleration`` (n, 2, 6) in body axes makes of them in a tick [s]."""
+    """Add to the velocities ``v`` (n, 2, 6) the ``acceleration`` (n, 2, 6), in body axes, times a tick [s]."""
     linear = np.empty(3)
     for i in range(q.shape[0]):
         for b in range(2):

@@ -2,8 +2,8 @@
 
 The states of one run are ``q`` (2, 7), poses of the centres of mass of chaser and target in inertial axes, and ``v`` (2, 6), linear
 velocity in inertial axes and angular velocity in body axes. :class:`hiltestbed.numerical_model.model.NumericalModel` accelerates the
-bodies with Pinocchio; a prediction needs a copy that can be set back, stepped under another wrench and carried forward, which
-:func:`step` and :func:`carry` do with the same semi-implicit step.
+bodies with Pinocchio; a predictor needs a copy that can be reset, stepped under another wrench and propagated, for which :func:`step` and
+:func:`carry` use the same semi-implicit step.
 """
 
 from __future__ import annotations
@@ -14,15 +14,15 @@ from hiltestbed.frames import cross, pose_between, quat_exp, quat_mul, quat_norm
 from hiltestbed.jit import njit
 
 CHASER, TARGET = 0, 1
-WORK = 9  # rows of scratch that the kernels of one run need
-SCRATCH = 12  # rows of 7 that stepping one run needs
+WORK = 9  # scratch rows of 7 that the kernels of one run need
+SCRATCH = 12  # scratch rows of 7 that :func:`step` needs
 
 
 @njit(cache=True)
 def place_bodies(approach, port, q, v):
     """One run: ``q`` (2, 7) and ``v`` (2, 6) at t = 0 from ``approach`` (13,) and ``port`` (2, 7): target at rest, P at the origin."""
     r, w, u, inverse = np.empty(3), np.empty(3), np.empty(3), np.empty(4)
-    for b in range(2):  # attitude of the body in P: port attitude in P, less port attitude in the body
+    for b in range(2):  # attitude of the body in P: port attitude in P times inverse port attitude in the body
         for j in range(3):
             inverse[j] = -port[b, 3 + j]
         inverse[3] = port[b, 6]
@@ -34,7 +34,7 @@ def place_bodies(approach, port, q, v):
         for j in range(3):
             q[b, j] = -r[j] + (approach[j] if b == CHASER else 0.0)
         v[b] = 0.0
-    rotate(q[CHASER, 3:7], port[CHASER, 0:3], r)  # centre of mass moves slower than the port by w x r
+    rotate(q[CHASER, 3:7], port[CHASER, 0:3], r)  # velocity of the centre of mass: that of the port less w x r
     w[:] = approach[10:13]
     cross(w, r, u)
     for j in range(3):
@@ -132,7 +132,7 @@ def move(q, v, tick):
 
 @njit(cache=True)
 def newton_euler(mass, inertia, inverse, tau, h, v):
-    """Add what ``tau`` (n, 2, 6), force in inertial axes and torque in body axes, changes in a step to ``v`` (n, 2, 6)."""
+    """Add the velocity change of a step under ``tau`` (n, 2, 6), force in inertial and torque in body axes, to ``v`` (n, 2, 6)."""
     spin, gyro = np.empty(3), np.empty(3)
     for i in range(v.shape[0]):
         for b in range(2):
@@ -169,13 +169,13 @@ def step(q, v, port, mass, inertia, inverse, wrench, h, work):
 
 @njit(cache=True)
 def carry(q, v, port, mass, inverse, time, impulse, shift, work):
-    """Both bodies ``time`` [s] later under a wrench of which only two integrals are needed, in P at P's origin, axes held fixed.
+    """Propagate both bodies by ``time`` [s] under a wrench given by two integrals, in P at P's origin, with axes held fixed.
 
     Args:
         impulse: (6,) its integral, ``sum of h w_j``.
-        shift: (6,) its second integral, ``sum of h^2 w_j`` times the ticks that are left after j, its own included.
+        shift: (6,) its second integral, ``sum of h^2 w_j`` times the number of ticks from j to the end, j included.
 
-    Rates are taken as constant but for the impulse: the gyroscopic torque over the time is left out.
+    Angular rates change only by the impulse: the gyroscopic torque is neglected.
     """
     load_bodies(q, port, impulse, work, work[6:8])
     load_bodies(q, port, shift, work, work[8:10])
@@ -203,7 +203,7 @@ def _turn(attitude, turn, by, out):
 
 @njit(cache=True)
 def mobility(q, port, position, mass, inverse, work, out):
-    """``out`` (6, 6): change of the twist of A relative to P, in P, for a unit impulse of a wrench at A's origin, in P, reversed.
+    """``out`` (6, 6): change of the twist of A relative to P, in P, per unit impulse of a reversed wrench at A's origin, in P.
 
     ``W = sum over the bodies of J^T M^-1 J`` with J from the velocity of A's origin: symmetric and positive definite. A wrench
     ``w`` that the active side exerts for a time h changes the relative twist by ``-h W w``. ``position`` (3,) of A in P.
@@ -263,7 +263,7 @@ def solve(matrix, x, factor):
 
 @njit(cache=True, inline="always")
 def wrench_at_A(wrench, position, out):
-    """``out``: a wrench given at P's origin, taken at A's origin; ``position`` (3,) of A in P. ``out`` may be ``wrench``."""
+    """``out``: a wrench given at P's origin, referred to A's origin; ``position`` (3,) of A in P. ``out`` may be ``wrench``."""
     fx, fy, fz = wrench[0], wrench[1], wrench[2]
     x, y, z = position[0], position[1], position[2]
     out[3] = wrench[3] - (y * fz - z * fy)

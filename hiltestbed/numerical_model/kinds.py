@@ -1,4 +1,4 @@
-"""The kinds of numerical model: two free-flyers, or a model of the user's own as an FMU."""
+"""The kinds of numerical model: two free-flyers, or the user's model as an FMU."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ class TwoFreeFlyers(ModelKind):
 
 @register
 class Fmu(ModelKind):
-    """A model of the user's own, as an FMU of FMI 3.0 for co-simulation.
+    """The user's own model, as an FMU (FMI 3.0, co-simulation).
 
-    Inputs: wrench.fx ... tz, what the active side exerts on the passive one, in P at P's origin; outputs: pose.px ... qw of A in P and
-    twist.vx ... wz of A relative to P, in P. An input is held over a tick, which is worth half a tick of delay in the loop.
+    Inputs: wrench.fx ... tz, exerted by the active side on the passive one, in P at P's origin; outputs: pose.px ... qw of A in P and
+    twist.vx ... wz of A relative to P, in P. The input is held over a tick, which adds half a tick of delay to the loop.
     """
 
     kind: Literal["fmu"] = "fmu"
-    file: ModelFile = Field(description="The FMU")
+    file: ModelFile = Field(description="Path of the FMU file")
     ticks_late = 0.5
 
     @classmethod

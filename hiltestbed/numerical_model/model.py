@@ -1,8 +1,7 @@
 """The numerical model: chaser and target as free-flyers, driven by the compensated wrench.
 
-A tick is a semi-implicit Euler step: each body's twist first, then its pose with the new twist. What the model may have wrong (masses,
-inertias, ports, appendages, forces, the integrator, late steps) are numbers beside what is believed; with none of them the step is the
-nominal one.
+A tick is a semi-implicit Euler step: each body's twist first, then its pose with the new twist. Errors of the model (masses, inertias,
+ports, appendages, forces, integrator, step delay) are departures from the nominal parameters; without any the step is the nominal one.
 """
 
 from __future__ import annotations
@@ -29,18 +28,18 @@ if TYPE_CHECKING:
 
 
 class NumericalModel:
-    """Two free-flyers a run, for ``n`` runs, and the relative motion of their ports.
+    """Two free-flyers per run, for ``n`` runs, and the relative motion of their ports.
 
     Attributes:
-        mass: ``(n, 2)``, inertia: ``(n, 2, 3, 3)``, port: ``(n, 2, 7)`` as believed: a compensation that keeps a copy builds it from them.
-        q: ``(n, 2, 7)`` pose of the chaser's and the target's centre of mass in the inertial frame; of a body with an appendage at a place
-            of its own that of the rest of it.
+        mass: ``(n, 2)``, inertia: ``(n, 2, 3, 3)``, port: ``(n, 2, 7)``, nominal: a compensation builds its copy of the model from them.
+        q: ``(n, 2, 7)`` pose of the chaser's and the target's centre of mass in the inertial frame; for a body with an appendage away from
+            its centre of mass, the centre of mass of the body without its appendages.
         v: ``(n, 2, 6)`` linear velocity in the inertial frame, angular velocity in the body frame.
-        pose: ``(n, 7)`` pose of A in P that is handed on. twist: ``(n, 6)`` velocity of A relative to P, in P.
+        pose: ``(n, 7)`` output pose of A in P. twist: ``(n, 6)`` output velocity of A relative to P, in P.
     """
 
     def __init__(self, scenarios: Sequence[Scenario], departures: Departures | None = None) -> None:
-        """``departures``: of the model that runs from the one believed; by default the effects of the scenarios."""
+        """``departures``: of the model that runs from the nominal one; by default from the effects of the scenarios."""
         n = len(scenarios)
         self.n = n
         self.tick = 1.0 / scenarios[0].rate
@@ -56,7 +55,7 @@ class NumericalModel:
         self.reset()
 
     def _depart(self, d: Departures) -> None:
-        """Take the departures of the model that runs into its numbers."""
+        """Apply the departures to the parameters of the model that runs."""
         self._port = self.port.copy()
         self._port[..., :3] += d.port
         self._appendage = d.appendage
@@ -78,11 +77,11 @@ class NumericalModel:
 
     @cached_property
     def flyers(self) -> FreeFlyers:
-        """The bodies in Pinocchio, made when they first accelerate."""
+        """The bodies in Pinocchio, created at the first acceleration."""
         return FreeFlyers(self._rigid, self._inertia)
 
     def reset(self) -> None:
-        """Target at rest with P at the inertial origin; chaser where and as fast as ``approach`` says."""
+        """Target at rest with P at the inertial origin; chaser with the pose and velocity of ``approach``."""
         place_at_start(self._approach, self._port, self.q, self.v)
         self._swing[:] = 0.0
         hang(self._appendage, self._placed, self._rest, self.q, self.v, self._swing)
@@ -91,13 +90,13 @@ class NumericalModel:
             run_back(self.pose, self.twist, self.tick, self._handed)
 
     def believed_start(self) -> tuple[Array, Array]:
-        """``q`` and ``v`` at t = 0 of the bodies as they are believed to be."""
+        """``q`` and ``v`` of the nominal bodies at t = 0."""
         q, v = np.zeros_like(self.q), np.zeros_like(self.v)
         place_at_start(self._approach, self.port, q, v)
         return q, v
 
     def centres(self) -> Array:
-        """``(n, 2, 7)`` poses of the bodies at the centres of mass of the whole of them, appendages at rest."""
+        """``(n, 2, 7)`` poses of the bodies at their overall centres of mass, with undeflected appendages."""
         if not self._placed.any():
             return self.q
         out = self.q.copy()
@@ -106,7 +105,7 @@ class NumericalModel:
 
     @cached_property
     def _nominal(self) -> tuple[Call, Callable[[float], None]]:
-        """A step in which nothing departs, before and after the bodies accelerate."""
+        """The two halves of a nominal step, before and after Pinocchio accelerates the bodies."""
         flyers = self.flyers
         seen = Call(_load, self.q, self.v, self._port, GIVEN, self._tau, *flyers.seen)
         return seen, bound(_go_on, self.q, flyers.acceleration, ..., self.v, self._port, self.pose, self.twist)
@@ -142,14 +141,14 @@ class NumericalModel:
 
 @njit(cache=True)
 def _load(q, v, port, wrench, tau, *seen):
-    """What acts on the bodies, as Pinocchio sees it."""
+    """The loads on the bodies, as inputs for Pinocchio."""
     load_wrench(q, port, wrench, tau)
     as_seen(q, v, tau, *seen)
 
 
 @njit(cache=True)
 def _go_on(q, acceleration, tick, v, port, pose, twist):
-    """The step of bodies that accelerate: twists, then poses, then what the ports make of it."""
+    """The step after the acceleration: twists, then poses, then the relative motion of the ports."""
     gain_speed(q, acceleration, tick, v)
     move(q, v, tick)
     relative_states(q, v, port, pose, twist)
@@ -157,7 +156,7 @@ def _go_on(q, acceleration, tick, v, port, pose, twist):
 
 @njit(cache=True)
 def run_back(pose, twist, h, handed):
-    """Before the start the approach was uniform: tick -j at slot -j modulo the length."""
+    """Fill the delay line with the uniform approach before the start: tick -j at slot -j modulo the length."""
     length = handed.shape[1]
     for i in range(pose.shape[0]):
         for j in range(length):
@@ -167,7 +166,7 @@ def run_back(pose, twist, h, handed):
 
 @njit(cache=True)
 def hand_on(k, late, handed, pose, twist):
-    """Keep pose (n, 7) and twist (n, 6) of tick ``k`` in ``handed`` (n, L, 13); put those of ``late`` (n,) ticks before in their place."""
+    """Store pose (n, 7) and twist (n, 6) of tick ``k`` in ``handed`` (n, L, 13); replace them by those of ``late`` (n,) ticks before."""
     length = handed.shape[1]
     for i in range(pose.shape[0]):
         handed[i, k % length, 0:7] = pose[i]
@@ -177,15 +176,15 @@ def hand_on(k, late, handed, pose, twist):
 
 
 def hung_at_a_place(appendage: Array) -> NDArray[np.bool_]:
-    """``(n, 2)`` bodies on which an appendage ``(n, 2, S, APPENDAGE)`` hangs elsewhere than at the centre of mass."""
+    """``(n, 2)`` which bodies have an appendage ``(n, 2, S, APPENDAGE)`` away from the centre of mass."""
     return (appendage[..., PLACE:] != 0.0).any(axis=(-1, -2))
 
 
 def rests(appendage: Array, whole: Array, inertia: Array) -> tuple[Array, Array]:
-    """Centres (n, 2, 3) [m], from those of the bodies, and inertias (n, 2, 3, 3) of what is left of bodies without their appendages.
+    """Centres of mass (n, 2, 3) [m], from those of the bodies, and inertias (n, 2, 3, 3) of the bodies without their appendages.
 
-    A body of mass ``whole`` (n, 2) and ``inertia`` (n, 2, 3, 3) is what is believed of it with its appendages at rest. Raises InputError
-    where they take more inertia than it has.
+    Mass ``whole`` (n, 2) and ``inertia`` (n, 2, 3, 3) are those of a body with undeflected appendages. Raises InputError
+    if the appendages take more inertia than it has.
     """
     centre, left = np.zeros((*whole.shape, 3)), inertia.copy()
     for i, b in np.argwhere(hung_at_a_place(appendage)):
@@ -194,7 +193,7 @@ def rests(appendage: Array, whole: Array, inertia: Array) -> tuple[Array, Array]
         if np.linalg.eigvalsh(left[i, b]).min() <= 0.0:
             raise InputError(
                 f"effects: dynamics.appendage: the appendages of the {BODIES[b]} take more inertia than it has; "
-                "hang them nearer to its centre of mass, or lighter"
+                "place them nearer to its centre of mass, or lower their mass_ratio"
             )
         centre[i, b] = -ratio @ place / (1.0 - ratio.sum())
     return centre, left
@@ -202,7 +201,7 @@ def rests(appendage: Array, whole: Array, inertia: Array) -> tuple[Array, Array]
 
 @njit(cache=True)
 def leave_rest(rest, q):
-    """Move the poses ``q`` (n, 2, 7) from the centres of the rests, ``rest`` (n, 2, 3) in body axes, to those of the whole bodies."""
+    """Move the poses ``q`` (n, 2, 7) from the centres of mass without appendages, ``rest`` (n, 2, 3) in body axes, to the overall ones."""
     arm = np.empty(3)
     for i in range(q.shape[0]):
         for b in range(2):
@@ -213,7 +212,7 @@ def leave_rest(rest, q):
 
 @njit(cache=True)
 def hang(appendage, placed, rest, q, v, swing):
-    """At the start appendages with a place of their own are at rest there: ``swing`` (n, 2, S, 2, 3) is place and velocity, inertial."""
+    """Initialise appendages away from the centre of mass at rest: ``swing`` (n, 2, S, 2, 3) is their inertial position and velocity."""
     arm, turn, u = np.empty(3), np.empty(3), np.empty(3)
     for i in range(q.shape[0]):
         for b in range(2):
@@ -230,11 +229,11 @@ def hang(appendage, placed, rest, q, v, swing):
 
 @njit(cache=True)
 def swing(appendage, whole, rigid, placed, rest, q, v, h, swing, tau):
-    """Add what the appendages do to their bodies to ``tau`` (n, 2, 6), and advance them: velocity first, then displacement.
+    """Add the loads of the appendages on their bodies to ``tau`` (n, 2, 6), and advance them: velocity first, then displacement.
 
-    swing: (n, 2, S, 2, 3) displacement [m] and velocity [m/s] of each appendage relative to its body, in inertial axes; where one of a
-    body is ``placed`` (n, 2), place and velocity of its own. rest: (n, 2, 3) centre of mass of the rest in a body, at ``q`` (n, 2, 7)
-    with the velocity ``v`` (n, 2, 6).
+    swing: (n, 2, S, 2, 3) displacement [m] and velocity [m/s] of each appendage relative to its body, in inertial axes; for bodies that
+    are ``placed`` (n, 2), its inertial position and velocity. rest: (n, 2, 3) centre of mass of a body without its appendages, at
+    ``q`` (n, 2, 7) with the velocity ``v`` (n, 2, 6).
     """
     acceleration = np.empty(3)
     for i in range(tau.shape[0]):
@@ -259,10 +258,10 @@ def swing(appendage, whole, rigid, placed, rest, q, v, h, swing, tau):
 
 @njit(cache=True)
 def _swing_at(appendage, whole, rest, q, v, h, swing, tau):
-    """The appendages of a body that hang at places of their own: force and its reaction act in one line, where the mass is.
+    """The appendages of a body that are away from its centre of mass: force and reaction act along one line, through the mass.
 
-    The damper knows the velocity of the mass relative to the point of the body that is there. Linear momentum is kept to a bit, and so is
-    the angular momentum of the whole, but for what the step of the rest's spin loses.
+    The damper acts on the velocity of the mass relative to the body-fixed point at its position. Linear momentum is conserved to the last
+    bit, and so is the total angular momentum, except for what the step of the body's rotation loses.
     """
     away, arm, turn, drift, push, torque = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     rotate(q[3:7], v[3:6], turn)

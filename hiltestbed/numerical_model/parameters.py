@@ -1,4 +1,4 @@
-"""The numbers of a numerical model: what is believed of both vehicles, and how the model that runs departs from it."""
+"""Parameters of a numerical model: how the model that runs departs from the nominal one."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from hiltestbed.frames import Array
 from hiltestbed.numerical_model.resistance import RESISTANCE
 
 BODIES = ("chaser", "target")
-RESISTED = (*BODIES, "both")  # what a resisting force acts on, in the order of its numbers
+RESISTED = (*BODIES, "both")  # what a resisting force acts on; the index is its BODY column
 RATIO, STIFFNESS, DAMPING, PLACE, APPENDAGE = 0, 1, 2, 3, 6  # columns of an appendage: mass ratio, k/m_a [1/s^2], d/m_a [1/s], place [m]
 Appendage = tuple[float, ...]  # those columns
 
@@ -44,8 +44,8 @@ class DynamicsParameters:
     Attributes:
         mass, inertia: (2,) factors on chaser and target. port: (2, 3) offset of the port in body axes [m].
         appendages: of chaser and of target, each (mass ratio, k/m_a [1/s^2], d/m_a [1/s], place in body axes [m]).
-        forces: that resist motion. late: whole ticks. explicit: pose with the old twist.
-        stamp: [s] by which a log reads the pose later beside; only a replay has it.
+        forces: that resist motion. late: delay of the pose in whole ticks. explicit: explicit Euler, the pose with the old twist.
+        stamp: [s] by which a log reads the pose later than nominal; only a replay uses it.
     """
 
     mass: Array = field(default_factory=lambda: np.ones(2))
@@ -59,7 +59,7 @@ class DynamicsParameters:
 
     @classmethod
     def of(cls, effects: Iterable[Effect]) -> DynamicsParameters:
-        """What the effects of the numerical model among ``effects`` make of it."""
+        """The departures caused by those of ``effects`` that act on the numerical model."""
         p = cls()
         for effect in effects:
             if effect.link == "dynamics":
@@ -86,7 +86,7 @@ class Departures:
 
     @property
     def any(self) -> bool:
-        """Whether any model departs at all."""
+        """Whether any model departs from the nominal one."""
         same = np.all(self.mass == 1.0) and np.all(self.inertia == 1.0) and not self.port.any()
         whole = not (self.appendage.any() or self.force.size or self.late.any() or self.explicit.any() or self.stamp.any())
         return not (same and whole)
@@ -98,7 +98,7 @@ def stack(models: Sequence[DynamicsParameters]) -> Departures:
     none = (0.0,) * APPENDAGE
     swinging = [[[*part, *[none] * (most - len(part))] for part in m.appendages] for m in models]
     resisted = max(len(m.forces) for m in models)
-    forces = np.full((len(models), resisted, RESISTANCE), -1.0)  # of no body where a model has fewer
+    forces = np.full((len(models), resisted, RESISTANCE), -1.0)  # unused rows act on no body
     for row, m in zip(forces, models, strict=True):
         for slot, law in zip(row, m.forces, strict=False):
             slot[:] = astuple(law)

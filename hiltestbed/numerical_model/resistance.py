@@ -1,12 +1,12 @@
-"""A force that resists motion along an axis: viscous and dry friction that may differ by direction, a Stribeck dip, an offset.
+"""A force that resists motion along an axis: viscous and dry friction that may differ by direction, the Stribeck effect, an offset.
 
-The law, of the speed v along the axis, with s its sign and ``sgn(v) = tanh(v/SMOOTH)``::
+The law, for the speed v along the axis, with s its sign and ``sgn(v) = tanh(v/SMOOTH)``::
 
     R(v) = offset + viscous_s v + (coulomb_s + rise exp(-(v/stribeck)^2)) sgn(v)
 
-The step solves for the speed at its end, ``v' = v_free - g R(v')`` with ``g`` what a newton takes from the speed in a tick, so that dry
-friction brings a body to rest whatever its mass and does not chatter; the Stribeck factor alone is taken at the speed before. All but the
-dip rises with v', so that there is one solution.
+The step is implicit in the speed at its end, ``v' = v_free - g R(v')`` with ``g`` the speed change per newton in a tick, so that dry
+friction brings a body to rest whatever its mass and does not chatter; only the Stribeck factor is evaluated at the speed before. All other
+terms increase with v', so that there is one solution.
 """
 
 from __future__ import annotations
@@ -19,19 +19,19 @@ from hiltestbed.jit import njit
 from hiltestbed.numerical_model.kernels import CHASER, TARGET, WORK, mobility, relative_motion, wrench_at_A, wrench_at_P
 
 BODY, AXIS, OFFSET, VISCOUS, VISCOUS_BACK, COULOMB, COULOMB_BACK, RISE, STRIBECK, RESISTANCE = range(10)  # columns, and their number
-BETWEEN = 2  # beside CHASER and TARGET: on the motion of A relative to P, equal and opposite on both bodies
+BETWEEN = 2  # value of BODY, besides CHASER and TARGET: the motion of A relative to P, equal and opposite on both bodies
 SMOOTH = 2e-4  # [m/s]
-ONE = 20.0  # from which tanh is 1 to the last bit
-SETTLED = 1e-13  # [m/s] to which the speed is solved for
-STEPS = 60  # of Newton's method at most
+ONE = 20.0  # argument above which tanh is 1 to the last bit
+SETTLED = 1e-13  # [m/s] tolerance of the speed in Newton's method
+STEPS = 60  # largest number of steps of Newton's method
 
 
 @njit(cache=True)
 def resisting(laws, f, v, free, gain):
-    """[N] the force of law ``f`` of ``laws`` (F, RESISTANCE) over a tick.
+    """The force [N] of law ``f`` of ``laws`` (F, RESISTANCE) over a tick.
 
     Args:
-        v: speed [m/s] before it. free: speed at its end without this force. gain: speed [m/s per N] that a newton takes from it.
+        v: speed [m/s] before the tick. free: speed at its end without this force. gain: speed reduction per newton [m/s per N].
     """
     drive = free - gain * laws[f, OFFSET]
     forward = drive >= 0.0
@@ -40,7 +40,7 @@ def resisting(laws, f, v, free, gain):
         level += laws[f, RISE] * math.exp(-((v / laws[f, STRIBECK]) ** 2))
     slope = laws[f, VISCOUS] if forward else laws[f, VISCOUS_BACK]
     left = abs(drive)
-    u = max(0.0, (left - gain * level) / (1.0 + gain * slope))  # not beyond the solution, and the left side is concave: Newton only rises
+    u = max(0.0, (left - gain * level) / (1.0 + gain * slope))  # a lower bound; the function is concave, so Newton's steps only increase u
     part = 1.0
     if u < ONE * SMOOTH:
         for _ in range(STEPS):
@@ -57,7 +57,7 @@ def resisting(laws, f, v, free, gain):
 
 @njit(cache=True)
 def resist_between(laws, q, v, port, mass, inverse, h, wrench):
-    """Add to ``wrench`` (n, 6), active on passive, in P at P's origin, what resists the motion of A relative to P, at A's origin.
+    """Add to ``wrench`` (n, 6), active on passive, in P at P's origin, the forces at A's origin that resist the motion of A relative to P.
 
     Args:
         laws: (n, F, RESISTANCE). mass: (n, 2). inverse: (n, 2, 3, 3) of the inertia. h: tick [s].
@@ -85,7 +85,7 @@ def resist_between(laws, q, v, port, mass, inverse, h, wrench):
 
 @njit(cache=True)
 def resist_bodies(laws, v, mass, h, tau):
-    """Add to the forces ``tau`` (n, 2, 6), in inertial axes, what resists the motion of one body along an inertial axis."""
+    """Add to the forces ``tau`` (n, 2, 6), in inertial axes, those that resist the motion of one body along an inertial axis."""
     for i in range(v.shape[0]):
         for f in range(laws.shape[1]):
             law = laws[i, f]

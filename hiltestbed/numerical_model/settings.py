@@ -1,4 +1,4 @@
-"""The numerical model's section of a scenario: what moves the two vehicles, one class a kind."""
+"""The numerical-model section of a scenario: the dynamics of the two vehicles, one class per kind."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class ModelKind(Strictly):
     """Base of every numerical model's settings. A class needs a docstring and the parts named in :data:`PARTS`.
 
     Attributes:
-        ticks_late: delay that the coupling to it adds to the loop, in ticks.
+        ticks_late: delay that the coupling to the model adds to the loop, in ticks.
     """
 
     PARTS: ClassVar[tuple[str, ...]] = ("docstring", "start")

@@ -1,8 +1,8 @@
-"""Open loop: the blocks of the loop on recorded inputs, one link at a time.
+"""Open-loop replay: the blocks of the loop on recorded inputs, one link at a time.
 
-The leading axis of every block is a *lane*: a recorded run under one hypothesis. Inputs are held once a run, ``(R, N, ...)``, and
-``run`` ``(L,)`` says which of them drives a lane. A row of a record is a tick of the loop; what the loop calls once a tick is called here
-once a row, in compiled loops over the rows where the calls themselves would cost.
+The leading axis of every block is a *lane*: a recorded run under one hypothesis. Inputs are stored once per run, ``(R, N, ...)``, and
+``run`` ``(L,)`` is the index of the run that drives each lane. A row of a record is a tick of the loop; what the loop calls once per tick
+is called here once per row, in compiled loops over the rows where calls from Python would be slow.
 """
 
 from hiltestbed.replay.axis import replay_axis

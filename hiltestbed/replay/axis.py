@@ -1,7 +1,7 @@
-"""The numerical model on a recorded force along one axis: what :mod:`hiltestbed.replay.numerical_model` does, where nothing else moves.
+"""The numerical model on a recorded force along one axis: :mod:`hiltestbed.replay.numerical_model`, reduced to motion along z.
 
-A force along z through both centres of mass turns nothing. The step is the same, in four numbers in place of twenty-six, and a
-thousand rows cost a tenth of a millisecond; a drive that is logged at 1 kHz for half a minute can be fitted in seconds.
+A force along z through both centres of mass causes no rotation. The step is the same, with a state of four numbers instead of twenty-six,
+and a thousand rows take 0.1 ms; a drive logged at 1 kHz for half a minute can be fitted in seconds.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ def replay_axis(model: Departing, force: Array, place: Array, speed: Array, run:
     """``(L, N)`` pz of numerical models that are driven along z by recorded forces ``(R, N)``; row k is commanded at t_k.
 
     Args:
-        place, speed: ``(R,)`` pz [m] that row 0 shows, and its rate at the start [m/s], the target being at rest.
-        rows: of each run; past them the rows of a lane hold nothing.
+        place, speed: ``(R,)`` pz [m] in row 0, and its rate at the start [m/s], with the target at rest.
+        rows: number of valid rows of each run; later rows of a lane are meaningless.
 
-    A row is as many ticks old as the model is late, and as its log is by its stamp, on a straight line between ticks.
+    A row is delayed by the model's ``late`` ticks and the log's ``stamp``, interpolated linearly between ticks.
     """
     d = model.departures
     out = np.zeros((len(run), force.shape[1]))
@@ -67,7 +67,7 @@ def _replay_axis(force, place, speed, run, rows, whole, rigid, h, appendage, law
 
 @njit(cache=True, inline="always")
 def _at(way, index, uniform):
-    """``way`` between its rows; before the first it was uniform, past the last it goes on as it was."""
+    """``way`` interpolated between its rows; uniform motion before the first row, linear extrapolation after the last."""
     if index <= 0.0:
         return index * uniform
     low = min(int(index), len(way) - 2)
@@ -92,7 +92,7 @@ def _resist(laws, v, mass, h, tau):
 
 @njit(cache=True)
 def _swing(appendage, whole, rigid, h, swing, tau):
-    """What the appendages do to their bodies, as :func:`hiltestbed.numerical_model.model.swing` has it; swing: (2, S, 2)."""
+    """The loads of the appendages on their bodies, as in :func:`hiltestbed.numerical_model.model.swing`; swing: (2, S, 2)."""
     for b in range(2):
         for s in range(appendage.shape[1]):
             a = appendage[b, s]

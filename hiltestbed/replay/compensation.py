@@ -1,4 +1,4 @@
-"""The compensation on recorded readings, poses and motions: the very blocks of the loop, a call a tick."""
+"""The compensation on recorded readings, poses and twists, with the same blocks as the loop, one call per tick."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ INPUTS = {
 
 
 def needs(scenario: Scenario) -> set[str]:
-    """The groups of a record that the compensation of a scenario reads, beside what it gives."""
+    """The column groups of a record that the compensation of a scenario needs as inputs."""
     compensation = scenario.compensation
     reads = set(compensation.force.reads)
     if compensation.motion.corrects_force:
@@ -39,7 +39,7 @@ def needs(scenario: Scenario) -> set[str]:
 
 
 class RecordedModel(NumericalModel):
-    """The numerical model as the record has it: a step takes it to the next recorded pose, whatever drives it."""
+    """A numerical model that follows the record: a step takes it to the next recorded pose, whatever wrench drives it."""
 
     def __init__(self, scenarios: Sequence[Scenario], poses: Array, twists: Array, run: np.ndarray) -> None:
         """``poses`` (R, N, 7) and ``twists`` (R, N, 6) as commanded at t_k."""
@@ -47,7 +47,7 @@ class RecordedModel(NumericalModel):
         super().__init__(scenarios, stack([DynamicsParameters() for _ in scenarios]))
 
     def advance(self, wrench: Array) -> None:
-        """Move on to the pose that was commanded at this tick, target at rest with P at the inertial origin."""
+        """Advance to the pose that was commanded at this tick, with the target at rest and P at the inertial origin."""
         self.pose[:] = self._poses[self._run, self._row]
         self.twist[:] = self._twists[self._run, self._row]
         self._row += 1
@@ -57,11 +57,11 @@ class RecordedModel(NumericalModel):
 def replay_compensation(
     scenarios: Sequence[Scenario], inputs: Sequence[InputParameters], records: dict[str, Array], readings: Array, run: np.ndarray
 ) -> Array:
-    """``(L, N, 6)`` wrench_comp of compensations that are given recorded readings.
+    """``(L, N, 6)`` wrench_comp of compensations on recorded readings.
 
     Args:
-        scenarios, inputs: of each lane. readings: ``(R, N, 6)`` wrench_meas, or what the loop is thought to have read.
-        records: "pose_act" (R, N, 7), "pose_cmd" (R, N, 7) where the method needs them; "twist_act", "twist_cmd" (R, N, 6) where recorded.
+        scenarios, inputs: of each lane. readings: ``(R, N, 6)`` wrench_meas, or the readings assumed for the loop.
+        records: "pose_act" (R, N, 7), "pose_cmd" (R, N, 7) if the method needs them; "twist_act", "twist_cmd" (R, N, 6) if recorded.
     """
     rows, n = readings.shape[1], len(run)
     pose, twist = _reached(scenarios, records, run, rows)
@@ -100,7 +100,7 @@ def _reads(scenario: Scenario) -> set[str]:
 
 
 def _model(scenarios: Sequence[Scenario], records: dict[str, Array], run: np.ndarray) -> NumericalModel:
-    """The numerical model on record; where nothing reads it, one that stays where it starts."""
+    """The recorded numerical model; without a recorded pose_cmd, one that stays at its start."""
     poses = records.get("pose_cmd")
     if poses is None:
         return _Idle(scenarios)
@@ -113,14 +113,14 @@ def _model(scenarios: Sequence[Scenario], records: dict[str, Array], run: np.nda
 
 
 class _Idle(NumericalModel):
-    """A numerical model that nothing reads."""
+    """A numerical model that does not move, for methods that do not read it."""
 
     def advance(self, wrench: Array) -> None:
         """Nothing moves."""
 
 
 def _reached(scenarios: Sequence[Scenario], records: dict[str, Array], run: np.ndarray, rows: int) -> tuple[Array, Array]:
-    """``(R, N, 7)`` poses and ``(R, N, 6)`` twists that the rig reached, the slope over the tick where no twist is on record."""
+    """``(R, N, 7)`` poses and ``(R, N, 6)`` twists that the rig reached; without recorded twists, the mean twist over each tick."""
     poses = records.get("pose_act")
     runs = int(run.max()) + 1
     if poses is None:
@@ -144,7 +144,7 @@ def slopes(poses: Array, start: Array, tick: float) -> Array:
 
 
 def central_rates(scenario: Scenario, path: Array) -> Array:
-    """``(N, 6)`` twists at the rows of a path (N, 7), each the mean of the slopes before and after; the first and the last have one."""
+    """``(N, 6)`` twists at the rows of a path (N, 7), each the mean of the twists over the ticks before and after."""
     before = slopes(path[None], path[None, 0], scenario.tick)[0]
     before[0] = approach_state(scenario)[7:]
     return np.asarray(0.5 * (before + np.concatenate([before[1:], before[-1:]])))
@@ -159,7 +159,7 @@ def _slopes(poses, start, h, out):
 
 @njit(cache=True)
 def _capture(pose, twist, limits, captured):
-    """Latch the runs whose condition holds; once latched they stay so."""
+    """Mark as captured the runs whose latch condition holds; capture is permanent."""
     for i in range(pose.shape[0]):
         if not captured[i] and closes(pose[i], twist[i], limits[i]):
             captured[i] = True

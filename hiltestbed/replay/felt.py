@@ -1,4 +1,4 @@
-"""What the lanes of a replay of contact and sensor share: the paths that A took, and the geometry along them."""
+"""Data shared by the lanes of a replay of contact and sensor: the paths of A, and the contact geometry along them."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ from hiltestbed.contact.wrench import meet_all
 from hiltestbed.frames import Array, twist_between
 from hiltestbed.jit import njit
 
-KEPT = 64_000_000  # [byte] of what contacts exerted, for replays that change the sensor alone
-NEAR = 2.5e-3  # [m] by which the surfaces may be nearer than believed for rows to be passed over by geometry alone
+KEPT = 64_000_000  # [byte] of contact wrenches that are cached, for replays that change only the sensor
+NEAR = 2.5e-3  # [m] largest shift of the surfaces, relative to nominal, for which rows can be skipped by their geometry alone
 
-ContactKey = tuple[int, bool, bytes, bytes]  # run, whether read between instants, these within a tick, numbers of the contact
+ContactKey = tuple[int, bool, bytes, bytes]  # run, whether read between instants, the instants within a tick, contact parameters
 
 
 class Kept:
-    """What contacts exerted in the latest replays, the latest last: at least one, else no more than :data:`KEPT`."""
+    """Cache of the contact wrenches of the latest replays: at least one entry, otherwise at most :data:`KEPT` bytes."""
 
     def __init__(self) -> None:
         self._exerted: OrderedDict[ContactKey, Array] = OrderedDict()
 
     def get(self, key: ContactKey) -> Array | None:
-        """What was exerted under ``key``, where it is still known."""
+        """The wrenches for ``key``, or None if they are not cached."""
         return self._exerted.get(key)
 
     def keep(self, key: ContactKey, exerted: Array) -> None:
-        """Keep it as the latest, and let go of the oldest."""
+        """Store the wrenches as the latest entry, and discard the oldest ones."""
         self._exerted[key] = exerted
         self._exerted.move_to_end(key)
         while len(self._exerted) > 1 and sum(a.nbytes for a in self._exerted.values()) > KEPT:
@@ -41,20 +41,20 @@ class Kept:
 
 @dataclass(frozen=True)
 class Felt:
-    """What the lanes of a replay share: recorded paths and the mechanism that moved along them.
+    """Data shared by the lanes of a replay: recorded paths, and the mechanism that moved along them.
 
     Attributes:
-        poses: (R, N, 7) of A in P at t_k. before: (R, 7) at t_(-1). tick: [s]. geometry: of the mechanism, both of whose sides are rigid.
-        captured: (R,) bool, latched from the start. latch: (R, 3) least depth [m], cosine, speed [m/s] of the latch condition; never met
-            where there is no latch. mount: of the runs, or None for a rigid one.
-        substeps: instants of the physics a tick, at which a compliant mount is integrated.
-        lever: where in the overlap the force acts. rates: (R, N, 6) twist at t_k, where it is known, as under a servo; None: the slope of
-            the pose over the tick that ends there.
-        least_creep: [m/s per N] bounds the slope of friction from above, see :class:`hiltestbed.contact.contacts.Contacts`.
-        twists: (R, N, 6) over the tick that ends at each row. clear: (R, N) least distance of the surfaces in that tick [m].
-        kept: what contacts exerted in the latest replays.
-        met: geometry at t_k while nothing is tilted and the surfaces are near, see :func:`hiltestbed.contact.wrench.meet_all`: it does
-            not depend on what the law is thought to be.
+        poses: (R, N, 7) of A in P at t_k. before: (R, 7) at t_(-1). tick: [s]. geometry: of the mechanism, with two rigid sides.
+        captured: (R,) bool, captured from the start. latch: (R, 3) depth [m], cosine, speed [m/s] of the latch condition; never met
+            without a latch. mount: of the runs, or None for a rigid one.
+        substeps: physics instants per tick, at which a compliant mount is integrated.
+        lever: point of application of the force within the overlap. rates: (R, N, 6) twist at t_k if known, as with a servo; None: the
+            mean twist over the tick that ends there.
+        least_creep: [m/s per N] limits the slope of friction, see :class:`hiltestbed.contact.contacts.Contacts`.
+        twists: (R, N, 6) mean over the tick that ends at each row. clear: (R, N) lower bound of the surfaces' distance in that tick [m].
+        kept: cached contact wrenches of the latest replays.
+        met: contact geometry at t_k without tilt, while the surfaces are near, see :func:`hiltestbed.contact.wrench.meet_all`: it does
+            not depend on the hypothesis about the force law.
     """
 
     poses: Array
@@ -87,18 +87,18 @@ class Felt:
         object.__setattr__(self, "met", met)
 
     def instants(self, grid: int | None) -> int:
-        """How many instants a tick are computed where a reading lies on straight lines between ``grid`` of them; 0: only its own."""
+        """Number of instants per tick to compute if readings are interpolated between ``grid`` instants; 0: only each reading's own."""
         return (grid or 0) if self.mount is None else max(grid or 0, self.substeps)
 
     @property
     def ends(self) -> Array:
-        """(R, N, 6) twist with which the contact is felt at t_k."""
+        """(R, N, 6) twist for the contact force at t_k."""
         return self.twists if self.rates is None else self.rates
 
 
 @njit(cache=True)
 def _meet(index, values, lever, blunt, poses, twists, before, clear, depth, rate, point, normal, slip):
-    """Geometry of the rows at which the surfaces may touch, and how far they stay apart in the tick that ends at each row."""
+    """Contact geometry at each row, and a lower bound of the surfaces' distance in the tick that ends there."""
     count = depth.shape[2]
     frames, motions, work, p = np.zeros((2, 7)), np.zeros((2, 6)), np.empty((9, 7)), np.ones((max(count, 1), PARAMETERS))
     frames[1, 6] = 1.0
@@ -119,7 +119,7 @@ def _meet(index, values, lever, blunt, poses, twists, before, clear, depth, rate
 
 @njit(cache=True)
 def way_between(last, pose, longest):
-    """By how much the surfaces may come nearer between two poses (7,) of A [m]; ``longest``: from A to what touches."""
+    """Upper bound of the approach of the surfaces [m] between two poses (7,) of A; ``longest``: largest distance of a round from A."""
     way, turned = 0.0, 0.0
     for j in range(3):
         way += (pose[j] - last[j]) ** 2

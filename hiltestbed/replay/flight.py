@@ -1,4 +1,4 @@
-"""Free flight, which is the same whatever a contact is thought to be: it is gone through once, not once a hypothesis."""
+"""Free flight before the first contact: it does not depend on the contact hypothesis, so it is simulated once for all of them."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from hiltestbed.frames import Array
 from hiltestbed.platform.plant import Plant
 from hiltestbed.state import arrays_of
 
-CLEAR = 0.01  # [m] how far apart the sides are when it ends, or a little less; half of it is left for what a hypothesis shifts
-EVERY = 16  # rows between two looks at how far apart they are
+CLEAR = 0.01  # [m] least distance of the sides during free flight; a hypothesis may shift a surface by half of it
+EVERY = 16  # rows between two checks of the distance
 
 
 class Flight(NamedTuple):
-    """What runs do until the first of them comes near.
+    """The free flight of all runs, until the first of them comes near a contact.
 
     Attributes:
-        row: the last one of it. wrench: (R, row + 1, m, 6). arm: [m] from W's origin to the farthest geom's farthest point.
-        state: of the plant of all R runs at that row, what has changed since the start by its name.
+        row: its last row. wrench: (R, row + 1, m, 6). arm: [m] from W's origin to the farthest point of any geom.
+        state: of the plant of all R runs at that row: the arrays that have changed since the start, by name.
     """
 
     row: int
@@ -31,13 +31,13 @@ class Flight(NamedTuple):
     state: dict[str, Array]
 
     def holds(self, plant: Plant) -> bool:
-        """Whether what the contacts of ``plant`` are thought to be brings nothing nearer than the flight leaves room for."""
+        """Whether the contact hypothesis of ``plant`` shifts no surface by more than half of :data:`CLEAR`."""
         rows = plant.contacts().parameters
         shift = np.abs(rows[..., OFFSET]) + self.arm * np.hypot(rows[..., TILT_X], rows[..., TILT_Y])
         return bool(shift.max(initial=0.0) < 0.5 * CLEAR)
 
     def resume(self, plant: Plant, runs: Sequence[int]) -> None:
-        """Put ``plant``, which has been reset and whose lanes are of the ``runs``, where these are when the flight ends."""
+        """Set ``plant``, which has been reset and whose lanes belong to ``runs``, to their state at the end of the flight."""
         live, count = _live(plant), len(self.wrench)
         for name, array in self.state.items():
             of_lanes = array.shape[:1] == (count,) and live[name].shape[:1] == (len(runs),)
@@ -45,7 +45,7 @@ class Flight(NamedTuple):
 
 
 def fly(plant: Plant, rows: Iterator[int]) -> Flight:
-    """The flight of ``plant``, believed contacts, as it is carried from one of the ``rows`` to the next."""
+    """The flight of ``plant``, with nominal contacts, as the iterator ``rows`` carries it from row to row."""
     live, began = _live(plant), dict[str, Array]()
     apart, wrench, last, state, arm = _Apart(plant), list[Array](), -1, dict[str, Array](), 0.0
     for k in rows:
@@ -64,13 +64,13 @@ def fly(plant: Plant, rows: Iterator[int]) -> Flight:
 
 
 def _live(plant: Plant) -> dict[str, Array]:
-    """The state of a plant, activations of its actuators among it, which no block of it holds."""
+    """The state of a plant, including the activations of its actuators, which none of its blocks store."""
     activations = {"act": plant.watch("act", 1)} if plant.model.na else {}
     return arrays_of(plant) | activations
 
 
 class _Apart:
-    """How far apart what can touch is in a plant of R runs."""
+    """Distances between the geoms that may touch, in a plant of R runs."""
 
     def __init__(self, plant: Plant) -> None:
         self._model, self._data, self._met = plant.model, mujoco.MjData(plant.model), plant.contacts().met
@@ -80,7 +80,7 @@ class _Apart:
         self._native = [(int(p.geom1.item()), int(p.geom2.item())) for p in pairs]
 
     def clear(self) -> bool:
-        """Whether it is farther apart than :data:`CLEAR`, everywhere and in every run."""
+        """Whether all distances, in every run, exceed :data:`CLEAR`."""
         facets = self._met.shape[1] - len(self._native)
         if not (self._met[:, :facets, 0] < -CLEAR).all():
             return False
@@ -91,5 +91,5 @@ class _Apart:
         return True
 
     def arm(self) -> float:
-        """From W's origin to the farthest point of a geom [m]."""
+        """Distance from W's origin to the farthest point of any geom [m]."""
         return float((np.linalg.norm(self._place, axis=2) + self._model.geom_rbound).max(initial=0.0))

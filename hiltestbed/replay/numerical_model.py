@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 def replay_model(model: Departing, wrench: Array, run: np.ndarray, old: Array | None = None) -> Array:
     """``(L, N, 7)`` pose_cmd of numerical models that are driven by recorded wrenches ``(R, N, 6)``; row k is commanded at t_k.
 
-    The step is that of :class:`hiltestbed.numerical_model.model.NumericalModel`, its bodies accelerated by Newton's and Euler's laws in
-    compiled code where the loop calls Pinocchio. old: (L,) part of the old twist in each new pose; None: that of the departures, 0 or 1.
+    The step is that of :class:`hiltestbed.numerical_model.model.NumericalModel`, with compiled Newton-Euler equations where the loop calls
+    Pinocchio. old: (L,) weight of the old twist in each new pose; None: that of the departures, 0 or 1.
     """
     d, n = model.departures, len(run)
     part = np.maximum(d.explicit.astype(float), 0.0 if old is None else old)
@@ -39,11 +39,12 @@ def replay_model(model: Departing, wrench: Array, run: np.ndarray, old: Array | 
 
 
 class Departing:
-    """The numbers of the models of L lanes: what is believed, with departures.
+    """The parameters of the models of L lanes: nominal, with departures.
 
     Attributes:
         approach: (L, 13). port: (L, 2, 7). whole, rigid: (L, 2) mass with and without appendages. inertia: (L, 2, 3, 3). tick: [s].
-        placed, rest: (L, 2), (L, 2, 3) see :func:`~hiltestbed.numerical_model.model.rests`; port and inertia are those of the rests.
+        placed, rest: (L, 2), (L, 2, 3) see :func:`~hiltestbed.numerical_model.model.rests`; port and inertia are those of the bodies
+            without appendages.
     """
 
     def __init__(self, scenarios: Sequence[Scenario], departures: Departures) -> None:

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from hiltestbed.platform.parameters import PlatformParameters
     from hiltestbed.scenario import Scenario
 
-WHOLE = 1e-9  # ticks that a delay may be off a whole number
+WHOLE = 1e-9  # ticks within which a delay counts as a whole number
 
 
 def replay_platform(
@@ -25,12 +25,12 @@ def replay_platform(
 ) -> Array:
     """``(L, N, 3)`` positions of A in P [m] at t_k that platforms reach on recorded commands.
 
-    The law is that of the loop (:func:`hiltestbed.platform.response.follow`). A tick is divided where the delayed command bends, between
-    which the responses are exact; for a platform that sticks, at the instants at which it may move.
+    The law is that of the loop (:func:`hiltestbed.platform.response.follow`). A tick is divided at the kinks of the delayed command,
+    between which the responses are exact; for a platform with stiction, at the instants at which it may move.
 
     Args:
         scenarios, parameters: of each lane. commands: ``(R, N, >= 3)`` pose_cmd; row k is to be reached at t_(k+1).
-        obeyed: (L,) [s] by which commands are obeyed later than at t_k, by a platform that stands at the start pose at t = 0.
+        obeyed: (L,) [s] by which commands take effect later than at t_k, on a platform at rest in the start pose at t = 0.
     """
     tick = scenarios[0].tick
     p = stack(parameters)
@@ -50,7 +50,7 @@ def replay_platform(
 
 
 def _instants(scenarios: Sequence[Scenario], parameters: Sequence[PlatformParameters], late: Array) -> tuple[Array, np.ndarray]:
-    """``(L, M)`` parts of a tick at which each lane is advanced, the last of which is 1, and ``(L,)`` how many there are."""
+    """``(L, M)`` fractions of a tick to which each lane is advanced, the last of which is 1, and ``(L,)`` their number."""
     found = []
     for s, p, ticks in zip(scenarios, parameters, late, strict=True):
         bend = ticks - np.floor(ticks)
@@ -67,7 +67,7 @@ def _instants(scenarios: Sequence[Scenario], parameters: Sequence[PlatformParame
 
 
 def _kernels(numbers: Array, steps: Array, count: np.ndarray, base: float) -> Array:
-    """``(L, M, S, 5)`` exact advances of each response over each step; ``numbers`` (L, S, 2) natural frequency and damping ratio."""
+    """``(L, M, S, 5)`` exact propagators of each response over each step; ``numbers`` (L, S, 2) natural frequency and damping ratio."""
     out = np.zeros((len(numbers), steps.shape[1], numbers.shape[1], 5))
     for i, s in np.argwhere(numbers[..., 0] > 0.0):
         for m in range(count[i]):
@@ -106,7 +106,7 @@ def _replay(commands, run, start, velocity, h, late, at_start, parts, count, ste
                 reached = before
                 for s in range(count[i]):
                     at = k + parts[i, s] - late[i]
-                    if learned[0] == 0.0:  # as a rule: a call costs as much as the rest of the step
+                    if learned[0] == 0.0:  # the usual case, separate because the other call costs as much as the rest of the step
                         after = _commanded(command, start[i, axis], velocity[i, axis], at, h)
                     else:
                         after = _answered(command, sums, learned, start[i, axis], velocity[i, axis], at, h)
@@ -119,13 +119,13 @@ def _replay(commands, run, start, velocity, h, late, at_start, parts, count, ste
 
 @njit(cache=True)
 def _sticks_alone(speed, play, stick, lag, mode, late):
-    """Whether stiction on a command that is whole ticks late is all that a platform does."""
+    """Whether a platform has only stiction and a delay of whole ticks."""
     return stick > 0.0 and play == 0.0 and speed == np.inf and not lag[:, :, 0].any() and not mode[:, :, 0].any() and late == round(late)
 
 
 @njit(cache=True)
 def _stick(command, start, velocity, h, late, instants, stick, scale, out):
-    """Stiction alone: from jump to jump, since the command is straight within a tick; as :func:`follow` does instant by instant."""
+    """Stiction alone, computed from jump to jump, since the command is linear within a tick; equal to :func:`follow` at each instant."""
     held = before = _commanded(command, start, velocity, float(-late), h)
     out[0] = held if late > 0 else start
     for k in range(len(out) - 1):
@@ -144,7 +144,7 @@ def _stick(command, start, velocity, h, late, instants, stick, scale, out):
 
 @njit(cache=True)
 def _still(command, start, velocity):
-    """Whether an axis is never told to move."""
+    """Whether an axis is never commanded to move."""
     if velocity != 0.0:
         return False
     for k in range(len(command)):
@@ -169,7 +169,7 @@ def _commanded(command, start, velocity, at, h):
 
 @njit(cache=True)
 def _sum_up(command, start, h, sums):
-    """The integral of the command over time [m s] at each tick into ``sums`` (N + 1,)."""
+    """Write the time integral of the command [m s] at each tick to ``sums`` (N + 1,)."""
     sums[0], last = 0.0, start
     for k in range(len(command)):
         sums[k + 1] = sums[k] + 0.5 * h * (last + command[k])
@@ -178,7 +178,7 @@ def _sum_up(command, start, h, sums):
 
 @njit(cache=True, inline="always")
 def _summed(command, sums, start, velocity, at, h):
-    """The integral of the command over time up to the tick ``at`` [m s], from the start."""
+    """The time integral of the command [m s] from the start to the tick ``at``."""
     if at <= 0.0:
         return at * h * (start + 0.5 * velocity * at * h)
     k = min(int(at), len(command))
@@ -190,7 +190,7 @@ def _summed(command, sums, start, velocity, at, h):
 
 @njit(cache=True)
 def _answered(command, sums, step, start, velocity, at, h):
-    """The command after the packed ``step`` response, see :mod:`hiltestbed.platform.step_response`."""
+    """The command filtered by the packed ``step`` response, see :mod:`hiltestbed.platform.step_response`."""
     n, most = int(step[0]), (len(step) - 1) // 2
     if n == 0:
         return _commanded(command, start, velocity, at, h)

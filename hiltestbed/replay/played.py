@@ -1,8 +1,8 @@
-"""Contacts whose wrench does not follow from the pose of A in P alone, exerted along recorded paths by the physics itself.
+"""Contacts whose wrench does not follow from the pose of A in P alone, simulated by MuJoCo along recorded paths.
 
-Parts that move on their side, phases of a capture and pairs that MuJoCo collides have no closed form. The sides are carried along the
-path as under ideal tracking (:mod:`hiltestbed.platform.ideal`), from the first row on, under the law that a hypothesis asks for. Under a
-servo they pass within a tick where its steps can have taken them from one row to the next.
+Moving parts, phases of capture and native pairs have no closed form. The sides are carried along the path as with ideal tracking
+(:mod:`hiltestbed.platform.ideal`), from the first row on, with the force law of a hypothesis. For a platform with a servo, the motion
+within a tick is one that the servo's steps can have produced between the rows.
 """
 
 from __future__ import annotations
@@ -34,14 +34,13 @@ TOGETHER = 32  # lanes that are stepped in one batch
 
 
 class Engaged(NamedTuple):
-    """What the sides of a run do as A is carried along its path.
+    """Results of a run as A is carried along its path.
 
     Attributes:
         wrench: (N, m, 6) [N, N m] at the instants of the tick that ends at each row. depth: (N,) [m] of the deepest contact at each row,
             negative while apart.
-        taken: (N, 6) [N, N m] in P at P's origin: what is to be added to what the sensor feels at each row, so that it loads A with its
-            parts at rest as the contact does with its parts in motion: the rate of the momentum that the parts on both sides have
-            beyond that at rest.
+        taken: (N, 6) [N, N m] in P at P's origin, the rate of change of the momentum of moving parts on both sides, beyond that of the
+            same parts at rest on their side. Added to the wrench at the sensor, it gives the load on an A whose parts are fixed.
     """
 
     wrench: Array
@@ -50,7 +49,7 @@ class Engaged(NamedTuple):
 
     @property
     def between(self) -> Array:
-        """(N, m, 6) what the wrench is more than straight lines between rows."""
+        """(N, m, 6) difference of the wrench from linear interpolation between rows."""
         m = self.wrench.shape[1]
         before = np.concatenate([self.wrench[:1, -1:], self.wrench[:-1, -1:]])
         return np.asarray(self.wrench - before - np.arange(1, m + 1)[:, None] / m * (self.wrench[:, -1:] - before))
@@ -60,12 +59,12 @@ class Played:
     """Recorded paths, and the sides that are carried along them.
 
     Attributes:
-        poses: (R, N, 7) of A in P at t_k. tick: [s]. substeps: instants of the physics a tick.
-        kept: what contacts exerted in the latest replays.
+        poses: (R, N, 7) of A in P at t_k. tick: [s]. substeps: physics instants per tick.
+        kept: cached contact wrenches of the latest replays.
     """
 
     def __init__(self, scenarios: Sequence[Scenario], poses: Array, rates: Array | None = None) -> None:
-        """``scenarios`` of the R runs, as believed; ``rates``: (R, N, 6) twist at t_k, None: A moves uniformly within a tick."""
+        """``scenarios``: nominal, of the R runs; ``rates``: (R, N, 6) twist at t_k, None: A moves uniformly within a tick."""
         self.poses, self._rates = poses, rates
         self._start = np.array([approach_state(s)[7:] for s in scenarios])
         self.tick, self.substeps = scenarios[0].tick, scenarios[0].substeps
@@ -75,11 +74,11 @@ class Played:
         self._flights: dict[Hashable, Flight | None] = {}
 
     def instants(self, grid: int | None) -> int:
-        """How many instants a tick are computed: those of the physics."""
+        """Number of instants per tick to compute: always those of the physics."""
         return self.substeps
 
     def exerted(self, wanted: Sequence[tuple[int, Sequence[Effect]]]) -> list[Array]:
-        """(N, m, 6) of each run under effects what its contact exerts [N, N m] at the instants of the tick that ends at each row."""
+        """(N, m, 6) contact wrench [N, N m], for each run with effects, at the instants of the tick that ends at each row."""
         scenarios = [self._under(run, effects) for run, effects in wanted]
         groups: dict[Hashable, list[int]] = {}
         for i, scenario in enumerate(scenarios):
@@ -92,7 +91,7 @@ class Played:
         return [out[i] for i in range(len(wanted))]
 
     def believed(self, run: int) -> Engaged:
-        """The run as the mechanism is believed to be."""
+        """The run with the nominal mechanism."""
         if run not in self._believed:
             plant, count = Plant([self._under(run, ())]), self.poses.shape[1]
             on_A, on_P = (carried_by(plant.model, c)[1] for c in (BODY, MOUNTED if self._carried[run].mechanism.mount else CARRIER))
@@ -110,7 +109,7 @@ class Played:
         return self._believed[run]
 
     def _together(self, runs: Sequence[int], scenarios: Sequence[Scenario]) -> Array:
-        """(L, N, m, 6) of runs under scenarios that are ``alike``."""
+        """(L, N, m, 6) contact wrenches of runs with scenarios that are ``alike``."""
         plant, flight = Plant(scenarios, min(threads(), len(runs))), self._flight(alike(scenarios[0]))
         wrench = np.empty((len(runs), self.poses.shape[1], self.substeps, 6))
         if flight is not None and not flight.holds(plant):
@@ -122,7 +121,7 @@ class Played:
         return wrench
 
     def _flight(self, kind: Hashable) -> Flight | None:
-        """What all runs do before one comes near, in plants that are ``alike`` of that kind; None where there is none."""
+        """The free flight of all runs in plants of this kind (see ``alike``); None if there is none."""
         if kind not in self._flights:
             scenarios = [self._under(run, ()) for run in range(len(self.poses))]
             self._flights[kind] = None
@@ -133,11 +132,11 @@ class Played:
         return self._flights[kind]
 
     def _under(self, run: int, effects: Sequence[Effect]) -> Scenario:
-        neutral = EFFECTS["contact.stiffness"].model_validate({"factor": 1.0})  # an effect at all has every contact written out
+        neutral = EFFECTS["contact.stiffness"].model_validate({"factor": 1.0})  # with any effect, the model computes every contact
         return self._carried[run].model_copy(update={"effects": (neutral, *effects)})
 
     def _carry(self, plant: Plant, runs: Sequence[int], flight: Flight | None = None) -> Iterator[int]:
-        """Carry the sides of the runs along their paths, from the end of the ``flight`` on: rows are yielded as they are reached."""
+        """Carry the sides of the runs along their paths, from the end of the ``flight`` on; yields each row as it is reached."""
         paths = np.ascontiguousarray(self.poses[list(runs)].swapaxes(0, 1))
         rates = None if self._rates is None else np.ascontiguousarray(self._rates[list(runs)].swapaxes(0, 1))
         count, lanes = paths.shape[:2]
@@ -155,7 +154,7 @@ class Played:
 
 
 def _carried(scenario: Scenario) -> Scenario:
-    """The scenario whose mechanism is carried along a path."""
+    """The scenario with ideal tracking and without effects, whose mechanism is carried along a path."""
     ideal = PLATFORMS["pss33"].model_validate({"kind": "pss33", "tracking": "ideal"})
     return scenario.model_copy(update={"rig": Rig(platform=ideal), "effects": ()})
 
@@ -163,9 +162,9 @@ def _carried(scenario: Scenario) -> Scenario:
 def _rate_of_momentum(
     model: mujoco.MjModel, on_A: Sequence[int], on_P: Sequence[int], path: Array, places: Array, turns: Array, tick: float
 ) -> Array:
-    """(N, 6) by how much the momentum of bodies on A, which goes along ``path`` (N, 7), and of bodies on P changes faster than if they
-    stood at home: at each row, about W's origin. They are at ``places`` (N, B, 3), turned by ``turns`` (N, B, 3, 3); NaN where one of them
-    left the finite numbers."""
+    """(N, 6) rate of change of the momentum of bodies on A, which moves along ``path`` (N, 7), and on P, beyond that with the bodies
+    fixed in their home positions: at each row, about W's origin. Their positions are ``places`` (N, B, 3), their attitudes ``turns``
+    (N, B, 3, 3). NaN if any of these is not finite."""
     if not np.isfinite(places).all() or not np.isfinite(turns).all():
         return np.full((len(path), 6), np.nan)
     data = mujoco.MjData(model)
@@ -180,7 +179,7 @@ def _rate_of_momentum(
 
 
 def _momentum(model: mujoco.MjModel, body: int, place: Array, turn: Rotation, tick: float) -> Array:
-    """(N - 1, 6) linear [kg m/s] and about W's origin [kg m^2/s], of a body between the rows ``place`` (N, 3) and ``turn``."""
+    """(N - 1, 6) momentum of a body between rows, linear [kg m/s] and about W's origin [kg m^2/s], from ``place`` (N, 3) and ``turn``."""
     linear, change = model.body_mass[body] * np.diff(place, axis=0) / tick, (turn[1:] * turn[:-1].inv()).as_rotvec()
     between = Rotation.from_rotvec(0.5 * change) * turn[:-1]
     spin = between.apply(model.body_inertia[body] * between.inv().apply(change / tick))
@@ -189,10 +188,10 @@ def _momentum(model: mujoco.MjModel, body: int, place: Array, turn: Rotation, ti
 
 @njit(cache=True)
 def step_between(pose_before, twist_before, pose, twist, dt, poses, twists):
-    """The instants of the tick between two rows, a step ``dt`` [s] apart: into ``poses`` (m, n, 7) and ``twists`` (m, n, 6).
+    """Interpolate the instants of the tick between two rows, ``dt`` [s] apart, to ``poses`` (m, n, 7) and ``twists`` (m, n, 6).
 
-    Each twist is the slope of the step that ends there, as where velocities are stepped before places; over the tick they are a parabola
-    that begins and ends with the rows' own, and brings A from the one row's pose to the other's.
+    Each twist is the mean over the step that ends there, as in semi-implicit Euler; over the tick they follow a parabola
+    that begins and ends with the rows' own twists, and takes A from one row's pose to the other's.
     """
     m = poses.shape[0]
     mean, bend = np.empty(6), np.empty(6)
@@ -201,7 +200,7 @@ def step_between(pose_before, twist_before, pose, twist, dt, poses, twists):
         weight += s * (m - s)
     for i in range(pose.shape[0]):
         twist_between(pose_before[i], pose[i], m * dt, mean)
-        for j in range(6):  # what the straight line between both twists lacks in the sum over the steps
+        for j in range(6):  # displacement that a linear change between both twists lacks in the sum over the steps
             lacks = m * mean[j] - m * twist_before[i, j] - 0.5 * (m + 1) * (twist[i, j] - twist_before[i, j])
             bend[j] = lacks / weight if m > 1 else 0.0
         for s in range(1, m + 1):

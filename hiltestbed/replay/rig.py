@@ -1,8 +1,8 @@
-"""The believed rig on a recorded command, under a recorded force: where its drives take the platform.
+"""The nominal rig on a recorded command, under a recorded force: the poses to which its drives take the platform.
 
-A platform under its servo yields to the force that it bears and follows its command with the servo's own small errors; a motion
-compensation tells it another pose than the numerical model's; an upper platform carries the passive side. All of this is believed: it is
-run with the blocks of the loop, the contact's wrench taken from the record.
+A platform with a servo yields to the force on it and follows its command with the servo's small errors; a motion
+compensation commands another pose than the numerical model's; an upper platform carries the passive side. All of this is part of the
+nominal rig: it is simulated with the blocks of the loop, with the contact wrench taken from the record.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from hiltestbed.replay.compensation import slopes
 if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario
 
-LOST = 0.05  # [m] from its command: under the 50 kN at which the sensor overloads the drives yield 1.2 mm
+LOST = 0.05  # [m] distance from its command at which a platform counts as lost: at 50 kN, the sensor's overload, the drives yield 1.2 mm
 
 
 class RecordedForce:
-    """A wrench (N, 6) on record, a row a tick, in place of a contact: active on passive, in P at P's origin; past its end it holds.
+    """A recorded wrench (N, 6), one row per tick, instead of a contact: active on passive, in P at P's origin; held after its end.
 
     ``between``: (N, m, 6) that is added at the instants of the tick that ends at each row.
     """
@@ -38,7 +38,7 @@ class RecordedForce:
         self._between = None if between is None else between.reshape(-1, 6)[substeps - 1 :]
 
     def next(self) -> Array:
-        """(6,) the wrench of the next instant of the physics, between rows on a straight line."""
+        """(6,) the wrench of the next physics instant, interpolated linearly between rows."""
         row = min(self._instant / self._substeps, len(self._record) - 1.0)
         low = math.floor(row)
         high = min(low + 1, len(self._record) - 1)
@@ -48,23 +48,23 @@ class RecordedForce:
 
 
 def follows_exactly(scenario: Scenario) -> bool:
-    """Whether the believed rig reaches the numerical model's pose exactly, a tick later."""
+    """Whether the nominal rig reaches the numerical model's pose exactly, one tick later."""
     rig = scenario.rig
     return rig.platform.tracking == "ideal" and rig.upper.kind == "fixed" and scenario.compensation.motion.tells_model_pose
 
 
 def moves_linearly(scenario: Scenario) -> bool:
-    """Whether A moves uniformly within a tick relative to P, so that the rate of the contact at t_k is the slope of the tick that ends."""
+    """Whether A moves uniformly within a tick relative to P, so that the contact's rate at t_k is the mean over the tick that ends."""
     return scenario.rig.platform.prescribed and scenario.rig.upper.kind == "fixed"
 
 
 def can_carry(scenario: Scenario) -> bool:
-    """Whether the rows of a record, with rates, tell how A moves within a tick relative to P: there it moves uniformly, or is stepped."""
+    """Whether the motion of A relative to P within a tick follows from recorded poses and rates: it is uniform, or stepped by a servo."""
     return scenario.rig.platform.tracking != "response" and scenario.rig.upper.kind == "fixed"
 
 
 def creep_of(scenario: Scenario) -> float:
-    """[m/s per N] by which friction is viscous at least in the rig of a scenario, see :class:`hiltestbed.contact.contacts.Contacts`."""
+    """``least_creep`` [m/s per N] in the rig of a scenario, see :class:`hiltestbed.contact.contacts.Contacts`."""
     return 0.0 if scenario.rig.platform.prescribed else least_creep(1.0 / scenario.physics_rate)
 
 
@@ -77,14 +77,14 @@ def replay_rig(
     reached: Array | None = None,
     between: Array | None = None,
 ) -> Array | None:
-    """``(N, 7)`` poses of A in P at t_k that the believed rig reaches; None where it diverges or is left behind.
+    """``(N, 7)`` poses of A in P at t_k that the nominal rig reaches; None if it diverges or falls behind by more than LOST.
 
     Args:
         command: ``(N, 7)`` pose_cmd; row k is to be reached at t_(k+1). rates: ``(N, 6)`` twist_cmd, or None.
-        wrench: ``(N, 6)`` that the contact exerts at t_k, with what :attr:`hiltestbed.replay.played.Engaged.taken` adds to it: here
-            nothing moves on A. reading: ``(N, 6)`` what the sensor gave at t_k, for the identification.
-        between: ``(N, m, 6)`` what the wrench is more than straight lines between rows, see :class:`RecordedForce`.
-        reached: ``(N, 7)`` pose that a motion compensation was told at t_k that the platform has reached; None: what it reaches here.
+        wrench: ``(N, 6)`` contact wrench at t_k, plus :attr:`hiltestbed.replay.played.Engaged.taken`, since parts do not move
+            on A here. reading: ``(N, 6)`` the sensor's reading at t_k, for the identification.
+        between: ``(N, m, 6)`` difference of the wrench from linear interpolation between rows, see :class:`RecordedForce`.
+        reached: ``(N, 7)`` pose reached at t_k, as input of a motion compensation; None: the pose reached in this replay.
     """
     start = approach_state(scenario)
     plant = Plant([scenario], force=RecordedForce(wrench, scenario.substeps, between), held=True)
@@ -93,12 +93,12 @@ def replay_rig(
     motion.start(start[None, 7:])
     estimate = IDENTIFIERS[scenario.identification.kind].start([scenario]) if "identified" in scenario.compensation.motion.reads else None
     unknown = np.full((1, 6), np.nan)
-    told_pose = plant.pose_act if reached is None else np.empty((1, 7))
+    measured_pose = plant.pose_act if reached is None else np.empty((1, 7))
     measurement = Measurement(
-        np.zeros((1, 6)), told_pose, plant.twist_act, estimate.stiffness if estimate else unknown,
+        np.zeros((1, 6)), measured_pose, plant.twist_act, estimate.stiffness if estimate else unknown,
         estimate.damping if estimate else unknown, plant.captured,
     )  # fmt: skip
-    told = slopes(command[None], start[None, :7], scenario.tick)[0] if rates is None else rates
+    twists = slopes(command[None], start[None, :7], scenario.tick)[0] if rates is None else rates
     out = np.empty_like(command)
     for k in range(len(command)):
         out[k] = plant.pose_act[0]
@@ -106,8 +106,8 @@ def replay_rig(
         if estimate is not None:
             estimate.update(measurement.wrench, measurement.pose, measurement.twist)
         if reached is not None:
-            told_pose[0] = reached[k]
-        motion.update(command[k : k + 1], told[k : k + 1], measurement)
+            measured_pose[0] = reached[k]
+        motion.update(command[k : k + 1], twists[k : k + 1], measurement)
         plant.advance(motion.pose, motion.twist, motion.acceleration)
         if plant.diverged[0] or np.abs(plant.pose_act[0, :3] - command[k, :3]).max() > LOST:
             return None

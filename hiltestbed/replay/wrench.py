@@ -1,4 +1,4 @@
-"""Contact and sensor on recorded poses: what the sensor should have read."""
+"""Contact and sensor on recorded poses: the predicted readings of the sensor."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ from hiltestbed.replay.played import Played
 from hiltestbed.sensor.chain import condition, passes
 from hiltestbed.sensor.parameters import SensorParameters, stack
 
-WHOLE = 1e-6  # ticks that a delay may be off a whole number
-AT_REST = 1e-9  # [N, N m] that a swinging mount hands on, below which it is taken to stand still
+WHOLE = 1e-6  # ticks within which a delay counts as a whole number
+AT_REST = 1e-9  # [N, N m] force transmitted by an oscillating mount, below which it is taken to be at rest
 
 
 class Lane(NamedTuple):
-    """One lane: the run that drives it and the numbers of contact, sensor and record; later: [s] that it is read later than those say.
+    """One lane: the run that drives it, and the parameters of contact, sensor and record; later: [s] additional delay of the reading.
 
-    ``contact``: (C + 1, PARAMETERS) of each candidate and of the latch. ``effects``: those of the contact that it holds already.
+    ``contact``: (C + 1, PARAMETERS) of each candidate and of the latch. ``effects``: those on the contact, which ``contact`` includes.
     """
 
     run: int
@@ -43,12 +43,12 @@ class Lane(NamedTuple):
 
 
 def replay_wrench(felt: Felt | Played, lanes: Sequence[Lane], grid: int | None = None) -> Array:
-    """``(L, N, 6)`` noiseless readings of the sensor, as the record should hold them.
+    """``(L, N, 6)`` noiseless readings of the sensor, as they should be in the record.
 
     Args:
-        grid: instants a tick between which a late reading lies on a straight line, as in a facility that computes its contact step by
-            step; None: a late reading is that of the instant at which it left the contact. A compliant mount, and what is played, is
-            integrated on the instants of the physics in any case.
+        grid: number of instants per tick between which a delayed reading is interpolated linearly, as in a facility that computes its
+            contact in steps; None: a delayed reading is the wrench at exactly the delayed time. A compliant mount and a
+            :class:`Played` contact are always integrated at the physics instants.
     """
     h = felt.tick
     delay = np.array([max(lane.sensor.delay + lane.later + lane.log.skew * lane.log.reread, 0.0) for lane in lanes])
@@ -65,7 +65,7 @@ def replay_wrench(felt: Felt | Played, lanes: Sequence[Lane], grid: int | None =
     chain = stack([lane.sensor for lane in lanes])
     if chain.tone.shape[1]:
         again = np.array([lane.log.skew * lane.log.reread for lane in lanes])
-        chain.tone[:, :, 4] -= 2.0 * math.pi * chain.tone[:, :, 3] * again[:, None]  # a tone goes on until it is read anew
+        chain.tone[:, :, 4] -= 2.0 * math.pi * chain.tone[:, :, 3] * again[:, None]  # a tone continues until it is read again
     out = np.empty((len(lanes), felt.poses.shape[1], 6))
     tilt, elements = tilts(rows[:, -1]), chain.elements()
     together = _together(lanes, rows, parts, bool(instants))
@@ -88,7 +88,7 @@ def replay_wrench(felt: Felt | Played, lanes: Sequence[Lane], grid: int | None =
 
 
 def _together(lanes: Sequence[Lane], rows: Array, parts: Array, between: bool) -> dict[ContactKey, list[int]]:
-    """Lanes by run, contact and instants: those that differ in their sensor alone share what the contact exerts."""
+    """Lanes grouped by run, contact and instants: lanes that differ only in their sensor share the contact wrench."""
     found: dict[ContactKey, list[int]] = {}
     for i, lane in enumerate(lanes):
         found.setdefault((lane.run, between, parts[i].tobytes(), rows[i].tobytes()), []).append(i)
@@ -96,7 +96,7 @@ def _together(lanes: Sequence[Lane], rows: Array, parts: Array, between: bool) -
 
 
 def _one_contact(felt: Felt, r: int, rows: Array, parts: Array, tilt: Array, between: bool) -> Array:
-    """``(N, m, 6)`` what the contact of run r exerts at the instants ``parts`` (m,) of the tick that ends at each row."""
+    """``(N, m, 6)`` contact wrench of run r at the instants ``parts`` (m,) of the tick that ends at each row."""
     sub = np.empty((felt.poses.shape[1], len(parts), 6))
     dynamics = (felt.mount.stiffness, felt.mount.damping, felt.mount.body) if felt.mount is not None else _RIGID
     _contact(
@@ -110,8 +110,7 @@ _RIGID = (np.zeros((0, 6)), np.zeros((0, 6)), np.zeros(BODY))
 
 
 def shifted(values: Array, ticks: float, held: bool = True) -> Array:
-    """``values`` (N, C) read ``ticks`` rows later (or earlier), linearly between rows; the first and the last row are held, or the lines
-    beyond them go on."""
+    """``values`` (N, C) read ``ticks`` rows later (or earlier), interpolated linearly; beyond the ends held, or extrapolated linearly."""
     rows, last = np.arange(len(values)) + ticks, len(values) - 1
     if held:
         rows = np.clip(rows, 0.0, last)
@@ -122,7 +121,7 @@ def shifted(values: Array, ticks: float, held: bool = True) -> Array:
 
 @njit(cache=True)
 def _sense(lanes, sub, between, ticks, h, elements, out):
-    """What the sensors of the ``lanes`` give of one contact, ``sub`` (N, m, 6): rows of ``out`` (L, N, 6)."""
+    """Readings of the sensors of the ``lanes`` for one contact wrench ``sub`` (N, m, 6), written to ``out`` (L, N, 6)."""
     calibration, curve, lag, leak, offset, drift, tone, deadzone, limit, step = elements
     stages = max(lag.shape[1], leak.shape[1])
     low, high, last_in = np.zeros((stages, 6)), np.zeros((stages, 6)), np.zeros((stages, 6))
@@ -148,7 +147,7 @@ def _sense(lanes, sub, between, ticks, h, elements, out):
 
 @njit(cache=True)
 def _interpolated(sub, at, late):
-    """The wrench at the instant ``at`` of ``sub`` (N, m, 6), of which the last in row k is the instant k m; zero before the start."""
+    """``late`` (6,): the wrench at instant ``at`` of ``sub`` (N, m, 6), whose last instant in row k is k m; zero before the start."""
     m = sub.shape[1]
     if abs(at - round(at)) < WHOLE:
         at = round(at)
@@ -166,7 +165,7 @@ def _interpolated(sub, at, late):
 def _contact(
     poses, twists, ends, bent, before, clear, met, lever, least_creep, h, geometry, captured, latch, r, mount, parts, between, p, tilt, sub
 ):  # fmt: skip
-    """What the sensor feels along one path: ``sub`` (N, m, 6) at the instants ``parts`` (m,) of the tick that ends at each row."""
+    """The wrench at the sensor along one path: ``sub`` (N, m, 6) at the instants ``parts`` (m,) of the tick that ends at each row."""
     index, values = geometry
     stiffness, damping, body = mount
     mounted, count = stiffness.shape[0] > 0, p.shape[0] - 1
@@ -213,7 +212,7 @@ def _contact(
                     touched = False
                 if mounted:
                     _swing(stiffness[r], damping[r], body, h, parts, wrench, q, qd, joints, sub[k])
-                if latch[1] < 1.5:  # latches may close on a probe that touches nothing
+                if latch[1] < 1.5:  # latches may close on a probe that is not in contact
                     frames[0], motions[0] = poses[k], ends[k]
                     if mounted:
                         mount_place(q, qd, tilt, frames[1], motions[1])
@@ -245,7 +244,7 @@ def _contact(
                 _within(last, twist, ends[k - 1] if bent and k > 0 else ends[k], ends[k], h, parts[s], turn, frames[0], motions[0])
             else:
                 frames[0], motions[0] = poses[k], ends[k]
-            if mounted and k > 0:  # at t = 0 the mount is at rest, and has borne nothing yet
+            if mounted and k > 0:  # at t = 0 the mount is at rest and unloaded
                 mount_step(stiffness[r], damping[r], body, dt, wrench, q, qd, joints)
                 mount_place(q, qd, tilt, frames[1], motions[1])
             if sharp and parts[s] == 1.0 and not latched:
@@ -267,15 +266,15 @@ def _contact(
 
 @njit(cache=True)
 def _away(pose):
-    """How far A is from P's origin [m]."""
+    """Distance of A from P's origin [m]."""
     return math.sqrt(pose[0] ** 2 + pose[1] ** 2 + pose[2] ** 2)
 
 
 @njit(cache=True)
 def _reach_of_swing(q, qd, h, away):
-    """By how much a mount that nothing pushes may bring its side nearer within a tick, at a distance ``away`` from its hinges [m].
+    """Upper bound of the approach [m] that an unloaded mount may cause within a tick, at a distance ``away`` [m] from its hinges.
 
-    It swings no farther than twice where it is and what its rates make of a tick: it is resolved by some ticks a period.
+    The bound is twice its deflection plus its rate times a tick; it holds since its period is resolved by several ticks.
     """
     slid, turned = 0.0, 0.0
     for j in range(3):
@@ -286,7 +285,8 @@ def _reach_of_swing(q, qd, h, away):
 
 @njit(cache=True)
 def _swing(stiffness, damping, body, h, parts, nothing, q, qd, joints, sub):
-    """A mount on which ``nothing`` (6,) acts over one tick, and what it hands on: ``sub`` (m, 6). Below :data:`AT_REST` it stands still."""
+    """Step an unloaded mount over one tick; ``nothing`` (6,): zero wrench; ``sub`` (m, 6): wrench at the sensor. Below :data:`AT_REST` it
+    is set to rest."""
     most = 0.0
     for j in range(6):
         most = max(most, stiffness[j] * (abs(q[j]) + h * abs(qd[j])))
@@ -305,7 +305,7 @@ def _swing(stiffness, damping, body, h, parts, nothing, q, qd, joints, sub):
 
 @njit(cache=True)
 def _on_passive(index, count):
-    """Whether all surfaces stand still in the passive frame."""
+    """Whether all surfaces are fixed to the passive frame."""
     for c in range(count):
         if index[c * ROW + SURFACE_FRAME] != PASSIVE:
             return False
@@ -314,7 +314,7 @@ def _on_passive(index, count):
 
 @njit(cache=True)
 def _move_lever(moved, depth, normal, twist, point, slip):
-    """Where forces act when the lever is ``moved``: along the normal by that part of the overlap, where A slips at another speed."""
+    """Shift the points of application along the normal by the fraction ``moved`` of the overlap, and adapt the slip."""
     for c in range(depth.shape[0]):
         x, y, z = moved * depth[c] * normal[c, 0], moved * depth[c] * normal[c, 1], moved * depth[c] * normal[c, 2]
         point[c, 0] += x
@@ -327,9 +327,9 @@ def _move_lever(moved, depth, normal, twist, point, slip):
 
 @njit(cache=True)
 def _meet_near(index, values, p, frames, motions, untilted, lean, work, depth, rate, point, normal, slip):
-    """Where those candidates meet whose penetrations ``untilted`` (C,), of a port that is not tilted, allow it by ``lean`` [rad].
+    """Contact geometry of those candidates that can touch with a tilt ``lean`` [rad], given penetrations ``untilted`` (C,) without tilt.
 
-    A point turns about P's origin by its distance times the angle, and a penetration changes by no more than that.
+    A tilt moves a point by at most its distance from P's origin times the angle, which bounds the change of a penetration.
     """
     pose, twist, scratch = work[5], work[6][:6], work[:5, :3]
     away = _away(frames[0])
@@ -349,7 +349,7 @@ def _meet_near(index, values, p, frames, motions, untilted, lean, work, depth, r
 
 @njit(cache=True)
 def _caught(frames, motions, latch, row, wrench, hold, pose, twist, work):
-    """Whether the latch closes; then ``hold`` (7,) becomes where its springs hold A so that they bear what the contact bore."""
+    """Whether the latch closes; if so, ``hold`` (7,) becomes the held pose at which its springs carry the contact's force."""
     relate_one(frames[0], motions[0], frames[1], motions[1], pose, twist, work[:5, :3])
     if not closes(pose, twist, latch):
         return False
@@ -359,7 +359,7 @@ def _caught(frames, motions, latch, row, wrench, hold, pose, twist, work):
 
 @njit(cache=True)
 def _outside(now, before, p):
-    """Whether no candidate is in its surface at either end of a tick: penetrations (C,) against offsets."""
+    """Whether no candidate is in contact at either end of a tick: penetrations (C,) compared with offsets."""
     for c in range(now.shape[0]):
         if max(now[c], before[c]) > p[c, OFFSET]:
             return False
@@ -368,8 +368,8 @@ def _outside(now, before, p):
 
 @njit(cache=True)
 def _within(pose, slope, start, end, h, part, turn, out, rate):
-    """Pose ``out`` (7,) and twist ``rate`` (6,) at a ``part`` of a tick that leaves ``pose`` with the twist ``start`` and ends with
-    ``end``: a parabola about the straight path of the twist ``slope``. ``turn`` (7,) is scratch."""
+    """Pose ``out`` (7,) and twist ``rate`` (6,) at a fraction ``part`` of a tick that starts at ``pose`` with twist ``start`` and ends with
+    twist ``end``: a parabola about the uniform motion with the mean twist ``slope``. ``turn`` (7,) is scratch."""
     for j in range(6):
         bend = end[j] - start[j]
         way = h * part * (slope[j] + 0.5 * (part - 1.0) * bend)

@@ -1,4 +1,4 @@
-"""What a run is: its file, its sections, its checks."""
+"""The scenario: the definition of a run, its sections, files and checks."""
 
 from hiltestbed.scenario.scenario import (
     Scenario,

@@ -1,4 +1,4 @@
-"""Checks that join several keys of a scenario."""
+"""Checks that involve several keys of a scenario."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ TICK_LIMIT = 20_000_000  # a trace of this many rows fills 16 GB
 
 
 def problems(scenario: Scenario) -> Iterator[Problem]:
-    """Every fault that shows only where several keys are read together."""
+    """Every fault that concerns several keys together."""
     yield from _rate_problems(scenario)
     yield from _delay_problems(scenario)
     yield from _platform_problems(scenario)
@@ -53,12 +53,12 @@ def _delay_problems(scenario: Scenario) -> Iterator[Problem]:
 
 
 def _platform_problems(scenario: Scenario) -> Iterator[Problem]:
-    """A start that the platform cannot take, a rate that its controller does not divide, what does not go together with it."""
+    """A start that the platform cannot reach, a rate that does not match its controller's, and incompatible sections."""
     platform, upper = scenario.rig.platform, scenario.rig.upper
     if upper.kind != "fixed" and not platform.carries_upper:
         yield (
             ("rig", "upper", "kind"),
-            f"belongs to the 3-3 PSS platform (got {upper.kind!r} beside platform kind {platform.kind!r}); allowed is fixed",
+            f"belongs to the 3-3 PSS platform (got {upper.kind!r} with platform kind {platform.kind!r}); allowed is fixed",
         )
         return
     yield from platform.problems(scenario)
@@ -75,7 +75,7 @@ def _effect_problems(scenario: Scenario) -> Iterator[Problem]:
     for index, effect in repeated(scenario.effects):
         yield (
             ("effects", index),
-            f"stands twice, and two effects {effect.kind!r} do not act together; allowed is one: take one of them out",
+            f"appears twice, and two effects {effect.kind!r} do not act together; allowed is one: take one of them out",
         )
     for index, effect in enumerate(scenario.effects):
         reason = effect.unfit(scenario)

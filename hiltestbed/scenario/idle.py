@@ -1,7 +1,7 @@
-"""Keys of a scenario that were given and act on nothing, since another choice of the scenario leaves them aside.
+"""Keys of a scenario that were given but have no effect, because another choice in the scenario makes them irrelevant.
 
-Each section says so of its own keys (:meth:`hiltestbed.validation.Strictly.idle`). A key counts as given where it stands in the file; in a
-resolved file, in which every default is written out, where it is not the default.
+Each section reports its own idle keys (:meth:`hiltestbed.validation.Strictly.idle`). A key counts as given if it is in the file; in a
+resolved file, in which every default is written out, if it differs from the default.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ if TYPE_CHECKING:
 
 
 def idle_keys(scenario: Scenario) -> list[Problem]:
-    """Every key or section that acts on nothing, given or not, with why and what to do."""
+    """Every key or section without effect, given or not, with the reason and what to do."""
     return list(_idle(scenario, (), scenario))
 
 
 def given_in_vain(scenario: Scenario) -> Iterator[tuple[tuple[str, ...], str]]:
-    """The keys that were given and act on nothing, those of one reason together, with the reason."""
+    """The keys that were given but have no effect, grouped by reason, with the reason."""
     resolved = scenario.model_fields_set >= set(type(scenario).model_fields)
     by_reason: dict[str, list[str]] = {}
     for path, why in idle_keys(scenario):
@@ -41,7 +41,7 @@ def _idle(value: Any, at: KeyPath, scenario: Scenario) -> Iterator[Problem]:
 
 
 def _given(owner: Any, path: KeyPath, resolved: bool) -> Iterator[KeyPath]:
-    """The leaves at and below ``path`` of ``owner`` that were given, as paths from it."""
+    """The leaves at and below ``path`` of ``owner`` that were given, as paths from ``owner``."""
     default = None
     for part in path[:-1]:
         if isinstance(owner, Strictly) and part not in owner.model_fields_set:
@@ -60,13 +60,13 @@ def _leaves(owner: Strictly, default: Any, name: str, resolved: bool) -> Iterato
         for field in value.model_fields_set if type(value) is type(usual) or usual is None else ():
             yield from ((name, *below) for below in _leaves(value, usual, field, resolved))
         if type(value) is not type(usual) and usual is not None:
-            yield (name,)  # another kind than the default
+            yield (name,)  # a different kind from the default
     elif not resolved or value != usual:
         yield (name,)
 
 
 def _default(owner: Any, default: Any, part: Any) -> Any:
-    """What stands at ``part`` where nothing is given: of the section's own default, or of its class."""
+    """The value at ``part`` if nothing is given: from the section's default, or from its class."""
     if type(default) is type(owner) and default is not None:
         return default[part] if isinstance(owner, tuple) else getattr(default, str(part))
     if isinstance(owner, Strictly):

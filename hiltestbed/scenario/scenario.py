@@ -1,6 +1,6 @@
-"""What a run is: the scenario as a whole, files in and out. Its sections belong to the links of the loop.
+"""The scenario, which defines a run, and its files. Its sections are defined in the packages of the loop's links.
 
-`load_scenario` reads a file (and `--set` overrides), `dump_scenario` writes the resolved form, in which every default stands.
+`load_scenario` reads a file (and `--set` overrides), `dump_scenario` writes the resolved form, with every default written out.
 """
 
 from __future__ import annotations
@@ -32,40 +32,40 @@ from hiltestbed.yaml_source import Source, dump_yaml, read_source
 
 
 class Scenario(Strictly):
-    """One run: two vehicles, how they meet, the rig that plays it, and what is done about the rig's faults."""
+    """One run: two vehicles, their approach, the rig that reproduces it, and the compensation of the rig's delays."""
 
-    name: Annotated[str, Field(min_length=1, max_length=200)] = Field(description="Name of the scenario, of which a run folder's is made")
+    name: Annotated[str, Field(min_length=1, max_length=200)] = Field(description="Name of the scenario, also of its run folder")
     description: str = Field(default="", description="What the scenario shows, in a sentence or two")
-    seed: Annotated[int, Field(ge=0, lt=2**63)] = Field(default=0, description="Seed of the random numbers; the same seed, the same trace")
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = Field(default=0, description="Seed of the random numbers; same seed, same trace")
     duration: Positive = Field(default=3.0, description="Simulated time [s]")
     rate: Annotated[float, Field(gt=0, le=1e6)] = Field(
-        default=2000.0, description="Rate of the loop [Hz]: one reading, one step of the numerical model, one command a tick"
+        default=2000.0, description="Rate of the loop [Hz]: one reading, one step of the numerical model and one command per tick"
     )
     physics_rate: Annotated[float, Field(gt=0, le=4e6)] = Field(
         default_factory=lambda given: 2.0 * given["rate"],  # type: ignore[arg-type]
-        description="Rate of the steps of the physics [Hz], a whole multiple of rate; left out: twice rate",
+        description="Rate of the physics steps [Hz], a whole multiple of rate; omitted: twice rate",
     )
-    spacecraft: Spacecraft = Field(description="Both vehicles as the numerical model has them")
+    spacecraft: Spacecraft = Field(description="Both vehicles, as nominal in the numerical model")
     numerical_model: AnyModel = Field(
         default_factory=lambda: MODELS["free_flyers"](kind="free_flyers"),
-        description="What moves both vehicles under the compensated wrench",
+        description="Dynamics of both vehicles under the compensated wrench",
     )
-    approach: Approach = Field(description="Where the active port starts and how it moves, relative to the passive one")
-    mechanism: AnyMechanism = Field(description="The docking mechanism: which surfaces meet, and how stiff they are")
-    rig: Rig = Field(default=Rig(), description="The motion platform, and what carries the passive side")
-    sensor: Sensor = Field(default=Sensor(), description="The force and torque sensor below the passive port, in the order of its chain")
-    compensation: Compensation = Field(default=Compensation(), description="What is done against the delays of the loop")
+    approach: Approach = Field(description="Initial pose and velocity of the active port relative to the passive port")
+    mechanism: AnyMechanism = Field(description="The docking mechanism: its surfaces and their contact stiffness")
+    rig: Rig = Field(default=Rig(), description="The motion platform, and the carrier of the passive side")
+    sensor: Sensor = Field(default=Sensor(), description="The force-torque sensor below the passive port")
+    compensation: Compensation = Field(default=Compensation(), description="Compensation of the delays in the loop")
     identification: AnyIdentifier = Field(
         default_factory=lambda: IDENTIFIERS["rls"](kind="rls"),
-        description="How stiffness and damping are estimated while the contact lasts",
+        description="Identification of stiffness and damping during the contact",
     )
     monitoring: Monitoring | None = Field(
-        default=None, description="Touch, seat, capture and wear as the identification tells them; null: not watched"
+        default=None, description="Process monitoring: touch, seating, capture and wear from the identification; null: off"
     )
-    safety: Safety = Field(default=Safety(), description="Limits past which the run stops; null: not watched")
-    devices: Devices = Field(default=Devices(), description="Real devices in the place of the simulated rig, for live, emulate, commission")
+    safety: Safety = Field(default=Safety(), description="Safety limits: a run that exceeds one is stopped; null: no limit")
+    devices: Devices = Field(default=Devices(), description="Real devices in place of the simulated rig, for live, emulate and commission")
     effects: Annotated[tuple[AnyEffect, ...], Field(strict=False)] = Field(
-        default=(), description="Departures of the rig from what is believed of it: a list of {kind: ID, parameter: value}"
+        default=(), description="Departures of the rig from its nominal model: a list of {kind: ID, parameter: value}"
     )
 
     @property
@@ -75,7 +75,7 @@ class Scenario(Strictly):
 
     @property
     def ticks(self) -> int:
-        """Passes of the loop in the whole run."""
+        """Number of passes of the loop in the run."""
         return round(self.duration * self.rate)
 
     @property
@@ -91,7 +91,7 @@ class Scenario(Strictly):
 
 @plugins.depends
 def _rebuild() -> None:
-    """List the classes of a plugin in the schema, too."""
+    """Include the classes of a plugin in the schema."""
     for model in (Compensation, Rig, Scenario):
         model.model_rebuild(force=True)
 
@@ -106,7 +106,7 @@ def load_scenario(path: str | Path, set: Mapping[str, Any] | None = None) -> Sce
 
 
 def scenario_from(source: Source | Mapping[str, Any], set: Mapping[str, Any] | None = None) -> Scenario:
-    """The scenario in data that is read already: a `Source`, or a plain dict as it would stand in a file. Raises InputError."""
+    """The scenario from data already read: a `Source`, or a plain dict with the content of a file. Raises InputError."""
     plugins.load()
     if not isinstance(source, Source):
         source = Source("scenario", dict(source))
@@ -114,7 +114,7 @@ def scenario_from(source: Source | Mapping[str, Any], set: Mapping[str, Any] | N
 
 
 _BODY = {"mass": 1.0, "inertia": [1.0, 1.0, 1.0]}
-_SPECIMEN = {  # holds whatever the other keys are: stands in for what is refused while the rest is checked
+_SPECIMEN = {  # valid values that replace refused ones, so that the other keys can still be checked
     "name": "specimen",
     "duration": 1.0,
     "spacecraft": {"chaser": _BODY, "target": _BODY},
@@ -124,7 +124,7 @@ _SPECIMEN = {  # holds whatever the other keys are: stands in for what is refuse
 
 
 def resolved(scenario: Scenario) -> dict[str, Any]:
-    """The scenario as plain data with every default written out; `scenario_from` gives the same scenario back."""
+    """The scenario as plain data with every default written out; `scenario_from` restores the same scenario."""
     return scenario.model_dump(mode="json")
 
 
@@ -134,7 +134,7 @@ def dump_scenario(scenario: Scenario) -> str:
 
 
 def scenario_sha256(scenario: Scenario) -> str:
-    """SHA-256 of the resolved form, the same however the file was written; models of the user's count by their content."""
+    """SHA-256 of the resolved form, independent of how the file was written; user's models enter by their content."""
     data = resolved(scenario)
     data["mechanism"] |= scenario.mechanism.fingerprint()
     canonical = json.dumps(data, sort_keys=True, separators=(",", ":"), allow_nan=False)

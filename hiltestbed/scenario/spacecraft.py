@@ -1,4 +1,4 @@
-"""The vehicles of a scenario and how they meet."""
+"""The vehicles of a scenario and their approach."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ _ORIGIN = (0.0, 0.0, 0.0)
 class Port(Strictly):
     """Pose of a docking port in its body; its z axis points along the insertion."""
 
-    position: Vector3 = Field(default=_ORIGIN, description="Origin of the port from the body's centre of mass [m], body axes")
+    position: Vector3 = Field(default=_ORIGIN, description="Position of the port relative to the body's centre of mass [m], body axes")
     attitude_deg: Vector3 = Field(
         default=_ORIGIN, description="Attitude of the port in the body [deg]: roll, pitch, yaw about the body's fixed x, y, z"
     )
 
 
 class Body(Strictly):
-    """One vehicle as the numerical model believes it to be."""
+    """One vehicle, with its nominal parameters in the numerical model."""
 
     mass: Positive = Field(description="Mass of the vehicle [kg]")
     inertia: Annotated[tuple[float, ...], Field(strict=False, min_length=3, max_length=6)] = Field(
@@ -60,12 +60,10 @@ class Spacecraft(Strictly):
 
 
 class Approach(Strictly):
-    """Where the active port starts, relative to the passive one, and how it moves."""
+    """Initial pose and velocity of the active port relative to the passive port."""
 
-    gap: float = Field(default=0.01, description="Distance of the start from the nominal first touch, along the insertion [m]: pz = -gap")
-    velocity: Vector3 = Field(description="Velocity of A's origin relative to P, in P [m/s]")
-    offset: Vector2 = Field(default=(0.0, 0.0), description="Lateral position of the start, px and py [m]")
-    attitude_deg: Vector3 = Field(
-        default=_ORIGIN, description="Attitude of A in P at the start [deg]: roll, pitch, yaw about fixed x, y, z"
-    )
-    rate_deg: Vector3 = Field(default=_ORIGIN, description="Angular velocity of A relative to P at the start, in P [deg/s]")
+    gap: float = Field(default=0.01, description="Initial distance from the nominal first touch, along the insertion [m]: pz = -gap")
+    velocity: Vector3 = Field(description="Initial velocity of A's origin relative to P, in P [m/s]")
+    offset: Vector2 = Field(default=(0.0, 0.0), description="Initial lateral position, px and py [m]")
+    attitude_deg: Vector3 = Field(default=_ORIGIN, description="Initial attitude of A in P [deg]: roll, pitch, yaw about fixed x, y, z")
+    rate_deg: Vector3 = Field(default=_ORIGIN, description="Initial angular velocity of A relative to P, in P [deg/s]")

@@ -1,9 +1,9 @@
-"""What happens to the wrench between the contact and the sensor's reading.
+"""The sensor's signal chain, from the contact wrench to the reading.
 
-The order is the physical one. The wrench arrives late (nominal delay, `sensor.delay`, `sensor.jitter`); the transducer feels it along its
-own axes (`sensor.rotation`), scales and mixes them (`sensor.gain`, `sensor.crosstalk`) and bends them (`sensor.map`); its electronics
-filter (nominal low-pass, `sensor.lag`, then the nominal charge leak, `sensor.highpass`) and add what does not depend on the force
-(`sensor.bias`, `sensor.drift`, `sensor.hum`, noise); the conversion then cuts small forces (`sensor.deadzone`), clips
+The order is the physical one. The wrench is delayed (nominal delay, `sensor.delay`, `sensor.jitter`); the transducer measures it along its
+own axes (`sensor.rotation`), scales and mixes them (`sensor.gain`, `sensor.crosstalk`) and applies a calibration curve (`sensor.map`); the
+electronics filter (nominal low-pass, `sensor.lag`, then the nominal charge leakage, `sensor.highpass`) and add errors that do not depend
+on the force (`sensor.bias`, `sensor.drift`, `sensor.hum`, noise); the conversion then zeroes small forces (`sensor.deadzone`), clips
 (`sensor.saturation`, the nominal range) and quantises.
 """
 
@@ -19,7 +19,7 @@ from hiltestbed.piecewise import along
 
 @njit(cache=True)
 def condition(w, t, noise, calibration, curve, lag, leak, offset, drift, tone, deadzone, limit, step, low, high, before, out):
-    """One sample through the sensor, after the delay.
+    """Pass one sample through the sensor, after the delay.
 
     Args:
         w: (6,) the delayed wrench. t: [s]. noise: (6,) added before the conversion.
@@ -69,7 +69,7 @@ def condition_all(t, late, noise, calibration, curve, lag, leak, offset, drift, 
 
 @njit(cache=True)
 def passes(calibration, curve, lag, leak, offset, drift, tone, deadzone, limit):
-    """Whether a sensor shows what it feels, but for its noise and its steps; see :func:`condition` for the arguments."""
+    """Whether the reading is the wrench, apart from noise and quantisation; see :func:`condition` for the arguments."""
     for j in range(6):
         for i in range(6):
             if calibration[j, i] != (1.0 if i == j else 0.0):

@@ -1,4 +1,4 @@
-"""The numbers of a sensor: what its settings and its effects make of each element of the chain."""
+"""Parameters of a sensor: each element of the signal chain, from the settings and the effects."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ WRENCH_AXES = ("x", "y", "z", "rx", "ry", "rz")
 
 @dataclass
 class SensorParameters:
-    """One sensor at a tick of ``tick`` [s]; an element that does nothing has the neutral number.
+    """One sensor at a tick of ``tick`` [s]; an inactive element has a neutral value.
 
     Attributes:
-        delay: nominal and added [s]. jitter: standard deviation of the delay [s].
-        calibration: (6, 6) what the transducer makes of the wrench. curve: of each axis pairs of what it feels and shows, empty: the same.
-        lag: blend factor of each low-pass a tick, 1 - exp(-h/T); 1 passes. leak: factor of each high-pass, exp(-h/T); negative passes.
+        delay: nominal plus additional [s]. jitter: standard deviation of the delay [s].
+        calibration: (6, 6) matrix from the wrench to the reading. curve: of each axis pairs of true value and reading; empty: identity.
+        lag: gain per tick of each low-pass, 1 - exp(-h/T); 1: inactive. leak: factor of each high-pass, exp(-h/T); negative: inactive.
         offset: (6,) [N, N m]. drift: (6,) [N/s, N m/s]. tone: amplitude on x, y, z [N], frequency [Hz], phase [rad] of each.
         deadzone, limit: (6,) [N, N m]. step: (6,) quantisation step, 0 for none.
     """
@@ -48,7 +48,7 @@ class SensorParameters:
 
     @classmethod
     def believed(cls, settings: SensorSettings, tick: float) -> SensorParameters:
-        """What a scenario's settings say, without any effect."""
+        """The nominal sensor: a scenario's settings, without effects."""
         p = cls(tick, settings.delay)
         p.lag.append(1.0 if settings.lowpass is None else -math.expm1(-tick * 2.0 * math.pi * settings.lowpass))
         p.leak.append(-1.0 if settings.time_constant is None else math.exp(-tick / settings.time_constant))
@@ -59,7 +59,7 @@ class SensorParameters:
         return p
 
     def copy(self) -> SensorParameters:
-        """The same numbers, to be changed."""
+        """An independent copy."""
         return replace(
             self, calibration=self.calibration.copy(), curve=list(self.curve), lag=list(self.lag), leak=list(self.leak),
             offset=self.offset.copy(), drift=self.drift.copy(), tone=list(self.tone), deadzone=self.deadzone.copy(),
@@ -67,7 +67,7 @@ class SensorParameters:
         )  # fmt: skip
 
     def with_effects(self, effects: Iterable[Effect]) -> SensorParameters:
-        """The same object after the effects of the sensor among ``effects`` have changed it."""
+        """Apply those of ``effects`` that act on the sensor, in place, and return the same object."""
         for effect in effects:
             if effect.link == "sensor":
                 effect.apply(self)
@@ -76,7 +76,7 @@ class SensorParameters:
 
 @dataclass(frozen=True)
 class Chain:
-    """The parameters of n sensors as the kernels take them: every array has the run as leading axis.
+    """The parameters of n sensors as arrays for the kernels, with the run as leading axis.
 
     Attributes:
         delay, jitter: (n,). calibration: (n, 6, 6). curve: (n, 6, 1 + 2K) packed. lag, leak: (n, S).
@@ -98,14 +98,14 @@ class Chain:
     step: Array
 
     def elements(self) -> tuple[Array, Array, Array, Array, Array, Array, Array, Array, Array, Array]:
-        """What :func:`hiltestbed.sensor.chain.condition` takes, in the order of its arguments: all behind the delay."""
+        """The elements after the delay, in the order of the arguments of :func:`hiltestbed.sensor.chain.condition`."""
         return (
             self.calibration, self.curve, self.lag, self.leak, self.offset, self.drift, self.tone, self.deadzone, self.limit, self.step,
         )  # fmt: skip
 
 
 def stack(sensors: Sequence[SensorParameters]) -> Chain:
-    """Several sensors as one chain; shorter lists of filters and tones are filled with elements that pass."""
+    """Stack several sensors; shorter lists of filters and tones are padded with inactive elements."""
 
     def filled(rows: list[list], neutral: object) -> Array:
         longest = max(1, *(len(r) for r in rows))

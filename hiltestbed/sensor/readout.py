@@ -9,8 +9,8 @@ from hiltestbed.jit import njit
 def read_wrench(reading, tare, runs, wrench_sub, sub):
     """``wrench_sub[runs, sub] = tare - reading``, both ``(n, 6)``, for the ``runs`` (r,).
 
-    MuJoCo's sensors give what the parent exerts on the child: weight carried reads positive, a push of the active side reads
-    negative (tests/sensor/test_force_sensor.py hangs a known weight on it).
+    MuJoCo's sensors give the wrench that the parent exerts on the child: a carried weight reads positive, a push of the active side
+    negative (tests/sensor/test_force_sensor.py hangs a known weight on the sensor).
     """
     for i in runs:
         for j in range(6):
@@ -21,8 +21,8 @@ def read_wrench(reading, tare, runs, wrench_sub, sub):
 def read_history(history, tare, wrench_sub):
     """Fill ``wrench_sub[:, :-1]`` from the histories of the two sensors, the last m readings of each.
 
-    A tick's m steps leave readings at t_k, t_k + dt, ..; the first stands in the wrench of the tick before. MuJoCo keeps a ring
-    a sensor: user value, cursor of the newest, m times, m values of 3.
+    A tick's m steps leave readings at t_k, t_k + dt, ..; the first is already in the wrench of the tick before. MuJoCo keeps one ring
+    buffer per sensor: user value, cursor of the newest, m times, m values of 3.
     """
     m = wrench_sub.shape[1]
     size = 2 + 4 * m

@@ -1,7 +1,7 @@
-"""The force sensor: the physical wrench goes in at the physics rate, its reading comes out once a tick.
+"""The force sensor: its input is the physical wrench at the physics rate, its output one reading per tick.
 
-The reading at t_k is the wrench at t_k less the delay, taken from a ring of the last physics instants by linear interpolation, so
-that a delay need not be a whole number of ticks or of physics steps; before the start it is zero. The rest of the chain is in
+The reading at t_k is the wrench at t_k - delay, interpolated linearly in a ring buffer of the last physics instants, so that the
+delay need not be a whole number of ticks or of physics steps; before the start it is zero. The rest of the chain is in
 :mod:`hiltestbed.sensor.chain`.
 """
 
@@ -23,15 +23,15 @@ if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario
 
 BLOCK = 256  # ticks of noise drawn at a time
-WHOLE = 1e-6  # of a step: 5 ms is 20 steps of 0.25 ms, however the division was rounded
-JITTER_CLIP = 8.0  # standard deviations of delay jitter that the ring can hold
+WHOLE = 1e-6  # physics steps within which a delay counts as whole: 5 ms is 20 steps of 0.25 ms, however the division was rounded
+JITTER_CLIP = 8.0  # standard deviations at which delay jitter is clipped, and for which the ring buffer is sized
 
 
 class Chain:
-    """The chains of `n` sensors behind the delay: transducer, electronics, converter.
+    """The chains of `n` sensors after the delay: transducer, electronics, converter.
 
     Attributes:
-        reading: (n, 6) the last reading [N, N m]. stages: what :func:`condition_all` needs of them.
+        reading: (n, 6) the last reading [N, N m]. stages: arguments for :func:`condition_all`.
     """
 
     def __init__(self, sensors: Sequence[SensorParameters]) -> None:
@@ -43,8 +43,8 @@ class Chain:
         self.stages = (*self.numbers.elements(), self._low, self._high, self._before, self.reading)
 
     def read(self, t: Array, late: Array, noise: Array) -> Array:
-        """The reading (n, 6) at ``t`` (n,) [s] of the wrench ``late`` (n, 6) as it arrives, with ``noise`` (n, 6) added before the
-        conversion; called once a tick."""
+        """The reading (n, 6) at ``t`` (n,) [s] of the delayed wrench ``late`` (n, 6), with ``noise`` (n, 6) added before the
+        conversion; called once per tick."""
         condition_all(t, late, noise, *self.stages)
         return self.reading
 
@@ -55,11 +55,11 @@ class Sensor:
     Attributes:
         reading: (n, 6) the last reading [N, N m].
         ring: (n, L, 6) the last L physical wrenches, instant j at slot j modulo L.
-        late: (n,) runs whose delay is never shorter than a physics step: their reading at t_k does not need the wrench at t_k.
+        late: (n,) whether a run's delay is never shorter than a physics step: its reading at t_k then does not need the wrench at t_k.
     """
 
     def __init__(self, scenarios: Sequence[Scenario], rngs: Sequence[np.random.Generator]) -> None:
-        """One generator a run: the same stream whatever the batch it runs in."""
+        """``rngs``: one generator per run, so that a run's random numbers do not depend on its batch."""
         n = len(scenarios)
         self.tick = 1.0 / scenarios[0].rate
         self.substeps = round(scenarios[0].physics_rate / scenarios[0].rate)
@@ -74,7 +74,7 @@ class Sensor:
         self.late = self._delay_steps - JITTER_CLIP * self._jitter_steps > 1.0 - WHOLE
         self.ring = np.zeros((n, math.ceil(longest / physics_step) + self.substeps + 2, 6))
         self._arrived, self._time = np.zeros((n, 6)), np.zeros(n)
-        self._streams = [rng.spawn(2) for rng in rngs]  # noise and jitter apart: one does not shift the other
+        self._streams = [rng.spawn(2) for rng in rngs]  # separate streams: noise does not shift jitter, nor jitter noise
         self._noise = np.zeros((n, BLOCK, 6))
         self._jitter = np.zeros((n, BLOCK))
         self._noisy = np.flatnonzero(self.noise_level.any(axis=1))
@@ -91,16 +91,16 @@ class Sensor:
 
         Args:
             k: the tick; called once for each, from 0 on.
-            wrench_sub: (n, m, 6) physical wrench at the m physics instants up to t_k, the last of which is t_k; of a run that is
-                `late` the last may be anything, if :meth:`feel` tells it before the next tick.
+            wrench_sub: (n, m, 6) physical wrench at the m physics instants up to t_k, the last of which is t_k; for a run that is
+                `late` the last may be arbitrary, if :meth:`feel` supplies it before the next tick.
         """
-        while k >= self._next_block:  # a loop that starts from a saved state draws what lies before it
+        while k >= self._next_block:  # a loop that starts from a saved state draws the earlier blocks as well
             self._draw()
         self._read.on(wrench_sub)(k)
         return self.reading
 
     def feel(self, k: int, wrench: Array) -> None:
-        """The wrench (n, 6) at t_k, where it was not known to :meth:`read`: of runs that are `late`."""
+        """Supply the wrench (n, 6) at t_k, if it was not yet known in :meth:`read`: for runs that are `late`."""
         self._feel.on(wrench)(k)
 
     def _draw(self) -> None:
@@ -114,7 +114,7 @@ class Sensor:
 
 @njit(cache=True)
 def _read(k, h, ring, sub, delay, jitter, shake, noise, arrived, t, *stages):
-    """A tick of all sensors: what arrives, through the chain; ``shake`` (n, BLOCK) and ``noise`` (n, BLOCK, 6) of a block of ticks."""
+    """One tick of all sensors: delay, then chain; ``shake`` (n, BLOCK), ``noise`` (n, BLOCK, 6): random numbers of a block of ticks."""
     row = k % BLOCK
     _arrive(k, ring, sub, delay, jitter, shake[:, row], arrived)
     t[:] = k * h
@@ -131,7 +131,7 @@ def _feel(k, substeps, ring, wrench):
 
 @njit(cache=True)
 def _arrive(k, ring, sub, delay, jitter, shake, out):
-    """``out`` (n, 6): the wrench of t_k less the delay, between physics instants linearly; the instants ``sub`` go into the ring."""
+    """``out`` (n, 6): the wrench at t_k - delay, interpolated linearly between physics instants; ``sub`` is stored in the ring buffer."""
     n, m = sub.shape[0], sub.shape[1]
     length = ring.shape[1]
     for i in range(n):

@@ -116,7 +116,7 @@ def test_faults_of_a_layout_are_told_by_line_and_column(tmp_path: Path) -> None:
     with pytest.raises(InputError) as raised:
         read_layout(_file(tmp_path, text))
     said = {fault.key: fault.message for fault in raised.value.faults}
-    assert "needs a whole number as value that its type holds" in said["sensor.0"]
+    assert "needs a whole number as value that fits its type" in said["sensor.0"]
     assert said["sensor.1.type"] == "does not fit sequence (got 'float32'); allowed: uint8, uint16, uint32, uint64"
     assert said["sensor.5.name"] == "is given twice (got 'fx'); each value may stand once"
     assert "a crc is the last field" in said["sensor.10.type"]

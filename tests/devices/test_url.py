@@ -58,7 +58,7 @@ def test_every_fault_of_a_url_is_told_at_once() -> None:
         ("rdt://127.0.0.1:abc", "is not a port (got 'abc'); allowed is 0 to 65535"),
         ("rdt://127.0.0.1:70000", "is not a port (got '70000'); allowed is 0 to 65535"),
         ("rdt://127.0.0.1/stream", "has a path, a user or a fragment; give it as scheme://host:port?option=value"),
-        ("rdt://?host=1.2.3.4", "is not an option; the address stands before the question mark"),
+        ("rdt://?host=1.2.3.4", "is not an option; the address goes before the question mark"),
         ("rdt://[::1", "is not a URL (Invalid IPv6 URL); give it as scheme://host:port?option=value"),
         ("rsi://?period_ms=5", "unknown value (got 5); allowed: 4, 12"),
         ("rsi://?sentype=a%3Cb", "string should match pattern '^[A-Za-z0-9_.-]+$' (got 'a<b')"),

@@ -1,1 +1,1 @@
-"""Effects between the measured wrench and the one that is used."""
+"""Effects between the measured wrench and the compensated wrench."""

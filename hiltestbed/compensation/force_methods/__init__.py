@@ -1,1 +1,1 @@
-"""Methods that correct the measured wrench, one a module."""
+"""Methods that correct the measured wrench, one per module."""

@@ -1,12 +1,12 @@
-"""A virtual damper that is designed so that the bounce comes out with the desired coefficient of restitution.
+"""A virtual damper designed for a desired coefficient of restitution (e) of the bounce.
 
 S. Abiko, Y. Satake, X. Jiang, T. Tsujita, M. Uchiyama, "Delay time compensation based on coefficient of restitution for collision
 hybrid motion simulator", Advanced Robotics 28, 2014, after K. Osaki, A. Konno, M. Uchiyama, "Delay time compensation for a hybrid
 simulator", Advanced Robotics 24, 2010: during the delay the motion is uniform, then the contact acts late; the compensation is found
-by iteration on that model. Here it is a damper: the contact with its stiffness, damping and reduced mass as designed for is played
-through with the delay, and the damper sought that gives the desired e; the default is the e of the contact without a delay.
+by iteration on that model. Here the compensation is a damper: the contact with the design stiffness, damping and reduced mass is
+simulated with the delay, and the damper is found that gives the desired e, by default the e of the contact without delay.
 
-One mode, one contact: friction, lever arms and a second contact are not in the design.
+The design covers one mode and one contact, without friction, lever arms or a second contact.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from hiltestbed.numerical_model.model import NumericalModel
     from hiltestbed.scenario import Scenario
 
-STEPS = 400  # of the design model a radian of the contact's oscillation
+STEPS = 400  # time steps of the design model per radian of the contact's oscillation
 BISECTIONS = 40
 
 
@@ -41,10 +41,10 @@ class CorDesigned(ForceMethod):
 
     kind: Literal["cor_designed"] = "cor_designed"
     adds_force: ClassVar[bool] = True
-    stiffness: Positive = Field(description="Stiffness of the contact that the damper is designed for [N/m]")
-    damping: NotNegative = Field(default=0.0, description="Damping of the contact that the damper is designed for [N s/m]")
+    stiffness: Positive = Field(description="Contact stiffness that the damper is designed for [N/m]")
+    damping: NotNegative = Field(default=0.0, description="Contact damping that the damper is designed for [N s/m]")
     cor: Positive | None = Field(
-        default=None, description="Desired coefficient of restitution [-]; null: that of the contact without a delay"
+        default=None, description="Desired coefficient of restitution [-]; null: that of the design contact without delay"
     )
     reads: ClassVar[frozenset[Input]] = frozenset({"wrench", "pose", "twist"})
 
@@ -69,19 +69,19 @@ class CorDesignedBlock:
         self.output = np.zeros((len(scenarios), 6))
 
     def compensate(self, measurement: Measurement) -> Array:
-        """``(n, 6)`` measured wrench and designed damper together."""
+        """``(n, 6)`` measured wrench plus the force of the designed damper."""
         add_virtual(measurement.wrench, measurement.pose, measurement.twist, self._stiffness, self.damping, self.output)
         return self.output
 
 
 def designed_damping(scenario: Scenario) -> float:
-    """The damper [N s/m] that brings the design contact's e to the desired one in spite of the sensor's delay."""
+    """The damper [N s/m] with which the design contact has the desired e despite the sensor's delay."""
     (force,), mass = force_of([scenario], CorDesigned), effective_mass(scenario)
     w = math.sqrt(force.stiffness / mass)
     z = force.damping / (2.0 * math.sqrt(force.stiffness * mass))
     turn = w * scenario.sensor.delay
     desired = force.cor if force.cor is not None else bounce(z, 0.0, 0.0)
-    low, high = 0.0, 1.0 + turn  # of 2 sqrt(k mu)
+    low, high = 0.0, 1.0 + turn  # bounds, in units of 2 sqrt(k mu)
     for _ in range(BISECTIONS):
         middle = 0.5 * (low + high)
         if bounce(z, turn, middle) > desired:

@@ -1,7 +1,7 @@
-"""A dead zone, as rigs have it against the drift of the velocity under noise and bias: a force below the width is taken as none.
+"""A dead zone, as used on rigs against the velocity drift caused by noise and bias: a force below the width is taken as zero.
 
-It is no compensation of the delay; it distorts by itself, towards divergence or convergence (Li et al., hybrid Smith predictor with
-dead-zone disturbance observer).
+It does not compensate the delay, and by itself distorts the response, towards divergence or convergence (Li et al., hybrid Smith predictor
+with dead-zone disturbance observer).
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 @register
 class DeadZone(ForceMethod):
-    """A dead zone: a measured force below the width is taken as none."""
+    """A dead zone: a measured force below the width is taken as zero. It does not compensate the delay."""
 
     kind: Literal["dead_zone"] = "dead_zone"
     width: NotNegative = Field(description="Force below which an axis is taken as zero [N]")
@@ -37,14 +37,14 @@ class DeadZone(ForceMethod):
 
 
 class DeadZoneBlock:
-    """The dead zone on each force axis, for ``n`` runs; the torques pass while a force does."""
+    """The dead zone on each force axis, for ``n`` runs; the torques pass while any force axis does."""
 
     def __init__(self, scenarios: Sequence[Scenario]) -> None:
         self._width = np.array([[force.width] for force in force_of(scenarios, DeadZone)])
         self.output = np.zeros((len(scenarios), 6))
 
     def compensate(self, measurement: Measurement) -> Array:
-        """``(n, 6)`` the wrench without what lies within the dead zone."""
+        """``(n, 6)`` the wrench with components within the dead zone set to zero."""
         force = measurement.wrench[:, :3]
         outside = np.abs(force) > self._width
         np.multiply(force, outside, out=self.output[:, :3])

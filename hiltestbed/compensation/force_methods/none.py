@@ -1,4 +1,4 @@
-"""No compensation: the numerical model is driven with the wrench as measured."""
+"""No compensation: the measured wrench drives the numerical model unchanged."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 @register
 class NoForceCompensation(ForceMethod):
-    """The numerical model is driven with the measured wrench as it is."""
+    """No compensation: the measured wrench drives the numerical model unchanged."""
 
     kind: Literal["none"] = "none"
     reads: ClassVar[frozenset[Input]] = frozenset({"wrench"})
@@ -28,7 +28,7 @@ class NoForceCompensation(ForceMethod):
 
 
 class UncompensatedBlock:
-    """Hands the measured wrench on."""
+    """Passes the measured wrench on."""
 
     def compensate(self, measurement: Measurement) -> Array:
         """``(n, 6)`` the measured wrench itself."""

@@ -1,14 +1,14 @@
-"""Passivity: damping injected when the contact would give back more energy than it took.
+"""Passivity: damping is injected when the contact would return more energy than it took.
 
 :class:`PassivityControlBlock` is the time-domain observer and controller (B. Hannaford, J.-H. Ryu, "Time-domain passivity control of haptic
 interfaces", IEEE T-RA 18, 2002; for contact on such rigs M. De Stefano, J. Artigas, C. Secchi et al., EPOS and OOS-SIM, T-RO 2020):
-``E_k = sum of h F_used . v``, the energy that the contact as simulated has taken from the relative motion, must not be negative; when
-it is, ``alpha = -E/(h v^2)`` makes it zero. A safety net: it acts when the excess is there, and cannot tell a restitution below 1
-from one that is right.
+``E_k = sum of h F_used . v``, the energy that the simulated contact has taken from the relative motion, must not be negative; when
+it is, ``alpha = -E/(h v^2)`` makes it zero. This is a safety net: it acts only once there is excess energy, and any restitution up to 1
+passes, correct or not.
 
 :class:`NormalisedPassivityBlock` acts before that (C. Insam, L. D. H. Peiris, D. J. Rixen, "Normalized passivity control for hardware-in-
-the-loop with contact", Int. J. Dynamics and Control 9, 2021): the power that the transfer system creates, divided by the size of its
-signals and smoothed, sets a damping force. The transfer system here is the sensor's delay, its power to first order
+the-loop with contact", Int. J. Dynamics and Control 9, 2021): the power that the transfer system generates, divided by the magnitude of
+its signals and smoothed, sets a damping force. The transfer system here is the sensor's delay, whose power to first order is
 ``(F(t) - F_meas) v ~ tau F_meas' v``.
 """
 
@@ -33,12 +33,12 @@ if TYPE_CHECKING:
     from hiltestbed.numerical_model.model import NumericalModel
     from hiltestbed.scenario import Scenario
 
-DAMPING_LIMIT = 0.5  # of what one tick can carry without turning the velocity round
+DAMPING_LIMIT = 0.5  # times the damping that would reverse the velocity within one tick
 
 
 @register
 class PassivityControl(ForceMethod):
-    """Time-domain passivity control: damping is injected once the contact has given back more energy than it took."""
+    """Time-domain passivity observer and controller: damping is injected once the contact has returned more energy than it took."""
 
     kind: Literal["passivity_control"] = "passivity_control"
     adds_force: ClassVar[bool] = True
@@ -51,7 +51,7 @@ class PassivityControl(ForceMethod):
 
 @register
 class NormalisedPassivity(ForceMethod):
-    """Normalised passivity control: a damping force in proportion to the normalised power that the delay creates."""
+    """Normalised passivity control: a damping force proportional to the normalised power that the delay generates."""
 
     kind: Literal["normalised_passivity"] = "normalised_passivity"
     adds_force: ClassVar[bool] = True
@@ -68,10 +68,10 @@ class NormalisedPassivity(ForceMethod):
 
 
 class PassivityControlBlock:
-    """Observer and controller on the relative translation, for ``n`` runs.
+    """Passivity observer and controller on the relative translation, for ``n`` runs.
 
     Attributes:
-        energy: ``(n,)`` [J] taken from the relative motion so far, what was injected included.
+        energy: ``(n,)`` [J] taken from the relative motion so far, including the injected damping.
     """
 
     def __init__(self, scenarios: Sequence[Scenario], model: NumericalModel) -> None:
@@ -83,13 +83,13 @@ class PassivityControlBlock:
         self.output = np.zeros((n, 6))
 
     def compensate(self, measurement: Measurement) -> Array:
-        """``(n, 6)`` the measured wrench and the injected damping."""
+        """``(n, 6)`` the measured wrench plus the injected damping force."""
         _observe_and_control(measurement.wrench, self._model.twist, self._tick, self._limit, self.energy, self.output)
         return self.output
 
 
 class NormalisedPassivityBlock:
-    """A damping force along the insertion by the normalised power of the delay, for ``n`` runs."""
+    """A damping force along the insertion from the normalised power of the delay, for ``n`` runs."""
 
     def __init__(self, scenarios: Sequence[Scenario], model: NumericalModel) -> None:
         n, h = len(scenarios), model.tick
@@ -98,11 +98,11 @@ class NormalisedPassivityBlock:
         self._gain = np.array([f.gain for f in force])
         self._smooth = np.array([1.0 - math.exp(-h / f.smoothing) for f in force])
         self._per_tick = np.array([s.sensor.delay for s in scenarios]) / h
-        self._memory = np.zeros((n, 4))  # last force, its smoothed slope times the delay, smoothed power, smoothed size
+        self._memory = np.zeros((n, 4))  # last force, its smoothed derivative times the delay, smoothed power, smoothed |F v|
         self.output = np.zeros((n, 6))
 
     def compensate(self, measurement: Measurement) -> Array:
-        """``(n, 6)`` the measured wrench and the damping force."""
+        """``(n, 6)`` the measured wrench plus the damping force."""
         _normalise(
             measurement.wrench, measurement.pose, self._model.twist, self._gain, self._smooth, self._per_tick, self._memory, self.output
         )

@@ -1,12 +1,12 @@
 """First-order phase lead of the measured force.
 
-``G_c(s) = (T1 s + 1)/(T2 s + 1)``: the Taylor expansion of ``exp(tau s)`` cut after its first term, with a pole that makes it
+``G_c(s) = (T1 s + 1)/(T2 s + 1)``: the Taylor expansion of ``exp(tau s)`` to first order, with a pole that makes it
 causal (C. Qi, F. Gao, X. Zhao, Q. Wang, A. Ren, "Low-order model based divergence compensation for hardware-in-the-loop simulation
 of space discrete contact", J. Intell. Robot. Syst. 2016). Backward differences:
 
     y_k = (y_(k-1) T2/h + u_k + T1 (u_k - u_(k-1))/h) / (1 + T2/h)
 
-``T1 - T2`` is the delay it takes out at low frequency: ``T1 = delay + T2`` unless ``lead`` sets T1.
+``T1 - T2`` is the delay that it removes at low frequency: ``T1 = delay + T2`` unless ``lead`` sets T1.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario
 
 
-LAG = 0.0005  # [s] T2, where a method does not set its own
+LAG = 0.0005  # [s] T2 where a method does not set it
 
 
 @register
@@ -78,7 +78,7 @@ class PhaseLeadBlock:
 
 
 def lead_and_lag(scenario: Scenario) -> tuple[float, float]:
-    """T1 and T2 [s] of the phase lead in a scenario's compensation: the method itself, or what a method falls back on."""
+    """T1 and T2 [s] of the phase lead in a scenario's compensation: the method itself, or the fallback of another method."""
     force = scenario.compensation.force
     lead, lag = getattr(force, "lead", None), getattr(force, "lag", LAG)
     return (scenario.sensor.delay + lag if lead is None else lead), lag

@@ -1,12 +1,12 @@
 """Polynomial extrapolation of the measured force over the delay.
 
-The polynomial of order p through the last p + 1 samples that are a delay apart, taken one delay ahead:
+The polynomial of order p through the last p + 1 samples spaced one delay apart, evaluated one delay ahead:
 
     F(t) ~ sum over i of (-1)^i C(p + 1, i + 1) F_meas(t - i tau);   p = 3: 4 F_0 - 6 F_1 + 4 F_2 - F_3
 
 (T. Horiuchi, M. Inoue, T. Konno, Y. Namita, "Real-time hybrid experimental system with actuator delay compensation and its
-application to a piping system with energy absorber", Earthquake Eng. Struct. Dyn. 28, 1999, there of the displacement). It needs a
-force that is smooth over p delays: the edge of a contact is not.
+application to a piping system with energy absorber", Earthquake Eng. Struct. Dyn. 28, 1999, where it extrapolates the displacement). It
+needs a force that is smooth over p delays, which the onset of a contact is not.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 @register
 class Polynomial(ForceMethod):
-    """Polynomial extrapolation of the measured wrench over the delay, through samples that are a delay apart."""
+    """Polynomial extrapolation of the measured wrench over the delay, through samples spaced one delay apart."""
 
     kind: Literal["polynomial"] = "polynomial"
     order: Annotated[int, Field(ge=1, le=5)] = Field(default=3, description="Order of the polynomial")
@@ -46,7 +46,7 @@ class Polynomial(ForceMethod):
 
 
 class PolynomialBlock:
-    """The extrapolation of all six components of the wrench, for ``n`` runs of one order."""
+    """The extrapolation of all six components of the wrench, for ``n`` runs of the same order."""
 
     def __init__(self, scenarios: Sequence[Scenario]) -> None:
         n = len(scenarios)

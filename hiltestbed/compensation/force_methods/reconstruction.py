@@ -1,12 +1,12 @@
-"""ReconstructionBlock of the force with a model of the contact: ``F = F_meas + M(x, v) - M(x, v at t - tau)``.
+"""Reconstruction of the force with a contact model: ``F = F_meas + M(x, v) - M(x, v at t - tau)``.
 
-M is the spring and damper of the contact, x and v the pose that the rig reached, now and when the force was felt. With k and c
-identified in the loop it is the compensation by identified parameters of the field (Qi et al.; F. He et al., Chin. J. Mech. Eng.
+M is the spring and damper of the contact; x and v are the pose and rate that the rig reached, now and when the force acted. With k and c
+identified in the loop this is the compensation by identified parameters of the literature (Qi et al.; F. He et al., Chin. J. Mech. Eng.
 35:149, 2022: "the identified k, c modify the force"); with k and c given it is a Smith predictor whose predicted part is the contact
-(O. J. M. Smith, "Closer control of loops with dead time", Chem. Eng. Progress 53, 1957). Until there is an estimate, or with
-``lead: true`` for what the model does not explain, the force passes the first-order phase lead.
+(O. J. M. Smith, "Closer control of loops with dead time", Chem. Eng. Progress 53, 1957). Until there is an estimate, the force passes
+the first-order phase lead; with ``lead_rest: true`` so does the part of it that the Smith predictor's model does not explain.
 
-The impulse of an early wrong guess is paid back a delay later, but at another speed: the energy is not.
+The impulse of an early wrong estimate is cancelled one delay later, but at another speed, so that its energy is not.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 @register
 class Reconstruction(ForceMethod):
-    """The measured force plus what an identified spring and damper M gained over the delay: F_meas + M(x, v) - M(x, v at t - delay).
+    """The measured force plus the change of an identified spring and damper M over the delay: F_meas + M(x, v) - M(x, v at t - delay).
 
     An axis that has no estimate yet passes the first-order phase lead.
     """
@@ -57,13 +57,13 @@ class Reconstruction(ForceMethod):
 
 @register
 class SmithPredictor(ForceMethod):
-    """Smith predictor: the measured force plus what a given spring and damper along the insertion gained over the delay."""
+    """Smith predictor: the measured force plus the change of a given spring and damper along the insertion over the delay."""
 
     kind: Literal["smith_predictor"] = "smith_predictor"
-    stiffness: Positive = Field(description="Stiffness of the contact as predicted [N/m]")
-    damping: NotNegative = Field(default=0.0, description="Damping of the contact as predicted [N s/m]")
+    stiffness: Positive = Field(description="Contact stiffness in the predictor [N/m]")
+    damping: NotNegative = Field(default=0.0, description="Contact damping in the predictor [N s/m]")
     lead_rest: bool = Field(
-        default=False, description="Whether the part of the force that the prediction does not explain passes the phase lead"
+        default=False, description="Whether the part of the force that the predictor does not explain passes the phase lead"
     )
     lead: NotNegative | None = Field(default=None, description="Time constant T1 of the phase lead [s]; null: sensor.delay + lag")
     lag: Positive = Field(default=0.0005, description="Time constant T2 of the phase lead's pole [s]")
@@ -94,7 +94,7 @@ class ReconstructionBlock:
         self.output = np.zeros((n, 6))
 
     def compensate(self, measurement: Measurement) -> Array:
-        """``(n, 6)`` the reconstructed wrench; an axis without an estimate passes the lead. What is latched moves about its place."""
+        """``(n, 6)`` the reconstructed wrench; an axis without an estimate passes the lead. After capture M acts about the held pose."""
         led = self._lead.compensate(measurement)
         observe(measurement.pose, measurement.twist, self._state)
         self._states.remember(self._state)
@@ -121,7 +121,7 @@ class SmithPredictorBlock:
         self.output = np.zeros((n, 6))
 
     def compensate(self, measurement: Measurement) -> Array:
-        """``(n, 6)`` the model's force now, and what was measured beyond the model's force a delay ago."""
+        """``(n, 6)`` the model's force now, plus the measured force less the model's force one delay ago."""
         _spring(measurement.pose, measurement.twist, self._stiffness, self._damping, self._now)
         self._model.remember(self._now)
         self._model.before(self._ticks, self._late)
@@ -133,7 +133,7 @@ class SmithPredictorBlock:
 
 @njit(cache=True)
 def _reconstruct(wrench, led, now, late, stiffness, damping, out):
-    """Along the insertion the spring cannot pull and ends at the nominal touch; the other axes act while it presses, now or then."""
+    """Along the insertion the spring cannot pull and acts only beyond the nominal touch; the other axes act while fz is positive."""
     for i in range(wrench.shape[0]):
         pressing = wrench[i, 2] > 0.0
         for j in range(6):
@@ -151,7 +151,7 @@ def _reconstruct(wrench, led, now, late, stiffness, damping, out):
 
 @njit(cache=True)
 def _spring(pose, twist, stiffness, damping, out):
-    """The wrench at P's origin of a spring and damper at A's origin along z, from the nominal touch on."""
+    """The wrench at P's origin of a spring and damper at A's origin along z, beyond the nominal touch."""
     for i in range(pose.shape[0]):
         x, v = pose[i, 2], twist[i, 2]
         force = max(0.0, stiffness[i] * x + damping[i] * v) if x > 0.0 else 0.0

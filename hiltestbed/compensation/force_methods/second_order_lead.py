@@ -1,10 +1,10 @@
-"""Second-order phase lead: the Taylor expansion of ``exp(tau s)`` cut after its second term.
+"""Second-order phase lead: the Taylor expansion of ``exp(tau s)`` to second order.
 
     G_c(s) = (1 + a1 s + a2 s^2) / (T2 s + 1)^2,   a1 = tau + 2 T2,   a2 = tau^2/2 + 2 tau T2 + T2^2
 
-so that ``G_c exp(-tau s) = 1 + O(s^3)``. The field prefers the first order since the second derivative of a measured force is noise
-(C. Qi et al., J. Intell. Robot. Syst. 2016): white noise comes out larger by some ``a2/T2^2``. Backward differences, as in the
-first-order lead.
+so that ``G_c exp(-tau s) = 1 + O(s^3)``. The literature prefers the first order, since the second derivative of a measured force is
+dominated by noise (C. Qi et al., J. Intell. Robot. Syst. 2016): white noise is amplified by about ``a2/T2^2``. Backward differences, as
+in the first-order lead.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 @register
 class SecondOrderLead(ForceMethod):
-    """Second-order phase lead of the measured wrench: exp(delay s) to its second Taylor term, over (T2 s + 1)^2."""
+    """Second-order phase lead of the measured wrench: the second-order Taylor expansion of exp(delay s), over (T2 s + 1)^2."""
 
     kind: Literal["second_order_lead"] = "second_order_lead"
     lag: Positive = Field(default=0.0005, description="Time constant T2 of the lead's double pole [s]")
@@ -57,7 +57,7 @@ class SecondOrderLeadBlock:
         self._up = np.stack([1.0 + first / h + second / h**2, -first / h - 2.0 * second / h**2, second / h**2], axis=1)
         self._down = np.stack([1.0 + 2.0 * lag / h + (lag / h) ** 2, -2.0 * lag / h - 2.0 * (lag / h) ** 2, (lag / h) ** 2], axis=1)
         self.output = np.zeros((n, 6))
-        self._memory = np.zeros((n, 6, 4))  # two inputs, two outputs before
+        self._memory = np.zeros((n, 6, 4))  # the last two inputs, the last two outputs
 
     def compensate(self, measurement: Measurement) -> Array:
         """``(n, 6)`` the wrench led to second order."""

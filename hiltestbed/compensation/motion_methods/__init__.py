@@ -1,1 +1,1 @@
-"""Ways to tell the platform where to go, one a module."""
+"""Methods that correct the platform's tracking, one per module."""

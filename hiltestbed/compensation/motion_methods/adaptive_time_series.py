@@ -1,11 +1,11 @@
-"""Adaptive time series: the platform's inverse, fitted to what it made of its last commands.
+"""Adaptive time series: the platform's inverse, fitted to its response to recent commands.
 
     x_c = a0 x + a1 dx/dt + a2 d2x/dt2,   a = least squares of the past x_c on the measured x and its derivatives over a window
 
 (Y. Chae, K. Kazemibidokhti, J. M. Ricles, "Adaptive time series compensator for delay compensation of servo-hydraulic actuator systems
-for real-time hybrid simulation", Earthquake Eng. Struct. Dyn. 42, 2013). The window is much longer than a bounce: in a single contact
-what was learnt before it counts. The fit is made along the insertion, with an exponential window, and used on all six axes; the
-coefficients are held within bounds, as the authors advise.
+for real-time hybrid simulation", Earthquake Eng. Struct. Dyn. 42, 2013). The window is much longer than a bounce: in a single contact the
+coefficients come mainly from the motion before it. The fit is made along the insertion, with an exponential window, and used on all six
+axes; the coefficients are held within bounds, as the authors advise.
 """
 
 from __future__ import annotations
@@ -28,17 +28,17 @@ if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario
 
 BOUNDS = np.array([[0.9, 1.1], [0.0, 0.05], [0.0, 1e-3]])  # of a0, a1 [s], a2 [s^2]
-SCALES = np.array([1.0, 30.0, 1000.0])  # [1/s], [1/s^2]: columns of one size at a few Hz
-PRIOR = 1e-6  # [m^2] weight of what is believed at the start, against the sum of x^2 over the window
+SCALES = np.array([1.0, 30.0, 1000.0])  # [-], [1/s], [1/s^2]: make the columns of similar size at a few Hz
+PRIOR = 1e-6  # [m^2] weight of the initial coefficients, against the sum of x^2 over the window
 
 
 @register
 class AdaptiveTimeSeries(MotionMethod):
-    """Adaptive time series: the command passes a0 x + a1 x' + a2 x'', fitted to what the platform made of its last commands."""
+    """Adaptive time series: the command is a0 x + a1 x' + a2 x'', with coefficients fitted to the platform's recent response."""
 
     kind: Literal["adaptive_time_series"] = "adaptive_time_series"
-    window: Positive = Field(default=1.0, description="Memory of the fit [s]")
-    delay: NotNegative = Field(default=0.008, description="Delay of the platform as believed at the start [s]")
+    window: Positive = Field(default=1.0, description="Time constant of the fit's exponential window [s]")
+    delay: NotNegative = Field(default=0.008, description="Delay of the platform assumed at the start [s]")
     reads: ClassVar[frozenset[Input]] = frozenset({"pose"})
 
     @classmethod
@@ -65,7 +65,7 @@ class AdaptiveTimeSeriesBlock:
         self._memory = np.zeros((n, 4))  # last command, last measured position and velocity, ticks
 
     def command(self, pose: Array, derivatives: tuple[Array, Array, Array], measurement: Measurement, out: Array) -> None:
-        """Write the pose ``out`` (n, 7) to tell the platform."""
+        """Write to ``out`` (n, 7) the pose commanded to the platform."""
         _adapt(measurement.pose, self._tick, self._fade, self._believed, self._sums, self._memory, self.coefficients)
         _apply(pose, derivatives[0], derivatives[1], self.coefficients, self._memory, out)
 

@@ -1,14 +1,14 @@
-"""Compliant contact: the platform yields along the insertion so that the contact force stays under a limit.
+"""Admittance: the platform yields along the insertion so that the contact force stays below a limit.
 
-The admittance of a preloaded slider in series with the contact: it stays at its stop until the force reaches the limit, then gives way
-so that the force holds there (N. Hogan, "Impedance control", ASME J. Dyn. Syst. Meas. Control 107, 1985, for the admittance). With the
-spring and damper of the contact as identified, at the pose that is commanded, the yield delta <= 0 of a tick h follows from
+The admittance is that of a preloaded slider in series with the contact: it stays at its stop until the force reaches the limit, then
+yields so that the force stays there (N. Hogan, "Impedance control", ASME J. Dyn. Syst. Meas. Control 107, 1985, for the admittance). With
+the identified spring and damper of the contact, at the commanded pose, the yield delta <= 0 of a tick h follows from
 
     k (x + delta) + c (v + (delta - delta_before)/h) = F_limit
 
-F is not the measured force, which is late. The numerical model is not told: a drive that corrects the force for where the platform is
-(resynchronised prediction, contact correction) still gets the force of the unlimited contact, any other the limited one. Until k is
-identified nothing yields.
+F is not the measured force, which is delayed. The numerical model does not include the yield: a drive that corrects the force for the
+platform's pose (resynchronised prediction, contact correction) still gets the force of the unlimited contact, any other the limited one.
+The platform does not yield until k is identified.
 """
 
 from __future__ import annotations
@@ -30,16 +30,16 @@ if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario
 
 AXIAL = 2
-AIM = 0.95  # of the limit: what is left is for the error of k as identified
+AIM = 0.95  # of the limit: the margin covers the error of the identified k
 
 
 @register
 class Admittance(MotionMethod):
-    """Compliant contact: feed-forward, and the platform yields along the insertion where the contact would press harder than a limit."""
+    """Admittance: feed-forward, and the platform yields along the insertion so that the contact force stays below a limit."""
 
     kind: Literal["admittance"] = "admittance"
     limit: Positive = Field(description="Contact force at which the platform begins to yield [N]")
-    speed: Positive = Field(default=0.1, description="Highest speed with which the platform yields [m/s]")
+    speed: Positive = Field(default=0.1, description="Highest speed at which the platform yields [m/s]")
     reads: ClassVar[frozenset[Input]] = frozenset({"identified"})
     feeds: ClassVar[bool] = True
 
@@ -66,7 +66,7 @@ class AdmittanceBlock:
         self.rate = np.zeros((n, 6))
 
     def command(self, pose: Array, derivatives: tuple[Array, Array, Array], measurement: Measurement, out: Array) -> None:
-        """Write the pose ``out`` (n, 7) to tell the platform."""
+        """Write to ``out`` (n, 7) the pose commanded to the platform."""
         out[:] = pose
         stiffness, damping = measurement.stiffness[:, AXIAL], measurement.damping[:, AXIAL]
         _yield(self._tick, self._limit, self._speed, stiffness, damping, derivatives[0], self.offset, self.rate, out)

@@ -1,9 +1,9 @@
-"""Correction of the force for where the platform is not: ``F + k (x_cmd - x_act) + c (v_cmd - v_act)`` while in contact.
+"""Correction of the force for the platform's tracking error: ``F + k (x_cmd - x_act) + c (v_cmd - v_act)`` while in contact.
 
 k and c are identified in the loop (T. Ren, C. Qi, F. Gao, X. Zhao, Q. Sun, "Compensation of velocity divergence caused by dynamic
 response for hardware-in-the-loop docking simulator", IEEE/ASME Trans. Mechatronics 2017; F. He et al., Chin. J. Mech. Eng. 35:149,
-2022). The platform keeps its lag; the numerical model gets the force that it would have met without it. It rests on the contact
-being a spring and damper.
+2022). The platform keeps its lag; the numerical model gets the force that would act without the lag, provided that the contact is a
+spring and damper.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from hiltestbed.plugins import register
 
 @register
 class ContactCorrection(MotionMethod):
-    """The force is corrected for the error of the platform, by k (x_cmd - x_act) + c (v_cmd - v_act) with k and c as identified."""
+    """The force is corrected for the platform's tracking error by k (x_cmd - x_act) + c (v_cmd - v_act), with identified k and c."""
 
     kind: Literal["contact_correction"] = "contact_correction"
     reads: ClassVar[frozenset[Input]] = frozenset({"wrench", "pose", "twist", "identified"})
@@ -31,9 +31,9 @@ class ContactCorrection(MotionMethod):
 
 
 def correct_for_platform(measurement: Measurement, pose: Array, twist: Array, wrench: Array) -> None:
-    """Add to ``wrench`` (n, 6) what ``pose`` (n, 7) and ``twist`` (n, 6), commanded for t_k, would have met more than the rig did.
+    """Add to ``wrench`` (n, 6) the contact force at ``pose`` (n, 7) and ``twist`` (n, 6), commanded for t_k, less that at the rig's state.
 
-    Axes without an estimate stay as they are.
+    Axes without an estimate are not corrected.
     """
     m = measurement
     _correct(pose, twist, m.wrench, m.pose, m.twist, m.stiffness, m.damping, m.captured, m.lever, wrench)
@@ -64,7 +64,7 @@ def _correct(pose, twist, reading, pose_act, twist_act, stiffness, damping, capt
 
 @njit(cache=True)
 def _move(at, twist):
-    """Take a ``twist`` (6,), or a small shift and turn, to the point ``at`` (3,) from where it is."""
+    """Refer a ``twist`` (6,), or a small translation and rotation, to the point ``at`` (3,) relative to its present point."""
     twist[0] += twist[4] * at[2] - twist[5] * at[1]
     twist[1] += twist[5] * at[0] - twist[3] * at[2]
     twist[2] += twist[3] * at[1] - twist[4] * at[0]

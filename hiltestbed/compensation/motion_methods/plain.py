@@ -1,4 +1,4 @@
-"""The platform is told the numerical model's pose itself."""
+"""Motion methods whose command is the numerical model's pose itself."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from hiltestbed.plugins import register
 
 @register
 class NoMotionCompensation(MotionMethod):
-    """No compensation: the platform is commanded with the pose alone."""
+    """No compensation: the platform receives only the pose."""
 
     kind: Literal["none"] = "none"
     reads: ClassVar[frozenset[Input]] = frozenset()
@@ -19,7 +19,7 @@ class NoMotionCompensation(MotionMethod):
 
 @register
 class Feedforward(MotionMethod):
-    """Feed-forward: the platform's servo is told velocity and acceleration, too."""
+    """Feed-forward: the platform's servo also receives velocity and acceleration."""
 
     kind: Literal["feedforward"] = "feedforward"
     reads: ClassVar[frozenset[Input]] = frozenset()

@@ -1,1 +1,1 @@
-"""Resynchronised prediction: the numerical model as it was when the force was felt, and the prediction from there."""
+"""Resynchronised prediction: a delayed model, driven by the measured wrench, and a predictor that starts from its state."""

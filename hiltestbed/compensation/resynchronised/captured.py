@@ -1,8 +1,8 @@
-"""Compensation while the latches hold: all six axes push and pull at once, so there is no one line along which to predict.
+"""Compensation after capture: all six axes push and pull at once, so there is no single line of action along which to predict.
 
-On each axis of the latched place ``F = F_meas + k (x - x') + c (v - v')`` with k and c as identified so far, x and v the pose that the rig
-reached now and (primed) when the force was felt, the torque being that about the place; an axis without an estimate passes the first-order
-phase lead. What is linear and identified is reconstructed exactly, and nothing has to be known of when the contact began.
+On each axis of the latch's reference point ``F = F_meas + k (x - x') + c (v - v')`` with k and c as identified so far, x and v the pose and
+twist that the rig reached, now and (primed) when the measured force acted; torques are about the reference point. An axis without an
+estimate passes the first-order phase lead. A linear, identified contact is reconstructed exactly, and the instant of touch is not needed.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from hiltestbed.jit import njit
 if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario
 
-LAG = 0.0005  # [s] the lead's pole
+LAG = 0.0005  # [s] time constant of the lead's pole
 
 
 class CapturedContact:
@@ -36,7 +36,7 @@ class CapturedContact:
         self._state, self._late = np.zeros((n, 12)), np.zeros((n, 12))
 
     def take_over(self, measurement: Measurement, wrench: Array) -> None:
-        """Replace the rows of ``wrench`` ``(n, 6)`` of those runs that are captured; call at every tick."""
+        """Replace the rows of ``wrench`` ``(n, 6)`` of the captured runs; call at every tick."""
         led = self._lead.compensate(measurement)
         m = measurement
         _observe_held(m.pose, m.twist, m.lever, UNTURNED, self._state)
@@ -58,7 +58,7 @@ def observe(pose, twist, out):
 
 @njit(cache=True)
 def _observe_held(pose, twist, lever, reference, out):
-    """``out`` (n, 12): as :func:`observe`, of the latched place."""
+    """``out`` (n, 12): as :func:`observe`, at the latch's reference point."""
     for i in range(pose.shape[0]):
         referred(pose[i], twist[i], lever[i], reference, out[i, 0:6], out[i, 6:12])
 

@@ -1,19 +1,19 @@
-"""The contact as the resynchronised prediction knows it: one line of action, one spring and damper along it.
+"""The contact model of the resynchronised prediction: one line of action, with one spring and damper along it.
 
-At A's origin, in P: force and torque act along the direction ``D`` (6,), their size follows from the relative pose ``x`` (6,)
+At A's origin, in P: the wrench acts along the direction ``D`` (6,); its magnitude follows from the relative pose ``x`` (6,)
 (position, rotation vector) and twist ``v`` (6,) of A along the gradient ``G`` (6,)::
 
     wrench = D F,   F = k (G.x - x0) + c G.v   while G.x > x0, never negative
 
-Of a flat passive surface G is known: its normal, z of P. D comes from the measured wrench, so that the lever of a hit beside the axis
-is in it. Of other surfaces G is taken as D: the normal of a surface without friction is the direction of the force.
+For a flat passive surface G is known: it is the surface normal, z of P. D comes from the measured wrench, so that it includes the lever
+arm of an off-axis contact. For other surfaces G is taken as D: on a frictionless surface the force is along the normal.
 
-A flat surface may rub: once sliding has been seen, the tangential force is ``mu F`` along the slip of the touching point, and what
-creeps below that is taken as viscous. mu is the regression of the tangential force along the slip on the normal force.
+A flat surface may have friction: once sliding has been observed, the tangential force is ``mu F`` along the slip of the contact point, and
+viscous at lower slip speeds. mu is the regression of the tangential force along the slip on the normal force.
 
-k, c and x0 are the Bayesian least squares of the measured F on G.x and G.v *at the time the force was felt*, with an intercept. What
-is known beforehand enters as a prior: an earlier contact's k, c and touch point, or, when nothing is known, that the touch point lies
-within the tick before the first force. One contact is enough: the estimate is there some four samples after the touch.
+k, c and x0 are the Bayesian least-squares estimate of the measured F on G.x and G.v *at the time the force acted*, with an intercept. Prior
+knowledge enters as a prior: an earlier contact's k, c and touch point or, without an earlier contact, that the touch point lies within
+the tick before the first force. One contact is enough: the estimate is available about four samples after the touch.
 """
 
 from __future__ import annotations
@@ -26,28 +26,28 @@ from hiltestbed.jit import njit
 
 # Columns of a run's row in ``law``.
 STIFFNESS, DAMPING, TOUCH, KNOWN, ARMED, STIFFNESS_SD, DAMPING_SD, FRICTION, LAW = range(9)
-# Columns of ``fit``: sums over the contact of products of x, v, 1 (all as the sensor's filters pass them) and y.
+# Columns of ``fit``: sums over the contact of products of x, v, 1 (all passed through the model of the sensor's filters) and y.
 XX, XV, XO, VV, VO, OO, XY, VY, OY, REFERENCE, PRIOR_K, PRIOR_C, SD_K, SD_C, SD_X, TRAVEL, PEAK, SLIDING, PRESSED, FIT = range(20)
 # Columns of ``count``.
 ABOVE, SAMPLES, CONTACTS, COUNT = range(4)
 
-GATE_SIGMA = 5.0  # a contact is where the force exceeds this many standard deviations of its noise
-GATE_PEAK = 0.02  # and this part of the peak so far
-GATE_PEAK_FILTERED = 0.3  # with a low-pass, whose memory of the clipped force at separation would bias c
-FILTER_MEMORY = 3.0  # time constants of the low-pass that are left out after the touch
+GATE_SIGMA = 5.0  # a sample is in contact if the force exceeds this many standard deviations of its noise
+GATE_PEAK = 0.02  # and this fraction of the peak so far
+GATE_PEAK_FILTERED = 0.3  # the same with a low-pass, whose memory of the clipped force at separation would bias c
+FILTER_MEMORY = 3.0  # time constants of the low-pass that are skipped after the touch
 MINIMUM_SAMPLES = 4
-ACCEPTED = 0.25  # relative standard deviation of k from which the law is used
-MODEL_ERROR = 3e-4  # of the peak force: what a real contact departs from k x + c v at least
-LEARNT_K, LEARNT_C = 0.02, 0.10  # relative uncertainty with which an estimate is carried over to a contact elsewhere on the surface
-SLIDES = 1e-3  # [m/s] slip above which a surface is taken to slide, not to creep
-CREEP = 2e5  # [N s/m] friction below sliding, where the tick allows
-CREEP_LIMIT = 0.5  # of the damping that one tick can carry
+ACCEPTED = 0.25  # relative standard deviation of k below which the law is used
+MODEL_ERROR = 3e-4  # of the peak force: least departure of a real contact from k x + c v
+LEARNT_K, LEARNT_C = 0.02, 0.10  # least relative uncertainty of an estimate in the prior of the next contact, elsewhere on the surface
+SLIDES = 1e-3  # [m/s] slip speed above which the surface slides instead of creeping
+CREEP = 2e5  # [N s/m] viscous friction at low slip, unless CREEP_LIMIT is lower
+CREEP_LIMIT = 0.5  # times the damping that would stop the slip within one tick
 DIRECTION_MEMORY = 0.02  # [s] over which the direction of the force is averaged
 
 
 @njit(cache=True, inline="always")
 def size(law, s, rate):
-    """Size of the force [N] at the position ``s`` [m] and ``rate`` [m/s] along the gradient."""
+    """Magnitude of the force [N] at position ``s`` [m] and ``rate`` [m/s] along the gradient."""
     x = s - law[TOUCH]
     if law[ARMED] == 0.0 or x <= 0.0:
         return 0.0
@@ -56,12 +56,12 @@ def size(law, s, rate):
 
 @njit(cache=True)
 def touch(fit, law, count, x, v, h):
-    """A contact has begun: where, and what the last one taught."""
+    """Start a contact: set the reference point of the fit and, after an earlier contact, the prior of k and c."""
     count[CONTACTS] += 1
     if law[ARMED] == 1.0:
         return
     fit[:REFERENCE] = 0.0
-    fit[REFERENCE] = x - 0.5 * h * v  # the force began within the tick that ended here
+    fit[REFERENCE] = x - 0.5 * h * v  # on average the force began half a tick ago
     fit[TRAVEL] = abs(v) * h
     fit[SD_X] = 0.0
     count[SAMPLES] = 0
@@ -74,7 +74,7 @@ def touch(fit, law, count, x, v, h):
 
 @njit(cache=True)
 def learn(fit, law, count, sample, sigma):
-    """Take in one contact sample (x, v, 1 as felt, and y), and solve for the law."""
+    """Add one contact sample (x, v, 1 when the force acted, and y) and solve for the law."""
     x, v, o, y = sample[0] - sample[2] * fit[REFERENCE], sample[1], sample[2], sample[3]
     fit[XX] += x * x
     fit[XV] += x * v
@@ -96,7 +96,7 @@ def learn(fit, law, count, sample, sigma):
 
 @njit(cache=True)
 def _spring_alone(fit):
-    """k of ``y = k x + c v`` without an intercept: for the weight of the touch point only."""
+    """k of ``y = k x + c v`` without an intercept, used only to weight the touch point."""
     det = fit[XX] * fit[VV] - fit[XV] * fit[XV]
     if det <= 1e-12 * fit[XX] * fit[VV]:
         return 0.0
@@ -105,7 +105,7 @@ def _spring_alone(fit):
 
 @njit(cache=True)
 def _solve(fit, law, k, variance):
-    """The posterior of (k, c, b) by Cramer's rule, columns scaled."""
+    """Solve for the posterior of (k, c, b) by Cramer's rule, with scaled columns."""
     weight_k = variance / fit[SD_K] ** 2 if fit[SD_K] > 0.0 else 0.0
     weight_c = variance / fit[SD_C] ** 2 if fit[SD_C] > 0.0 else 0.0
     sd_x = fit[SD_X] if fit[SD_X] > 0.0 else math.sqrt(fit[TRAVEL] ** 2 / 12.0 + GATE_SIGMA**2 * variance / (k * k))
@@ -139,7 +139,7 @@ def _solve(fit, law, k, variance):
 def direct(line, wrench, y, fixed, fade, noise):
     """Average the direction of the wrench (6,) at A's origin; ``line`` (3, 6): D, sum of wrench y, (sum of y y).
 
-    ``noise`` (2,): variances of force and torque, against which a direction must stand out to be believed.
+    ``noise`` (2,): variances of force and torque; they weight a prior direction along z, which dominates while the wrench is in the noise.
     """
     line[2, 0] = fade * line[2, 0] + y * y
     for j in range(6):
@@ -156,7 +156,7 @@ def direct(line, wrench, y, fixed, fade, noise):
 
 @njit(cache=True)
 def rub(fit, law, line, wrench, rate, y, sigma):
-    """Learn the friction coefficient of a flat surface from a wrench (6,) at A's origin and the twist (6,) at which it was felt."""
+    """Estimate the friction coefficient of a flat surface from a wrench (6,) at A's origin and the twist (6,) when it acted."""
     sx, sy = slip(line, rate)
     speed = math.sqrt(sx * sx + sy * sy)
     if speed > SLIDES:
@@ -168,13 +168,13 @@ def rub(fit, law, line, wrench, rate, y, sigma):
 
 @njit(cache=True, inline="always")
 def slip(line, rate):
-    """Tangential velocity (x, y) [m/s] of the touching point, which the torques about A's origin tell: r = (-D4, D3, 0)."""
+    """Tangential velocity (x, y) [m/s] of the contact point r = (-D4, D3, 0), which follows from the torques about A's origin."""
     return rate[0] - rate[5] * line[0, 3], rate[1] - rate[5] * line[0, 4]
 
 
 @njit(cache=True, inline="always")
 def friction(law, normal, sx, sy, creep):
-    """Tangential force (x, y) [N] for the normal force and the slip: viscous, and no more than mu F."""
+    """Tangential force (x, y) [N] for the normal force and the slip: viscous, limited to mu F."""
     speed = math.sqrt(sx * sx + sy * sy)
     limit = law[FRICTION] * normal
     size = creep if creep * speed <= limit else limit / speed
@@ -182,7 +182,10 @@ def friction(law, normal, sx, sy, creep):
 
 
 def prior(stiffness: float, damping: float, touch_point: float) -> tuple[np.ndarray, np.ndarray]:
-    """Rows of ``fit`` and ``law`` for a contact that was identified before: k to 0.5 %, c to 2 %, the touch point to 50 um."""
+    """Rows of ``fit`` and ``law`` for a contact identified beforehand.
+
+    Standard deviations: k 0.5 %, c 2 % plus k times 50 us, touch point 50 um.
+    """
     fit, law = unknown()
     fit[REFERENCE], fit[PRIOR_K], fit[PRIOR_C] = touch_point, stiffness, damping
     fit[SD_K], fit[SD_C], fit[SD_X] = 0.005 * stiffness, 0.02 * damping + 5e-5 * stiffness, 5e-5
@@ -192,5 +195,5 @@ def prior(stiffness: float, damping: float, touch_point: float) -> tuple[np.ndar
 
 
 def unknown() -> tuple[np.ndarray, np.ndarray]:
-    """Rows of ``fit`` and ``law`` for a contact of which nothing is known."""
+    """Rows of ``fit`` and ``law`` for a contact without prior knowledge."""
     return np.zeros(FIT), np.zeros(LAW)

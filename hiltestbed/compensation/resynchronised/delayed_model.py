@@ -1,4 +1,4 @@
-"""*Behind*, the numerical model at t - tau: what it is driven with, and what it learns of the contact on the way.
+"""The delayed model: the numerical model at t - tau, the wrench that drives it, and the identification of the contact at that time.
 
 Kernels of :mod:`hiltestbed.compensation.resynchronised` for run ``i``; ``bodies``, ``setup`` and ``state`` are its tuples of arrays.
 """
@@ -14,9 +14,9 @@ from hiltestbed.frames import rotation_vector
 from hiltestbed.jit import njit
 from hiltestbed.numerical_model.kernels import carry, relative_motion, step, wrench_at_A, wrench_at_P
 
-HISTORY = 512  # ticks of a contact that can be run again
-# Columns of ``tick``: ticks done, index of *behind*, index of the touch, samples at the next run-again.
-DONE, BEHIND, ANCHOR, AGAIN, TICK = range(5)
+HISTORY = 512  # ticks of a contact that can be re-run
+# Columns of ``tick``: ticks done, tick of the delayed model, tick of the touch, number of samples at which the next re-run is due.
+DONE, DELAYED, ANCHOR, NEXT_RERUN, TICK = range(5)
 
 
 @njit(cache=True, inline="always")
@@ -40,7 +40,7 @@ def along(fixed, line, x):
 
 @njit(cache=True, inline="always")
 def identify(i, h, fixed, ideal, substeps, bodies, setup, state, work, rows):
-    """Take the reading of this tick beside the pose at the time it was felt."""
+    """Identify the contact from this tick's reading and the pose at the time the force acted."""
     k, late, part = state.tick[i, DONE], setup.late[i], setup.part[i]
     j = k - late
     if j < 0:
@@ -82,53 +82,53 @@ def identify(i, h, fixed, ideal, substeps, bodies, setup, state, work, rows):
 
 @njit(cache=True)
 def _touched(i, h, fixed, ideal, substeps, s, u, bodies, setup, state, work):
-    """A contact has begun: correct the delay by the instant of touch if asked to, keep *behind* as it is to run it again."""
+    """Start a contact: correct the delay from the instant of touch if requested, and save the delayed model's state for a re-run."""
     fit, law, count, tick = state.fit[i], state.law[i], state.count[i], state.tick[i]
     if setup.estimate[i] == 1 and count[ce.CONTACTS] == 0 and u > 0.0:
         late = setup.late[i]
         expected = law[ce.TOUCH] if law[ce.ARMED] == 1.0 else 0.0
-        correction = (s - expected) / u - 0.5 * h  # the force began within the tick that ended here
+        correction = (s - expected) / u - 0.5 * h  # on average the force began half a tick ago
         spare = (state.x.shape[1] - HISTORY) // 2
         delay = min(max(state.delay[i] + correction, 0.0), (spare - 2) * h)
         state.delay[i] = delay
         set_delay(i, delay, h, ideal, substeps, setup)
         back = setup.late[i] - late
-        if tick[BEHIND] - back < 0:
-            back = tick[BEHIND]
+        if tick[DELAYED] - back < 0:
+            back = tick[DELAYED]
         none = state.used[i]
         none[:] = 0.0
         carry(state.q[i, 0], state.v[i, 0], bodies.port[i], bodies.mass[i], bodies.inverse[i], -h * back, none, none, work)
-        tick[BEHIND] -= back
+        tick[DELAYED] -= back
         s = expected + 0.5 * h * u
     ce.touch(fit, law, count, s, u, h)
     _rewind(i, h, fixed, s, u, bodies, state, work)
     state.q[i, 1] = state.q[i, 0]
     state.v[i, 1] = state.v[i, 0]
     state.filtered[i, 1] = state.filtered[i, 0]
-    tick[ANCHOR] = tick[BEHIND]
-    tick[AGAIN] = ce.MINIMUM_SAMPLES
+    tick[ANCHOR] = tick[DELAYED]
+    tick[NEXT_RERUN] = ce.MINIMUM_SAMPLES
 
 
 @njit(cache=True)
 def _rewind(i, h, fixed, s, u, bodies, state, work):
-    """A platform that lags touches later than *behind* does: take that back, in free flight, to where the rig touched."""
+    """A lagging platform touches later than the delayed model does: move the model back, in free flight, to where the rig touched."""
     tick, pose, at = state.tick[i], np.empty(7), np.empty(6)
     relative_motion(state.q[i, 0], state.v[i, 0], bodies.port[i], work, pose, at)
     at[0:3] = pose[0:3]
     rotation_vector(pose[3:7], at[3:6])
     reached = along(fixed, state.line[i], at)
-    ticks = int(min((reached - s) / (u * h), min(HISTORY // 4, tick[BEHIND]))) if u > 0.0 else 0
+    ticks = int(min((reached - s) / (u * h), min(HISTORY // 4, tick[DELAYED]))) if u > 0.0 else 0
     if ticks < 1:
         return
     none = state.used[i]
     none[:] = 0.0
     carry(state.q[i, 0], state.v[i, 0], bodies.port[i], bodies.mass[i], bodies.inverse[i], -h * ticks, none, none, work)
-    tick[BEHIND] -= ticks
+    tick[DELAYED] -= ticks
 
 
 @njit(cache=True, inline="always")
 def _felt(x, v, smooth, leak, memory, out):
-    """x, v and 1 as they pass the sensor's filters, from the touch on."""
+    """Pass x, v and 1 through the model of the sensor's filters, from the touch on."""
     for c in range(3):
         u = x if c == 0 else v if c == 1 else 1.0
         before = memory[c, 0]
@@ -142,24 +142,24 @@ def _felt(x, v, smooth, leak, memory, out):
 
 @njit(cache=True, inline="always")
 def catch_up(i, h, fixed, bodies, setup, state, work, rows):
-    """Bring *behind* to where the last reading allows; from the touch on again when the law has become much better."""
+    """Advance the delayed model as far as the last reading allows; re-run it from the touch when the samples have doubled."""
     tick, count = state.tick[i], state.count[i]
     last = tick[DONE] - setup.late[i]
-    if tick[ANCHOR] >= 0 and count[ce.SAMPLES] >= tick[AGAIN] and state.law[i, ce.KNOWN] == 1.0:
-        tick[AGAIN] = 2 * count[ce.SAMPLES]
+    if tick[ANCHOR] >= 0 and count[ce.SAMPLES] >= tick[NEXT_RERUN] and state.law[i, ce.KNOWN] == 1.0:
+        tick[NEXT_RERUN] = 2 * count[ce.SAMPLES]
         if last - tick[ANCHOR] < HISTORY:
             state.q[i, 0] = state.q[i, 1]
             state.v[i, 0] = state.v[i, 1]
             state.filtered[i, 0] = state.filtered[i, 1]
-            tick[BEHIND] = tick[ANCHOR]
-    while tick[BEHIND] <= last:
-        _step_behind(i, tick[BEHIND], h, fixed, bodies, setup, state, work, rows)
-        tick[BEHIND] += 1
+            tick[DELAYED] = tick[ANCHOR]
+    while tick[DELAYED] <= last:
+        _step_delayed(i, tick[DELAYED], h, fixed, bodies, setup, state, work, rows)
+        tick[DELAYED] += 1
 
 
 @njit(cache=True, inline="always")
-def _step_behind(i, j, h, fixed, bodies, setup, state, work, rows):
-    """*Behind* from t_j to t_(j+1), under the wrench that was felt at t_j, less what the rig was elsewhere than *behind* is."""
+def _step_delayed(i, j, h, fixed, bodies, setup, state, work, rows):
+    """Step the delayed model from t_j to t_(j+1) under the wrench measured for t_j, corrected for the model's offset from the rig."""
     length = state.x.shape[1]
     pose, twist, used, line, law = rows[0], rows[1], rows[2], state.line[i], state.law[i]
     known, part = j + setup.late[i], setup.part[i]
@@ -188,7 +188,7 @@ def _step_behind(i, j, h, fixed, bodies, setup, state, work, rows):
     for c in range(6):
         used[c] += line[0, c] * (size - rig) if (c != 0 and c != 1) or law[ce.FRICTION] == 0.0 else 0.0
     if law[ce.FRICTION] > 0.0:
-        _rub_behind(line, law, v, twist, rig, size, state.creep[i, 0], used)
+        _add_friction(line, law, v, twist, rig, size, state.creep[i, 0], used)
     wrench_at_P(used, pose, used)
     for c in range(6):
         state.used[i, c] = used[c]
@@ -198,8 +198,8 @@ def _step_behind(i, j, h, fixed, bodies, setup, state, work, rows):
 
 
 @njit(cache=True, inline="always")
-def _rub_behind(line, law, rate, twist, rig, size, creep, used):
-    """Add what friction does at *behind* more than it did at the rig."""
+def _add_friction(line, law, rate, twist, rig, size, creep, used):
+    """Add the friction force at the delayed model's state less that at the rig's."""
     sx, sy = ce.slip(line, twist)
     fx, fy = ce.friction(law, size, sx, sy, creep)
     sx, sy = ce.slip(line, rate)
@@ -213,7 +213,7 @@ def _rub_behind(line, law, rate, twist, rig, size, creep, used):
 
 @njit(cache=True, inline="always")
 def _silent(wrench, sigma):
-    """Whether a wrench is its noise alone: away from the contact it is left out, so that the model does not wander."""
+    """Whether a wrench is noise only: out of contact such a wrench is taken as zero, so that the model does not drift."""
     for c in range(6 if sigma[0] == 0.0 else 3):
         if abs(wrench[c]) > ce.GATE_SIGMA * sigma[0]:
             return False
@@ -222,7 +222,7 @@ def _silent(wrench, sigma):
 
 @njit(cache=True)
 def set_delay(i, delay, h, ideal, substeps, setup):
-    """Ticks and parts of a tick of a delay [s]. Between two substeps the sensor's reading is interpolated, the rate with it."""
+    """Set a delay [s] as whole ticks and a fraction. The sensor interpolates its reading between substeps; so is the rate weighted."""
     ticks = delay / h
     late = math.ceil(ticks - 1e-9)
     part = min(max(late - ticks, 0.0), 1.0)

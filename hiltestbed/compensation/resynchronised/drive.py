@@ -1,20 +1,20 @@
-"""Resynchronised prediction: drive the numerical model with the measured wrench as what it is, the wrench at t - tau, and predict on.
+"""Resynchronised prediction: the measured wrench drives a delayed model at t - tau, from which a predictor computes the present state.
 
-The delay is of the measurement, so the past is known exactly, only late. Three copies of the numerical model:
+Only the measurement is delayed, so the past is known exactly. Three copies of the numerical model are used:
 
-- *behind* is at t - tau and is driven by the measured wrench, which was felt just then. Where the rig was not exactly where this copy
-  is (the platform lags, an early prediction was wrong), the contact law makes up the difference: the wrench that would have been felt
-  is ``F_meas + M(x_behind, v_behind) - M(x_act, v_act)``.
-- *ahead* starts from *behind* and is carried over the last tau with the contact law as identified so far. Only the size of the force
-  along the line of action is stepped; the bodies take its impulse and its second integral at once.
-- *commanded* is the numerical model that the rig follows. It is driven with the predicted wrench, and drawn to *ahead* like a
-  critically damped spring would, so that a correction of the prediction does not kick the platform.
+- The *delayed model* is at t - tau and is driven by the measured wrench, which acted at that time. Where the rig's pose differed from
+  that of the delayed model (the platform lags, or an early prediction was wrong), the contact law corrects the wrench to
+  ``F_meas + M(x_delayed, v_delayed) - M(x_act, v_act)``.
+- The *predictor* starts from the delayed model and propagates it over tau with the contact law identified so far. Only the magnitude of
+  the force along the line of action is stepped; its impulse and its second integral are applied to the bodies at once.
+- The *commanded model* is the numerical model that the rig follows. It is driven with the predicted wrench, and drawn to the predicted
+  state like a critically damped spring would, so that a correction of the prediction does not jerk the platform.
 
-While the latches hold, all six axes act at once and :mod:`hiltestbed.compensation.captured` takes over.
+After capture all six axes act at once, and :mod:`hiltestbed.compensation.resynchronised.captured` provides the wrench.
 
-No force is differentiated, and no impulse is lost or paid back. When a first contact becomes known, *behind* is run again from the
-touch on with the law: the uniform motion of the first tau, when nothing had been felt yet, leaves no trace. Worked out for this
-project; the idea that a late measurement corrects a past state, from which one predicts, is that of filters with delayed measurements
+No force is differentiated, and the impulse is exact. Once a first contact is identified, the delayed model is re-run from the touch with
+the contact law, which removes the effect of the first tau, in which no force had been measured yet. The method was developed for this
+project; the idea of correcting a past state by a late measurement and predicting from it is that of filters with delayed measurements
 (H. Alexander, "State estimation for distributed systems with sensing delay", SPIE 1470, 1991).
 """
 
@@ -42,12 +42,12 @@ from hiltestbed.numerical_model.model import NumericalModel
 if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario
 
-SYNC_LIMIT = 0.5  # of a tick: the fastest blending that the semi-implicit step carries well
+SYNC_LIMIT = 0.5  # largest blending rate per tick at which the semi-implicit step is accurate
 Integers = NDArray[np.int64]
 
 
 class Bodies(NamedTuple):
-    """What *behind* and *ahead* believe of both vehicles: ``(n, 2, ...)``."""
+    """Nominal parameters of both vehicles in the delayed model and the predictor: ``(n, 2, ...)``."""
 
     port: Array
     mass: Array
@@ -58,22 +58,22 @@ class Bodies(NamedTuple):
 class Setup(NamedTuple):
     """Numbers of each run, ``(n, ...)``."""
 
-    late: Integers  # whole ticks after which a force is known
-    part: Array  # of a tick that it is younger than those
-    weight: Array  # of the younger velocity at the time the force was felt
-    smooth: Array  # gain a tick of the sensor's low-pass; 1: none
-    leak: Array  # of its high-pass; 1: none
-    skip: Integers  # samples after the touch that the low-pass's memory spoils
+    late: Integers  # delay of the force in whole ticks, rounded up
+    part: Array  # fraction of a tick by which the delay is shorter than that
+    weight: Array  # of the later of the two velocities between which the force acted
+    smooth: Array  # gain per tick of the sensor's low-pass; 1: none
+    leak: Array  # factor per tick of its high-pass; 1: none
+    skip: Integers  # samples skipped after the touch because of the low-pass's memory
     sigma: Array  # (n, 2) noise of forces and torques
     blend: Array  # [rad/s]
     estimate: Array  # whether the instant of touch corrects the delay
 
 
 class State(NamedTuple):
-    """What changes from tick to tick, ``(n, ...)``."""
+    """The state, updated at every tick, ``(n, ...)``."""
 
     tick: Integers
-    q: Array  # (n, 2, 2, 7): behind, and behind at the touch
+    q: Array  # (n, 2, 2, 7): of the delayed model, now and at the touch
     v: Array
     wrench: Array  # (n, L, 6) as measured, tick j at slot j modulo L
     x: Array  # (n, L, 6) pose of A in P that the rig reached: position, rotation vector
@@ -82,20 +82,20 @@ class State(NamedTuple):
     law: Array
     count: Integers
     line: Array  # (n, 3, 6)
-    regressor: Array  # (n, 3, 2) x, v, 1 in the sensor's filters
-    pending: Array  # (n, 4) the last sample
-    filtered: Array  # (n, 2, 2) law's force at the rig in the sensor's filters: now, and at the touch
-    delay: Array  # (n,) [s] believed
-    used: Array  # (n, 6) wrench of behind's last step
-    creep: Array  # (n, 1) [N s/m] friction below sliding
+    regressor: Array  # (n, 3, 2) filter states of x, v, 1 in the model of the sensor's filters
+    pending: Array  # (n, 4) the last sample, not yet in the fit
+    filtered: Array  # (n, 2, 2) filter states of the law's force at the rig, now and at the touch
+    delay: Array  # (n,) [s] nominal or estimated
+    used: Array  # (n, 6) wrench in the delayed model's last step
+    creep: Array  # (n, 1) [N s/m] viscous friction at low slip
 
 
 class ResynchronisedDrive:
     """The drive for ``n`` runs: ``pose``, ``twist`` and ``wrench`` of the commanded numerical model.
 
     Attributes:
-        stiffness, damping, touch: ``(n,)`` of the contact law identified so far; 0 while nothing is known.
-        delay: ``(n,)`` [s] of the force as believed, estimated from the instant of touch where the scenario asks for it.
+        stiffness, damping, touch: ``(n,)`` of the contact law identified so far; 0 before the first estimate.
+        delay: ``(n,)`` [s] of the force, nominal, or estimated from the instant of touch if the scenario asks for it.
     """
 
     def __init__(self, model: NumericalModel, scenarios: Sequence[Scenario]) -> None:
@@ -103,7 +103,7 @@ class ResynchronisedDrive:
         self.model = model
         self.pose, self.twist = model.pose, model.twist
         self.wrench = np.zeros((n, 6))
-        self.ahead_pose, self.ahead_twist = np.zeros((n, 7)), np.zeros((n, 6))
+        self.predicted_pose, self.predicted_twist = np.zeros((n, 7)), np.zeros((n, 6))
         self._predicted = np.zeros((n, 6))
         self._setup = _setup(scenarios, h)
         self._fixed = int(scenarios[0].mechanism.flat)
@@ -117,15 +117,15 @@ class ResynchronisedDrive:
         self.delay = self.state.delay
 
     def advance(self, measurement: Measurement) -> None:
-        """Move on by one tick."""
+        """Advance by one tick."""
         model = self.model
         _advance(
             model.tick, (self._fixed, self._ideal, self._substeps), self._bodies, self._setup, self.state,
-            measurement.wrench, measurement.pose, measurement.twist, self.ahead_pose, self.ahead_twist, self._predicted,
+            measurement.wrench, measurement.pose, measurement.twist, self.predicted_pose, self.predicted_twist, self._predicted,
         )  # fmt: skip
         _follow(
             model.tick, self._bodies, self._setup.blend, model.centres(), model.pose, model.twist,
-            self.ahead_pose, self.ahead_twist, self._predicted, self.wrench,
+            self.predicted_pose, self.predicted_twist, self._predicted, self.wrench,
         )  # fmt: skip
         if self._captured:
             self._captured.take_over(measurement, self.wrench)
@@ -186,8 +186,8 @@ def _state(scenarios: Sequence[Scenario], model: NumericalModel, late: int) -> S
 
 
 @njit(cache=True)
-def _advance(h, kind, bodies, setup, state, wrench, pose, twist, ahead_pose, ahead_twist, predicted):
-    """One tick of *behind* and *ahead* for every run; ``predicted`` (n, 6) is the wrench at t_k, at P's origin."""
+def _advance(h, kind, bodies, setup, state, wrench, pose, twist, predicted_pose, predicted_twist, predicted):
+    """One tick of delayed model and predictor for every run; ``predicted`` (n, 6) is the wrench at t_k, at P's origin."""
     fixed, ideal, substeps = kind
     work = np.empty((SCRATCH, 7))
     rows = np.empty((8, 7))
@@ -196,13 +196,13 @@ def _advance(h, kind, bodies, setup, state, wrench, pose, twist, ahead_pose, ahe
         remember(i, state, wrench[i], pose[i], twist[i])
         identify(i, h, fixed, ideal, substeps, bodies, setup, state, work, rows)
         catch_up(i, h, fixed, bodies, setup, state, work, rows)
-        predict(i, h, fixed, bodies, setup, state, work, rows, matrix, ahead_pose[i], ahead_twist[i], predicted[i])
+        predict(i, h, fixed, bodies, setup, state, work, rows, matrix, predicted_pose[i], predicted_twist[i], predicted[i])
         state.tick[i, DONE] += 1
 
 
 @njit(cache=True)
-def _follow(h, bodies, blend, q, pose, twist, ahead_pose, ahead_twist, predicted, wrench):
-    """The wrench that drives the commanded model: the predicted one, and what draws it to *ahead* in a critically damped way."""
+def _follow(h, bodies, blend, q, pose, twist, predicted_pose, predicted_twist, predicted, wrench):
+    """The wrench that drives the commanded model: the predicted one, plus a critically damped pull to the predicted state."""
     work = np.empty((SCRATCH, 7))
     matrix, factor = np.empty((6, 6)), np.empty((6, 6))
     free, offset, at_A = np.empty(6), np.empty(6), np.empty(6)
@@ -214,15 +214,15 @@ def _follow(h, bodies, blend, q, pose, twist, ahead_pose, ahead_twist, predicted
             free[a] = twist[i, a]
             for b in range(6):
                 free[a] -= h * matrix[a, b] * at_A[b]
-        quat_conj_mul(pose[i, 3:7], ahead_pose[i, 3:7], between)
+        quat_conj_mul(pose[i, 3:7], predicted_pose[i, 3:7], between)
         rotation_vector(between, turn)
         rotate(pose[i, 3:7], turn, offset[3:6])
         gain = blend[i]
         for a in range(3):
-            offset[a] = ahead_pose[i, a] - pose[i, a]
+            offset[a] = predicted_pose[i, a] - pose[i, a]
         for a in range(6):
             offset[a] -= h * free[a]
-            offset[a] = -gain * (gain * offset[a] + 2.0 * (ahead_twist[i, a] - free[a]))
+            offset[a] = -gain * (gain * offset[a] + 2.0 * (predicted_twist[i, a] - free[a]))
         solve(matrix, offset, factor)
         for a in range(6):
             at_A[a] += offset[a]

@@ -1,4 +1,4 @@
-"""*Ahead*: from *behind*, at t - tau, over the delay to the end of the tick that is to be commanded.
+"""The predictor: from the delayed model's state at t - tau, over the delay, to the end of the tick to be commanded.
 
 Kernels of :mod:`hiltestbed.compensation.resynchronised` for run ``i``; ``bodies``, ``setup`` and ``state`` are its tuples of arrays.
 """
@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from hiltestbed.compensation.resynchronised import contact_estimate as ce
-from hiltestbed.compensation.resynchronised.delayed_model import BEHIND, DONE, along
+from hiltestbed.compensation.resynchronised.delayed_model import DELAYED, DONE, along
 from hiltestbed.frames import rotation_vector
 from hiltestbed.jit import njit
 from hiltestbed.numerical_model.kernels import carry, mobility, relative_motion, wrench_at_A, wrench_at_P
@@ -16,9 +16,9 @@ from hiltestbed.numerical_model.kernels import carry, mobility, relative_motion,
 
 @njit(cache=True, inline="always")
 def predict(i, h, fixed, bodies, setup, state, work, rows, matrix, pose, twist, predicted):
-    """*Ahead*: from *behind* to t_(k+1), and the wrench at t_k."""
+    """Predict from the delayed model's state to t_(k+1), and the wrench at t_k."""
     line, law = state.line[i], state.law[i]
-    ticks = state.tick[i, DONE] + 1 - state.tick[i, BEHIND]
+    ticks = state.tick[i, DONE] + 1 - state.tick[i, DELAYED]
     q, v, at = np.empty((2, 7)), np.empty((2, 6)), rows[3]
     sums = np.zeros((3, 6))  # force now, impulse, shift
     q[:] = state.q[i, 0]
@@ -38,7 +38,7 @@ def predict(i, h, fixed, bodies, setup, state, work, rows, matrix, pose, twist, 
             _slide(ticks, h, line, law, at[2], twist, matrix, state.creep[i], sums)
         else:
             _press(ticks, h, fixed, line, law, along(fixed, line, at), along(fixed, line, twist), matrix, sums)
-    elif state.count[i, ce.ABOVE] > 0:  # until a handful of contact samples are in, hold the last force
+    elif state.count[i, ce.ABOVE] > 0:  # until the contact is identified, hold the last force
         wrench_at_A(state.used[i], pose, sums[0])
         for c in range(6):
             sums[1, c] = h * ticks * sums[0, c]
@@ -53,7 +53,7 @@ def predict(i, h, fixed, bodies, setup, state, work, rows, matrix, pose, twist, 
 
 @njit(cache=True)
 def _press(ticks, h, fixed, line, law, s, u, matrix, sums):
-    """Step the size of the force alone; its direction stays."""
+    """Step only the magnitude of the force; its direction is constant."""
     gain, force, impulse, shift = 0.0, 0.0, 0.0, 0.0
     for a in range(6):
         for b in range(6):
@@ -77,9 +77,9 @@ def _press(ticks, h, fixed, line, law, s, u, matrix, sums):
 
 @njit(cache=True)
 def _slide(ticks, h, line, law, s, twist, matrix, creep, sums):
-    """Step the normal force and the friction at the touching point; r = (-D4, D3, 0) is its place beside A's origin."""
+    """Step the normal force and the friction at the contact point r = (-D4, D3, 0), relative to A's origin."""
     rx, ry = -line[0, 4], line[0, 3]
-    gain = np.empty((3, 3))  # velocity of the touching point for an impulse there
+    gain = np.empty((3, 3))  # velocity of the contact point per unit impulse at it
     push = np.zeros(6)
     for b in range(3):
         push[:] = 0.0
@@ -116,6 +116,6 @@ def _slide(ticks, h, line, law, s, twist, matrix, creep, sums):
 
 @njit(cache=True, inline="always")
 def _at_point(fx, fy, fz, rx, ry, out):
-    """A force at (rx, ry, 0) beside A's origin as a wrench there."""
+    """A force at (rx, ry, 0) from A's origin as a wrench at A's origin."""
     out[0], out[1], out[2] = fx, fy, fz
     out[3], out[4], out[5] = ry * fz, -rx * fz, rx * fy - ry * fx

@@ -19,26 +19,28 @@ if TYPE_CHECKING:
 
 
 class KnownContact(Strictly):
-    """A contact that was identified before."""
+    """A contact model identified beforehand."""
 
-    stiffness: Positive = Field(description="Stiffness of the contact as it is known [N/m]")
-    damping: NotNegative = Field(default=0.0, description="Damping of the contact as it is known [N s/m]")
-    touch: float = Field(default=0.0, description="Place of the first touch along the insertion [m]")
+    stiffness: Positive = Field(description="Stiffness of the contact, as identified beforehand [N/m]")
+    damping: NotNegative = Field(default=0.0, description="Damping of the contact, as identified beforehand [N s/m]")
+    touch: float = Field(default=0.0, description="Position pz of the first touch along the insertion [m]")
 
 
 @register
 class Resynchronised(ForceMethod):
-    """Resynchronised prediction: a delayed numerical model is driven by the measured wrench, and the present is predicted from it."""
+    """Resynchronised prediction: the measured wrench drives a delayed model, from which a predictor computes the present state."""
 
     kind: Literal["resynchronised"] = "resynchronised"
     contact: KnownContact | None = Field(
-        default=None, description="Contact that was identified before; null: nothing is known of it, it is identified as it is met"
+        default=None, description="Contact model identified beforehand; null: the contact is identified during the run"
     )
     delay: Literal["known", "estimate"] = Field(
         default="known",
-        description="Delay of the force. known: sensor.delay as it stands; estimate: corrected by the instant of first touch",
+        description="Delay of the force. known: sensor.delay is taken as exact; estimate: it is corrected from the instant of first touch",
     )
-    blending: Positive = Field(default=0.002, description="Time constant with which a corrected prediction reaches the platform [s]")
+    blending: Positive = Field(
+        default=0.002, description="Time constant with which corrections of the prediction are blended into the command [s]"
+    )
     reads: ClassVar[frozenset[Input]] = frozenset({"wrench", "pose", "twist", "identified", "captured", "model"})
     corrects_platform: ClassVar[bool] = True
 
@@ -50,7 +52,7 @@ class Resynchronised(ForceMethod):
 
     def removes(self, scenario: Scenario) -> Mapping[str, float]:
         sensor = scenario.sensor
-        lowpass = 0.0 if sensor.lowpass is None else 1.0 / (2.0 * math.pi * sensor.lowpass)  # it plays the low-pass through as well
+        lowpass = 0.0 if sensor.lowpass is None else 1.0 / (2.0 * math.pi * sensor.lowpass)  # the predictor models the low-pass as well
         out = {self.kind: sensor.delay + lowpass}
         if self.delay == "estimate":
             out[f"{self.kind}.estimate"] = sum(e.parameters()["delay"] for e in scenario.effects if e.kind == "sensor.delay")
@@ -58,7 +60,7 @@ class Resynchronised(ForceMethod):
 
     def idle(self, scenario: Scenario) -> Iterable[Problem]:
         if scenario.mechanism.captured:
-            yield ("blending",), "the mechanism holds from the start: there is no first contact, from which a correction would come"
+            yield ("blending",), "the mechanism is captured from the start: there is no first contact that would cause a correction"
 
     def memory(self) -> float:
         return self.blending

@@ -1,4 +1,4 @@
-"""The contact loses another energy than believed."""
+"""The contact dissipates more or less energy than the nominal one."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from hiltestbed.plugins import register
 if TYPE_CHECKING:
     from hiltestbed.contact.parameters import ContactParameters
 
-LOSSES = (0.01, 0.05, 0.2, 0.6)  # alpha times the speed of the touch, from which Hunt and Crossley's damping is sought
-MOST_LOSS = 6.0  # up to which it is sought: a sixth is left of the speed, where y - ln(1 + y) is the same for y = 6 and y = -6 e
-STIFFEST = 1e3  # of the secant stiffness: the stiffest spring that drags a slider
+LOSSES = (0.01, 0.05, 0.2, 0.6)  # starting values of alpha times the speed at touch in the search for Hunt-Crossley damping
+MOST_LOSS = 6.0  # its upper bound: y - ln(1 + y) is equal at y = 6 and y = -6 e for e of about 1/6, the share of the speed that remains
+STIFFEST = 1e3  # times the secant stiffness: upper bound of the spring in series with a friction slider
 
 
 @register
 class ContactDamping(Effect):
-    """The contact damper is stronger or weaker than believed."""
+    """The contact damping differs from the nominal damping."""
 
     kind: Literal["contact.damping"] = "contact.damping"
-    factor: float = quantity("-", "True damping over the one believed", ge=0.0, search=(0.0, 6.0))
+    factor: float = quantity("-", "True damping over nominal damping", ge=0.0, search=(0.0, 6.0))
     link = "contact"
     equation = "c -> factor c"
     reference = "viscous damper"
@@ -41,10 +41,10 @@ class ContactDamping(Effect):
 
 @register
 class ContactHuntCrossley(Effect):
-    """The damping grows with the penetration: no force step at touch."""
+    """Hunt-Crossley damping: it grows with the penetration, so that the force has no step at touch."""
 
     kind: Literal["contact.hunt_crossley"] = "contact.hunt_crossley"
-    alpha: float = quantity("s/m", "Growth of the force with the rate of penetration", ge=0.0, search=(0.0, 30.0))
+    alpha: float = quantity("s/m", "Hunt-Crossley damping coefficient", ge=0.0, search=(0.0, 30.0))
     link = "contact"
     equation = "F = k x (1 + alpha v)"
     reference = "K. H. Hunt, F. R. E. Crossley, ASME J. Appl. Mech. 42, 1975"
@@ -56,18 +56,18 @@ class ContactHuntCrossley(Effect):
 
     @classmethod
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:
-        speed = math.sqrt(scales.slow * scales.fast)  # what counts is alpha times it: it is the rebound's loss, to a factor
+        speed = math.sqrt(scales.slow * scales.fast)  # alpha times the speed is the loss in the rebound, up to a factor
         yield candidate(cls, {"alpha": [a / speed for a in LOSSES]}, bounds={"alpha": (0.0, MOST_LOSS / speed)})
 
 
 @register
 class ContactDryFriction(Effect):
-    """Dry friction in the buffer: a loop whose width depends on neither speed nor stroke."""
+    """Dry friction in the buffer: a hysteresis loop whose width depends on neither speed nor stroke."""
 
     kind: Literal["contact.dry_friction"] = "contact.dry_friction"
-    force: float = quantity("N", "Friction while it slides", ge=0.0, search=(0.0, 300.0))
+    force: float = quantity("N", "Friction force while sliding", ge=0.0, search=(0.0, 300.0))
     stiffness: float = quantity(
-        "N/m", "Stiffness of the spring that drags the slider before it slips; 0: rigid", default=0.0, ge=0.0, search=(1e2, 1e9), ratio=True
+        "N/m", "Stiffness of the spring in series with the friction slider; 0: rigid", default=0.0, ge=0.0, search=(1e2, 1e9), ratio=True
     )
     link = "contact"
     equation = "F += force tanh(v/2e-4); with a stiffness F += f, f' = stiffness v while |f| < force"
@@ -90,11 +90,11 @@ class ContactDryFriction(Effect):
 
 @register
 class ContactRelaxation(Effect):
-    """The contact is stiffer when fast and relaxes when held."""
+    """The contact is stiffer under fast loading and relaxes under constant penetration."""
 
     kind: Literal["contact.relaxation"] = "contact.relaxation"
-    stiffness: float = quantity("N/m", "Stiffness of the branch", gt=0.0, search=(1e2, 1e7), ratio=True)
-    time_constant: float = quantity("s", "Time constant with which the branch relaxes", gt=0.0, search=(1e-3, 10.0), ratio=True)
+    stiffness: float = quantity("N/m", "Stiffness of the Maxwell branch", gt=0.0, search=(1e2, 1e7), ratio=True)
+    time_constant: float = quantity("s", "Relaxation time of the Maxwell branch", gt=0.0, search=(1e-3, 10.0), ratio=True)
     link = "contact"
     equation = "F += z, z' = stiffness v - z/time_constant"
     reference = "Maxwell branch of the standard linear solid"

@@ -1,4 +1,4 @@
-"""The frame that carries the sensor gives way, or rings."""
+"""The frame that carries the sensor is compliant, or vibrates."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ if TYPE_CHECKING:
     from hiltestbed.contact.parameters import ContactParameters
     from hiltestbed.scenario import Scenario
 
-HEAVY = 10.0 / (6.0 * math.pi) ** 2  # [s^2] of the contact's stiffness: a frame ten times as stiff that rings at 3 Hz
-LITTLE = 0.01  # of the contact's stiffness: the softest frame of a captured mechanism that is searched
-MOST_STEPS = 1000  # of a ringing frame in one instant of the physics: about 50 us of computing
+HEAVY = 10.0 / (6.0 * math.pi) ** 2  # [s^2] mass over the contact's stiffness of a frame ten times as stiff whose natural frequency is 3 Hz
+LITTLE = 0.01  # of the contact's stiffness: lower bound of the frame stiffness searched for a captured mechanism
+MOST_STEPS = 1000  # integration steps of the frame's mode per physics step: about 50 us of computing time
 
 
 @register
 class FrameCompliance(Effect):
-    """The frame of the sensor gives way, quasi-statically."""
+    """The sensor's frame is compliant: it deflects quasi-statically under the contact force."""
 
     kind: Literal["frame.compliance"] = "frame.compliance"
     stiffness: float = quantity("N/m", "Stiffness of the frame", gt=0.0, search=(1e5, 1e9), ratio=True)
@@ -36,12 +36,12 @@ class FrameCompliance(Effect):
     def apply(self, p: ContactParameters) -> None:
         share = self.stiffness / (self.stiffness + p.stiffness)
         match self.variant.get("damper"):
-            case "in series":  # the damper sits on the contact's own deflection
+            case "in series":  # the damper acts on the contact's own deflection
                 p.stiffness *= share
                 p.damping *= share * share
-                p.side_stiffness /= share  # the frame gives way along the insertion alone
+                p.side_stiffness /= share  # the frame is compliant along the insertion only
                 p.side_damping /= share * share
-            case "whole rate":  # the spring alone gives, the damper feels the whole rate
+            case "whole rate":  # only the spring is in series, the damper acts on the whole rate
                 p.stiffness *= share
                 p.side_stiffness /= share
             case _:
@@ -57,12 +57,12 @@ class FrameCompliance(Effect):
 
 @register
 class FrameMode(Effect):
-    """The frame of the sensor rings: it moves under the contact force, and the sensor reads the frame."""
+    """A vibration mode of the sensor's frame: the contact force excites it, and the sensor reads the force in the frame."""
 
     kind: Literal["frame.mode"] = "frame.mode"
     frequency: float = quantity("Hz", "Natural frequency of the frame", gt=0.0, search=(3.0, 200.0), ratio=True)
     damping_ratio: float = quantity("-", "Damping ratio of the frame", gt=0.0, le=1.0, search=(0.002, 0.3), ratio=True)
-    mass: float = quantity("kg", "Mass of the frame that moves", gt=0.0, search=(1.0, 2000.0), ratio=True)
+    mass: float = quantity("kg", "Modal mass of the frame", gt=0.0, search=(1.0, 2000.0), ratio=True)
     link = "contact"
     equation = "m q'' + 2 zeta w m q' + w^2 m q = F, x = pz - q, measured: w^2 m q + 2 zeta w m q'"
     reference = "single structural mode"
@@ -79,8 +79,8 @@ class FrameMode(Effect):
         steps = fastest * scenario.tick / scenario.substeps / MODE_STEP
         if steps > MOST_STEPS:
             return (
-                f"rings so fast that each instant of the physics takes {steps:.3g} steps (allowed: {MOST_STEPS}); "
-                "give a lower frequency, a larger mass, a higher physics_rate, or frame.compliance, which is its limit"
+                f"rings so fast that each step of the physics takes {steps:.3g} steps of the frame (allowed: {MOST_STEPS}); "
+                "give a lower frequency, a larger mass or a higher physics_rate, or use frame.compliance, its quasi-static limit"
             )
         return None
 

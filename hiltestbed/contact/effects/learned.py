@@ -1,4 +1,4 @@
-"""A law of the contact that was learned from data, where no effect with a name does it."""
+"""A contact law learned from data, for departures that no named effect explains."""
 
 from __future__ import annotations
 
@@ -16,16 +16,18 @@ if TYPE_CHECKING:
 
 @register
 class ContactMap(Effect):
-    """A force that is added to the believed spring and damper, as curves over penetration, rate and a slider's stretch."""
+    """A force added to the nominal spring and damper, given as curves over penetration, rate and the stretch of a friction slider."""
 
     kind: Literal["contact.map"] = "contact.map"
-    penetration: Curve = quantity("m, N", "Knots of the force over the penetration; past the ends the last slopes go on", default=())
-    rate: Curve = quantity("m/s, N", "Knots of the force over the rate; past the ends the last slopes go on", default=())
-    stretch: Curve = quantity("m, N", "Knots of the force over the stretch of a slider; it follows at the ends", default=())
+    penetration: Curve = quantity("m, N", "Knots of the force over the penetration; linearly extrapolated beyond the ends", default=())
+    rate: Curve = quantity("m/s, N", "Knots of the force over the penetration rate; linearly extrapolated beyond the ends", default=())
+    stretch: Curve = quantity("m, N", "Knots of the force over the stretch of a friction slider; at the ends the slider slips", default=())
     spring: Curve = quantity(
-        "m, -", "Knots of a part of the elastic force that is added, over the penetration; constant past the ends", default=()
+        "m, -", "Knots of a fraction of the elastic force that is added, over the penetration; constant beyond the ends", default=()
     )
-    spring_rate: Curve = quantity("m/s, -", "Knots of such a part over the rate of the penetration; constant past the ends", default=())
+    spring_rate: Curve = quantity(
+        "m/s, -", "Knots of a fraction of the elastic force that is added, over the penetration rate; constant beyond the ends", default=()
+    )
     link = "contact"
     equation = "F += f(x) + g(v) + h(s) + (p(x) + q(v)) k x, s' = v while s is within the knots of h, each curve piecewise linear"
     reference = "stop operator: M. A. Krasnosel'skii, A. V. Pokrovskii, Systems with Hysteresis, 1989"
@@ -38,5 +40,5 @@ class ContactMap(Effect):
 
     @classmethod
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:
-        """None: it is learned where the effects with a name leave more than noise, see :mod:`hiltestbed.diagnosis.learned`."""
+        """None: it is learned where the named effects leave a residual above the noise floor, see :mod:`hiltestbed.diagnosis.learned`."""
         return iter(())

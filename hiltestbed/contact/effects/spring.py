@@ -1,4 +1,4 @@
-"""The elastic force is not the one believed."""
+"""The elastic force differs from the nominal one."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from hiltestbed.plugins import register
 if TYPE_CHECKING:
     from hiltestbed.contact.parameters import ContactParameters
 
-LITTLE = 0.01  # of the stiffness believed: what may be left of the spring of a captured mechanism beside a friction that was taken for it
+LITTLE = 0.01  # of the nominal stiffness: lower bound in a captured mechanism, where friction may have been identified as stiffness
 
 
 @register
 class ContactStiffness(Effect):
-    """The contact spring is stiffer or softer than believed."""
+    """The contact stiffness differs from the nominal stiffness."""
 
     kind: Literal["contact.stiffness"] = "contact.stiffness"
-    factor: float = quantity("-", "True stiffness over the one believed", gt=0.0, search=(0.3, 3.0), ratio=True)
+    factor: float = quantity("-", "True stiffness over nominal stiffness", gt=0.0, search=(0.3, 3.0), ratio=True)
     link = "contact"
     equation = "k -> factor k"
     reference = "Hooke"
@@ -39,7 +39,7 @@ class ContactStiffness(Effect):
 
 @register
 class ContactPowerLaw(Effect):
-    """The elastic force follows a power of the penetration, whatever spring is fitted."""
+    """The elastic force is a power of the penetration, in place of the linear spring."""
 
     kind: Literal["contact.power_law"] = "contact.power_law"
     exponent: float = quantity("-", "Exponent n of the penetration", gt=0.0, le=5.0, search=(1.02, 2.5))
@@ -69,10 +69,10 @@ class ContactPowerLaw(Effect):
 
 @register
 class ContactHardStop(Effect):
-    """A second spring past a position."""
+    """A second spring acts beyond a given penetration."""
 
     kind: Literal["contact.hard_stop"] = "contact.hard_stop"
-    position: float = quantity("m", "Penetration at which the stop is met", ge=0.0, search=(0.0, 0.05))
+    position: float = quantity("m", "Penetration at which the stop engages", ge=0.0, search=(0.0, 0.05))
     stiffness: float = quantity("N/m", "Stiffness of the stop", gt=0.0, search=(1e3, 1e8), ratio=True)
     link = "contact"
     equation = "F += stiffness (x - position) while x > position"
@@ -94,7 +94,7 @@ class ContactHardStop(Effect):
 
 @register
 class ContactPreload(Effect):
-    """A force step at touch that does not depend on the speed."""
+    """A force step at touch, independent of the speed."""
 
     kind: Literal["contact.preload"] = "contact.preload"
     force: float = quantity("N", "Force of the preload", ge=0.0, search=(0.0, 300.0))

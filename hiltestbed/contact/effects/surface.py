@@ -1,4 +1,4 @@
-"""Where and how the surfaces touch: friction, adhesion, place of the touch, play, tilt."""
+"""Where and how the surfaces touch: friction, adhesion, touch offset, backlash, misalignment."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario
 
 Tilt = Annotated[tuple[Annotated[float, Field(ge=-45.0, le=45.0)], ...], Strict(False), Field(min_length=2, max_length=2)]
-LEVERS = ({}, {"lever": 0.0}, {"lever": 1.0})  # where the force acts, between the undeformed surface (0) and the tip (1)
+LEVERS = ({}, {"lever": 0.0}, {"lever": 1.0})  # point of application of the force, from the undeformed surface (0) to the tip (1)
 
 
 @register
 class ContactSurfaceFriction(Effect):
-    """The tangential friction coefficient is not the one believed."""
+    """The coefficient of friction between the surfaces differs from the nominal one."""
 
     kind: Literal["contact.surface_friction"] = "contact.surface_friction"
     coefficient: float = quantity("-", "True coefficient of friction", ge=0.0, le=10.0, search=(0.0, 1.0))
@@ -45,10 +45,10 @@ class ContactSurfaceFriction(Effect):
 
 @register
 class ContactAdhesion(Effect):
-    """The contact pulls at separation."""
+    """Adhesion: the surfaces pull on each other as they separate."""
 
     kind: Literal["contact.adhesion"] = "contact.adhesion"
-    force: float = quantity("N", "Largest pull", ge=0.0, search=(0.0, 300.0))
+    force: float = quantity("N", "Largest pulling force", ge=0.0, search=(0.0, 300.0))
     link = "contact"
     equation = "F may fall to -force while x > 0"
     reference = "magnet or latch pull"
@@ -61,7 +61,7 @@ class ContactAdhesion(Effect):
 
     def unfit(self, scenario: Scenario) -> str | None:
         if scenario.mechanism.captured:
-            return f"acts where a contact ends, and a mechanism that is {scenario.mechanism.kind} never parts; allowed: take it out"
+            return f"acts where a contact ends, and a mechanism of kind {scenario.mechanism.kind} never separates; take it out"
         return None
 
     @classmethod
@@ -73,13 +73,13 @@ class ContactAdhesion(Effect):
 
 @register
 class ContactTouchOffset(Effect):
-    """The mechanisms touch later (or earlier) than believed."""
+    """The mechanisms touch at a larger (or smaller) insertion than in the nominal rig."""
 
     kind: Literal["contact.touch_offset"] = "contact.touch_offset"
-    offset: float = quantity("m", "Penetration by which it touches later; negative: earlier", search=(-2e-3, 2e-3))
+    offset: float = quantity("m", "Distance along the insertion by which the touch comes later; negative: earlier", search=(-2e-3, 2e-3))
     link = "contact"
     equation = "x = pz - offset"
-    reference = "place of the surface"
+    reference = "position of the surface"
     resembles = ("contact.preload", "platform.scale")
     repeats = True
     leading = "offset"
@@ -95,13 +95,13 @@ class ContactTouchOffset(Effect):
 
 @register
 class ContactBacklash(Effect):
-    """Play in a captured mechanism: no force within it."""
+    """Backlash in a captured mechanism: no elastic force within the play."""
 
     kind: Literal["contact.backlash"] = "contact.backlash"
-    width: float = quantity("m", "Whole play", ge=0.0, search=(0.0, 5e-3))
+    width: float = quantity("m", "Total play, from stop to stop", ge=0.0, search=(0.0, 5e-3))
     link = "contact"
-    equation = "x = pz outside +-width/2 less the half play, 0 within; friction that gives before it slips carries its play along"
-    reference = "play of a joint"
+    equation = "x = pz - (width/2) sgn(pz) where |pz| > width/2, else 0; with elastic dry friction the play moves along with the slider"
+    reference = "backlash of a joint"
     resembles = ("platform.backlash",)
     repeats = True
     leading = "width"
@@ -111,7 +111,7 @@ class ContactBacklash(Effect):
 
     def unfit(self, scenario: Scenario) -> str | None:
         if not (scenario.mechanism.captured or scenario.mechanism.latch):
-            return f"is play of a latched mechanism (got {scenario.mechanism.kind!r} without a latch); allowed: kind latched, or a latch"
+            return f"needs a latched mechanism (got {scenario.mechanism.kind!r} without a latch); allowed: kind latched, or a latch"
         return None
 
     @classmethod
@@ -123,7 +123,7 @@ class ContactBacklash(Effect):
 
 @register
 class ContactMisalignment(Effect):
-    """The passive port is tilted: the contact force tilts with it."""
+    """The passive port is tilted, and the contact force with it."""
 
     kind: Literal["contact.misalignment"] = "contact.misalignment"
     angles_deg: Tilt = quantity("deg", "Tilt of the port about x and about y", search=(-8.0, 8.0))

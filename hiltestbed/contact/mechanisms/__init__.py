@@ -1,1 +1,1 @@
-"""The mechanisms that ship, one a module."""
+"""The shipped mechanisms, one per module."""

@@ -1,4 +1,4 @@
-"""A ball that meets a plate."""
+"""A ball that touches a plate."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from hiltestbed.plugins import register
 
 @register
 class Bumper(Mechanism):
-    """A flat bumper: a ball on the active side meets a plate on the passive one."""
+    """A flat bumper: a ball on the active side touches a plate on the passive side."""
 
     kind: Literal["bumper"] = "bumper"
     flat: ClassVar[bool] = True
@@ -24,7 +24,7 @@ class Bumper(Mechanism):
 
 @register
 class Latched(Mechanism):
-    """A pair that is captured from the start: six springs and dampers hold A in P, they pull as well as push."""
+    """A mechanism captured from the start: springs and dampers on all six axes hold A at P, in tension as well as compression."""
 
     kind: Literal["latched"] = "latched"
     captured: ClassVar[bool] = True

@@ -10,7 +10,7 @@ from hiltestbed.plugins import register
 
 @register
 class MarmanGripper(Described):
-    """Three jaws that close on the interface ring of a launch adapter, as in servicing."""
+    """A gripper whose three jaws close on the interface ring of a launch adapter, as in satellite servicing."""
 
     kind: Literal["marman_gripper"] = "marman_gripper"
     folder: ClassVar[str] = "marman_gripper"

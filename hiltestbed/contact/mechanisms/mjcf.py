@@ -1,4 +1,4 @@
-"""The user's own mechanism, in two MJCF files."""
+"""The user's own mechanism, given as two MJCF files."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ from hiltestbed.validation import ModelFile
 
 @register
 class Mjcf(Described):
-    """The user's own mechanism: two MJCF files with the sites A and P, geoms of any kind, and parts that move.
+    """The user's own mechanism: two MJCF files with the sites A and P, geoms of any kind, and moving parts.
 
-    Without ``pairs`` a geom touches where its contype and conaffinity are not both 0, all of them with the stiffness of ``contact``.
+    Without ``pairs`` every geom whose contype and conaffinity are not both 0 may touch, with the stiffness of ``contact``.
     """
 
     kind: Literal["mjcf"] = "mjcf"
     active: ModelFile = Field(description="MJCF of the active side, with the site A, its +z along the insertion")
     passive: ModelFile = Field(description="MJCF of the passive side, with the site P, its +z along the insertion")
     pairs: Annotated[tuple[Touching, ...], Field(strict=False)] = Field(
-        default=(), description="Classes of pairs of geoms that may touch, each with its stiffness, damping and friction"
+        default=(), description="Classes of geom pairs that may touch, each with its stiffness, damping and friction"
     )
-    capture: Annotated[tuple[Phase, ...], Field(strict=False)] = Field(default=(), description="Phases of capture, in their order")
+    capture: Annotated[tuple[Phase, ...], Field(strict=False)] = Field(default=(), description="Phases of capture, in order")
 
     @model_validator(mode="before")
     @classmethod

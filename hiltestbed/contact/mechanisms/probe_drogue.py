@@ -1,4 +1,4 @@
-"""A latching head on a sprung rod, and the drogue that it slides into."""
+"""A probe with a latching head on a sprung rod, and the drogue that receives it."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from hiltestbed.plugins import register
 
 @register
 class ProbeDrogue(Described):
-    """A head on a rod that gives way, and a drogue in whose socket its latches catch; the rod is then drawn in."""
+    """A probe whose head is on a compliant rod, and a drogue in whose socket the head's latches catch; the rod is then retracted."""
 
     kind: Literal["probe_drogue"] = "probe_drogue"
     folder: ClassVar[str] = "probe_drogue"

@@ -1,4 +1,4 @@
-"""Surfaces that a ball or a rod touches: the nearest point, its signed distance and normal, exact or to the mesh's triangles."""
+"""Surfaces for contact with a ball or rod: nearest point, signed distance and normal, exact or to the mesh's triangles."""
 
 from hiltestbed.contact.surfaces.revolution import Revolution, recognise
 from hiltestbed.contact.surfaces.soundness import Finding, examine

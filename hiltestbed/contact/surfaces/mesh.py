@@ -1,8 +1,8 @@
-"""Distance from a closed triangle mesh: nearest triangle by a tree of boxes, sign by pseudo-normals.
+"""Distance from a closed triangle mesh: nearest triangle by a bounding-volume tree of oriented boxes, sign by pseudo-normals.
 
 The sign at an edge or a corner is that of the angle-weighted pseudo-normal: J. A. Baerentzen, H. Aanaes, "Signed distance
 computation using the angle weighted pseudonormal", IEEE TVCG 11(3), 2005. Nearest point of a triangle by regions: C. Ericson,
-"Real-Time Collision Detection", 2005, 5.1.5. The normal given is that of the distance, from the nearest point to the query point.
+"Real-Time Collision Detection", 2005, 5.1.5. The returned normal is along the distance, from the nearest point to the query point.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from hiltestbed.contact.surfaces.soundness import welded
 from hiltestbed.frames import Array
 from hiltestbed.jit import njit
 
-LEAF = 2  # triangles in a leaf: one of them takes as long as seven boxes
-DEEPEST = 64  # of the tree: 2^64 leaves
+LEAF = 2  # triangles per leaf: testing one takes as long as testing seven boxes
+DEEPEST = 64  # depth of the stack that traverses the tree
 
 
 class Tree(NamedTuple):
@@ -26,9 +26,9 @@ class Tree(NamedTuple):
 
     Attributes:
         corners: (nf, 3, 3) [m]. normals: (nf, 7, 3) of the face, its edges (01, 12, 20) and its corners.
-        boxes: (nn, 15) centre, axes (rows of a rotation) and half sizes of the box round a node, along the principal axes of what is
-            in it: long thin triangles, as a turned mesh has them, would fill boxes along the frame's axes with air.
-        links: (nn, 2) both children; of a leaf -1 - its first triangle, and their number.
+        boxes: (nn, 15) centre, axes (rows of a rotation) and half sizes of the box around a node, along the principal axes of its
+            triangles: axis-aligned boxes would fit the long thin triangles of a mesh of revolution badly.
+        links: (nn, 2) both children; for a leaf -1 minus the index of its first triangle, and their number.
     """
 
     corners: Array
@@ -38,12 +38,12 @@ class Tree(NamedTuple):
 
 
 def no_tree() -> Tree:
-    """In the place of a tree where there is no mesh."""
+    """An empty tree, for surfaces that are not a mesh."""
     return Tree(np.empty((0, 3, 3)), np.empty((0, 7, 3)), np.empty((0, 15)), np.empty((0, 2), dtype=np.int64))
 
 
 def plant(vertices: Array, faces: NDArray[np.int_]) -> Tree:
-    """The tree of the mesh with ``vertices`` (nv, 3) [m] and ``faces`` (nf, 3); triangles without area are left out."""
+    """The tree of the mesh with ``vertices`` (nv, 3) [m] and ``faces`` (nf, 3), without triangles of zero area."""
     vertices, faces = welded(np.asarray(vertices, dtype=float), np.asarray(faces, dtype=int))
     corners = vertices[faces]
     normals = _pseudo_normals(corners, faces, len(vertices))
@@ -69,7 +69,7 @@ def _pseudo_normals(corners: Array, faces: NDArray[np.int_], count: int) -> Arra
 
 @njit(cache=True)
 def _split(corners):
-    """Order of the triangles, boxes and links of a tree that halves at the median along the longest side of each box."""
+    """Order of the triangles, boxes and links of a tree that splits at the median along the axis of largest spread."""
     count = len(corners)
     order = np.arange(count)
     boxes, links = np.empty((2 * count, 15)), np.empty((2 * count, 2), dtype=np.int64)
@@ -98,7 +98,7 @@ def _split(corners):
 
 @njit(cache=True)
 def _along_longest(corners, here, box):
-    """Places of the triangles' centres along the axis of the box on which they are spread most."""
+    """Positions of the triangles' centres along the box axis with the largest spread."""
     spread = np.empty((3, len(here)))
     for k in range(len(here)):
         for i in range(3):
@@ -115,7 +115,7 @@ def _along_longest(corners, here, box):
 
 @njit(cache=True)
 def _box_round(corners, here, box):
-    """Write the box round the triangles ``here``, along their principal axes."""
+    """Write the box around the triangles ``here``, along their principal axes."""
     mean, moments = np.zeros(3), np.zeros((3, 3))
     for k in here:
         for c in range(3):
@@ -145,8 +145,8 @@ def _box_round(corners, here, box):
 def mesh_distance(tree, point, reach, normal):
     """Distance [m] of ``point`` (3,) from the mesh, negative inside; ``normal`` (3,) becomes the outward normal.
 
-    Where the mesh is farther than ``reach`` on either side, a bound from below of the distance is returned, not less than ``reach``,
-    and no normal: on the axis of a cone all triangles of a band are as near, and to visit them all takes its time.
+    If the mesh is farther than ``reach`` on either side, a lower bound of the distance, at least ``reach``, is returned, without a normal:
+    on the axis of a cone all triangles of a band are equally near, and visiting them all would be slow.
     """
     best2, face, feature = reach * reach, -1, 0
     passed2 = math.inf
@@ -207,9 +207,9 @@ def _from_box(box, p):
 
 @njit(cache=True)
 def mesh_beyond(tree, start, end, reach):
-    """A bound from below of the distance [m] of a segment from ``start`` (3,) to ``end`` (3,); -inf where it may be nearer than ``reach``.
+    """A lower bound of the distance [m] of a segment from ``start`` (3,) to ``end`` (3,); -inf if it may be nearer than ``reach``.
 
-    Taken from the boxes, not from the triangles. On which side of the mesh the segment is, is not asked.
+    It is computed from the boxes, not from the triangles, and does not distinguish the inside from the outside of the mesh.
     """
     bound = math.inf
     half = 0.5 * math.sqrt((end[0] - start[0]) ** 2 + (end[1] - start[1]) ** 2 + (end[2] - start[2]) ** 2)
@@ -231,8 +231,8 @@ def mesh_beyond(tree, start, end, reach):
 
 @njit(cache=True)
 def _segment_from_box(box, start, end, half):
-    """A bound from below of the distance [m] of a segment of length 2 ``half`` from a box: between their shadows on the axes of the box,
-    and between the balls round the box and round the segment."""
+    """A lower bound of the distance [m] of a segment of length 2 ``half`` from a box: between their projections on the axes of the box,
+    and between the bounding spheres of box and segment."""
     gaps2, away2, size2 = 0.0, 0.0, 0.0
     for i in range(3):
         a = b = 0.0

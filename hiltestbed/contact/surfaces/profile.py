@@ -1,7 +1,7 @@
 """Distance from a surface of revolution, exact in azimuth and along its profile.
 
 The profile lies in the half plane (rho, z) about the axis: straight segments and circular arcs, each with its outward normal. The
-nearest point of a surface of revolution lies in the half plane of the query point, so a distance in three dimensions is one in two.
+nearest point of a surface of revolution lies in the half plane of the query point, which reduces the distance to two dimensions.
 At a corner the sign comes from the sum of the adjacent outward normals (the pseudo-normal of Baerentzen and Aanaes, IEEE TVCG 11(3),
 2005, in the plane).
 
@@ -20,22 +20,22 @@ from hiltestbed.frames import Array
 from hiltestbed.jit import njit
 
 SEGMENT, ARC = 0.0, 1.0
-# Columns of an element: kind; its two ends; of a segment the direction, the outward normal and the length, of an arc the centre, the
-# direction from the centre to its middle, radius, cosine of half the sweep and +1 where the outward normal points away from the
+# Columns of an element: kind; its two ends; for a segment the direction, the outward normal and the length; for an arc the centre, the
+# direction from the centre to its middle, radius, cosine of half the sweep, and +1 if the outward normal points away from the
 # centre, else -1; the pseudo-normals at both ends.
 KIND, A, B, U, V, SIZE, COS_HALF, SIDE, NORMAL_A, NORMAL_B = 0, 1, 3, 5, 7, 9, 10, 11, 12, 14
 COLUMNS = 16
-TURNED = 100  # number of this kind of surface beside MuJoCo's
-SAMPLES = 12  # of a rod at most, to tell that it is apart
-TOUCHING = 1e-13  # of the distance at which a direction to a corner has no meaning, [m]
+TURNED = 100  # number of this kind of surface, distinct from MuJoCo's geom types
+SAMPLES = 12  # largest number of samples along a rod to show that it does not touch
+TOUCHING = 1e-13  # [m] distance below which the direction to a corner is undefined
 
 
 @dataclass(frozen=True)
 class Element:
-    """A piece of a profile from ``a`` to ``b``, (rho, z) [m], the outward side on the left of its direction.
+    """An element of a profile from ``a`` to ``b``, (rho, z) [m], with the outward side on the left of its direction.
 
     Attributes:
-        centre: of an arc, or None for a straight piece. clockwise: the sense in which the arc is run through.
+        centre: of an arc; None: a straight segment. clockwise: sense of the arc.
     """
 
     a: tuple[float, float]
@@ -47,7 +47,7 @@ class Element:
 def compile_profile(loops: list[list[Element]], origin: Array, axis: Array) -> Array:
     """``(1 + m, COLUMNS)`` profile of chains of elements about the ``axis`` (3,) through ``origin`` (3,) [m].
 
-    In a chain each element begins where the one before it ends; a chain whose last end is its first start is closed.
+    In a chain each element begins where the previous one ends; a chain that ends at its start is closed.
     """
     rows = [_head(origin, axis)]
     for loop in loops:
@@ -106,7 +106,7 @@ def _join(loop: list[Element], rows: list[Array]) -> None:
 
 
 def profile_bounds(profile: Array) -> tuple[Array, float]:
-    """Centre (3,) and radius [m] of a ball that holds the surface of revolution."""
+    """Centre (3,) and radius [m] of a bounding sphere of the surface of revolution."""
     rows = profile[1:]
     ends = np.concatenate([rows[:, A : A + 2], rows[:, B : B + 2]])
     middle = 0.5 * (ends[:, 1].min() + ends[:, 1].max())
@@ -137,11 +137,11 @@ def profile_distance(profile, point, normal):
 
 @njit(cache=True, inline="always")
 def between(first, second, length):
-    """The least that the distance can be on a stretch of a ``length`` [m] at whose ends it is ``first`` and ``second`` [m].
+    """Lower bound of the distance on an interval of ``length`` [m] at whose ends it is ``first`` and ``second`` [m].
 
-    The distance changes no faster than the place (Piyavskii, USSR Comput. Math. 12(4), 1972): it is no less than the mean of both less
-    half of the length. Outside, the surface is in neither of the balls round both ends: it comes no nearer to what is between them than
-    the circle in which the balls cut each other.
+    The distance is Lipschitz continuous with constant 1 (Piyavskii, USSR Comput. Math. 12(4), 1972): it is at least the mean of both less
+    half the length. Outside, no point of the surface is within the balls around the ends with these radii, so that its distance from the
+    interval is at least the radius of the circle in which the balls intersect.
     """
     least = 0.5 * (first + second - length)
     if first > 0.0 and second > 0.0 and length < first + second:
@@ -157,9 +157,9 @@ def between(first, second, length):
 
 @njit(cache=True)
 def beyond(profile, start, end, reach):
-    """A bound from below of the distance [m] of a segment from ``start`` (3,) to ``end`` (3,); less than ``reach`` where it is nearer.
+    """A lower bound of the distance [m] of a segment from ``start`` (3,) to ``end`` (3,); less than ``reach`` if it may be nearer.
 
-    In the half plane of a point the segment is a hyperbola: rho^2 of it is quadratic.
+    In the half plane (rho, z) the segment is a hyperbola: rho^2 is quadratic along it.
     """
     head = profile[0]
     hx, hy, hz = head[3], head[4], head[5]
@@ -211,7 +211,7 @@ def _in_plane(profile, rho, z):
                     best, distance = abs(d), d
                     if away > TOUCHING:
                         nr, nz = profile[i, SIDE] * dr / away, profile[i, SIDE] * dz / away
-                    else:  # at the centre of an arc every direction is as near
+                    else:  # at the centre of an arc all its points are equally near
                         nr, nz = profile[i, SIDE] * profile[i, V], profile[i, SIDE] * profile[i, V + 1]
                 continue
             first = (rho - profile[i, A]) ** 2 + (z - profile[i, A + 1]) ** 2 <= (rho - profile[i, B]) ** 2 + (z - profile[i, B + 1]) ** 2

@@ -1,8 +1,8 @@
-"""Recognises a triangle mesh that was turned about an axis, and recovers the profile that it was turned from.
+"""Recognises a triangle mesh of a surface of revolution, and recovers its profile.
 
-A turned mesh has its vertices on rings about the axis, and every triangle spans two neighbouring rings (or one ring and the axis).
-Vertices on one ring share (rho, z); the triangles say which rings are neighbours; so the profile's polyline follows without a
-guess. Its points lie on the curve that the mesh was made from: collinear runs become one segment, runs on a circle one arc.
+The vertices of such a mesh lie on rings about the axis, and every triangle spans two neighbouring rings (or one ring and the axis).
+Vertices on one ring share (rho, z), and the triangles determine which rings are neighbours, so the profile's polyline follows
+uniquely. Its points lie on the curve from which the mesh was made: collinear points become one segment, points on a circle one arc.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from hiltestbed.frames import Array
 
 Faces = NDArray[np.int_]
 TOLERANCE = 2e-6  # of the mesh's size: float32 vertices, or text with six decimals of a metre
-FEWEST_SEGMENTS = 24  # a mesh with fewer to the turn is taken for the polyhedron that it is
-SHARPEST_TURN = math.radians(31.0)  # between two edges on one arc: an octagon is no circle, a quarter turn in three edges is an arc
-FEWEST_ON_ARC = 4  # points; three lie on a circle always
+FEWEST_SEGMENTS = 24  # per revolution; a mesh with fewer is treated as a polyhedron
+SHARPEST_TURN = math.radians(31.0)  # largest angle between two edges of one arc: excludes an octagon, admits a quarter turn in three edges
+FEWEST_ON_ARC = 4  # points; three always lie on a circle
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class Revolution:
         profile: for :func:`hiltestbed.contact.surfaces.profile.profile_distance`, in the frame of the mesh.
         loops: the chains of elements of the profile, in (rho, z).
         origin, axis: (3,) a point on the axis [m] and its direction, in the frame of the mesh.
-        segments: to the turn, of the mesh. closed: it bounds a solid. deviation: of a vertex from the profile, at most [m].
+        segments: of the mesh per revolution. closed: whether it bounds a solid. deviation: largest, of a vertex from the profile [m].
     """
 
     profile: Array
@@ -44,9 +44,9 @@ class Revolution:
 
 
 def recognise(vertices: Array, faces: Faces, tolerance: float = TOLERANCE) -> Revolution | None:
-    """The surface of revolution whose mesh has the ``vertices`` (nv, 3) [m] and ``faces`` (nf, 3); None where it is no such mesh.
+    """The surface of revolution whose mesh has the ``vertices`` (nv, 3) [m] and ``faces`` (nf, 3); None if it is not such a mesh.
 
-    ``tolerance`` is of the size of the mesh, the largest extent of its box. The outside is where the triangles' normals point.
+    ``tolerance`` is relative to the largest extent of the mesh's bounding box. The triangles' normals point outwards.
     """
     vertices, faces = np.asarray(vertices, dtype=float), np.asarray(faces, dtype=int)
     if len(faces) < FEWEST_SEGMENTS:
@@ -60,7 +60,7 @@ def recognise(vertices: Array, faces: Faces, tolerance: float = TOLERANCE) -> Re
 
 
 def _axes(vertices: Array, faces: Faces) -> list[tuple[Array, Array]]:
-    """Axes through the centroid of the surface: its principal axes and those of its frame, and the frame's own through its origin."""
+    """Candidate axes: those of the frame through its origin, and those of the frame and the principal axes through the centroid."""
     corners = vertices[faces]
     area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     if area.sum() <= 0.0:
@@ -100,7 +100,7 @@ def _about(vertices: Array, faces: Faces, origin: Array, axis: Array, tolerance:
 
 
 def _group(rho: Array, z: Array, tolerance: float) -> tuple[NDArray[np.int_] | None, Array]:
-    """The ring (nv,) of each vertex and (rho, z) of the rings; None where there are too many rings for a turned mesh."""
+    """The ring (nv,) of each vertex and (rho, z) of the rings; None if there are too many rings for a mesh of revolution."""
     ring = np.full(len(rho), -1, dtype=int)
     rings: list[tuple[float, float]] = []
     order = np.lexsort((rho, z))
@@ -119,7 +119,7 @@ def _group(rho: Array, z: Array, tolerance: float) -> tuple[NDArray[np.int_] | N
 
 
 def _edges(faces: Faces, ring: NDArray[np.int_], rings: Array, azimuth: Array, tolerance: float) -> list[tuple[int, int]] | None:
-    """The profile's edges (a, b), outward side on the left; None where the triangles do not go round once between each two rings."""
+    """The profile's edges (a, b), outward side on the left; None if the triangles between two rings do not go round exactly once."""
     turned: dict[tuple[int, int], list[float]] = {}
     on_axis = rings[:, 0] == 0.0
     for face in faces:
@@ -147,7 +147,7 @@ def _edges(faces: Faces, ring: NDArray[np.int_], rings: Array, azimuth: Array, t
 
 
 def _chains(edges: list[tuple[int, int]]) -> list[list[int]] | None:
-    """Rings in their order along each chain, the first repeated at the end of a closed one; None where edges meet otherwise."""
+    """Rings in order along each chain, the first repeated at the end of a closed chain; None if the edges form no simple chains."""
     after = dict(edges)
     if len(after) != len(edges) or len(set(after.values())) != len(edges):
         return None
@@ -164,7 +164,7 @@ def _chains(edges: list[tuple[int, int]]) -> list[list[int]] | None:
 
 
 def _fit(points: Array, tolerance: float) -> list[Element]:
-    """Segments and arcs through the polyline ``points`` (n, 2); a closed one has its first point at its end again."""
+    """Segments and arcs through the polyline ``points`` (n, 2); a closed polyline ends with its first point."""
     closed = bool(np.all(points[0] == points[-1]))
     if closed:
         points = _from_a_corner(points, tolerance)
@@ -180,7 +180,7 @@ def _fit(points: Array, tolerance: float) -> list[Element]:
 
 
 def _from_a_corner(points: Array, tolerance: float) -> Array:
-    """The closed polyline begun where no line or arc runs through, if there is such a place."""
+    """The closed polyline, started at a corner between elements if there is one."""
     ring = points[:-1]
     for i in range(len(ring)):
         turned = np.roll(ring, -i, axis=0)
@@ -219,9 +219,9 @@ def _longest_arc(points: Array, start: int, tolerance: float) -> tuple[int, Arra
 
 
 def _circle(points: Array, tolerance: float) -> Array | None:
-    """Centre and radius (3,) of the circle through all the points, run through in one sense; None where there is none.
+    """Centre and radius (3,) of the circle through all the points, in one sense of rotation; None if there is none.
 
-    A start from the algebraic fit (Kasa), then Gauss-Newton on the distances; a centre that is as good as on the axis is put there.
+    Starts from the algebraic fit (Kasa), then Gauss-Newton on the distances; a centre within the tolerance of the axis is put on it.
     """
     edges = np.diff(points, axis=0)
     turns = np.arctan2(edges[:-1, 0] * edges[1:, 1] - edges[:-1, 1] * edges[1:, 0], np.einsum("ij,ij->i", edges[:-1], edges[1:]))
@@ -263,7 +263,7 @@ def _element(a: Array, b: Array, circle: Array | None, second: Array) -> Element
 
 
 def _deviation(loops: list[list[Element]], chains: list[list[int]], rings: Array) -> float:
-    """Of a ring from the elements of its chain, at most [m]."""
+    """Largest distance [m] of a ring from the elements of its chain."""
     worst = 0.0
     for loop, chain in zip(loops, chains, strict=True):
         for p in rings[chain]:

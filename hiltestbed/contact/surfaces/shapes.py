@@ -1,7 +1,7 @@
 """Distance from the analytic geoms of MuJoCo, in the geom's frame and with MuJoCo's sizes.
 
-plane: z <= 0 is inside, without end. sphere: (radius). capsule, cylinder: (radius, half length) along z. box: half sizes. ellipsoid:
-semi-axes. Box and cylinder after the usual decomposition in faces, edges and corners; ellipsoid after D. Eberly, "Distance from a
+plane: z <= 0 is inside, unbounded. sphere: (radius). capsule, cylinder: (radius, half length) along z. box: half sizes. ellipsoid:
+semi-axes. Box and cylinder by the usual decomposition into faces, edges and corners; ellipsoid after D. Eberly, "Distance from a
 Point to an Ellipse, an Ellipsoid, or a Hyperellipsoid", 2013, with Newton's method in place of bisection.
 """
 
@@ -27,7 +27,7 @@ KINDS = (PLANE, SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX)
 def shape_distance(kind, sizes, point, normal):
     """Distance [m] of ``point`` (3,) from the surface, negative inside; ``normal`` (3,) becomes the outward normal.
 
-    Where several points of the surface are as near (the centre of a sphere), one of them is taken.
+    If several points of the surface are equally near (as from the centre of a sphere), one of them is taken.
     """
     if kind == SPHERE:
         return _ball(point[0], point[1], point[2], sizes[0], normal)
@@ -105,7 +105,7 @@ def _ellipsoid(sizes, point, normal):
         x = a2 * point[i] / (t + a2) if t + a2 > 0.0 else 0.0
         apart += (x / sizes[i]) ** 2
         normal[i] = x
-    if 1.0 - apart > 1e-12:  # inside, on the medial surface of the shortest axis: up or down is as near
+    if 1.0 - apart > 1e-12:  # inside, on the medial surface of the shortest axis: both directions are equally near
         normal[least] += math.copysign(sizes[least] * math.sqrt(1.0 - apart), point[least])
     length, distance = 0.0, 0.0
     for i in range(3):
@@ -140,5 +140,5 @@ def _multiplier(sizes, point, t):
 
 
 def sized(kind: int, sizes: np.ndarray) -> np.ndarray:
-    """The sizes (3,) of a geom as they are wanted here: a plane's extent is for drawing only."""
+    """The sizes (3,) of a geom for the distance: zero for a plane, whose size in MuJoCo is only for drawing."""
     return np.zeros(3) if kind == PLANE else np.array(sizes, dtype=float)

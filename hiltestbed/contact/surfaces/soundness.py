@@ -1,4 +1,4 @@
-"""What is wrong with a triangle mesh that is to be touched."""
+"""Faults of a triangle mesh that is used for contact."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ from numpy.typing import NDArray
 
 from hiltestbed.frames import Array
 
-MOST_TRIANGLES = 200_000  # three seconds to prepare
+MOST_TRIANGLES = 200_000  # takes three seconds to prepare
 FEWEST_TRIANGLES = 4
-FLAT = 1e-10  # of the longest edge squared: an area that is none
-SAME_PLACE = 1e-7  # of the mesh's size: vertices nearer than that are one
+FLAT = 1e-10  # of the longest edge squared: a smaller area counts as zero
+SAME_PLACE = 1e-7  # of the mesh's size: vertices closer than that are merged
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that is wrong with a mesh.
+    """One fault of a mesh.
 
     Attributes:
         kind: too_large | too_small | not_finite | flat | open | branched | crossed | inverted.
-        count: of the triangles, edges or vertices concerned. message: what it is and what to do. usable: distances hold all the same.
+        count: of the triangles, edges or vertices concerned. message: the fault and its remedy. usable: whether distances are still valid.
     """
 
     kind: str
@@ -31,7 +31,7 @@ class Finding:
 
 
 def welded(vertices: Array, faces: NDArray[np.int_]) -> tuple[Array, NDArray[np.int_]]:
-    """The mesh with vertices at one place made one, without its flat triangles."""
+    """The mesh with coincident vertices merged, without triangles of zero area."""
     size = float(np.ptp(vertices, axis=0).max()) or 1.0
     _, first, number = np.unique(np.round(vertices / (SAME_PLACE * size)).astype(np.int64), axis=0, return_index=True, return_inverse=True)
     vertices, faces = vertices[first], number.reshape(-1)[faces]
@@ -46,13 +46,13 @@ def _flat(vertices: Array, faces: NDArray[np.int_]) -> NDArray[np.bool_]:
 
 
 def volume(vertices: Array, faces: NDArray[np.int_]) -> float:
-    """Signed volume [m^3] inside a closed mesh: positive where the normals point outwards."""
+    """Signed volume [m^3] of a closed mesh: positive if the normals point outwards."""
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     return float(np.einsum("fi,fi->", a, np.cross(b, c))) / 6.0
 
 
 def examine(vertices: Array, faces: NDArray[np.int_]) -> list[Finding]:
-    """All that is wrong with the mesh of ``vertices`` (nv, 3) [m] and ``faces`` (nf, 3); empty for a sound closed one."""
+    """All faults of the mesh with ``vertices`` (nv, 3) [m] and ``faces`` (nf, 3); empty for a valid closed mesh."""
     vertices, faces = np.asarray(vertices, dtype=float), np.asarray(faces, dtype=int)
     if len(faces) > MOST_TRIANGLES:
         what = f"{len(faces)} triangles; at most {MOST_TRIANGLES} are taken: simplify the mesh, or split it into geoms"
@@ -79,19 +79,19 @@ def _edges(faces: NDArray[np.int_]) -> list[Finding]:
     forward = np.bincount(number.reshape(-1), weights=directed[:, 0] < directed[:, 1], minlength=len(count))
     findings = []
     if n := int((count == 1).sum()):
-        what = f"{n} edges belong to one triangle only: the mesh is not closed, so inside and outside are not told apart; close it"
+        what = f"{n} edges belong to one triangle only: the mesh is not closed, so inside and outside are undefined; close it"
         findings.append(Finding("open", n, what, usable=False))
     if n := int((count > 2).sum()):
         what = f"{n} edges belong to more than two triangles: surfaces branch there; make the mesh one boundary of one solid"
         findings.append(Finding("branched", n, what, usable=False))
     if n := int(((count == 2) & (forward != 1.0)).sum()):
-        what = f"{n} edges lie between triangles of opposite orientation; turn the inverted faces over"
+        what = f"{n} edges lie between triangles of opposite orientation; flip the inverted faces"
         findings.append(Finding("crossed", n, what, usable=False))
     return findings
 
 
 def _orientation(vertices: Array, faces: NDArray[np.int_]) -> list[Finding]:
     if volume(vertices - vertices.mean(axis=0), faces) < 0.0:
-        what = "the normals of all faces point inwards: the volume inside is negative; turn the faces over"
+        what = "the normals of all faces point inwards: the enclosed volume is negative; flip the faces"
         return [Finding("inverted", len(faces), what, usable=False)]
     return []

@@ -1,4 +1,4 @@
-"""One surface of any kind, and what touches it: a ball's centre, or the axis of a rod."""
+"""A surface of any kind, and its distance from a point (a ball's centre) or a segment (the axis of a rod)."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from hiltestbed.contact.surfaces.soundness import Finding, examine
 from hiltestbed.frames import Array
 from hiltestbed.jit import njit
 
-MESH = 7  # beside the kinds of :mod:`shapes`, which are MuJoCo's
-HALVINGS = 5  # of a segment, at which ends a minimum is looked for
+MESH = 7  # number of this kind of surface, in addition to those of :mod:`shapes`, as in MuJoCo
+HALVINGS = 5  # largest number of times that a segment is halved in the search for minima
 PARTS = 2**HALVINGS
 
 
@@ -37,7 +37,7 @@ def of_geom(kind: int, sizes: Array) -> Surface:
 
 
 def of_mesh(vertices: Array, faces: NDArray[np.int_]) -> tuple[Surface | None, list[Finding]]:
-    """The surface of a mesh, exact where it was turned about an axis, and what is wrong with it; None where it cannot be touched."""
+    """The surface of a mesh, exact for a mesh of revolution, and its faults; None if the mesh is not usable."""
     findings = examine(vertices, faces)
     if not all(f.usable for f in findings):
         return None, findings
@@ -48,7 +48,7 @@ def of_mesh(vertices: Array, faces: NDArray[np.int_]) -> tuple[Surface | None, l
 
 
 def bounds(surface: Surface) -> tuple[Array, float]:
-    """Centre (3,) and radius [m] of a ball that holds the surface; the radius of a plane's is infinite."""
+    """Centre (3,) and radius [m] of a bounding sphere of the surface; infinite for a plane."""
     s = surface.sizes
     match surface.kind:
         case shapes.PLANE:
@@ -74,8 +74,8 @@ def bounds(surface: Surface) -> tuple[Array, float]:
 def signed_distance(surface, point, reach, normal):
     """Distance [m] of ``point`` (3,) from the surface, negative inside; ``normal`` (3,) becomes the outward normal.
 
-    From a mesh that is farther than ``reach`` [m] on either side a bound from below is returned, not less than ``reach``, and no
-    normal; give no less than the radius of what touches and the deepest that it may be inside. Other surfaces are exact anywhere.
+    For a mesh farther than ``reach`` [m] on either side a lower bound, at least ``reach``, is returned, without a normal; ``reach`` must
+    be at least the radius of the body that touches plus its largest penetration. Other surfaces are exact everywhere.
     """
     if surface.kind == TURNED:
         return profile_distance(surface.profile, point, normal)
@@ -86,9 +86,9 @@ def signed_distance(surface, point, reach, normal):
 
 @njit(cache=True)
 def segment_beyond(surface, start, end, reach):
-    """A bound from below of the distance [m] of a segment from ``start`` (3,) to ``end`` (3,), at a fraction of what the distance costs.
+    """A lower bound of the distance [m] of a segment from ``start`` (3,) to ``end`` (3,), at a fraction of the cost of the distance.
 
-    No less than ``reach`` where it says that the segment is farther, -inf where it says nothing. For a mesh that was turned about an axis
+    At least ``reach`` if the segment is certainly farther, -inf if undecided. For a mesh of revolution
     see :func:`hiltestbed.contact.surfaces.profile.beyond`.
     """
     if surface.kind == MESH:
@@ -101,9 +101,9 @@ def segment_distance(surface, start, end, reach, normal, nearest):
     """Least signed distance [m] of the points of a segment from ``start`` (3,) to ``end`` (3,).
 
     ``normal`` (3,) becomes the surface's outward normal at that point, which is written to ``nearest`` (3,). Only a distance below
-    ``reach`` is searched for; where there is none a bound from below is returned, not less than ``reach``. An interval that may hold
-    less than what is known (:func:`hiltestbed.contact.surfaces.profile.between`) is halved, down to a part in PARTS of the segment, in
-    which a minimum lies where the slope along the segment changes sign.
+    ``reach`` is searched for; otherwise a lower bound, at least ``reach``, is returned. An interval that may contain a smaller distance
+    than the best so far (:func:`hiltestbed.contact.surfaces.profile.between`) is halved, down to 1/PARTS of the segment; there a minimum
+    is located where the slope along the segment changes sign.
     """
     length = math.sqrt((end[0] - start[0]) ** 2 + (end[1] - start[1]) ** 2 + (end[2] - start[2]) ** 2)
     d1, g1 = _along(surface, start, end, 1.0, reach, normal, nearest)
@@ -140,7 +140,7 @@ def segment_distance(surface, start, end, reach, normal, nearest):
 
 @njit(cache=True)
 def _along(surface, start, end, t, reach, normal, place):
-    """Distance of the point at ``t`` of the segment and its slope in t."""
+    """Distance of the point at ``t`` (0 to 1) of the segment, and its derivative with respect to t."""
     for j in range(3):
         place[j] = start[j] + t * (end[j] - start[j])
     d = signed_distance(surface, place, reach, normal)
@@ -152,7 +152,7 @@ def _along(surface, start, end, t, reach, normal, place):
 
 @njit(cache=True)
 def _turning(surface, start, end, low, high, slope_low, slope_high, reach, normal, place):
-    """Where the slope changes sign between ``low`` and ``high``: the Illinois method, halving where it jumps."""
+    """Where the slope changes sign between ``low`` and ``high``: the Illinois method, with a bisection in every fourth step."""
     t, d, side = low, math.inf, 0
     for k in range(80):
         t = 0.5 * (low + high) if k % 4 == 3 else (low * slope_high - high * slope_low) / (slope_high - slope_low)

@@ -1,4 +1,4 @@
-"""Turns a profile about the z axis into a triangle mesh whose rings lie on the profile's exact curve."""
+"""Revolves a profile about the z axis into a triangle mesh whose rings lie exactly on the profile's curve."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ def _on_arc(e: Element, arc_step: float) -> list[tuple[float, float]]:
 
 
 def turn(points: Array, segments: int) -> tuple[Array, NDArray[np.int_]]:
-    """Vertices (nv, 3) [m] and faces (nf, 3) of the polyline ``points`` (n, 2) of (rho, z), turned about z.
+    """Vertices (nv, 3) [m] and faces (nf, 3) of the polyline ``points`` (n, 2) of (rho, z), revolved about z.
 
-    The normals are on the left of the polyline's direction. A polyline that ends where it began is closed to a ring.
+    The normals are on the left of the polyline's direction. A polyline that ends at its start becomes a closed ring.
     """
     azimuth = 2.0 * math.pi * np.arange(segments) / segments
     circle = np.stack([np.cos(azimuth), np.sin(azimuth)], axis=1)
@@ -67,7 +67,7 @@ def _band(low: NDArray[np.int_], high: NDArray[np.int_]) -> list[tuple[int, int,
 
 
 def obj_text(vertices: Array, faces: NDArray[np.int_], comment: str) -> str:
-    """The mesh as Wavefront OBJ, to 1e-9 m."""
+    """The mesh as Wavefront OBJ text, to 1e-9 m."""
     lines = [f"# {comment}"]
     lines += [f"v {x:.9f} {y:.9f} {z:.9f}" for x, y, z in vertices + 0.0]
     lines += [f"f {a} {b} {c}" for a, b, c in faces + 1]
@@ -75,15 +75,15 @@ def obj_text(vertices: Array, faces: NDArray[np.int_], comment: str) -> str:
 
 
 def shell(socket: float, half_angle: float, generator: float, thickness: float) -> list[Element]:
-    """Profile of a funnel that opens towards -z: back, outside, rounded rim, straight inside, socket; free side on the left.
+    """Profile of a funnel that opens towards -z: back, outside, rounded rim, straight inside, socket; outward side on the left.
 
-    The ``socket`` is the inside of a ball of this radius [m] whose bottom is the origin; the straight ``generator`` [m] at the
-    ``half_angle`` [rad] is tangent to it. The shell is ``thickness`` [m] thick, along the axis as well.
+    The ``socket`` is spherical with this radius [m], its bottom at the origin; the straight ``generator``, of this length [m] and at the
+    ``half_angle`` [rad], is tangent to it. The shell is ``thickness`` [m] thick, also along the axis.
     """
     sin, cos = math.sin(half_angle), math.cos(half_angle)
 
     def across(distance: float, along: float) -> tuple[float, float]:
-        """A point ``along`` the generator from where it touches the socket, ``distance`` from the socket's centre across it."""
+        """A point at ``along`` [m] on the generator from its point of tangency, at ``distance`` [m] from the socket's centre across it."""
         return distance * cos + along * sin, distance * sin - socket - along * cos
 
     outer = socket + thickness

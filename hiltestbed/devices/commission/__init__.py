@@ -1,5 +1,5 @@
-"""Commissioning: what a facility's sensor and platform are, measured by small known motions.
+"""Commissioning: identification of a facility's sensor and platform by small known motions.
 
-Read :mod:`~hiltestbed.devices.commission.procedure` first: the sequence. Then motions (what the platform is told), expected (the wrench
-that the mechanism exerts on the way), platform and sensor (what is fitted), folder (what is written).
+Read :mod:`~hiltestbed.devices.commission.procedure` first: the sequence. Then motions (commands to the platform), expected (the wrench
+of the nominal mechanism along the path), platform and sensor (the fits), folder (the results on disk).
 """

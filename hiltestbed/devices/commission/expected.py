@@ -1,4 +1,4 @@
-"""The wrench that the believed mechanism exerts where the platform was."""
+"""The wrench that the nominal mechanism exerts at the poses that the platform reached."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from hiltestbed.scenario import Scenario, resolved, scenario_from
 
 
 class Expected:
-    """Wrench on P over time, from the poses that were reached.
+    """Wrench on P over time, from the poses reached.
 
     Attributes:
-        wrench: (N m, 6) at the instants of the physics, in P at P's origin; the last of each tick is t_k.
+        wrench: (N m, 6) at the physics instants, in P at P's origin; the last of each tick is t_k.
     """
 
     def __init__(self, scenario: Scenario, poses: Array) -> None:
@@ -34,7 +34,7 @@ class Expected:
             self.wrench[k * self._substeps : (k + 1) * self._substeps] = plant.wrench_sub[0]
 
     def at(self, ticks: Array, delay: float) -> Array:
-        """(K, 6) the wrench ``delay`` [s] before each of the ``ticks`` (K,), between instants on straight lines."""
+        """(K, 6) the wrench ``delay`` [s] before each of the ``ticks`` (K,), interpolated linearly between instants."""
         m = self._substeps
         instant = np.clip(m * ticks + m - 1 - delay / self._tick * m, 0.0, len(self.wrench) - 1.0)
         low = np.floor(instant).astype(int)

@@ -1,4 +1,4 @@
-"""The folder of a commissioning: the scenarios, a dataset of the motions, and the figures."""
+"""The result folder of a commissioning: the scenarios, a dataset of the motions, and the figures."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ LEAST_COMPLIANCE = 1e-12  # [m/N]
 
 
 def write_commission(result: Commissioned, path: Path) -> Path:
-    """Write the folder and return its path. Raises InputError where it cannot be written."""
+    """Write the folder and return its path. Raises InputError if it cannot be written."""
     with whole_folder(path, mark=RESULT) as folder:
         (folder / NOMINAL).write_text(dump_scenario(result.nominal), encoding="utf-8")
         (folder / BELIEVED).write_text(dump_scenario(result.believed), encoding="utf-8")
@@ -40,7 +40,7 @@ def write_commission(result: Commissioned, path: Path) -> Path:
 
 
 def _differences(start: np.ndarray, duration: float) -> dict[str, Any]:
-    """What was different in a motion from the scenario: it began at rest elsewhere."""
+    """Differences of a motion from the scenario: its start pose, at rest."""
     return {
         "approach.gap": float(-start[2]),
         "approach.offset": [float(v) for v in start[:2]],
@@ -52,7 +52,7 @@ def _differences(start: np.ndarray, duration: float) -> dict[str, Any]:
 
 
 def figures(result: Commissioned) -> dict[str, Any]:
-    """Everything that was measured, as plain data."""
+    """All measured quantities, as plain data."""
     sensor, platform = result.sensor, result.platform
     gain = next((n.value for n in sensor.numbers if n.source == n.axis == "z"), 1.0)
     return {
@@ -83,5 +83,5 @@ def figures(result: Commissioned) -> dict[str, Any]:
 
 
 def _inverse(compliance: float) -> float | None:
-    """[N/m]; None where the platform does not give that one could see."""
+    """Stiffness [N/m] from a compliance; None if the compliance is not measurable."""
     return 1.0 / compliance if compliance > LEAST_COMPLIANCE else None

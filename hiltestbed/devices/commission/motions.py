@@ -1,7 +1,7 @@
-"""The known motions of a commissioning: small oscillations away from the contact, and presses against it.
+"""The known motions of a commissioning: small oscillations in free space, and presses against the contact.
 
-A press begins at rest in the open, goes in, oscillates about its depth and comes out again. On a flat mechanism it is repeated off the
-axis, which turns the force into torques of known sign and size; a captured mechanism is moved in all six axes where it stands.
+A press begins at rest in free space, moves in, oscillates about its depth and moves out again. On a flat mechanism it is repeated off-axis,
+which produces torques of known sign and size; a captured mechanism is moved in all six axes about its pose.
 """
 
 from __future__ import annotations
@@ -17,16 +17,16 @@ from hiltestbed.devices.motion import blend
 from hiltestbed.frames import Array, pose_step
 from hiltestbed.scenario import Scenario
 
-CLEAR = 0.003  # [m] of the open before a press
-LARGEST = 0.004  # [m] of a press or an oscillation
-WIDEST = math.radians(0.5)  # of an oscillation
-FREE = 0.002  # [m] of the oscillations in the open
-ARM = 0.05  # [m] off the axis
-FREQUENCIES = (1.3, 2.1, 3.4)  # [Hz] of x, y, z in the open
+CLEAR = 0.003  # [m] clearance before a press
+LARGEST = 0.004  # [m] largest depth of a press, or amplitude of an oscillation
+WIDEST = math.radians(0.5)  # largest amplitude of an angular oscillation
+FREE = 0.002  # [m] amplitude of the oscillations in free space
+ARM = 0.05  # [m] lateral offset of the off-axis presses
+FREQUENCIES = (1.3, 2.1, 3.4)  # [Hz] of x, y, z in free space
 PRESS_FREQUENCY, PRESS_PERIODS = 3.0, 6
 REST = 0.3  # [s] before each motion, and after a press
-SETTLED = 0.2  # [s] of the rest before a motion, after which a platform stands still where the record of the motion begins
-ENTRY = 0.6  # [s] in, and out again
+SETTLED = 0.2  # [s] part of the rest in which the platform settles; the record of the motion begins after it
+ENTRY = 0.6  # [s] to move in, and to move out
 FREE_TIME = 3.0  # [s]
 
 
@@ -35,8 +35,8 @@ class Motion:
     """A named path that begins and ends at rest at the same pose.
 
     Attributes:
-        start: (7,) of A in P. offsets: (K, 6) way from it, linear [m] and rotation vector [rad], a row a tick.
-        touches: whether the mechanism is meant to be touched.
+        start: (7,) of A in P. offsets: (K, 6) displacement from it, linear [m] and rotation vector [rad], one row per tick.
+        touches: whether the motion is meant to make contact.
     """
 
     name: str
@@ -45,14 +45,14 @@ class Motion:
     touches: bool
 
     def poses(self) -> Iterator[Array]:
-        """The poses (7,) to command, one a tick."""
+        """The poses (7,) to command, one per tick."""
         for offset in self.offsets:
             out = np.empty(7)
             pose_step(self.start, offset, 1.0, out)
             yield out
 
     def after_rest(self, ticks: int) -> Motion:
-        """The same after a rest of ``ticks``."""
+        """The same motion after a rest of ``ticks``."""
         return replace(self, offsets=np.concatenate([np.zeros((ticks, 6)), self.offsets]))
 
 
@@ -74,12 +74,12 @@ def _at(x: float, y: float, z: float) -> Array:
 
 
 def _instants(duration: float, tick: float) -> Array:
-    """[s] the ends of the ticks."""
+    """The ends of the ticks [s]."""
     return np.asarray(tick * np.arange(1, round(duration / tick) + 1), dtype=float)
 
 
 def _window(x: Array) -> Array:
-    """Rises to 1 over the first fifth and falls over the last, smoothly."""
+    """Window that rises smoothly to 1 over the first fifth and falls to 0 over the last fifth."""
     return np.array([blend(min(1.0, 5.0 * v)) * blend(min(1.0, 5.0 * (1.0 - v))) for v in x])
 
 
@@ -92,7 +92,7 @@ def _oscillations(tick: float) -> Array:
 
 
 def _press(tick: float, depth: float) -> Array:
-    """In to two thirds of ``depth``, oscillating by a third of it, and out."""
+    """Move in to two thirds of ``depth``, oscillate by a third of it, and move out."""
     inward = np.array([blend(min(1.0, k * tick / ENTRY)) for k in range(1, round(ENTRY / tick) + 1)])
     duration = PRESS_PERIODS / PRESS_FREQUENCY
     t = _instants(duration, tick)
@@ -105,7 +105,7 @@ def _press(tick: float, depth: float) -> Array:
 
 
 def _shaken(scenario: Scenario, force: float) -> Motion:
-    """One axis after the other, each by what makes ``force`` or the torque that goes with it."""
+    """Oscillate one axis after the other, each with the amplitude that causes ``force`` or the corresponding torque."""
     tick, truth = scenario.tick, axis_truth(scenario)
     duration = PRESS_PERIODS / PRESS_FREQUENCY
     t = _instants(duration, tick)

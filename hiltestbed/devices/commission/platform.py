@@ -1,4 +1,4 @@
-"""What the platform makes of its commands: delay, scale of each axis, and how far it gives under load."""
+"""The platform's response to its commands: delay, scale of each axis, and compliance under load."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from scipy.optimize import least_squares
 
 from hiltestbed.frames import Array
 
-LONGEST = 0.2  # [s]
+LONGEST = 0.2  # [s] largest delay that is fitted
 
 
 @dataclass(frozen=True)
 class Path:
-    """A motion from rest: command (N, 7), row k for t_(k+1); pose (N, 7) and wrench (N, 6), in P, at t_k; whether it touched."""
+    """A motion from rest: command (N, 7), row k for t_(k+1); pose (N, 7) and wrench (N, 6), in P, at t_k; whether it made contact."""
 
     command: Array
     pose: Array
@@ -28,8 +28,8 @@ class PlatformFit:
     """Estimates with the half width of their 95 % interval.
 
     Attributes:
-        delay: [s]. compliance: (3,) [m/N] with which each axis gives. scale: (3,) reached over commanded; None where no motion was in the
-            open: there force goes with position, and nothing tells the two apart. residual: [m] rms that is left.
+        delay: [s]. compliance: (3,) [m/N] of each axis. scale: (3,) reached over commanded; None without a motion in free space: in contact
+            force is proportional to position, so that scale and compliance cannot be separated. residual: rms [m].
     """
 
     delay: float
@@ -42,7 +42,7 @@ class PlatformFit:
 
 
 def fit_platform(paths: Sequence[Path], tick: float) -> PlatformFit:
-    """Delay, scale and compliance that explain all ``paths`` best: pose(t) = scale command(t - delay) + offset - compliance force."""
+    """Delay, scale and compliance that fit all ``paths`` best: pose(t) = scale command(t - delay) + offset - compliance force."""
 
     def parts(delay: float) -> list[tuple[Array, Array, Array]]:
         out = []
@@ -60,7 +60,7 @@ def fit_platform(paths: Sequence[Path], tick: float) -> PlatformFit:
             rest.append((error - error.mean(axis=0)).ravel())
         return np.concatenate(rest) * 1e6
 
-    free = [] if all(path.touches for path in paths) else [1.0, 1.0, 1.0]  # else scale and compliance are one: force goes with position
+    free = [] if all(path.touches for path in paths) else [1.0, 1.0, 1.0]  # without free motion, scale and compliance cannot be separated
     starts = [np.array([1e3 * delay, 0.0, 0.0, 0.0, *free]) for delay in np.arange(0.0, LONGEST, 0.002)]
     fit = least_squares(residuals, min(starts, key=lambda p: _square(residuals(p))), x_scale=[1.0] * 4 + [1e-2] * len(free))
     columns = fit.jac.shape[1]

@@ -1,7 +1,7 @@
-"""The sequence of a commissioning: watch, tare, move in the open, press, fit.
+"""The sequence of a commissioning: observe, tare, move in free space, press, fit.
 
-Nothing moves unless it is armed; every command passes the same guard as in a run. Where anything goes wrong the platform is held, retracted
-or stopped as the scenario says, and nothing is written.
+Nothing moves unless it is armed; every command passes the same guard as in a run. If anything goes wrong, the platform is held, retracted
+or stopped as the scenario specifies, and nothing is written.
 """
 
 from __future__ import annotations
@@ -28,19 +28,20 @@ from hiltestbed.scenario import Scenario, resolved, scenario_from
 from hiltestbed.sensor.effects.rotation import SensorRotation
 
 FORCE = 100.0  # [N] of a press
-ALIKE = 1e-3  # of a misfit, by which two fits of as many numbers may differ and be alike: chosen, it only decides which axes are named
-SHORTEST = 1e-4  # [s] of a delay that is named: chosen, a fifth of a tick at 2 kHz
+ALIKE = 1e-3  # relative difference of misfit within which two fits with equally many numbers are equivalent (decides only the axes named)
+SHORTEST = 1e-4  # [s] smallest delay that is reported: a fifth of a tick at 2 kHz
 Progress = Callable[[str], None]
 
 
 @dataclass(frozen=True)
 class Commissioned:
-    """What was measured.
+    """The results.
 
     Attributes:
-        believed: the scenario as it was given, with what no simulation could have known: mounting and noise of the sensor.
-        nominal: with all that was measured. paths: the motions as they went, by name, the wrench as `believed` has the sensor mounted.
-        departures: what a diagnosis of the motions against `believed` has to find, as under `effects:` in a scenario.
+        believed: the given scenario, with the mounting and the noise of the sensor as measured, which no simulation could predict.
+        nominal: the scenario with everything that was measured. paths: the recorded motions, by name, with the wrench for the sensor's
+            mounting in `believed`.
+        departures: effects that a diagnosis of the motions against `believed` should find, as under `effects:` in a scenario.
     """
 
     believed: Scenario
@@ -57,7 +58,7 @@ def commission(scenario: Scenario, options: Options, force: float = FORCE, progr
     """Measure the devices of ``scenario`` with presses of about ``force`` [N].
 
     Raises:
-        InputError: it is not armed, or the force is past the scenario's limit. DeviceError: something has stopped it.
+        InputError: it is not armed, or the force exceeds the scenario's limit. DeviceError: it was stopped.
     """
     limit = scenario.safety.force
     if not options.armed:
@@ -100,7 +101,7 @@ def _fitted(scenario: Scenario, planned: Sequence[Motion], rows: dict[str, list[
             touched.append(Shown(Expected(scenario, poses), shown))
     position = np.array(scenario.devices.sensor.position)
     sensor = fit_sensor(touched, position, noise)
-    begin = round(SETTLED / scenario.tick)  # what the travel to a motion left is no part of it
+    begin = round(SETTLED / scenario.tick)  # excludes what remains of the travel to the start
 
     def paths(mounted: Scenario) -> dict[str, Path]:
         mounting = Mounting(mounted.devices)
@@ -122,9 +123,9 @@ def _fitted(scenario: Scenario, planned: Sequence[Motion], rows: dict[str, list[
 
 
 def _turned(scenario: Scenario, sensor: SensorFit, touched: Sequence[Shown], noise: Array) -> SensorFit | None:
-    """The sensor with gains and crosstalk in its own axes, where these are turned a little against what the scenario says.
+    """The sensor fitted with gains and crosstalk in its own axes, if these are slightly rotated against those in the scenario.
 
-    None where they are not, where the sign or the attitude is another one altogether, or where gains in P's axes explain more.
+    None if they are not, if the sign or the attitude is entirely different, or if gains in P's axes fit better.
     """
     mounted = scenario.devices.sensor
     if sensor.sign != mounted.sign:
@@ -137,7 +138,7 @@ def _turned(scenario: Scenario, sensor: SensorFit, touched: Sequence[Shown], noi
 
 
 def _departures(nominal: Scenario, believed: Scenario, ci95: float) -> tuple[dict[str, Any], ...]:
-    """The effects of ``nominal``, and by how much its sensor is later than that of ``believed``, where that is more than none."""
+    """The effects of ``nominal``, and the additional delay of its sensor relative to ``believed``, if significant."""
     late = nominal.sensor.delay - believed.sensor.delay
     delay = [{"kind": "sensor.delay", "delay": late}] if late > _least_delay(ci95) else []
     return (*delay, *(effect.model_dump(mode="json") for effect in nominal.effects))
@@ -151,7 +152,7 @@ def _path(rows: list[Row], mounting: Mounting, tare: Array, touches: bool) -> Pa
 
 
 def _mounted(scenario: Scenario, sensor: SensorFit | None, noise: Array) -> Scenario:
-    """With the noise and, where the sensor is given, its sign and attitude."""
+    """The scenario with the measured noise and, if ``sensor`` is given, its sign and attitude."""
     data = resolved(scenario)
     if sensor is not None:
         data["devices"]["sensor"] |= {"attitude_deg": attitude_deg_from_quat(sensor.attitude).tolist(), "sign": sensor.sign}
@@ -170,11 +171,11 @@ def _nominal(believed: Scenario, sensor: SensorFit, platform: PlatformFit) -> Sc
 
 
 def effects_of(sensor: SensorFit, platform: PlatformFit) -> list[dict[str, Any]]:
-    """Turn, gains, crosstalk, delay and scale as effects, where they differ from none by more than their intervals."""
+    """Rotation, gains, crosstalk, delay and scale as effects, where they are significant."""
     gains = {n.axis: n.value for n in sensor.numbers if n.source == n.axis}
     found: list[dict[str, Any]] = [{"kind": "sensor.rotation", "angles_deg": list(sensor.turn_deg or ())}] if sensor.turned() else []
     found += [{"kind": "sensor.gain", "axis": axis, "factor": value} for axis, value in gains.items()]
-    for n in sensor.numbers:  # after the gains: what leaks is what the source shows
+    for n in sensor.numbers:  # crosstalk after the gains, since it is relative to the source's reading
         if n.source != n.axis:
             found.append({"kind": "sensor.crosstalk", "source": n.source, "axis": n.axis, "ratio": n.value / gains.get(n.source, 1.0)})
     if platform.delay > _least_delay(platform.delay_ci95):
@@ -186,5 +187,5 @@ def effects_of(sensor: SensorFit, platform: PlatformFit) -> list[dict[str, Any]]
 
 
 def _least_delay(ci95: float) -> float:
-    """From which on a delay [s] is one, for the half width of its 95 % interval."""
+    """Smallest significant delay [s], given the half width of its 95 % interval."""
     return max(SHORTEST, 2.0 * ci95)

@@ -1,12 +1,12 @@
-"""What the sensor makes of the wrench: sign, attitude, delay, and the gains and the crosstalk that it takes to explain the readings.
+"""Identification of the sensor: sign, attitude, delay, and the gains and crosstalk that are needed to explain the readings.
 
-The wrench that the mechanism exerts is known from where the platform was; the reading is that wrench late, mixed, turned into the sensor's
+The wrench of the mechanism is computed from the platform's poses; the reading is that wrench delayed, mixed, and rotated into the sensor's
 frame. Sign and attitude come from the best rotation between the two (G. Wahba, SIAM Review 7, 1965; solved by F. L. Markley's singular
-values, J. Astronautical Sciences 36, 1988), all numbers together from least squares. Gains and crosstalk are taken in one after the other,
-each time the one that explains most, as long as it explains a good part of what is left: 36 numbers at once would take up every error.
+values, J. Astronautical Sciences 36, 1988), all parameters together from least squares. Gains and crosstalk are added one at a time,
+each time the one that explains most, as long as it explains a good part of the residual: 36 numbers at once would absorb every error.
 
-A press cannot tell a wrong gain from a wrong stiffness: the stiffness that the scenario gives its mechanism is the reference. Where the
-mechanism pushes in one direction only, other things look alike as well: what would explain as much is named beside what was taken.
+A press cannot distinguish a wrong gain from a wrong stiffness: the stiffness of the mechanism in the scenario is the reference. If the
+mechanism pushes in only one direction, other numbers are indistinguishable as well: each estimate lists those that fit equally well.
 """
 
 from __future__ import annotations
@@ -21,23 +21,23 @@ from hiltestbed.devices.commission.expected import Expected
 from hiltestbed.frames import Array, rotation_matrix, rotation_vectors
 from hiltestbed.signals import AXES
 
-ROWS = 6000  # of all motions together, that a fit is made on
-WORTH = 0.2  # part of the remaining square that one more number has to explain
-SIGNIFICANT = 4.0  # standard deviations by which it has to differ from none
-LEAST = 5e-4  # of a gain or a crosstalk
-LEAST_TURN = 0.1  # [deg] of the axes against those that were given: 2e-3 of the force shows across it; chosen
-MOST = 8  # of them
-FAR = 5.0  # times another number that explains as much: then it is the less likely one; chosen
-TIE = 0.9  # part of the best one's gain from which on another explains as much
-LONGEST = 0.05  # [s]
-FLOOR = 1e-5  # of the largest reading: what is taken for noise where there is none
+ROWS = 6000  # largest number of rows, of all motions together, in a fit
+WORTH = 0.2  # fraction of the residual sum of squares that one more number has to explain
+SIGNIFICANT = 4.0  # standard deviations by which it has to differ from its neutral value
+LEAST = 5e-4  # smallest gain error or crosstalk that is reported
+LEAST_TURN = 0.1  # [deg] smallest rotation of the axes that is reported: it puts 2e-3 of the force on a lateral axis
+MOST = 8  # largest number of gains and crosstalk terms
+FAR = 5.0  # a number this many times larger than another that fits equally well is taken as the less likely one
+TIE = 0.9  # fraction of the best number's improvement from which another counts as fitting equally well
+LONGEST = 0.05  # [s] largest delay that is fitted
+FLOOR = 1e-5  # of the largest reading: noise assumed for channels without noise
 
 Element = tuple[int, int]  # source and axis of a number
 
 
 @dataclass(frozen=True)
 class Shown:
-    """A motion: what was expected, and what the sensor showed (N, 6), in its own frame and less its tare."""
+    """A motion: the expected wrench, and the sensor's reading (N, 6), in its own frame and less its tare."""
 
     expected: Expected
     reading: Array
@@ -48,7 +48,7 @@ class Number:
     """A gain (``source`` = ``axis``) or a crosstalk: estimate, and half the width of its 95 % interval.
 
     Attributes:
-        or_else: (source, axis) of others that would have explained as much: the motions do not tell them apart.
+        or_else: (source, axis) of other numbers that would fit equally well: the motions cannot distinguish them.
     """
 
     source: str
@@ -64,10 +64,10 @@ class SensorFit:
 
     Attributes:
         sign: of the wrench. attitude: quaternion (4,) of the sensor's frame in P. numbers: gains and crosstalk, in P.
-        residual, reading: (6,) rms that is left, and of the reading itself, in the sensor's frame. misfit: sum of squares, in units of the
-        noise.
-        turn_deg: (3,) rotation vector of the sensor's axes against those that were given, whose gains and crosstalk the numbers are then;
-        None: the numbers are those of P's axes.
+        residual, reading: (6,) rms of the residual and of the reading, in the sensor's frame. misfit: residual sum of squares, in units of
+        the noise variance.
+        turn_deg: (3,) rotation vector of the sensor's axes against the given ones; the numbers then refer to the given axes;
+        None: the numbers refer to P's axes.
     """
 
     sign: int
@@ -82,7 +82,7 @@ class SensorFit:
     turn_deg: tuple[float, ...] | None = None
 
     def turned(self) -> bool:
-        """Whether the axes differ from those that were given by more than the interval."""
+        """Whether the axes differ significantly from the given ones."""
         if self.turn_deg is None:
             return False
         spread = [SIGNIFICANT / 1.96 * ci95 for ci95 in self.attitude_ci95_deg]
@@ -90,12 +90,12 @@ class SensorFit:
 
 
 def fit_sensor(motions: Sequence[Shown], position: Array, noise: Array, given: Array | None = None) -> SensorFit:
-    """The sensor that explains all ``motions``.
+    """The sensor that fits all ``motions`` best.
 
     Args:
-        position: (3,) of the sensor's origin in P, as believed. noise: (6,) standard deviation of its channels.
-        given: quaternion (4,) of its frame in P, as believed: gains and crosstalk are then those of its own axes, behind the turn; None:
-            of P's axes, before it.
+        position: (3,) nominal position of the sensor's origin in P. noise: (6,) standard deviation of its channels.
+        given: quaternion (4,), nominal attitude of its frame in P: gains and crosstalk then act in its own axes, after the rotation; None:
+            in P's axes, before it.
     """
     data = _Data(motions, position, noise, None if given is None else rotation_matrix(given))
     sign, rotation, delay = data.first_guess()
@@ -131,7 +131,7 @@ def fit_sensor(motions: Sequence[Shown], position: Array, noise: Array, given: A
 
 @dataclass
 class _Fit:
-    """p: (4 + numbers,) rotation vector past ``before``, delay [ms], numbers. rotation: matrix of S in P."""
+    """p: (4 + numbers,) rotation vector relative to the start of the fit, delay [ms], numbers. rotation: matrix of S in P."""
 
     p: Array
     rotation: Array
@@ -145,7 +145,7 @@ class _Fit:
         return 1.96 * np.sqrt(np.diag(np.linalg.pinv(self.jacobian.T @ self.jacobian)) * self.square / max(rows - columns, 1))
 
     def holds(self) -> bool:
-        """Whether the number that came in last is one."""
+        """Whether the number added last is significant."""
         return abs(self.p[-1]) > max(LEAST, SIGNIFICANT / 1.96 * self.spread()[-1])
 
 
@@ -162,7 +162,7 @@ class _Data:
         self._weight = 1.0 / np.maximum(np.maximum(noise, floor), 1e-12)
 
     def first_guess(self) -> tuple[int, Array, float]:
-        """Sign, rotation matrix of S in P and delay [s] with which the readings fit best, without gains."""
+        """Sign, rotation matrix of S in P and delay [s] that fit the readings best, without gains."""
         found = []
         for delay in np.arange(0.0, LONGEST, 0.001):
             felt = self._at_sensor(self._wrench(delay))
@@ -174,7 +174,7 @@ class _Data:
         return min(found, key=lambda item: item[0])[1:]
 
     def fit(self, sign: int, rotation: Array, delay: float, chosen: Sequence[Element], before: _Fit | None) -> _Fit:
-        """Least squares over rotation, delay and the ``chosen`` numbers, from a fit with one number less."""
+        """Least squares over rotation, delay and the ``chosen`` numbers, starting from a fit with one number less."""
 
         def residuals(p: Array) -> Array:
             shown = self._shown(rotation @ _turn(p[:3]), 1e-3 * p[3], _calibration(chosen, p[4:]))
@@ -188,11 +188,11 @@ class _Data:
         return _Fit(fit.x, rotation @ _turn(fit.x[:3]), float(1e-3 * fit.x[3]), float(2.0 * fit.cost), fit.jac)
 
     def most_telling(self, sign: int, fit: _Fit, chosen: Sequence[Element]) -> list[Element]:
-        """The number that would take most of the square away, to first order and beside those that ``fit`` has; then its equals.
+        """The number that would reduce the sum of squares most, to first order and in addition to those in ``fit``; then its equals.
 
-        Where several would do as well, what leaks from a force goes before what leaks from a torque: a turn and a leak of the force look
-        like another turn and a leak of the torque, where the force has one direction only. A number that has to be five times another's
-        goes last: where a turn puts a little of fz on x, a gain of 2 does what a leak of 5 % does.
+        Among equals, crosstalk from a force precedes crosstalk from a torque: if the force has only one direction, a rotation with
+        crosstalk of the force resembles another rotation with crosstalk of the torque. A number five times as large as another comes
+        last: where a rotation puts a little of fz on x, a gain of 2 has the same result as crosstalk of 5 %.
         """
         calibration = _calibration(chosen, fit.p[4:])
         left = ((self.reading - sign * self._shown(fit.rotation, fit.delay, calibration)) * self._weight).ravel()
@@ -204,9 +204,9 @@ class _Data:
             column = (sign * self._shown(fit.rotation, fit.delay, _calibration([candidate], [1.0]) - np.eye(6)) * self._weight).ravel()
             own = column - basis @ (basis.T @ column)
             square = float(own @ own)
-            told = square > 1e-9 * float(column @ column)
-            gains[candidate] = float(own @ left) ** 2 / square if told else 0.0
-            if told and (candidate[0] > 2) == (candidate[1] > 2):  # a pure number
+            independent = square > 1e-9 * float(column @ column)
+            gains[candidate] = float(own @ left) ** 2 / square if independent else 0.0
+            if independent and (candidate[0] > 2) == (candidate[1] > 2):  # dimensionless
                 sizes[candidate] = abs(float(own @ left)) / square
         most = max(gains.values())
         equal = [c for c in gains if gains[c] >= TIE * most]
@@ -214,7 +214,7 @@ class _Data:
         return sorted(equal, key=lambda c: (sizes.get(c, 0.0) > FAR * least, c[0] != c[1], c[0] > 2, c[1] > 2, -gains[c]))
 
     def rms(self, fit: _Fit) -> Array:
-        """(6,) rms that is left of each channel."""
+        """(6,) rms of the residual of each channel."""
         rows, columns = len(self.reading), len(fit.p)
         return np.sqrt(fit.square / (6.0 * rows - columns)) / self._weight
 
@@ -233,7 +233,7 @@ class _Data:
 
 
 def _calibration(chosen: Sequence[Element], values: Sequence[float] | Array) -> Array:
-    """(6, 6) what the transducer makes of the wrench with ``values`` for the ``chosen`` (source, axis)."""
+    """(6, 6) calibration matrix from the wrench to the reading, with ``values`` for the ``chosen`` (source, axis)."""
     out = np.eye(6)
     for (i, j), value in zip(chosen, values, strict=True):
         out[j, i] += value
@@ -241,7 +241,7 @@ def _calibration(chosen: Sequence[Element], values: Sequence[float] | Array) -> 
 
 
 def _turned(wrench: Array, rotation: Array) -> Array:
-    """(N, 6) a wrench along the axes of a frame whose rotation matrix is given."""
+    """(N, 6) a wrench expressed in the axes of a frame with the given rotation matrix."""
     return np.concatenate([wrench[:, :3] @ rotation, wrench[:, 3:] @ rotation], axis=1)
 
 

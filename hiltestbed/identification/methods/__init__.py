@@ -1,1 +1,1 @@
-"""Estimators of stiffness and damping, one a module."""
+"""Estimators of stiffness and damping, one per module."""

@@ -1,8 +1,8 @@
-"""Batch least squares with instrument variables: the yardstick for a noisy pose.
+"""Batch least squares with instrumental variables: the reference method for a noisy pose.
 
-Noise in x and v that the regression sees pulls k and c towards zero. Instruments z that go with x and v but not with their noise take
-the bias out: ``theta = (Z^T Phi)^-1 Z^T y`` (L. Ljung, System Identification, 2nd ed. 1999, section 7.6). Here z is the regressor of
-some ticks earlier. Where the pose carries no noise this is least squares with a little more scatter.
+Noise in the regressors x and v biases k and c towards zero. Instruments z that are correlated with x and v but not with their noise remove
+the bias: ``theta = (Z^T Phi)^-1 Z^T y`` (L. Ljung, System Identification, 2nd ed. 1999, section 7.6). Here z is the regressor of
+some ticks earlier. Without pose noise this is least squares with slightly more scatter.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ LONGEST = 10_000  # ticks: seconds at any rate of a loop
 
 @register
 class Instrumental(Identifier):
-    """Batch least squares with instrument variables: the yardstick where the pose is noisy."""
+    """Batch least squares with instrumental variables: the reference method for a noisy pose."""
 
     kind: Literal["instrumental"] = "instrumental"
     lag: Annotated[int, Field(ge=1, le=LONGEST)] = Field(default=2, description="Ticks by which the instruments are older than the samples")
@@ -40,7 +40,7 @@ class Instrumental(Identifier):
 
 
 class InstrumentVariables:
-    """Estimates on six axes for ``n`` runs of one lag; attributes as in :class:`RecursiveLeastSquares`."""
+    """Estimates on six axes for ``n`` runs; attributes as in :class:`RecursiveLeastSquares`."""
 
     def __init__(self, scenarios: Sequence[Scenario]) -> None:
         n = len(scenarios)
@@ -53,7 +53,7 @@ class InstrumentVariables:
         self.samples = np.zeros((n, 6))
 
     def update(self, wrench: Array, pose: Array, twist: Array) -> None:
-        """Take in what was measured at t_k: wrench ``(n, 6)``, pose ``(n, 7)``, twist ``(n, 6)``."""
+        """Process the measurements at t_k: wrench ``(n, 6)``, pose ``(n, 7)``, twist ``(n, 6)``."""
         self.source.take(wrench, pose, twist)
         _accumulate(
             self.source.ready, self.source.sample, self._lags, self._past, self._length, self._sums,
@@ -86,7 +86,7 @@ def _accumulate(ready, sample, lags, past, length, sums, samples, stiffness, dam
 
 @njit(cache=True)
 def _solve(s, n, stiffness, damping, j):
-    """Eliminate the intercept, then two equations in k and c."""
+    """Eliminate the intercept, then solve two equations for k and c."""
     one = s[2, 2]
     xx, xv, xy = s[0, 0] - s[0, 2] * s[2, 0] / one, s[0, 1] - s[0, 2] * s[2, 1] / one, s[0, 3] - s[0, 2] * s[2, 3] / one
     vx, vv, vy = s[1, 0] - s[1, 2] * s[2, 0] / one, s[1, 1] - s[1, 2] * s[2, 1] / one, s[1, 3] - s[1, 2] * s[2, 3] / one

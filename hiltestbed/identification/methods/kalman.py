@@ -1,9 +1,9 @@
 """Adaptive Kalman filter of stiffness and damping.
 
-The state (k, c, b) of each axis wanders; force is its observation, ``F = k x + c v + b``. The variance of the force's noise is learnt
-from the innovations, ``R <- R + (e^2 - phi P phi - R)/N``, and so is that of the wandering, ``Q = q K e^2 K^T`` (A. P. Sage, G. W. Husa,
-"Adaptive filtering with unknown prior statistics", 1969; used for k and c on such a rig by F. He et al., Chin. J. Mech. Eng. 35:149,
-2022). With q = 0 it is recursive least squares. Columns are scaled by the first speed in contact, so that one P0 serves all.
+The state (k, c, b) of each axis follows a random walk; the force is the observation, ``F = k x + c v + b``. The variance of the force noise
+is estimated from the innovations, ``R <- R + (e^2 - phi P phi - R)/N``, and so is the process noise, ``Q = q K e^2 K^T`` (A. P. Sage,
+G. W. Husa, "Adaptive filtering with unknown prior statistics", 1969; used for k and c on such a rig by F. He et al., Chin. J. Mech. Eng.
+35:149, 2022). With q = 0 it is recursive least squares. Columns are scaled by the first speed in contact, so that one P0 suits all axes.
 """
 
 from __future__ import annotations
@@ -28,16 +28,16 @@ if TYPE_CHECKING:
 P0 = 1e12  # [N^2] of the scaled state: large against any force squared
 TIME_SCALE = 0.02  # [s] the column x is scaled by the speed times this
 MINIMUM_SAMPLES = 8
-SLOWEST_SPEED = 1e-5  # [m/s, rad/s] an axis that moves slower is not excited
-ACCEPTED = 0.3  # relative standard deviation from which k is given out
+SLOWEST_SPEED = 1e-5  # [m/s, rad/s] an axis that moves more slowly is not excited
+ACCEPTED = 0.3  # relative standard deviation below which k is reported
 
 
 @register
 class Kalman(Identifier):
-    """Adaptive Kalman filter of k, c and an intercept that may wander."""
+    """Adaptive Kalman filter of k, c and an intercept, all modelled as a random walk."""
 
     kind: Literal["kalman"] = "kalman"
-    wander: NotNegative = Field(default=1e-6, description="Part of an innovation's correction that is taken for wandering of k and c [-]")
+    wander: NotNegative = Field(default=1e-6, description="Factor q of the process noise of k and c, Q = q K e^2 K^T [-]; 0: none")
 
     @classmethod
     def start(cls, scenarios: Sequence[Scenario]) -> AdaptiveKalman:
@@ -61,7 +61,7 @@ class AdaptiveKalman:
         self._floor = np.array([[max(s.sensor.noise, 1e-6) ** 2] * 3 + [max(s.sensor.torque_noise, 1e-7) ** 2] * 3 for s in scenarios])
 
     def update(self, wrench: Array, pose: Array, twist: Array) -> None:
-        """Take in what was measured at t_k: wrench ``(n, 6)``, pose ``(n, 7)``, twist ``(n, 6)``."""
+        """Process the measurements at t_k: wrench ``(n, 6)``, pose ``(n, 7)``, twist ``(n, 6)``."""
         self.source.take(wrench, pose, twist)
         _filter(
             self.source.ready, self.source.sample, self._wander, self._floor, self._state, self._covariance, self._noise, self._speed,

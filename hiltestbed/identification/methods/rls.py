@@ -1,4 +1,4 @@
-"""Recursive least squares, on aligned samples, on raw ones, and behind the phase lead."""
+"""Recursive least squares: on time-aligned samples, on raw samples, and on the force after a phase lead."""
 
 from __future__ import annotations
 
@@ -20,14 +20,13 @@ if TYPE_CHECKING:
 
 @register
 class Rls(Identifier):
-    """Recursive least squares of k and c on each axis, in contact alone, with the pose at the time the force was felt."""
+    """Recursive least squares of k and c on each axis, during contact only, with the pose at the time the force acted."""
 
     kind: Literal["rls"] = "rls"
-    forgetting: Annotated[float, Field(gt=0, le=1)] = Field(
-        default=1.0, description="Forgetting factor a tick [-]; 1: nothing is forgotten"
-    )
+    forgetting: Annotated[float, Field(gt=0, le=1)] = Field(default=1.0, description="Forgetting factor per tick [-]; 1: no forgetting")
     delay: Literal["known", "estimate"] = Field(
-        default="known", description="Delay of the force. known: sensor.delay as it stands; estimate: found from the instant of touch"
+        default="known",
+        description="Delay of the force. known: sensor.delay is taken as exact; estimate: it is estimated from the instant of touch",
     )
 
     @classmethod
@@ -38,12 +37,10 @@ class Rls(Identifier):
 
 @register
 class RlsRaw(Identifier):
-    """Recursive least squares of k and c on the force as it is read, with the pose of the same tick: the delay goes into c."""
+    """Recursive least squares of k and c on the raw force, with the pose of the same tick: the delay biases c."""
 
     kind: Literal["rls_raw"] = "rls_raw"
-    forgetting: Annotated[float, Field(gt=0, le=1)] = Field(
-        default=1.0, description="Forgetting factor a tick [-]; 1: nothing is forgotten"
-    )
+    forgetting: Annotated[float, Field(gt=0, le=1)] = Field(default=1.0, description="Forgetting factor per tick [-]; 1: no forgetting")
 
     @classmethod
     def start(cls, scenarios: Sequence[Scenario]) -> RecursiveLeastSquares:
@@ -55,9 +52,7 @@ class RlsLead(Identifier):
     """Recursive least squares of k and c on the force after a first-order phase lead, with the pose of the same tick."""
 
     kind: Literal["rls_lead"] = "rls_lead"
-    forgetting: Annotated[float, Field(gt=0, le=1)] = Field(
-        default=1.0, description="Forgetting factor a tick [-]; 1: nothing is forgotten"
-    )
+    forgetting: Annotated[float, Field(gt=0, le=1)] = Field(default=1.0, description="Forgetting factor per tick [-]; 1: no forgetting")
     lag: Positive = Field(default=0.0005, description="Time constant T2 of the phase lead's pole [s]; its T1 is sensor.delay + T2")
 
     @property

@@ -1,4 +1,4 @@
-"""What the numerical model has wrong of the vehicles."""
+"""Errors in the numerical model of the vehicles."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ if TYPE_CHECKING:
 BODIES = ("chaser", "target")
 Body = Literal["chaser", "target"]
 Offset = Annotated[tuple[Annotated[float, Field(ge=-10.0, le=10.0)], ...], Strict(False), Field(min_length=3, max_length=3)]
-OFF = 10.0  # by which the mass of a driven axis is searched beside what a regression gives
-FASTEST = 0.1  # of the rate of the loop: the fastest appendage that a numerical model of that rate can hold
+OFF = 10.0  # factor to either side of the regression's estimate within which the mass of a driven axis is searched
+FASTEST = 0.1  # of the loop's rate: highest appendage frequency that the numerical model resolves at that rate
 
 
 @register
 class DynamicsMass(Effect):
-    """The numerical model's mass is not the one believed."""
+    """The mass in the numerical model differs from the nominal mass."""
 
     kind: Literal["dynamics.mass"] = "dynamics.mass"
-    factor: float = quantity("-", "True mass over the one believed", gt=0.0, search=(0.3, 3.0), ratio=True)
+    factor: float = quantity("-", "Mass in the numerical model over nominal mass", gt=0.0, search=(0.3, 3.0), ratio=True)
     body: Body = Field(default="chaser", description="Body that the departure concerns")
     link = "dynamics"
     equation = "m -> factor m in the numerical model"
@@ -44,7 +44,7 @@ class DynamicsMass(Effect):
 
     @classmethod
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:
-        if scales.driven is not None:  # whatever is believed: a regression has told the size
+        if scales.driven is not None:  # the regression gives the mass, whatever the nominal one
             f = scales.driven.factor
             return iter([candidate(cls, {"factor": [f]}, bounds={"factor": (f / OFF, f * OFF)}, body="chaser")])
         return (candidate(cls, {"factor": [0.6, 0.9, 1.1, 1.6]}, body=body) for body in BODIES)
@@ -52,10 +52,10 @@ class DynamicsMass(Effect):
 
 @register
 class DynamicsInertia(Effect):
-    """The numerical model's inertia is not the one believed."""
+    """The inertia in the numerical model differs from the nominal inertia."""
 
     kind: Literal["dynamics.inertia"] = "dynamics.inertia"
-    factor: float = quantity("-", "True inertia over the one believed", gt=0.0, search=(0.3, 3.0), ratio=True)
+    factor: float = quantity("-", "Inertia in the numerical model over nominal inertia", gt=0.0, search=(0.3, 3.0), ratio=True)
     body: Body = Field(default="chaser", description="Body that the departure concerns")
     link = "dynamics"
     equation = "I -> factor I in the numerical model"
@@ -74,14 +74,14 @@ class DynamicsInertia(Effect):
 
 @register
 class DynamicsPortOffset(Effect):
-    """The numerical model has the port in another place: a wrong lever arm."""
+    """The port is displaced in the numerical model: the contact force has a wrong lever arm."""
 
     kind: Literal["dynamics.port_offset"] = "dynamics.port_offset"
-    offset: Offset = quantity("m", "Offset of the port, body axes", search=(-0.5, 0.5))
+    offset: Offset = quantity("m", "Displacement of the port in the numerical model, body axes", search=(-0.5, 0.5))
     body: Body = Field(default="chaser", description="Body that the departure concerns")
     link = "dynamics"
     equation = "port position += offset (body axes) in the numerical model"
-    reference = "lever of the contact force"
+    reference = "lever arm of the contact force"
     resembles = ("dynamics.inertia",)
     repeats = True
     leading = "offset"
@@ -97,18 +97,21 @@ class DynamicsPortOffset(Effect):
 
 @register
 class DynamicsAppendage(Effect):
-    """A part of the body's mass hangs on a spring, at the centre of mass or at a place of its own, where it turns the body too."""
+    """A fraction of the body's mass is attached by a spring and damper; away from the centre of mass it also exerts a torque."""
 
     kind: Literal["dynamics.appendage"] = "dynamics.appendage"
-    mass_ratio: float = quantity("-", "Part of the body's mass that swings", gt=0.0, le=1.0, search=(0.005, 0.6), ratio=True)
-    frequency: float = quantity("Hz", "Natural frequency with the body held", gt=0.0, search=(0.05, 20.0), ratio=True)
-    damping_ratio: float = quantity("-", "Damping ratio with the body held", ge=0.0, le=1.0, search=(0.001, 0.5), ratio=True)
+    mass_ratio: float = quantity("-", "Fraction of the body's mass that oscillates", gt=0.0, le=1.0, search=(0.005, 0.6), ratio=True)
+    frequency: float = quantity("Hz", "Natural frequency with the body fixed", gt=0.0, search=(0.05, 20.0), ratio=True)
+    damping_ratio: float = quantity("-", "Damping ratio with the body fixed", ge=0.0, le=1.0, search=(0.001, 0.5), ratio=True)
     body: Body = Field(default="chaser", description="Body that the departure concerns")
     place: Offset = quantity(
-        "m", "Where it hangs, from the body's centre of mass, body axes; 0: it does not turn the body", default=(0.0, 0.0, 0.0)
+        "m", "Point of attachment from the body's centre of mass, body axes; 0: it exerts no torque", default=(0.0, 0.0, 0.0)
     )
     link = "dynamics"
-    equation = "m_a q'' = -k_a q - d_a q' - m_a a_place, m_a = mass_ratio m, k_a = m_a (2 pi f)^2; the whole at rest as believed"
+    equation = (
+        "m_a q'' = -k_a q - d_a q' - m_a a_place, m_a = mass_ratio m, k_a = m_a (2 pi f)^2, d_a = 2 m_a damping_ratio (2 pi f); "
+        "undeflected, the body has its nominal mass and inertia"
+    )
     reference = "slosh or flexible panel, pendulum model"
     resembles = ("dynamics.mass",)
     repeats = True
@@ -129,7 +132,7 @@ class DynamicsAppendage(Effect):
             return None
         return (
             f"it takes more inertia than the {self.body} has: {self.mass_ratio * body.mass:g} kg at {list(self.place)} m leave "
-            f"{left:g} kg m^2; hang it nearer to the centre of mass, or lighter"
+            f"{left:g} kg m^2; place it nearer to the centre of mass, or lower mass_ratio"
         )
 
     @classmethod

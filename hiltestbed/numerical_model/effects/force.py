@@ -1,4 +1,4 @@
-"""A force on the bodies that the numerical model does not know of: what a guide, a screw, a bearing or gravity does."""
+"""A force on the bodies that the nominal numerical model lacks: of a guide, a screw, a bearing, or gravity."""
 
 from __future__ import annotations
 
@@ -16,34 +16,34 @@ if TYPE_CHECKING:
     from hiltestbed.numerical_model.parameters import DynamicsParameters
 
 Resisted = Literal["chaser", "target", "both"]
-STAMP = "stamp"  # [s] part of a variant: how much later than believed the log reads a position that follows from its force
-STRIBECK_SPEED = 1e-3  # [m/s] unless given: some tenths of a millimetre to a few millimetres a second are measured of greased guides
-FASTER = 10.0  # times the friction that a regression gives, as far as a search goes
+STAMP = "stamp"  # [s] parameter of a variant: how much later than nominal the log reads the position that results from a force
+STRIBECK_SPEED = 1e-3  # [m/s] unless given: measurements on greased guides range from some tenths of a mm/s to a few mm/s
+FASTER = 10.0  # upper bound of a search, as a multiple of the friction that a regression gives
 
 
 @register
 class DynamicsForce(Effect):
-    """A force resists the motion along an axis: viscous and dry friction, an offset."""
+    """A force that resists the motion along an axis: viscous and dry friction, and a constant offset."""
 
     kind: Literal["dynamics.force"] = "dynamics.force"
-    viscous: float = quantity("N s/m", "Viscous friction", default=0.0, ge=0.0, search=(0.0, 1e5))
-    coulomb: float = quantity("N", "Dry friction while it moves", default=0.0, ge=0.0, search=(0.0, 1e5))
-    offset: float = quantity("N", "Force against the positive direction, whatever the speed", default=0.0, search=(-1e5, 1e5))
+    viscous: float = quantity("N s/m", "Coefficient of viscous friction", default=0.0, ge=0.0, search=(0.0, 1e5))
+    coulomb: float = quantity("N", "Dry friction in motion", default=0.0, ge=0.0, search=(0.0, 1e5))
+    offset: float = quantity("N", "Constant force against the positive direction", default=0.0, search=(-1e5, 1e5))
     viscous_asymmetry: float = quantity(
-        "-", "Part by which viscous friction is less in the positive direction and more in the negative", default=0.0, ge=-1.0, le=1.0,
-        search=(-1.0, 1.0),
+        "-", "Fraction by which viscous friction is lower in the positive and higher in the negative direction", default=0.0,
+        ge=-1.0, le=1.0, search=(-1.0, 1.0),
     )  # fmt: skip
     coulomb_back: float | None = quantity(
-        "N", "Dry friction in the negative direction; left out: that of the positive one", default=None, ge=0.0
+        "N", "Dry friction in motion in the negative direction; omitted: equal to coulomb", default=None, ge=0.0
     )
     static: float | None = quantity(
         "N",
-        "Dry friction at rest in the positive direction, in the other as much above motion; left out: none above",
+        "Static friction in the positive direction; its excess over coulomb is equal in the negative direction; omitted: no excess",
         default=None,
         ge=0.0,
     )
     stribeck_speed: float | None = quantity(
-        "m/s", "Speed over which dry friction falls from rest to motion; left out: 0.001", default=None, gt=0.0
+        "m/s", "Stribeck velocity, over which dry friction falls from static to coulomb; omitted: 0.001", default=None, gt=0.0
     )
     axis: Literal["x", "y", "z"] = Field(
         default="z", description="Axis along which it acts: of P for the motion of A relative to P, inertial for one body"
@@ -80,14 +80,14 @@ class DynamicsForce(Effect):
 
     @classmethod
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:
-        """Along a driven axis: with friction that is the same in both directions, and with friction that is not."""
-        if scales.driven is not None:  # of vehicles that fly freely no force but that of the contact is sought
+        """Along a driven axis: friction that is equal in both directions, and friction that is not."""
+        if scales.driven is not None:  # on free-flying vehicles only the contact force acts
             yield cls._of_driven_axis(scales.driven)
             yield cls._of_driven_axis(scales.driven, viscous_asymmetry=[0.0])
 
     @classmethod
     def _of_driven_axis(cls, given: DrivenAxis, **more: Sequence[float]) -> Candidate:
-        """From where a regression of the force on the motion starts; the row to which a position belongs is not known."""
+        """Starts from a regression of the force on the motion; the time stamp of the position is fitted, since it is not known."""
         most = FASTER * max(abs(given.offset), given.coulomb, given.viscous * given.fastest, 1e-6)
         names = {"viscous": [given.viscous], "coulomb": [given.coulomb], "offset": [given.offset], **more, STAMP: [given.stamp]}
         bounds = {

@@ -1,4 +1,4 @@
-"""What the numerical model has wrong in how it steps."""
+"""Errors in the time stepping of the numerical model."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ if TYPE_CHECKING:
     from hiltestbed.numerical_model.parameters import DynamicsParameters
     from hiltestbed.scenario import Scenario
 
-MOST_TICKS = 12  # that are searched
+MOST_TICKS = 12  # longest delay that is searched
 
 
 @register
 class DynamicsStepDelay(Effect):
-    """Whole ticks of extra transport in the numerical model."""
+    """The pose of the numerical model is late by extra whole ticks."""
 
     kind: Literal["dynamics.step_delay"] = "dynamics.step_delay"
     ticks: Annotated[int, Field(ge=0, le=100)] = Field(description="Whole ticks of delay", json_schema_extra={"unit": "-"})
@@ -44,14 +44,14 @@ class DynamicsStepDelay(Effect):
 
 @register
 class DynamicsIntegrator(Effect):
-    """The integrator adds energy: it acts as one step of delay."""
+    """The integrator of the numerical model adds energy: it acts as a delay of one step."""
 
     kind: Literal["dynamics.integrator"] = "dynamics.integrator"
     scheme: Literal["explicit_euler"] = Field(
-        default="explicit_euler", description="Integration scheme that runs in place of the semi-implicit one"
+        default="explicit_euler", description="Integration scheme used instead of semi-implicit Euler"
     )
     link = "dynamics"
-    equation = "pose with the old twist, then the twist"
+    equation = "pose integrated with the old twist, then the twist"
     reference = "explicit Euler"
     resembles = ("dynamics.step_delay",)
     leading = "scheme"

@@ -1,4 +1,4 @@
-"""What the electronics add that does not depend on the force."""
+"""Errors that the electronics add to the reading, independent of the force."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from hiltestbed.sensor.parameters import SensorParameters
 
 AXES = ("x", "y", "z")
-DRIFTS = 3.0  # peak forces that the reading of a sensor may drift over a run
-NEAR = 3.0  # [Hz] about a line of the spectrum, within which a tone is fitted
+DRIFTS = 3.0  # largest drift over a run that is searched, in peak forces
+NEAR = 3.0  # [Hz] to either side of a spectral line, within which a tone is fitted
 
 
 @register
@@ -71,7 +71,7 @@ class SensorDrift(Effect):
 
 @register
 class SensorHum(Effect):
-    """A tone on the force reading, contact or not."""
+    """A sinusoidal tone on the force reading, in contact and out of it."""
 
     kind: Literal["sensor.hum"] = "sensor.hum"
     frequency: float = quantity("Hz", "Frequency of the tone", gt=0.0, search=(1.0, 400.0), ratio=True)
@@ -95,7 +95,7 @@ class SensorHum(Effect):
 
     @classmethod
     def near(cls, axis: str, frequency: float, amplitude: float, phase: float) -> Candidate:
-        """The hypothesis of a tone near a line that was seen: frequency [Hz], amplitude [N], phase [rad]."""
+        """The hypothesis of a tone near an observed spectral line: frequency [Hz], amplitude [N], phase [rad]."""
         start = {"frequency": [frequency], "amplitude": [amplitude], "phase": [phase]}
         bounds = {
             "frequency": (max(0.5, frequency - NEAR), frequency + NEAR),

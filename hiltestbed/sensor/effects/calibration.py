@@ -1,4 +1,4 @@
-"""The transducer scales and mixes the axes of the wrench."""
+"""Calibration errors: the transducer scales and mixes the axes of the wrench."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ WrenchAxis = Literal["x", "y", "z", "rx", "ry", "rz"]
 
 @register
 class SensorGain(Effect):
-    """One axis of the wrench is scaled."""
+    """The gain of one axis of the wrench is wrong."""
 
     kind: Literal["sensor.gain"] = "sensor.gain"
-    factor: float = quantity("-", "True gain over the one believed", gt=0.0, search=(0.3, 3.0), ratio=True)
+    factor: float = quantity("-", "True gain over nominal gain", gt=0.0, search=(0.3, 3.0), ratio=True)
     axis: WrenchAxis = Field(default="z", description="Axis of the wrench that is scaled")
     link = "sensor"
     equation = "w_axis *= factor"
@@ -42,12 +42,12 @@ class SensorGain(Effect):
 
 @register
 class SensorCrosstalk(Effect):
-    """A fraction of one axis shows on another."""
+    """A fraction of one axis of the wrench appears on another axis."""
 
     kind: Literal["sensor.crosstalk"] = "sensor.crosstalk"
-    ratio: float = quantity("-", "Part of the source axis that shows on the other", ge=-1.0, le=1.0, search=(-0.3, 0.3))
-    source: WrenchAxis = Field(default="z", description="Axis of the wrench that leaks")
-    axis: WrenchAxis = Field(default="x", description="Axis of the wrench on which it shows")
+    ratio: float = quantity("-", "Fraction of the source axis that appears on the other", ge=-1.0, le=1.0, search=(-0.3, 0.3))
+    source: WrenchAxis = Field(default="z", description="Axis of the wrench that couples into the other")
+    axis: WrenchAxis = Field(default="x", description="Axis of the wrench on which the crosstalk appears")
     link = "sensor"
     equation = "w_axis += ratio w_source"
     reference = "calibration-matrix error"

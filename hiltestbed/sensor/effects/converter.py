@@ -1,4 +1,4 @@
-"""The conversion cuts small forces and clips large ones."""
+"""The analogue-to-digital conversion zeroes small forces and clips large ones."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 @register
 class SensorDeadzone(Effect):
-    """Force axes read zero below a threshold."""
+    """A dead zone in the sensor: force axes read zero below a threshold."""
 
     kind: Literal["sensor.deadzone"] = "sensor.deadzone"
     width: float = quantity("N", "Force below which an axis reads zero", gt=0.0, search=(0.2, 60.0), ratio=True)

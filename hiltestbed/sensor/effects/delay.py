@@ -1,4 +1,4 @@
-"""The wrench arrives late."""
+"""The force reading is delayed, by a constant or a varying time."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario
     from hiltestbed.sensor.parameters import SensorParameters
 
-LONGEST = 20.0  # ticks: as far as a delay is searched on a slow loop, where that is more than the range in seconds
-STARTS = (0.4, 0.8, 1.4, 2.5, 4.5, 8.0, 13.0, 20.0)  # ticks: each within the basin of the next, since F(delay) jumps at whole ticks
+LONGEST = 20.0  # ticks: upper bound of the search on a slow loop, where it exceeds the bound in seconds
+STARTS = (0.4, 0.8, 1.4, 2.5, 4.5, 8.0, 13.0, 20.0)  # ticks: so dense because F(delay) jumps at whole ticks
 
 
 @register
 class SensorDelay(Effect):
-    """The force reading is late by a fixed time."""
+    """An additional constant delay of the force reading."""
 
     kind: Literal["sensor.delay"] = "sensor.delay"
     delay: float = quantity("s", "Delay on top of the nominal one", ge=0.0, le=1.0, search=(0.0, 0.03))
@@ -46,7 +46,7 @@ class SensorDelay(Effect):
 
 @register
 class SensorJitter(Effect):
-    """The delay of the reading varies from sample to sample."""
+    """Jitter: the delay of the force reading varies from sample to sample."""
 
     kind: Literal["sensor.jitter"] = "sensor.jitter"
     sigma: float = quantity("s", "Standard deviation of the delay", ge=0.0, le=0.1, search=(0.0, 0.005))
@@ -62,5 +62,5 @@ class SensorJitter(Effect):
 
     @classmethod
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:
-        """None: it is noise in proportion to the rate of the reading, found by likelihood and not by a change of the mean."""
+        """None: jitter is noise proportional to the reading's rate of change; it is found by likelihood, not by a change of the mean."""
         return iter(())

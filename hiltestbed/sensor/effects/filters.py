@@ -1,4 +1,4 @@
-"""The electronics filter: a low-pass that lags, a charge that leaks."""
+"""Filters of the electronics: a low-pass that lags, a charge amplifier that leaks."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario
     from hiltestbed.sensor.parameters import SensorParameters
 
-SLOWEST = 50.0  # ticks: as far as the time constant of a lag is searched on a slow loop
+SLOWEST = 50.0  # ticks: upper bound of a lag's time constant in the search on a slow loop
 
 
 @register
 class SensorLag(Effect):
-    """The force reading passes a first-order low-pass."""
+    """The force reading passes an additional first-order low-pass."""
 
     kind: Literal["sensor.lag"] = "sensor.lag"
     time_constant: float = quantity("s", "Time constant of the low-pass", gt=0.0, search=(1e-4, 0.05), ratio=True)
     link = "sensor"
     equation = "y_k = y_(k-1) + (u_k - y_(k-1)) (1 - exp(-h/T))"
-    reference = "first-order low-pass, exact for an input that holds over the tick"
+    reference = "first-order low-pass, exact for an input held over the tick"
     resembles = ("sensor.delay",)
     repeats = True
     leading = "time_constant"
@@ -45,10 +45,10 @@ class SensorLag(Effect):
 
 @register
 class SensorHighpass(Effect):
-    """The charge leaks away: a steady force fades, an undershoot follows the contact."""
+    """Charge leakage, a high-pass: the reading of a steady force decays, and an undershoot follows the contact."""
 
     kind: Literal["sensor.highpass"] = "sensor.highpass"
-    time_constant: float = quantity("s", "Time constant with which the charge leaks away", gt=0.0, search=(0.02, 100.0), ratio=True)
+    time_constant: float = quantity("s", "Time constant of the charge leakage", gt=0.0, search=(0.02, 100.0), ratio=True)
     link = "sensor"
     equation = "y_k = exp(-h/T) (y_(k-1) + u_k - u_(k-1))"
     reference = "charge amplifier, s T/(1 + s T)"

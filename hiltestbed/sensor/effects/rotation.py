@@ -1,4 +1,4 @@
-"""The sensor is mounted turned."""
+"""The sensor is mounted with a rotation error."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ ALL = (*LATERAL, "angles_deg.2")
 
 @register
 class SensorRotation(Effect):
-    """The sensor's frame is turned against the one believed: force and torque are read along other axes."""
+    """The sensor's frame is rotated against its nominal attitude: force and torque are read along other axes."""
 
     kind: Literal["sensor.rotation"] = "sensor.rotation"
-    angles_deg: Angles = quantity("deg", "Rotation vector of the sensor's true frame in the one believed, x, y, z", search=(-10.0, 10.0))
+    angles_deg: Angles = quantity("deg", "Rotation vector of the sensor's true frame in the nominal frame, x, y, z", search=(-10.0, 10.0))
     link = "sensor"
-    equation = "f = R^T f and tau = R^T tau, R = exp(angles x), before gain and crosstalk"
+    equation = "f = R^T f and tau = R^T tau, R = exp([angles]_x), before gain and crosstalk"
     reference = "mounting error"
     resembles = ("sensor.crosstalk", "contact.misalignment", "contact.surface_friction")
     repeats = True
@@ -46,5 +46,5 @@ class SensorRotation(Effect):
 
     @classmethod
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:
-        """About the lateral axes, and about all three: a turn about z shows in lateral loads alone, and has to pay for itself."""
+        """About the lateral axes, and about all three: a rotation about z shows only in lateral loads and must justify its parameter."""
         return (candidate(cls, {name: [0.0] for name in names}) for names in (LATERAL, ALL))
