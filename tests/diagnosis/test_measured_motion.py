@@ -36,7 +36,11 @@ def test_the_force_of_a_smooth_motion_has_no_half_tick_of_its_acceleration(tmp_p
     """The slope of the tick that ends would add c a h/2, 0.18 N of the peak's 180 N; sampled alone it costs c x''' h^2/6, 1 mN."""
     t, place, force = bounce()
     rng = np.random.default_rng(3)
-    measured = {"t": t, "pose_act.pz": place + noise * rng.standard_normal(len(t)), "wrench_meas.fz": force + 0.05 * rng.standard_normal(len(t))}
+    measured = {
+        "t": t,
+        "pose_act.pz": place + noise * rng.standard_normal(len(t)),
+        "wrench_meas.fz": force + 0.05 * rng.standard_normal(len(t)),
+    }
     pq.write_table(pa.table(measured), tmp_path / "run.parquet")
     contact = {"mechanism": {"kind": "bumper", "contact": {"stiffness": STIFFNESS, "damping": DAMPING}}, "approach.gap": GAP}
     rig = {"rate": RATE, "physics_rate": 8 * RATE, "duration": len(t) / RATE, "approach.velocity.2": SPEED}
