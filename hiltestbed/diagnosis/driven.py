@@ -24,7 +24,6 @@ from hiltestbed.frames import Array
 from hiltestbed.measured import MeasuredRun
 from hiltestbed.measured.driven import PLACE
 from hiltestbed.measured.noise import white_noise
-from hiltestbed.numerical_model.resistance import SMOOTH
 
 MASS, FORCE = "dynamics.mass", "dynamics.force"
 ALONG_AN_AXIS = (MASS, FORCE)  # the stamp stands for late steps
@@ -77,7 +76,7 @@ def regression(runs: Sequence[MeasuredRun]) -> DrivenAxis:
     fastest = max(float(np.abs(v).max()) for _, v, _ in parts)
     rows = [np.abs(v) > SLOWEST * fastest for _, v, _ in parts]
     a, v, f = (np.concatenate([part[j][keep] for part, keep in zip(parts, rows, strict=True)]) for j in range(3))
-    basis = np.column_stack([a, v, np.tanh(v / SMOOTH), np.ones_like(v)])
+    basis = np.column_stack([a, v, np.sign(v), np.ones_like(v)])
     scale = np.maximum(np.linalg.norm(basis, axis=0), 1e-300)
     mass, viscous, coulomb, offset = np.linalg.lstsq(basis / scale, f, rcond=None)[0] / scale
     period = max(max(run.scenario.tick, 1.0 / run.record.sample_rate if run.record.sample_rate else 0.0) for run in runs)

@@ -18,6 +18,7 @@ from hiltestbed.diagnosis.residual import Residual, square
 from hiltestbed.frames import Array
 
 LEAST = 1e-3  # of an estimate: what is left to how a rig is discretised
+NORMAL = 1.96  # standard deviations to each side that hold 95 % of a normal distribution
 RISE = 3.84  # of chi-square: 95 % of one parameter
 FLAT = 1e-14  # of the largest curvature
 WIDE_STEP = 2e-3  # of the scale, for derivatives that average over the jumps at whole ticks
@@ -86,7 +87,7 @@ def intervals(residual: Residual, found: Fit) -> Spread:
     runs = len(residual.runs)
     plain = np.diag(inverse) * misfit
     between = np.diag(inverse @ middle @ inverse) * runs / max(1, runs - 1)
-    spread = np.sqrt(np.maximum(np.maximum(plain, witnessed(residual, jacobians, inverse)), 0.0)) * 1.96
+    spread = np.sqrt(np.maximum(np.maximum(plain, witnessed(residual, jacobians, inverse)), 0.0)) * NORMAL
     if runs > 2:
         spread = np.maximum(spread, np.sqrt(np.maximum(between, 0.0)) * min(2.2, float(student.ppf(0.975, runs - 1))))
     half = spread * scale + LEAST * np.abs(theta)
@@ -101,7 +102,8 @@ def intervals(residual: Residual, found: Fit) -> Spread:
 def witnessed(residual: Residual, jacobians: Sequence[tuple[Array, Array]], inverse: Array) -> Array:
     """(P,) variance of scaled parameters by what stretches of the runs say of one another; zeros where each row is a witness of its own.
 
-    The sandwich of the stretches' gradients, for the longest stretches of the link's that make the most of it.
+    The sandwich of the stretches' gradients, for those of the link's stretches that make the most of it. Few stretches know their own
+    scatter poorly: the variance is that of the normal distribution whose 95 % end where those of Student's do.
     """
     count = len(inverse)
     out = np.zeros(count)
@@ -113,7 +115,8 @@ def witnessed(residual: Residual, jacobians: Sequence[tuple[Array, Array]], inve
             middle += np.einsum("mi,mj->ij", gradients, gradients)
             stretches += len(gradients)
         if stretches > count:
-            out = np.maximum(out, np.diag(inverse @ middle @ inverse) * stretches / (stretches - count))
+            wider = (float(student.ppf(0.975, stretches - count)) / NORMAL) ** 2
+            out = np.maximum(out, np.diag(inverse @ middle @ inverse) * stretches / (stretches - count) * wider)
     return out
 
 

@@ -77,7 +77,8 @@ def best_path(layout: Layout, platform: Explanation | None) -> BestPath:
         path = Path(poses, _central_rates(layout, poses), source="pose_cmd")
         extra = _brought_by_command(layout, path)
     else:
-        path = Path(_smooth_paths(layout, platform), None)
+        poses = _smooth_paths(layout, platform)
+        path = Path(poses, None if platform is not None else _central_rates(layout, poses))
         noisy = platform is not None or any(r.record.has("pose_act") for r in layout.runs)
         extra = [_smoothed_noise(layout, run) for run in layout.runs] if noisy else None
     if not all(sides_of(r.scenario.mechanism).rigid for r in layout.runs):
@@ -153,7 +154,7 @@ def _measured(layout: Layout) -> list[Path]:
         return []
     poses = [r.record.filled("pose_act") for r in runs]
     place = max(_finest(r, "pose_act") for r in runs)
-    if all(moves_linearly(r.scenario) for r in runs):
+    if _uniform(layout):
         return [Path(poses, None, place, math.sqrt(2.0) * place / tick)]
     out = [Path(poses, _central_rates(layout, poses), place, math.sqrt(0.5) * place / tick)]
     if all(r.record.whole("twist_act") for r in runs):
@@ -274,9 +275,15 @@ def _finest(run: MeasuredRun, group: str) -> float:
 
 def _central_rates(layout: Layout, paths: Sequence[Array]) -> list[Array] | None:
     """(N, 6) twists at t_k, the mean of the slopes before and after; None where A moves uniformly within a tick."""
-    if all(moves_linearly(r.scenario) for r in layout.runs):
+    if _uniform(layout):
         return None
     return [central_rates(run.scenario, path) for run, path in zip(layout.runs, paths, strict=True)]
+
+
+def _uniform(layout: Layout) -> bool:
+    """Whether A is known to move uniformly within a tick: a facility that was commanded is believed to; of a motion that was only measured
+    nothing is known but that it is smooth."""
+    return any(r.record.has("pose_cmd") for r in layout.runs) and all(moves_linearly(r.scenario) for r in layout.runs)
 
 
 def _jumps(path: Array) -> Array:

@@ -1,12 +1,13 @@
 """A force that resists motion along an axis: viscous and dry friction that may differ by direction, the Stribeck effect, an offset.
 
-The law, for the speed v along the axis, with s its sign and ``sgn(v) = tanh(v/SMOOTH)``::
+The law, for the speed v along the axis, with s its sign::
 
-    R(v) = offset + viscous_s v + (coulomb_s + rise exp(-(v/stribeck)^2)) sgn(v)
+    R(v) = offset + viscous_s v + (coulomb_s + rise exp(-(v/stribeck)^2)) s
 
-The step is implicit in the speed at its end, ``v' = v_free - g R(v')`` with ``g`` the speed change per newton in a tick, so that dry
-friction brings a body to rest whatever its mass and does not chatter; only the Stribeck factor is evaluated at the speed before. All other
-terms increase with v', so that there is one solution.
+At rest, dry friction balances the other forces, up to its level. Over a tick, with the other forces held constant, the motion is integrated
+exactly: an exponential until the body stops, then rest or another exponential. A body of any mass is therefore held without creep or
+chatter, and neither viscous friction nor the instant of a stop depends on the step size; only the Stribeck factor is evaluated at the speed
+before the tick.
 """
 
 from __future__ import annotations
@@ -20,39 +21,42 @@ from hiltestbed.numerical_model.kernels import CHASER, TARGET, WORK, mobility, r
 
 BODY, AXIS, OFFSET, VISCOUS, VISCOUS_BACK, COULOMB, COULOMB_BACK, RISE, STRIBECK, RESISTANCE = range(10)  # columns, and their number
 BETWEEN = 2  # value of BODY, besides CHASER and TARGET: the motion of A relative to P, equal and opposite on both bodies
-SMOOTH = 2e-4  # [m/s]
-ONE = 20.0  # argument above which tanh is 1 to the last bit
-SETTLED = 1e-13  # [m/s] tolerance of the speed in Newton's method
-STEPS = 60  # largest number of steps of Newton's method
 
 
 @njit(cache=True)
 def resisting(laws, f, v, free, gain):
-    """The force [N] of law ``f`` of ``laws`` (F, RESISTANCE) over a tick.
+    """The mean force [N] of law ``f`` of ``laws`` (F, RESISTANCE) over a tick.
 
     Args:
         v: speed [m/s] before the tick. free: speed at its end without this force. gain: speed reduction per newton [m/s per N].
     """
-    drive = free - gain * laws[f, OFFSET]
-    forward = drive >= 0.0
-    level = laws[f, COULOMB] if forward else laws[f, COULOMB_BACK]
+    rise = 0.0
     if laws[f, RISE] != 0.0:
-        level += laws[f, RISE] * math.exp(-((v / laws[f, STRIBECK]) ** 2))
+        rise = laws[f, RISE] * math.exp(-((v / laws[f, STRIBECK]) ** 2))
+    drive = (free - v) / gain - laws[f, OFFSET]
+    part = 1.0  # of the tick that is left
+    if v != 0.0:
+        forward = v > 0.0
+        slope = laws[f, VISCOUS] if forward else laws[f, VISCOUS_BACK]
+        level = laws[f, COULOMB] if forward else laws[f, COULOMB_BACK]
+        net = drive - (level + rise if forward else -level - rise)
+        end = v + _gained(v, net, slope, gain)
+        if (end >= 0.0) == forward:
+            return (free - end) / gain
+        part -= math.log1p(-slope * v / net) / (gain * slope) if slope > 0.0 else -v / (gain * net)  # until it stands
+    forward = drive >= 0.0
     slope = laws[f, VISCOUS] if forward else laws[f, VISCOUS_BACK]
-    left = abs(drive)
-    u = max(0.0, (left - gain * level) / (1.0 + gain * slope))  # a lower bound; the function is concave, so Newton's steps only increase u
-    part = 1.0
-    if u < ONE * SMOOTH:
-        for _ in range(STEPS):
-            part = math.tanh(u / SMOOTH)
-            over = u + gain * (slope * u + level * part) - left
-            change = over / (1.0 + gain * (slope + level * (1.0 - part * part) / SMOOTH))
-            u -= change
-            if abs(change) < SETTLED:
-                break
-        part = math.tanh(u / SMOOTH)
-    force = slope * u + level * part
-    return laws[f, OFFSET] + (force if forward else -force)
+    level = laws[f, COULOMB] if forward else laws[f, COULOMB_BACK]
+    over = max(0.0, abs(drive) - level - rise)
+    end = _gained(0.0, over, slope, gain * part)
+    return (free - (end if forward else -end)) / gain
+
+
+@njit(cache=True, inline="always")
+def _gained(v, net, slope, gain):
+    """[m/s] change of the speed ``v`` under a force ``net`` [N] against ``slope`` [N s/m] that acts for ``gain`` [m/s per N]."""
+    decay = gain * slope
+    return (net - slope * v) * gain * (-math.expm1(-decay) / decay if decay > 0.0 else 1.0)
 
 
 @njit(cache=True)

@@ -15,6 +15,7 @@ import pytest
 import hiltestbed
 from hiltestbed.diagnosis.diagnose import diagnose
 from hiltestbed.diagnosis.driven import axis_link
+from hiltestbed.diagnosis.intervals import LEAST
 from hiltestbed.diagnosis.layout import lay_out
 from hiltestbed.diagnosis.result import Diagnosis
 from hiltestbed.effects import EFFECTS
@@ -85,10 +86,10 @@ def test_mass_friction_and_offset_are_found_whatever_mass_is_believed(
     got = estimates(found)
     for name, value in true.items():
         estimate, (low, high) = got[name]
-        assert estimate == pytest.approx(value, rel=0.01), name
         assert low < value < high, name
         assert got["dynamics.force viscous_asymmetry"][0] == 0.0
         assert high - low < 0.05 * abs(value), "an interval that holds because it is wide says nothing"
+        assert estimate == pytest.approx(value, rel=1e-4), name  # neither the loop's step nor a rest that creeps is in it
 
 
 def test_one_record_predicts_the_other(tmp_path: Path, records: dict[str, dict[str, np.ndarray]]) -> None:
@@ -104,13 +105,14 @@ def test_a_mass_that_is_right_is_not_named(tmp_path: Path, records: dict[str, di
 
 
 def test_what_the_law_does_not_hold_widens_the_intervals_and_takes_nothing_from_the_estimates(tmp_path: Path) -> None:
-    """1 N of ripple over the place, of 20 N of dry friction: estimates within 3 %, intervals wider than of clean records."""
+    """1 N of ripple over the place, of 20 N of dry friction: estimates within 1 %, intervals thrice those of clean records, and right."""
     found = diagnose(dataset(tmp_path, {n: cut(c) for n, c in generate.records(generate.Axis(ripple=1.0)).items()}))
     got = estimates(found)
-    assert got["dynamics.force viscous"][0] == pytest.approx(TRUE.viscous, rel=0.03)
-    assert got["dynamics.force coulomb"][0] == pytest.approx(TRUE.coulomb, rel=0.03)
-    low, high = got["dynamics.force viscous"][1]
-    assert high - low > 0.008 * TRUE.viscous
+    for name, value in (("viscous", TRUE.viscous), ("coulomb", TRUE.coulomb)):
+        estimate, (low, high) = got[f"dynamics.force {name}"]
+        assert estimate == pytest.approx(value, rel=0.01), name
+        assert low < value < high, name
+        assert high - low > 3.0 * 2.0 * LEAST * value, name
 
 
 def test_friction_that_differs_by_direction_is_told_from_friction_that_does_not(tmp_path: Path) -> None:

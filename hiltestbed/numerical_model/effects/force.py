@@ -54,7 +54,7 @@ class DynamicsForce(Effect):
     link = "dynamics"
     equation = (
         "R = offset + viscous (1 - viscous_asymmetry sgn v) v + (coulomb + (static - coulomb) exp(-(v/stribeck_speed)^2)) sgn(v), "
-        "sgn(v) = tanh(v/2e-4), with v at the end of the tick"
+        "sgn(0) what holds it, from -1 to 1; the mean over a tick of a motion that the other forces, held, drive"
     )
     reference = "C. Canudas de Wit et al., IEEE Trans. Autom. Control 40, 1995; with an offset A. Janot, M. Gautier, M. Brunot, 2019"
     resembles = ("dynamics.mass", "dynamics.appendage")
