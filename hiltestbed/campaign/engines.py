@@ -1,6 +1,6 @@
-"""One map, three engines: this process, worker processes, a Dask cluster. Each yields chunks as they are finished, in any order.
+"""Three engines with one interface: this process, worker processes, a Dask cluster. Each yields chunks as they finish, in any order.
 
-None holds more than a few chunks at a time: work is handed out as results come back.
+None holds more than a few chunks at a time: a new chunk is submitted when a result arrives.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ Chunk = Sequence[int]
 Results = Generator[ChunkResult, None, None]
 Engine = Callable[[LoadedCampaign, Iterable[Chunk]], Results]
 
-ATTEMPTS = 4  # times a chunk is tried whose worker dies; then the chunk is taken for the cause
-ANSWER = 5.0  # [s] a scheduler has to answer
+ATTEMPTS = 4  # of a chunk whose worker dies; after these the chunk is assumed to be the cause
+ANSWER = 5.0  # [s] timeout for the scheduler's answer
 
 
 def serial(campaign: LoadedCampaign, chunks: Iterable[Chunk]) -> Results:
@@ -50,7 +50,7 @@ def processes(workers: int) -> Engine:
                 if attempts[chunk] >= ATTEMPTS:
                     raise HiltestbedError(
                         f"cases {min(chunk)} to {max(chunk)}: the worker process died {ATTEMPTS} times (killed, or out of memory); "
-                        "the same command goes on where it stopped, with fewer --workers or a smaller --chunk"
+                        "the same command resumes where it stopped, with fewer --workers or a smaller --chunk"
                     )
             again = list(lost)
 
@@ -58,7 +58,7 @@ def processes(workers: int) -> Engine:
 
 
 def _until_broken(campaign: LoadedCampaign, waiting: Iterator[Chunk], again: list[Chunk], workers: int):
-    """Yields results until all is done or a worker dies; returns the chunks that were under way then."""
+    """Yields results until all chunks are done or a worker dies; returns the chunks that were in progress then."""
     from multiprocessing import get_context
 
     pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_begin_worker, initargs=(os.getpid(),))
@@ -83,7 +83,7 @@ def _until_broken(campaign: LoadedCampaign, waiting: Iterator[Chunk], again: lis
 
 
 def _end(pool: ProcessPoolExecutor) -> None:
-    """Ends the pool now: a chunk under way is worth less than a prompt return."""
+    """Ends the pool at once: a prompt return is worth more than the chunks in progress."""
     children = list((pool._processes or {}).values())
     pool.shutdown(wait=False, cancel_futures=True)
     for child in children:
@@ -93,7 +93,7 @@ def _end(pool: ProcessPoolExecutor) -> None:
 
 
 def _begin_worker(parent: int) -> None:
-    """A worker leaves Ctrl-C to its parent, and ends when the parent is gone, however it went."""
+    """A worker ignores Ctrl-C, which its parent handles, and ends when the parent has ended for any reason."""
     import signal
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -104,13 +104,13 @@ def _begin_worker(parent: int) -> None:
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
-    plugins.load()  # a campaign holds objects of their classes
+    plugins.load()  # a campaign contains objects of plugin classes
 
 
 def dask(address: str) -> Engine:
     """The engine of a Dask cluster whose scheduler is at `address` (`tcp://host:8786`, `tls://...` with Dask's own TLS settings).
 
-    Raises InputError when the scheduler does not answer.
+    Raises InputError if the scheduler does not answer.
     """
     client = _connect(address)
 
@@ -168,11 +168,11 @@ def _on_cluster(client, campaign: LoadedCampaign, waiting: Iterator[Chunk]) -> I
         except KilledWorker as error:
             raise HiltestbedError(f"a chunk has killed every worker that took it ({error}); the same command tries again") from None
         except CancelledError:
-            raise HiltestbedError("the scheduler was lost; the same command goes on where it stopped") from None
+            raise HiltestbedError("the scheduler was lost; the same command resumes where it stopped") from None
 
 
 def run_chunk_of(campaign: LoadedCampaign, chunk: Chunk, expected: dict[str, str]) -> ChunkResult:
-    """`run_chunk` on a worker elsewhere, which must have the packages that the campaign was begun with."""
+    """`run_chunk` on a remote worker, which must have the package versions with which the campaign was started."""
     from hiltestbed.versions import versions
 
     if versions() != expected:
