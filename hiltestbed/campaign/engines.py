@@ -152,13 +152,13 @@ def _on_cluster(client, campaign: LoadedCampaign, waiting: Iterator[Chunk]) -> I
 
     from hiltestbed.versions import versions
 
-    told = False
+    warned = False
     running = as_completed(loop=client.loop)
     while True:
         threads = sum(client.nthreads().values())
-        if not threads and not told:
+        if not threads and not warned:
             sys.stderr.write("the scheduler has no workers yet; waiting for them (start some with `dask worker ADDRESS --nthreads 1`)\n")
-            told = True
+            warned = True
         for chunk in islice(waiting, max(0, 2 * max(threads, 1) - running.count())):
             running.add(client.submit(run_chunk_of, campaign, tuple(chunk), versions(), pure=False))
         if running.is_empty():

@@ -52,15 +52,15 @@ def _environment() -> dict[str, str]:
     return os.environ | {"PYTHONPATH": os.pathsep.join([here, *filter(None, [os.environ.get("PYTHONPATH")])])}
 
 
-def _answer(told: dict, file: Path) -> Columns:
-    if "faults" in told:
-        raise InputError([Fault(**fault) for fault in told["faults"]])
-    if "error" in told:
-        raise HiltestbedError(told["error"])
+def _answer(answer: dict, file: Path) -> Columns:
+    if "faults" in answer:
+        raise InputError([Fault(**fault) for fault in answer["faults"]])
+    if "error" in answer:
+        raise HiltestbedError(answer["error"])
     with np.load(io.BytesIO(file.read_bytes()), allow_pickle=False) as arrays:
-        data = {name: arrays[f"data.{i}"] for i, name in enumerate(told["data"])}
-        clock = {name: arrays[f"clock.{i}"] for i, name in enumerate(told["clock"])}
-    return Columns(tuple(told["names"]), data, clock)
+        data = {name: arrays[f"data.{i}"] for i, name in enumerate(answer["data"])}
+        clock = {name: arrays[f"clock.{i}"] for i, name in enumerate(answer["clock"])}
+    return Columns(tuple(answer["names"]), data, clock)
 
 
 def _serve() -> None:
@@ -72,18 +72,18 @@ def _serve() -> None:
     try:
         _limit_memory()
         columns = reader(order["module"])(Path(order["path"]), frozenset(order["wanted"]))
-        told = {"names": list(columns.names), "data": list(columns.data), "clock": list(columns.clock)}
+        answer = {"names": list(columns.names), "data": list(columns.data), "clock": list(columns.clock)}
         arrays = {f"data.{i}": a for i, a in enumerate(columns.data.values())}
         arrays |= {f"clock.{i}": a for i, a in enumerate(columns.clock.values())}
         np.savez(folder / COLUMNS, **arrays)  # type: ignore[arg-type]
     except InputError as error:
-        told = {"faults": [vars(fault) | {"file": given} for fault in error.faults]}
+        answer = {"faults": [vars(fault) | {"file": given} for fault in error.faults]}
     except MissingExtra as error:
-        told = {"error": str(error).replace(order["path"], given)}
+        answer = {"error": str(error).replace(order["path"], given)}
     except MemoryError:
-        told = {"faults": [vars(Fault(given, None, None, "", "asks for more memory than there is; it is damaged, or cut it to the run"))]}
+        answer = {"faults": [vars(Fault(given, None, None, "", "asks for more memory than there is; it is damaged, or cut it to the run"))]}
     partial = folder / (ANSWER + ".partial")
-    partial.write_text(json.dumps(told), encoding="utf-8")
+    partial.write_text(json.dumps(answer), encoding="utf-8")
     partial.replace(folder / ANSWER)
 
 
