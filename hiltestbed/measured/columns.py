@@ -20,7 +20,7 @@ from hiltestbed.signals import GROUPS
 if TYPE_CHECKING:
     from hiltestbed.frames import Array
 
-# What the parsers of foreign formats raise when the bytes are not what the header promises, beside errors of their own.
+# Errors that third-party parsers raise, besides their own, if the bytes contradict the header.
 BROKEN = (OSError, EOFError, ValueError, LookupError, TypeError, AttributeError, RuntimeError, OverflowError, struct.error)
 SAMPLE_LIMIT = 32_000_000  # numbers that may be loaded from one file: 256 MB
 
