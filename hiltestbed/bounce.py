@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from hiltestbed.rig_response import RigResponse
 
 STEPS = 500  # per bounce: error of e 2e-3
-SWINGS, LAGS = 1.3, 3.0  # half periods of the contact, and lags of the loop, that together bound the duration of a bounce
+HALF_PERIODS, LAGS = 1.3, 3.0  # half periods of the contact, and lags of the loop, that together bound the duration of a bounce
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class Bounce:
 def bounce(response: RigResponse, mass: float, stiffness: float, damping: float, delay: float) -> Bounce:
     """A bounce of ``mass`` [kg] on a contact [N/m], [N s/m] through a rig, with a force that is delayed by ``delay`` [s]."""
     lag = lag_of(response)
-    span = SWINGS * math.pi * math.sqrt(mass / stiffness) + LAGS * max(delay + lag, 0.0)
+    span = HALF_PERIODS * math.pi * math.sqrt(mass / stiffness) + LAGS * max(delay + lag, 0.0)
     t = np.linspace(0.0, span, STEPS + 1)
     dt = float(t[1])
     g = dt * (_carried(response, lag, t - delay) / mass + _yielded(response, t))

@@ -34,12 +34,12 @@ COPIES = 3  # of a trace in memory while it is written
 BASE = 0.47 * GB  # an interpreter with its packages and compiled blocks
 STATES = 4  # copies of the delay lines: the loop's own and those kept for the replay of a failure
 TICK, INSTANT = 6e-5, 6e-6  # [s] on one core per tick and per physics step, for a single run
-BATCHED = 0.25  # part of that for each further run in its batch
-BEGIN = 6.0  # [s] to start with compiled kernels, and to write report and recording
+BATCH_FACTOR = 0.25  # part of that for each further run in its batch
+STARTUP = 6.0  # [s] to start with compiled kernels, and to write report and recording
 ROW = 700.0  # [byte] per row in trace.parquet and recording.rrd together
-SHAPES = 2.5e6  # [byte] of a recording and a report of even the shortest run
-DIAGNOSED = 6e-3  # [s] per row of a dataset: 6 runs of 900 rows take 10 to 60 s
-FIT = 3.0e4  # [byte] per row of a dataset while links are replayed for many hypotheses
+FIXED_FILES = 2.5e6  # [byte] of a recording and a report of even the shortest run
+DIAGNOSIS_PER_ROW = 6e-3  # [s] per row of a dataset: 6 runs of 900 rows take 10 to 60 s
+FIT_PER_ROW = 3.0e4  # [byte] per row of a dataset while links are replayed for many hypotheses
 FILTER_MEMORY = 10.0  # time constants of a low-pass, the sensor's or its own, for which the identification keeps data
 VARIABLES = {"memory": "HILTESTBED_MEMORY_LIMIT", "disk": "HILTESTBED_DISK_LIMIT", "time": "HILTESTBED_TIME_LIMIT"}
 
@@ -132,9 +132,9 @@ def run_budget(scenarios: Sequence[Scenario], rows: bool = True) -> Budget:
     ticks, n, first = max(s.ticks for s in scenarios), len(scenarios), scenarios[0]
     trace = ticks * n * COLUMNS * 8.0
     lines = sum(delay_line(s) for s in scenarios)
-    core = ticks * (TICK + INSTANT * first.substeps) * (1 + BATCHED * (n - 1)) * (1 + REFERENCE)
-    disk = n * (ticks * ROW + SHAPES) if rows else 2e3 * n
-    return Budget(BASE + (COPIES * trace if rows else 0.0) + STATES * lines, BEGIN + core, disk)
+    core = ticks * (TICK + INSTANT * first.substeps) * (1 + BATCH_FACTOR * (n - 1)) * (1 + REFERENCE)
+    disk = n * (ticks * ROW + FIXED_FILES) if rows else 2e3 * n
+    return Budget(BASE + (COPIES * trace if rows else 0.0) + STATES * lines, STARTUP + core, disk)
 
 
 REFERENCE = 0.5  # time of a reference run, relative to that of its run
@@ -162,13 +162,13 @@ def campaign_budget(campaign: LoadedCampaign, workers: int = 1, chunk: int = 64)
     one = run_budget([scenario] * together, rows=False)
     held = min(together * scenario.ticks, 400_000) * COLUMNS * 8.0 * COPIES if keeps else 0.0
     disk = cases * (scenario.ticks * ROW if keeps else 2e3)
-    return Budget(workers * (one.memory + held), BEGIN + (one.time - BEGIN) * cases / together / workers, disk)
+    return Budget(workers * (one.memory + held), STARTUP + (one.time - STARTUP) * cases / together / workers, disk)
 
 
 def dataset_budget(dataset: LoadedDataset) -> Budget:
     """Budget of a diagnosis of runs that last as long as their scenarios."""
     rows = sum(s.ticks for s in dataset.scenarios)
-    return Budget(BASE + rows * FIT, 10.0 + rows * DIAGNOSED, 2e6 + rows * ROW)
+    return Budget(BASE + rows * FIT_PER_ROW, 10.0 + rows * DIAGNOSIS_PER_ROW, 2e6 + rows * ROW)
 
 
 def _bytes(size: float) -> str:

@@ -19,8 +19,8 @@ from hiltestbed import interrupt
 QUIET = 1.0  # [s] a shorter run shows nothing
 LOG_INTERVAL = 10.0  # [s]
 REMEMBERED = 32  # updates that determine the pace
-ENOUGH = 3  # intervals, at least, for an estimate
-SURE = 0.5  # largest 95 % interval of the pace, relative to it, for an estimate
+FEWEST_INTERVALS = 3  # intervals, at least, for an estimate
+LARGEST_SPREAD = 0.5  # largest 95 % interval of the pace, relative to it, for an estimate
 
 
 class Pace:
@@ -43,9 +43,9 @@ class Pace:
         """Seconds that ``work`` more units take; None while there are too few data.
 
         Uses the mean of the latest intervals. A single interval longer than five times the median for its work is left out; several of them
-        count. If the intervals vary much, more are awaited until the 95 % interval of the mean is within :data:`SURE` of it.
+        count. If the intervals vary much, more are awaited until the 95 % interval of the mean is within :data:`LARGEST_SPREAD` of it.
         """
-        if len(self._paces) < ENOUGH:
+        if len(self._paces) < FEWEST_INTERVALS:
             return None
         middle = statistics.median(seconds / units for seconds, units in self._paces)
         slow = [part for part in self._paces if part[0] > 5.0 * middle * part[1]]
@@ -56,7 +56,7 @@ class Pace:
             return None
         spread = math.sqrt(sum((seconds - pace * units) ** 2 for seconds, units in usual) * len(usual) / free)
         student = 2.0 + 9.0 / free**2  # Student's t for 95 %, accurate to 0.2
-        return work * pace if student * spread <= SURE * sum(seconds for seconds, _ in usual) else None
+        return work * pace if student * spread <= LARGEST_SPREAD * sum(seconds for seconds, _ in usual) else None
 
 
 def time_left_text(seconds: float | None) -> str:

@@ -24,8 +24,8 @@ Complex = NDArray[np.complex128]
 LINES = 100  # [Hz] sines at 1, 2, ... Hz
 PERIOD = 1.0  # [s] of their sum, measured after a lead-in of the same length
 MOST_INSTANTS = 1_000_000  # physics steps of a measurement, at most: half a minute along one axis, three minutes on six
-SWING, PULL = 1e-3, 0.3  # [m], [m/s^2] largest amplitude and acceleration of a sine
-PUSH = 20.0  # [N] amplitude of each sine of the force
+MAX_AMPLITUDE, MAX_ACCELERATION = 1e-3, 0.3  # [m], [m/s^2] largest amplitude and acceleration of a sine
+FORCE_AMPLITUDE = 20.0  # [N] amplitude of each sine of the force
 ARM = 0.6  # [m] converts angles to lengths and forces to torques: the height of a docking mechanism
 FINE = 50  # interpolated points per line spacing
 ALONG = 2  # the axis of the insertion
@@ -145,7 +145,7 @@ def _measure(scenario: Scenario, axes: Sequence[int]) -> SixAxisResponse:
         return SixAxisResponse(np.zeros(1), still, np.zeros_like(still))
     phase = -math.pi * lines * (lines - 1) / len(lines)  # Schroeder phases: a low crest factor
     w = 2.0 * math.pi * lines / PERIOD
-    size = np.minimum(SWING, PULL / w**2)
+    size = np.minimum(MAX_AMPLITUDE, MAX_ACCELERATION / w**2)
     period = round(PERIOD / tick)
 
     def wave(t: NDArray[Any], order: int) -> Array:
@@ -157,7 +157,7 @@ def _measure(scenario: Scenario, axes: Sequence[int]) -> SixAxisResponse:
     # The velocity of a tick refers to its middle, its acceleration to its start.
     speed, bend = wave(ends - 0.5 * tick, 1), wave(ends - tick, 2)
     instants = np.arange(period * m) * tick / m
-    push = PUSH * np.sin(w * instants[:, None] + phase).sum(axis=1)
+    push = FORCE_AMPLITUDE * np.sin(w * instants[:, None] + phase).sum(axis=1)
     runs = 2 * len(axes)
     plant = Plant([scenario] * runs, force=_Pushes(push, axes))
     pose, twist, accel = np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (runs, 1)), np.zeros((runs, 6)), np.zeros((runs, 6))

@@ -44,9 +44,9 @@ from hiltestbed.scenario import Scenario, load_scenario
 from hiltestbed.trial import FirstContact, first_contact
 
 NEUTRAL = 5e-3  # of the energy of a bounce, as of a run (:mod:`hiltestbed.assessment`)
-HALVINGS = 20  # bisection steps in the search for a delay or a stiffness
+BISECTIONS = 20  # bisection steps in the search for a delay or a stiffness
 LATER = "along the normal of a later touch"
-WIDEST = 1e3  # range of the search for the stiffness limit: the stiffness times or divided by this
+SEARCH_RANGE = 1e3  # range of the search for the stiffness limit: the stiffness times or divided by this
 
 
 @dataclass(frozen=True)
@@ -228,7 +228,7 @@ def _bears(rebounds: Rebounds, fine: RigResponse, contact: Direction) -> float |
 
     def seek() -> float:
         low, high = min(0.0, -rebounds.lag), most  # a lead that equals the rig's lag: no delay in total
-        for _ in range(HALVINGS):
+        for _ in range(BISECTIONS):
             middle = 0.5 * (low + high)
             low, high = (middle, high) if rebounds.slower(middle, contact.stiffness) else (low, middle)
         return low
@@ -291,14 +291,14 @@ def _largest_stiffness(rebounds: Rebounds, fine: RigResponse, contact: Direction
     def seek() -> float | None:
         factor = 1.0
         step = 1.25 if stable else 0.8
-        while 1.0 / WIDEST < factor < WIDEST:
+        while 1.0 / SEARCH_RANGE < factor < SEARCH_RANGE:
             following = factor * step
             state = left(following)
             if state is None:
                 return None
             if state != stable:
                 inside, outside = (factor, following) if stable else (following, factor)
-                for _ in range(HALVINGS):
+                for _ in range(BISECTIONS):
                     middle = math.sqrt(inside * outside)
                     inside, outside = (middle, outside) if left(middle) else (inside, middle)
                 return contact.stiffness * inside

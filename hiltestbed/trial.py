@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from hiltestbed.bounce import LAGS, SWINGS, Bounce
+from hiltestbed.bounce import HALF_PERIODS, LAGS, Bounce
 from hiltestbed.contact.directions import time_of_touch
 from hiltestbed.contact.sides import sides_of
 from hiltestbed.errors import InputError
@@ -31,9 +31,9 @@ from hiltestbed.scenario import Scenario, resolved, scenario_from
 LEAD = (0.1, 1.0)  # [s] of uniform motion before the touch, minimum and maximum
 APPROACH = 5e-3  # [m] of uniform motion before the touch
 LONGEST = 20.0  # [s] longest head-on bounce that is simulated: one that takes minutes will not end within the run either
-SLOWER = 2.0  # simulated duration, in durations of a head-on bounce, for a sliding tip
-NEVER = 1e-12  # [m/s] limit for a latch to close, below the speed of any bounce
-LOOKS = 10  # ticks between two checks of whether the bodies have separated
+SLIDING_FACTOR = 2.0  # simulated duration, in durations of a head-on bounce, for a sliding tip
+BELOW_ANY_BOUNCE = 1e-12  # [m/s] limit for a latch to close, below the speed of any bounce
+CHECK_INTERVAL = 10  # ticks between two checks of whether the bodies have separated
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class FirstContact:
 
     def _lasts(self, stiffness: float, late: float) -> float:
         """[s] upper bound of the duration of a head-on bounce."""
-        return SWINGS * math.pi * math.sqrt(self._mass / stiffness) + LAGS * late
+        return HALF_PERIODS * math.pi * math.sqrt(self._mass / stiffness) + LAGS * late
 
     def played(self, case: Case, lag: float) -> Bounce | None:
         """The bounce of a case, on a rig with that lag [s]; None if it does not end in time, diverges, or its scenario is invalid."""
@@ -84,7 +84,7 @@ class FirstContact:
                 loop.step()
             except ZeroDivisionError:  # a denominator is zero or has overflowed, with numbers far from those of any rig
                 return None
-            if loop.k % LOOKS == 0 and loop.tally.rebounded[0] and loop.alive[0]:
+            if loop.k % CHECK_INTERVAL == 0 and loop.tally.rebounded[0] and loop.alive[0]:
                 return self._ended(loop)
         return None
 
@@ -101,11 +101,11 @@ class FirstContact:
         lasts = self._lasts(case.stiffness, max(case.delay + lag, 0.0))
         mechanism: dict[str, Any] = data["mechanism"] | {"contact": data["mechanism"]["contact"] | {"stiffness": case.stiffness}}
         if mechanism.get("latch"):
-            mechanism["latch"] = mechanism["latch"] | {"speed": NEVER}
+            mechanism["latch"] = mechanism["latch"] | {"speed": BELOW_ANY_BOUNCE}
         changed = {
             "name": "first contact", "description": "", "seed": 0, "mechanism": mechanism, "sensor": {"delay": case.delay},
             "numerical_model": {"kind": "free_flyers"},
-            "duration": self._lead + SLOWER * min(lasts, max(self._own, data["duration"])),
+            "duration": self._lead + SLIDING_FACTOR * min(lasts, max(self._own, data["duration"])),
             "identification": {"kind": "none"}, "monitoring": None,
             "compensation": {"force": {"kind": "none"}, "motion": {"kind": "feedforward" if self._feeds else "none"}},
             "safety": dict.fromkeys(data["safety"]), "effects": self._effects,

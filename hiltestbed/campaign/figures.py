@@ -20,7 +20,7 @@ from hiltestbed.validation import description_of
 from hiltestbed.yaml_source import key_path
 
 HARMLESS = ("approach.gap", "approach.velocity", "sensor.noise", "sensor.torque_noise", "identification", "seed", "duration", "name")
-RIGHT = 0.01  # |ln(e/e_ref)| up to which the colour scale is linear: 1 % of the rebound speed
+LINEAR_BELOW = 0.01  # |ln(e/e_ref)| up to which the colour scale is linear: 1 % of the rebound speed
 MESH = 24  # points per side at which the boundary is evaluated
 BANDS = 16  # parts of a key over which a band is drawn
 MARGINAL_CHOICES = 6  # lines that can be distinguished in one figure
@@ -57,8 +57,8 @@ def heat_maps(
     if name == "cor_log_error":
         from matplotlib.colors import SymLogNorm
 
-        limit = max(limit, 2.0 * RIGHT)
-        scale = {"norm": SymLogNorm(RIGHT, vmin=-limit, vmax=limit, base=10), "cmap": "RdBu_r"}
+        limit = max(limit, 2.0 * LINEAR_BELOW)
+        scale = {"norm": SymLogNorm(LINEAR_BELOW, vmin=-limit, vmax=limit, base=10), "cmap": "RdBu_r"}
     boundary = _boundary(campaign, keys, edges, (x_log, y_log))
     for axis, choice, cell in zip(axes.flat, choices, cells, strict=False):
         mesh = axis.pcolormesh(x_edges, y_edges, cell.T, **scale)

@@ -16,8 +16,8 @@ import numpy as np
 
 from hiltestbed.frames import Array
 
-ENOUGH = 64  # cases; with fewer, an index is noise
-MOST = 4096  # cases that are used: more do not change the indices
+FEWEST_CASES = 64  # cases; with fewer, an index is noise
+MOST_CASES = 4096  # cases that are used: more do not change the indices
 DEGREES = (1, 2, 3, 4, 6, 8)
 CASES_A_TERM = 3  # cases per coefficient, at least: with fewer the fit follows noise
 
@@ -46,9 +46,9 @@ def sensitivity(keys: Sequence[str], inputs: Array, figure: Array, choices: Sequ
         keys: names of the columns. inputs: ``(n, keys)``. figure: ``(n,)``; cases whose figure is not finite are left out.
         choices: for each key, whether its numbers are only labels of categorical values.
     """
-    usable = np.random.default_rng(seed).permutation(np.flatnonzero(np.isfinite(figure)))[:MOST]
+    usable = np.random.default_rng(seed).permutation(np.flatnonzero(np.isfinite(figure)))[:MOST_CASES]
     y = figure[usable]
-    if usable.size < ENOUGH or np.ptp(y) == 0.0:
+    if usable.size < FEWEST_CASES or np.ptp(y) == 0.0:
         return None
     y = (y - y.mean()) / y.std()
     best: Sensitivity | None = None

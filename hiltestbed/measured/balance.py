@@ -13,8 +13,8 @@ from hiltestbed.measured.survey import Survey
 from hiltestbed.scenario import Scenario
 
 SCALE = 2.2  # factor from 1 that no effect causes: the largest over the independent rig's effects is 1.25
-HOLDS = 0.85  # part of the motion that a force with its axes as given must explain; otherwise other orders of axes are tried
-LEAVES = 0.1  # largest remainder with another order, as part of that in the given order; the least over the rig's hidden effects is 0.29
+EXPLAINED = 0.85  # part of the motion that a force with its axes as given must explain; otherwise other orders of axes are tried
+REMAINDER = 0.1  # largest remainder with another order, as part of that in the given order; the least over the rig's hidden effects is 0.29
 AXIS_REVERSED = -0.5  # of the common scale: below it the sign of one axis is reversed
 
 
@@ -39,12 +39,12 @@ def balances(record: Record, scenario: Scenario) -> dict[str, Momentum]:
 def imbalances(record: Record, found: Survey, scenario: Scenario, pairs: dict[str, Momentum]) -> Iterator[Remark]:
     """Errors for a force that cannot have caused the recorded motion."""
     for pair in pairs.values():
-        otherwise = pair.explained < HOLDS and 1.0 - pair.explained_in_order < LEAVES * (1.0 - pair.explained)
+        otherwise = pair.explained < EXPLAINED and 1.0 - pair.explained_in_order < REMAINDER * (1.0 - pair.explained)
         if otherwise and pair.order != FORCES:
             yield _exchanged(record, pair)
         elif otherwise and -1 in pair.signs:
             yield from _turned(record, pair)
-        elif pair.explained > HOLDS:
+        elif pair.explained > EXPLAINED:
             yield from _scaled(record, found, scenario, pair)
 
 

@@ -27,7 +27,7 @@ from hiltestbed.scenario import Scenario
 from hiltestbed.sensor.parameters import SensorParameters
 
 FURTHEST = 40  # largest shift that is searched [rows]
-LEFT = 0.1  # part of the misfit that may remain once the shift is removed
+REMAINDER = 0.1  # part of the misfit that may remain once the shift is removed
 CLEAR = 20.0  # least decrease of the misfit, over all rows together, in noise floors of the force
 SMOOTHING = 11  # rows; pose and force are smoothed in the same way, so that the fitted contact is consistent
 
@@ -55,7 +55,7 @@ def force_leads(record: Record, found: Survey, scenario: Scenario) -> int:
     best = int(np.argmin(left))
     noise = max(found.noise["wrench_meas.fz"].white, 1e-9)
     worth = left[0] - left[best] > (CLEAR * noise) ** 2
-    return best if worth and left[best] < LEFT * left[0] and best < FURTHEST - 1 else 0
+    return best if worth and left[best] < REMAINDER * left[0] and best < FURTHEST - 1 else 0
 
 
 def _smooth(values: Array) -> Array:

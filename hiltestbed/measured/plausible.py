@@ -30,8 +30,8 @@ CORRELATION = -0.5
 QUAT_NORM = 0.01
 QUAT_NORM_NOTE = 1e-3
 TURNED_DEG = 30.0  # the platform rotates by 10 deg at most
-ARM = (0.8, 1.25)  # range of measured torque over that of the off-axis force: effects change it by less, or change the torques differently
-SURE = 0.9  # of the variance of a torque that the off-axis force must explain
+RATIO = (0.8, 1.25)  # of a measured torque to that of the off-axis force: effects change it by less, or the two torques differently
+EXPLAINED = 0.9  # of the variance of a torque that the off-axis force must explain
 LEVER_LIMIT = 20.0  # [m] torque over force: no rig is that large
 
 
@@ -256,11 +256,11 @@ def _arms(record: Record, found: Survey, scenario: Scenario) -> Iterator[Remark]
         ):
             continue
         own, crossed = [_share(m, t) for m, t in zip(made, (tx, ty), strict=True)], [_share(made[1], tx), _share(made[0], ty)]
-        if all(-ARM[1] < share < -ARM[0] for share in own):
+        if all(-RATIO[1] < share < -RATIO[0] for share in own):
             for name, share in zip(names[1:], own, strict=True):
                 text = f"is {share:.2f} times the torque of the off-axis force about P's origin: the sign is reversed"
                 yield _error("sign", record, name, text, scale_fix(name, -1.0), share=share)
-        elif all(ARM[0] < abs(share) < ARM[1] for share in crossed) and not any(ARM[0] < share < ARM[1] for share in own):
+        elif all(RATIO[0] < abs(share) < RATIO[1] for share in crossed) and not any(RATIO[0] < share < RATIO[1] for share in own):
             text = f"is the torque of the off-axis force about the other axis, and {names[2]} is that of this axis: they are exchanged"
             yield _error(
                 "axes", record, names[1], text, f"exchange the columns of {names[1]} and {names[2]}", shares=min(map(abs, crossed))
@@ -273,4 +273,4 @@ def _share(made: Array, torque: Array) -> float:
     m, t = made[known], torque[known]
     size = float(m @ m)
     share = float(m @ t) / size if size > 0.0 else 0.0
-    return share if float(np.sum((t - share * m) ** 2)) < (1.0 - SURE) * float(t @ t) else 0.0
+    return share if float(np.sum((t - share * m) ** 2)) < (1.0 - EXPLAINED) * float(t @ t) else 0.0

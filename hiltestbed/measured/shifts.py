@@ -24,11 +24,11 @@ from hiltestbed.replay.compensation import needs
 from hiltestbed.scenario import Scenario
 
 FURTHEST = 40  # largest shift that is searched [rows]
-LEFT = 0.1  # part of the misfit that may remain once the shift is removed
+REMAINDER = 0.1  # part of the misfit that may remain once the shift is removed
 EXCHANGED = 0.02  # part of the misfit that remains if two forces are exchanged
 ECHO = 0.3  # correlation of the noise of two forces, above which it is the same noise
 LOGGER = 2.25  # rows; smaller shifts give a note: loggers stamp each channel up to a row early or late
-AHEAD = 0.5  # rows by which a platform leads its earliest possible response
+LEAD_LIMIT = 0.5  # [rows] least lead over the earliest possible response of a platform that counts
 CLEAR = 20.0  # least motion of the pose within a row, over all rows together, in noise floors
 
 
@@ -83,7 +83,7 @@ def _remark(record: Record, channel: str, text: str, fix: str, rows: float) -> R
 def _ahead(record: Record, rows: float, moved: int | None, scenario: Scenario, found: Survey) -> Remark:
     if moved is not None and moved > 0 and abs(moved - rows) < 1.0:
         return _shifted(record, "pose_cmd", float(moved), scenario, "the platform precedes it, and it follows its force too late")
-    if abs(rows - 2.0) < AHEAD and _rough(found, "pose_cmd") > 3 * _rough(found, "pose_act"):
+    if abs(rows - 2.0) < LEAD_LIMIT and _rough(found, "pose_cmd") > 3 * _rough(found, "pose_act"):
         text = "follows pose_act a row later and carries a sensor's noise, which pose_act does not: the two are exchanged"
         return Remark("error", record.run, "pose_cmd", text, "exchange the columns of pose_cmd and pose_act", {"rows": rows}, "shift")
     text = f"precedes the response to its command by {rows:.3g} rows: it is early in the record, or exchanged with pose_cmd"
@@ -135,7 +135,7 @@ def _model_lag(record: Record, scenario: Scenario, given: Array | None = None) -
     now = left[FURTHEST]
     if now < 1e-18 * max(1.0, float(np.sum(shown**2))) or best == 0:
         return 0
-    if left.min() < LEFT * now and abs(best) < FURTHEST:
+    if left.min() < REMAINDER * now and abs(best) < FURTHEST:
         return best
     return 0
 
@@ -218,4 +218,4 @@ def _platform_lead(record: Record, found: Survey, scenario: Scenario) -> float |
     if below < CLEAR**2:
         return None
     lead = 1.0 - above / below
-    return lead if abs(lead) > AHEAD + 5 / np.sqrt(below) else 0.0
+    return lead if abs(lead) > LEAD_LIMIT + 5 / np.sqrt(below) else 0.0

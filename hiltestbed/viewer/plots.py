@@ -19,7 +19,7 @@ from hiltestbed.viewer.sureness import unsure
 
 ROOT = "signals"
 XYZ = "xyz"
-BROAD = (4.0, 1.5, 1.5)  # line widths: the reference is a wide line beneath the others
+LINE_WIDTHS = (4.0, 1.5, 1.5)  # line widths: the reference is a wide line beneath the others
 JOINTS = (  # path, unit in the trace, name of a curve, scale factor
     ("platform/slider_mm", "m", "slider {j} [mm]", 1e3),
     ("platform/joint_deg", "rad", "joint {j} [deg]", 180.0 / np.pi),
@@ -68,16 +68,16 @@ def _poses(plotter: Plotter, trace: RunTrace) -> None:
     pair = np.stack([trace["pose_cmd"], trace["pose_act"]], axis=1)
     turn = np.degrees(rotation_vectors(pair[..., 3:]))
     for j, axis in enumerate(XYZ):
-        plotter.curves(f"position_mm/{axis}", [f"{n} [mm]" for n in names], palette, 1e3 * pair[..., j], BROAD[:2])
-        plotter.curves(f"attitude_deg/{axis}", [f"{n} [deg]" for n in names], palette, turn[..., j], BROAD[:2])
+        plotter.curves(f"position_mm/{axis}", [f"{n} [mm]" for n in names], palette, 1e3 * pair[..., j], LINE_WIDTHS[:2])
+        plotter.curves(f"attitude_deg/{axis}", [f"{n} [deg]" for n in names], palette, turn[..., j], LINE_WIDTHS[:2])
 
 
 def _wrenches(plotter: Plotter, trace: RunTrace) -> None:
     names, palette = ("physical", "measured", "used"), (colors.PHYSICAL, colors.MEASURED, colors.USED)
     triple = np.stack([trace[f"wrench_{kind}"] for kind in ("true", "meas", "comp")], axis=-1)
     for j, axis in enumerate(XYZ):
-        plotter.curves(f"force/{axis}", [f"{n} [N]" for n in names], palette, triple[:, j], BROAD)
-        plotter.curves(f"torque/{axis}", [f"{n} [N m]" for n in names], palette, triple[:, 3 + j], BROAD)
+        plotter.curves(f"force/{axis}", [f"{n} [N]" for n in names], palette, triple[:, j], LINE_WIDTHS)
+        plotter.curves(f"torque/{axis}", [f"{n} [N m]" for n in names], palette, triple[:, 3 + j], LINE_WIDTHS)
     less = trace["wrench_meas"][:, :3] - trace["wrench_true"][:, :3]
     plotter.curves("force_error", [f"{axis} [N]" for axis in XYZ], colors.SERIES[:3], less)
 
