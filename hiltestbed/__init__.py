@@ -1,6 +1,6 @@
 """hiltestbed: a hardware-in-the-loop contact simulator for spacecraft docking, in software.
 
-The closed loop is ``hiltestbed/loop.py``: read that first. From Python as from the shell:
+The closed loop is in ``hiltestbed/loop.py``: read that first. Use from Python:
 
     import hiltestbed
     scenario = hiltestbed.load_scenario("scenarios/reference-bumper.yaml", set={"sensor.delay": 0.010})
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
     __version__: str
 
-settle(Path(__file__).parent, os.environ)  # before any kernel is loaded
+settle(Path(__file__).parent, os.environ)  # must precede the loading of any kernel
 
 __all__ = [
     "Comparison",
@@ -89,7 +89,7 @@ _HOME = {
 
 
 def __getattr__(name: str) -> Any:
-    """Public names are imported when they are asked for, so that importing the package costs nothing."""
+    """Public names are imported on first access, so that importing the package is fast."""
     if name == "__version__":
         from importlib.metadata import version
 

@@ -1,19 +1,20 @@
-"""One bounce before the run: with what part of its speed a contact ends, and how much energy the rig makes of it.
+"""Prediction of one bounce before the run: its coefficient of restitution, and the energy that the rig makes in it.
 
-Net damping tells whether a contact that stays dies out. A touch begins with a step: the dampers push with c v at once, the numerical
-model hears of it a lag tau later and has gone on with its whole speed meanwhile. Of a free flyer of mass m that gives the rig
+Net damping decides whether the oscillation of a closed contact decays. A touch, however, begins with a force step: the damper exerts c v
+at once, and this reaches the numerical model a lag tau later, during which it continues at full speed. For a free flyer of mass m the rig
+then makes
 
     E = integral of F v_act - F_used v_cmd = (tau/m) integral of F^2 dt = tau k integral of v^2 dt + (tau c/2)(v_0^2 + v_1^2)
 
-to first order in tau: the first term is the damping -k tau of the delay ledger, the second that of both ends, of the order of c tau/m of
-the energy of the approach. A light tip in a well-damped cone has c tau/m of 1 and more: it may leave faster than it came while the net
-damping is far above zero. So the bounce is computed: in the coordinate x along the direction, with the force F = k x + c x', never
-pulling, and g the response of x to an impulse of the force, through the numerical model and the rig,
+to first order in tau. The first term is the damping -k tau of the delay ledger; the second comes from both ends of the contact and is of
+the order of c tau/m of the approach energy. A light tip in a well-damped cone has c tau/m of 1 and more: it may rebound faster than it
+approached although the net damping is far above zero. The bounce is therefore computed: in the coordinate x along the direction, with the
+force F = k x + c x' (never pulling), and g the impulse response of x to the force, through the numerical model and the rig,
 
     x(t) = v_0 t - integral of g(t - s) F(s) ds,   g <-> G(s) e^(-s tau)/(m s^2) + Y(s)
 
-G and Y are those of :mod:`hiltestbed.rig_response`. The transform is that of a second order with the same lag in closed form, and a sum
-over the measured lines of the rest, which falls off with the third power of the frequency.
+G and Y are those of :mod:`hiltestbed.rig_response`. The inverse transform is the closed form of a second-order system with the same lag,
+plus a sum over the measured lines of the remainder, which decreases with the third power of the frequency.
 """
 
 from __future__ import annotations
@@ -30,8 +31,8 @@ from hiltestbed.frames import Array
 if TYPE_CHECKING:
     from hiltestbed.rig_response import RigResponse
 
-STEPS = 500  # of a bounce: e to 2e-3
-SWINGS, LAGS = 1.3, 3.0  # half periods of the contact, and lags of the loop, within which it has ended
+STEPS = 500  # per bounce: error of e 2e-3
+HALF_PERIODS, LAGS = 1.3, 3.0  # half periods of the contact, and lags of the loop, that together bound the duration of a bounce
 
 
 @dataclass(frozen=True)
@@ -43,9 +44,9 @@ class Bounce:
 
 
 def bounce(response: RigResponse, mass: float, stiffness: float, damping: float, delay: float) -> Bounce:
-    """A bounce of ``mass`` [kg] on a contact [N/m], [N s/m] through a rig, with a force that is used ``delay`` [s] late."""
+    """A bounce of ``mass`` [kg] on a contact [N/m], [N s/m] through a rig, with a force that is delayed by ``delay`` [s]."""
     lag = lag_of(response)
-    span = SWINGS * math.pi * math.sqrt(mass / stiffness) + LAGS * max(delay + lag, 0.0)
+    span = HALF_PERIODS * math.pi * math.sqrt(mass / stiffness) + LAGS * max(delay + lag, 0.0)
     t = np.linspace(0.0, span, STEPS + 1)
     dt = float(t[1])
     g = dt * (_carried(response, lag, t - delay) / mass + _yielded(response, t))
@@ -64,7 +65,7 @@ def bounce(response: RigResponse, mass: float, stiffness: float, damping: float,
 
 
 def lag_of(response: RigResponse) -> float:
-    """Of the rig at low frequency [s]; below 0: it leads."""
+    """Lag of the rig at low frequency [s]; negative: lead."""
     return float(-np.angle(response.follows[1]) / (2.0 * math.pi * response.frequency[1]))
 
 
@@ -77,7 +78,7 @@ def _carried(response: RigResponse, lag: float, t: Array) -> Array:
     ramp = after - 2.0 * half + (after + 2.0 * half) * np.exp(-after / half) if half > 0.0 else after
     w = 2.0 * math.pi * response.frequency[1:]
     second = 1.0 / (1.0 + 1j * w * half) ** 2
-    if lag < 0.0:  # its mirror image leads by as much
+    if lag < 0.0:  # a lead: the mirror image
         ramp, second = 2.0 * after - ramp, 2.0 - second
     rest = (response.follows[1:] - second) / -(w**2)
     return np.where(t > 0.0, ramp + _summed(response, rest, after), 0.0)
@@ -89,7 +90,7 @@ def _yielded(response: RigResponse, t: Array) -> Array:
 
 
 def _summed(response: RigResponse, lines: NDArray[np.complex128], t: Array) -> Array:
-    """The inverse transform of what was measured at the lines above 0, for what has died out within half a period of them."""
+    """The inverse transform of values at the lines above 0 Hz, for responses that decay within half a period of the line spacing."""
     spacing = float(response.frequency[1] - response.frequency[0])
     turns = np.outer(t, 2.0 * math.pi * response.frequency[1:])
     total = spacing * (2.0 * (np.cos(turns) @ lines.real - np.sin(turns) @ lines.imag) + lines[0].real)

@@ -1,9 +1,9 @@
-"""Compiled kernels whose arrays are handed over once.
+"""Compiled kernels whose arrays are bound once.
 
-To call a compiled kernel, Numba looks at every array that it is given: its type, address, shape and strides. For a kernel of twenty arrays
-of one run that costs more than what it computes. The blocks of the loop work on buffers that stay where they are, so that all of it can
-be said beforehand: :func:`bound` writes addresses, shapes and strides into a table, and compiles a call that reads them there and takes
-nothing but the table's address and what changes from call to call. The kernel itself is the same, and so are its results.
+At each call of a compiled kernel, Numba determines type, address, shape and strides of every array argument. For a kernel with twenty
+arrays of one run, this takes longer than the computation. The blocks of the loop work on buffers at fixed addresses, so this can be done
+in advance: :func:`bound` writes addresses, shapes and strides into a table, and compiles a call that reads them there and takes only the
+address of the table and the arguments that change from call to call. The kernel itself is the same, and so are its results.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ from hiltestbed.jit import njit
 WORD = 8  # [bytes] of an entry of the table
 
 REMEMBERED = 4  # sets of a caller's arrays that stay bound
-GIVEN = object()  # stands for an array that the caller of a block hands over
+GIVEN = object()  # placeholder for an array that the caller of a block passes
 
-_calls: dict[tuple[Any, ...], Any] = {}  # by kernel and what it is bound to: as many as there are kinds of arrays, not of blocks
+_calls: dict[tuple[Any, ...], Any] = {}  # by kernel and types of its arguments: one entry per combination of types, not per block
 
 
 class Bound(partial):
-    """A kernel with its arrays; ``kept`` holds them and their table for as long as it can be called.
+    """A kernel with its arrays; ``kept`` references them and their table for as long as the kernel can be called.
 
-    An attribute besides keeps ``partial`` from taking one apart that it is given, and from losing what is kept.
+    The additional attribute also prevents ``partial`` from flattening a nested ``Bound``, which would lose the references.
     """
 
     __slots__ = ("kept",)
@@ -47,9 +47,9 @@ class Bound(partial):
 
 
 def bound(kernel: Any, *given: Any) -> Callable[..., Any]:
-    """``kernel`` with what it is ``given`` in the order of its arguments: arrays, numbers, and ``...`` for what each call brings.
+    """``kernel`` with its arguments ``given`` in order: arrays, numbers, and ``...`` for those that each call passes.
 
-    Arrays must stay where they are: they are written, never replaced. Numbers are those of now.
+    Arrays must keep their memory: they may be written, but not replaced. Numbers are bound with their current values.
     """
     words: list[int] = []
     kinds: list[Any] = []
@@ -71,9 +71,9 @@ def bound(kernel: Any, *given: Any) -> Callable[..., Any]:
 
 
 def together(*calls: Callable[..., Any], telling: int = -1) -> Callable[..., Any]:
-    """Several of what :func:`bound` gives, in this order, as one call; it returns what the one at ``telling``, the last one, returns.
+    """Several results of :func:`bound`, in this order, as one call; it returns the result of the one at index ``telling`` (the last).
 
-    Each takes as many of the numbers that the call is given as it takes by itself.
+    Each takes as many of the call's numbers as it takes by itself.
     """
     parts = [_whole(call) for call in calls]
     table = np.array([part.args[0] for part in parts], dtype=np.int64)
@@ -91,14 +91,14 @@ def _whole(call: Callable[..., Any]) -> Bound:
 
 
 class Call:
-    """A kernel some of whose arrays are the caller's, the same few at almost every call; it is bound anew where one is another."""
+    """A kernel with some arrays of the caller, which are the same at almost every call; it is bound again if one of them changes."""
 
     __slots__ = ("_a", "_b", "_bound", "_c", "_d", "_e", "_f", "_g", "_given", "_kernel", "_known")
 
     def __init__(self, kernel: Any, *given: Any) -> None:
-        """``given``: as of :func:`bound`, and :data:`GIVEN` for each array or number of the caller's that stays: at most seven."""
+        """``given``: as for :func:`bound`, with :data:`GIVEN` for each array or number that is passed to :meth:`on`: at most seven."""
         self._kernel, self._given = kernel, given
-        self._a: Any = self  # no array: the first call binds
+        self._a: Any = self  # not an array, so that the first call binds
         self._b = self._c = self._d = self._e = self._f = self._g = None
         self._bound: Any = None
         self._known: dict[tuple[int, ...], tuple[tuple[Any, ...], Any]] = {}
@@ -106,11 +106,11 @@ class Call:
     def on(
         self, a: Any = None, b: Any = None, c: Any = None, d: Any = None, e: Any = None, f: Any = None, g: Any = None
     ) -> Callable[..., Any]:
-        """The kernel on the caller's arrays, in the order of its arguments; what it is called with is what changes at each call."""
+        """The kernel bound to the caller's arrays, in the order of its arguments; it is called with the arguments that change."""
         if a is self._a and b is self._b and c is self._c and d is self._d and e is self._e and f is self._f and g is self._g:
             return self._bound
         self._a, self._b, self._c, self._d, self._e, self._f, self._g = arrays = a, b, c, d, e, f, g
-        key = tuple(map(id, arrays))  # of arrays that are kept: no other has taken their place
+        key = tuple(map(id, arrays))  # the arrays are referenced, so that their ids cannot be reused
         if key not in self._known:
             if len(self._known) >= REMEMBERED:
                 self._known.clear()
@@ -121,14 +121,14 @@ class Call:
 
 
 class Joined:
-    """Several kernels on the caller's arrays as one call, joined anew where an array is another one."""
+    """Several kernels on the caller's arrays as one call, joined again if an array changes."""
 
     __slots__ = ("_call", "_last", "_parts")
 
     def __init__(self, parts: Callable[..., list[Callable[..., Any]]]) -> None:
-        """``parts``: what :func:`together` is to join, made from the caller's arrays."""
+        """``parts``: makes the calls that :func:`together` joins, from the caller's arrays."""
         self._parts = parts
-        self._last: tuple[Any, ...] = (self,)  # no array: the first call joins
+        self._last: tuple[Any, ...] = (self,)  # not an array, so that the first call joins
         self._call: Any = None
 
     def on(self, *arrays: Any) -> Callable[..., Any]:
@@ -143,7 +143,7 @@ def _integer(value: Any) -> Any:
 
 
 def _compiled(kernel: Any, kinds: list[Any]) -> Any:
-    """A function of the table's address and of what is given at each call, kept on disk beside its kernel."""
+    """A function of the table's address and of the arguments of each call, cached on disk beside its kernel."""
     function = kernel.py_func
     brought = [f"given_{i}" for i, kind in enumerate(kinds) if kind is None]
     space: dict[str, Any] = {"kernel": kernel, "number": _number, "array": _array, "__name__": function.__module__}
@@ -154,7 +154,7 @@ def _compiled(kernel: Any, kinds: list[Any]) -> Any:
             continue
         space[f"kind_{i}"] = kind[1]
         passed.append(f"{'array' if isinstance(kind[1], types.Array) else 'number'}(table, {kind[0]}, kind_{i})")
-    # Numba names what it keeps by file, function and line; the file's own time stamp tells whether it is still valid.
+    # Numba names its cache entries by file, function and line; the time stamp of the file decides whether they are valid.
     mark = hashlib.sha256(repr([kind and (kind[0], str(kind[1])) for kind in kinds]).encode()).hexdigest()[:16]
     name = f"{function.__name__}_bound_{mark}"
     text = f"def {name}({', '.join(['table', *brought])}):\n    return kernel({', '.join(passed)})\n"
@@ -163,17 +163,17 @@ def _compiled(kernel: Any, kinds: list[Any]) -> Any:
 
 
 def _joined(calls: list[Any], telling: int) -> Any:
-    """A function of the address of a table of tables, kept on disk beside the last of the ``calls``."""
+    """A function of the address of a table of tables, cached on disk beside the last of the ``calls``."""
     takes = [call.py_func.__code__.co_argcount - 1 for call in calls]
     brought = [f"given_{i}" for i in range(max(takes))]
     last = calls[-1].py_func
     space: dict[str, Any] = {"number": _number, "word": types.int64, "__name__": last.__module__}
     space |= {f"call_{i}": call for i, call in enumerate(calls)}
     lines = [f"call_{i}({', '.join([f'number(table, {i}, word)', *brought[:count]])})" for i, count in enumerate(takes)]
-    lines[telling] = f"told = {lines[telling]}"
+    lines[telling] = f"result = {lines[telling]}"
     names = str(telling).join(f"{call.py_func.__module__}.{call.py_func.__name__}" for call in calls)
     name = f"{last.__name__}_after_{hashlib.sha256(names.encode()).hexdigest()[:16]}"
-    text = "\n    ".join([f"def {name}({', '.join(['table', *brought])}):", *lines, "return told"]) + "\n"
+    text = "\n    ".join([f"def {name}({', '.join(['table', *brought])}):", *lines, "return result"]) + "\n"
     exec(compile(text, last.__code__.co_filename, "exec"), space)
     return njit(cache=True)(space[name])
 
@@ -186,7 +186,7 @@ def _entry(builder: Any, table: Any, at: Any, kind: Any) -> Any:
 
 @intrinsic
 def _number(typingctx, table, at, kind):
-    """The number at a place of the table."""
+    """The number at an index of the table."""
     found = kind.instance_type if hasattr(kind, "instance_type") else kind.dtype
 
     def make(context, builder, signature, args):
@@ -200,7 +200,7 @@ def _number(typingctx, table, at, kind):
 
 @intrinsic
 def _array(typingctx, table, at, kind):
-    """The array whose address, shape and strides begin at a place of the table."""
+    """The array whose address, shape and strides begin at an index of the table."""
     found = kind.instance_type
 
     def make(context, builder, signature, args):

@@ -1,11 +1,11 @@
-"""What a run, a sweep or a diagnosis will cost in memory, time and disk, estimated from its files before anything is allocated.
+"""Estimated memory, time and disk space of a run, a sweep or a diagnosis, from its files, before anything is allocated.
 
-Estimates are rough: their constants are of one machine, and kinds of rigs are not told apart. They tell a minute from a week, and a
-gigabyte from a petabyte. Beyond a limit the work is refused; a variable of the environment sets the limit:
+The estimates are rough: their constants are those of one machine, for any kind of rig. They distinguish a minute from a week, and a
+gigabyte from a petabyte. Work beyond a limit is refused; environment variables set the limits:
 
-    HILTESTBED_MEMORY_LIMIT   [GB], left out: MEMORY_PART of the memory that is free
-    HILTESTBED_DISK_LIMIT     [GB], left out: DISK_PART of what is free on the disk
-    HILTESTBED_TIME_LIMIT     [h], left out: WEEK
+    HILTESTBED_MEMORY_LIMIT   [GB], default: MEMORY_PART of the free memory
+    HILTESTBED_DISK_LIMIT     [GB], default: DISK_PART of the free disk space
+    HILTESTBED_TIME_LIMIT     [h], default: WEEK
 """
 
 from __future__ import annotations
@@ -30,23 +30,23 @@ GB = 1e9
 MEMORY_PART, DISK_PART = 0.8, 0.9
 WEEK = 168.0  # [h]
 COLUMNS = sum(len(group.parts) for group in GROUPS.values()) + 2
-COPIES = 3  # of a trace that are held while it is written
+COPIES = 3  # of a trace in memory while it is written
 BASE = 0.47 * GB  # an interpreter with its packages and compiled blocks
-STATES = 4  # copies of the delay lines: the loop's own and those that a failure is replayed from
-TICK, INSTANT = 6e-5, 6e-6  # [s] of one core a tick and an instant of the physics of a single run; of each further run in its batch
-BATCHED = 0.25  # part of that
-BEGIN = 6.0  # [s] to start with warm kernels, and to write report and recording
-ROW = 700.0  # [byte] a row of trace.parquet and recording.rrd on disk, both together
-SHAPES = 2.5e6  # [byte] of a recording and a report, however short the run is
-DIAGNOSED = 6e-3  # [s] a row of a dataset: 6 runs of 900 rows take 10 to 60 s
-FIT = 3.0e4  # [byte] a row of a dataset while links are replayed for many hypotheses
-FILTER_MEMORY = 10.0  # time constants of a low-pass, the sensor's or its own, that the identification remembers
+STATES = 4  # copies of the delay lines: the loop's own and those kept for the replay of a failure
+TICK, INSTANT = 6e-5, 6e-6  # [s] on one core per tick and per physics step, for a single run
+BATCH_FACTOR = 0.25  # part of that for each further run in its batch
+STARTUP = 6.0  # [s] to start with compiled kernels, and to write report and recording
+ROW = 700.0  # [byte] per row in trace.parquet and recording.rrd together
+FIXED_FILES = 2.5e6  # [byte] of a recording and a report of even the shortest run
+DIAGNOSIS_PER_ROW = 6e-3  # [s] per row of a dataset: 6 runs of 900 rows take 10 to 60 s
+FIT_PER_ROW = 3.0e4  # [byte] per row of a dataset while links are replayed for many hypotheses
+FILTER_MEMORY = 10.0  # time constants of a low-pass, the sensor's or its own, for which the identification keeps data
 VARIABLES = {"memory": "HILTESTBED_MEMORY_LIMIT", "disk": "HILTESTBED_DISK_LIMIT", "time": "HILTESTBED_TIME_LIMIT"}
 
 
 @dataclass(frozen=True)
 class Budget:
-    """What some work needs. memory, disk: [byte]; time: [s] on one core."""
+    """Resources that a task needs. memory, disk: [byte]; time: [s] on one core."""
 
     memory: float
     time: float
@@ -56,7 +56,7 @@ class Budget:
         return f"about {_bytes(self.memory)} of memory, {_duration(self.time)} on one core, {_bytes(self.disk)} on disk"
 
     def refused(self, folder: Path = Path()) -> list[str]:
-        """Why the work cannot be begun, a sentence for each limit that it goes beyond."""
+        """Why the task is refused: a sentence for each limit that it exceeds."""
         out = []
         for name, need, limit, show in (
             ("memory", self.memory, memory_limit(), _bytes),
@@ -70,19 +70,19 @@ class Budget:
 
 
 def refuse_beyond(budget: Budget, what: str, do: str, folder: Path = Path()) -> None:
-    """Raises InputError when ``what`` needs more than is allowed; ``do`` says what needs less."""
+    """Raises InputError if ``what`` exceeds a limit; ``do`` says how to reduce its needs."""
     found = budget.refused(folder)
     if found:
         raise InputError(f"{what}: {'; '.join(found)}; {do}")
 
 
 def memory_limit() -> float:
-    """[byte] that may be used."""
+    """Limit of memory [byte]."""
     return _given("memory", GB) or MEMORY_PART * _free_memory()
 
 
 def disk_limit(folder: Path) -> float:
-    """[byte] that may be written below ``folder``."""
+    """Limit of the disk space below ``folder`` [byte]."""
     given = _given("disk", GB)
     if given:
         return given
@@ -91,13 +91,13 @@ def disk_limit(folder: Path) -> float:
         there = there.parent
     try:
         usage = shutil.disk_usage(there)
-        return DISK_PART * usage.free if usage.total else math.inf  # a file system without blocks says nothing
+        return DISK_PART * usage.free if usage.total else math.inf  # a file system without blocks reports no size
     except OSError:
         return math.inf
 
 
 def time_limit() -> float:
-    """[s] that may be taken."""
+    """Limit of time [s]."""
     return _given("time", 3600.0) or WEEK * 3600.0
 
 
@@ -115,7 +115,7 @@ def _given(name: str, unit: float) -> float | None:
 
 
 def _free_memory() -> float:
-    """[byte] that can be had without swapping; infinite where the system does not say."""
+    """[byte] available without swapping; infinite if the system does not report it."""
     found = []
     try:
         with open("/proc/meminfo", encoding="ascii") as file:
@@ -128,20 +128,20 @@ def _free_memory() -> float:
 
 
 def run_budget(scenarios: Sequence[Scenario], rows: bool = True) -> Budget:
-    """Of runs in lockstep; ``rows``: whether their traces are held and written."""
+    """Budget of runs in lockstep; ``rows``: whether their traces are kept and written."""
     ticks, n, first = max(s.ticks for s in scenarios), len(scenarios), scenarios[0]
     trace = ticks * n * COLUMNS * 8.0
     lines = sum(delay_line(s) for s in scenarios)
-    core = ticks * (TICK + INSTANT * first.substeps) * (1 + BATCHED * (n - 1)) * (1 + REFERENCE)
-    disk = n * (ticks * ROW + SHAPES) if rows else 2e3 * n
-    return Budget(BASE + (COPIES * trace if rows else 0.0) + STATES * lines, BEGIN + core, disk)
+    core = ticks * (TICK + INSTANT * first.substeps) * (1 + BATCH_FACTOR * (n - 1)) * (1 + REFERENCE)
+    disk = n * (ticks * ROW + FIXED_FILES) if rows else 2e3 * n
+    return Budget(BASE + (COPIES * trace if rows else 0.0) + STATES * lines, STARTUP + core, disk)
 
 
-REFERENCE = 0.5  # of the time of a run, that its reference takes
+REFERENCE = 0.5  # time of a reference run, relative to that of its run
 
 
 def delay_line(scenario: Scenario) -> float:
-    """[byte] that hold what is on its way: the wrench of every instant before it is read, poses and estimates of every tick."""
+    """[byte] of the delay lines: the wrench of every physics step until it is read, poses and estimates of every tick."""
     delays = [scenario.sensor.delay] + [getattr(effect, "delay", 0.0) for effect in scenario.effects]
     delays += [8.0 * e.sigma for e in scenario.effects if e.kind == "sensor.jitter"]  # type: ignore[attr-defined]
     late = sum(getattr(effect, "ticks", 0) for effect in scenario.effects)
@@ -153,7 +153,7 @@ def delay_line(scenario: Scenario) -> float:
 
 
 def campaign_budget(campaign: LoadedCampaign, workers: int = 1, chunk: int = 64) -> Budget:
-    """Of a campaign whose cases are like its scenario."""
+    """Budget of a campaign whose cases are like its scenario."""
     from hiltestbed.scenario import scenario_from
 
     scenario = scenario_from(campaign.source)
@@ -162,13 +162,13 @@ def campaign_budget(campaign: LoadedCampaign, workers: int = 1, chunk: int = 64)
     one = run_budget([scenario] * together, rows=False)
     held = min(together * scenario.ticks, 400_000) * COLUMNS * 8.0 * COPIES if keeps else 0.0
     disk = cases * (scenario.ticks * ROW if keeps else 2e3)
-    return Budget(workers * (one.memory + held), BEGIN + (one.time - BEGIN) * cases / together / workers, disk)
+    return Budget(workers * (one.memory + held), STARTUP + (one.time - STARTUP) * cases / together / workers, disk)
 
 
 def dataset_budget(dataset: LoadedDataset) -> Budget:
-    """Of a diagnosis of runs that last as long as their scenarios."""
+    """Budget of a diagnosis of runs that last as long as their scenarios."""
     rows = sum(s.ticks for s in dataset.scenarios)
-    return Budget(BASE + rows * FIT, 10.0 + rows * DIAGNOSED, 2e6 + rows * ROW)
+    return Budget(BASE + rows * FIT_PER_ROW, 10.0 + rows * DIAGNOSIS_PER_ROW, 2e6 + rows * ROW)
 
 
 def _bytes(size: float) -> str:

@@ -1,4 +1,4 @@
-"""Which kind of file a file is, whether it holds, what it will cost, what of it is odd, and the JSON Schema of each kind."""
+"""Check of a file: its kind, its faults, its cost, remarks on unusual values; and the JSON Schema of each kind."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ def file_kind(source: Source) -> Kind:
 
 @dataclass(frozen=True)
 class Findings:
-    """What `hiltestbed check` has to say of a file.
+    """Result of `hiltestbed check` for a file.
 
     Attributes:
-        kind: None for what is no YAML file at all. faults: that stop it. remarks: losses and notes on a dataset's files, and numbers of a
-            scenario that are absurd together. budget: what the work will need, None where it cannot be begun.
+        kind: None if it is not a YAML file. faults: errors. remarks: losses and notes on a dataset's files, and numbers of a scenario
+            that are implausible in combination. budget: resources that the task needs, None if it cannot be started.
     """
 
     kind: Kind | None
@@ -38,13 +38,13 @@ class Findings:
 
 
 def check_file(path: str | Path) -> tuple[Kind | None, tuple[Fault, ...]]:
-    """The kind of a file and every fault in it; None for what is no YAML file at all. The data of a dataset are not opened."""
+    """The kind of a file (None if it is not a YAML file) and every fault in it. The data of a dataset are not opened."""
     found = _look_at(path, data=False)
     return found.kind, found.faults
 
 
 def look_at(path: str | Path, set: Mapping[str, Any] | None = None) -> Findings:
-    """All that is to be said of a file, with dotted keys overridden; the data of a dataset are opened and checked against its scenario."""
+    """All findings on a file, with dotted keys overridden; the data of a dataset are opened and checked against its scenario."""
     return _look_at(path, data=True, set=set)
 
 
@@ -67,8 +67,8 @@ def _scenario(source: Source, data: bool) -> Findings:
     scenario = scenario_from(source)
     if not data:
         return Findings("scenario", ())
-    said = (*_said(warnings(scenario)), *remarks(scenario.mechanism))
-    return _within(Findings("scenario", (), said, run_budget([scenario])), source)
+    remarked = (*_as_warnings(warnings(scenario)), *remarks(scenario.mechanism))
+    return _within(Findings("scenario", (), remarked, run_budget([scenario])), source)
 
 
 def _campaign(source: Source, data: bool) -> Findings:
@@ -80,8 +80,8 @@ def _campaign(source: Source, data: bool) -> Findings:
     campaign = campaign_from(source)
     if not data:
         return Findings("campaign", ())
-    said = (*_said(warnings(campaign.nominal)), *_said(varied_in_vain(campaign)))
-    return _within(Findings("campaign", (), said, campaign_budget(campaign)), source)
+    remarked = (*_as_warnings(warnings(campaign.nominal)), *_as_warnings(varied_in_vain(campaign)))
+    return _within(Findings("campaign", (), remarked, campaign_budget(campaign)), source)
 
 
 def _dataset(source: Source, data: bool) -> Findings:
@@ -99,12 +99,12 @@ def _dataset(source: Source, data: bool) -> Findings:
     return _within(Findings("dataset", faults, remarks, dataset_budget(loaded)), source)
 
 
-def _said(found: tuple[str, ...]) -> tuple[str, ...]:
+def _as_warnings(found: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(f"warning: {text}" for text in found)
 
 
 def _within(found: Findings, source: Source) -> Findings:
-    """The findings with a fault for each limit that the budget goes beyond."""
+    """The findings, with a fault for each limit that the budget exceeds."""
     over = () if found.budget is None else tuple(source.fault((), reason) for reason in found.budget.refused())
     return replace(found, faults=(*found.faults, *over))
 

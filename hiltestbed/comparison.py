@@ -1,4 +1,4 @@
-"""Runs side by side: which keys of their scenarios differ, and what that did to the figures."""
+"""Runs side by side: the keys in which their scenarios differ, and the effect on the figures."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from hiltestbed.scenario import resolved
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-FIGURES = {  # figure of the summary, with the keys that lead to it, to its unit
+FIGURES = {  # figure of the summary, by its dotted keys, to its unit
     "cor": "",
     "cor_reference": "",
     "cor_log_error": "",
@@ -25,11 +25,11 @@ FIGURES = {  # figure of the summary, with the keys that lead to it, to its unit
     "peak_force": "N",
     "contact_duration": "s",
     "tracking_error": "m",
-    "stability.net_damping": "N s/m, N m s/rad",  # the latter where the direction is one that turns
+    "stability.net_damping": "N s/m, N m s/rad",  # the latter if the direction is a rotation
     "stability.largest_delay": "s",
 }
 TEXTS = ("status", "outcome", "stability.direction")
-SILENT = ("name", "description")  # keys that change nothing
+SILENT = ("name", "description")  # keys without influence on a run
 
 
 @dataclass(frozen=True, repr=False)
@@ -37,7 +37,7 @@ class Comparison:
     """Runs in columns.
 
     Attributes:
-        names: of the runs, told apart. runs: the runs.
+        names: of the runs, made unique. runs: the runs.
         differences: dotted scenario key to its value in each run; only keys in which they differ.
         figures: figure of the summary to its value in each run.
     """
@@ -66,7 +66,7 @@ class Comparison:
         return [*keys, *texts, *numbers, passive]
 
     def to_pandas(self) -> Any:
-        """A DataFrame, a row a run. Raises MissingExtra."""
+        """A DataFrame with one row per run. Raises MissingExtra."""
         try:
             import pandas as pd
         except ImportError:
@@ -74,12 +74,12 @@ class Comparison:
         return pd.DataFrame(self.differences | self.figures, index=pd.Index(self.names, name="run"))
 
     def plot(self, column: str = "wrench_true.fz", axes: Axes | None = None) -> Axes:
-        """One column of every run's trace over time. Raises UnknownColumn; ValueError where a run has no trace."""
+        """One column of every run's trace over time. Raises UnknownColumn; ValueError if a run has no trace."""
         for i, (name, run) in enumerate(zip(self.names, self.runs, strict=True)):
             axes = run.plot(column, axes=axes)
             line = axes.lines[-1]
             line.set(label=name, color=PALETTE[i % len(PALETTE)])
-        assert axes is not None  # there are two runs at least
+        assert axes is not None  # there are at least two runs
         axes.set_title(column)
         axes.legend(loc="best", fontsize=8)
         return axes
@@ -89,7 +89,7 @@ def compare(runs: Sequence[Run | str | Path]) -> Comparison:
     """Put runs, or run folders, side by side.
 
     Raises:
-        InputError: fewer than two, or a folder that holds no run.
+        InputError: fewer than two, or a folder without a run.
     """
     if len(runs) < 2:
         raise InputError(f"compare: too few runs (got {len(runs)}); allowed are two or more")
@@ -99,7 +99,7 @@ def compare(runs: Sequence[Run | str | Path]) -> Comparison:
     differences = {key: [one.get(key) for one in flat] for key in keys if any(one.get(key) != flat[0].get(key) for one in flat[1:])}
     figures = {name: [_figure(run.summary, name) for run in read] for name in (*TEXTS, *FIGURES)}
     labels = [run.summary["name"] if isinstance(given, Run) else Path(given).name for given, run in zip(runs, read, strict=True)]
-    return Comparison(tuple(_told_apart(labels)), read, differences, figures)
+    return Comparison(tuple(_unique(labels)), read, differences, figures)
 
 
 def _flat(data: Any, path: str = "") -> dict[str, Any]:
@@ -114,15 +114,15 @@ def _flat(data: Any, path: str = "") -> dict[str, Any]:
 
 
 def _figure(summary: Mapping[str, Any], name: str) -> Any:
-    """The figure that the dotted ``name`` leads to; None where a part on the way is None or absent."""
+    """The figure with the dotted ``name``; None if a part of the path is None or absent."""
     found: Any = summary
     for key in name.split("."):
         found = None if found is None else found.get(key)
     return found
 
 
-def _told_apart(labels: Sequence[str]) -> list[str]:
-    """Equal names get a number."""
+def _unique(labels: Sequence[str]) -> list[str]:
+    """The names, with a number appended to repeated ones."""
     seen: dict[str, int] = {}
     out = []
     for label in labels:

@@ -1,7 +1,7 @@
-"""What a set of measured runs is: which files, what differed in each, which column is which signal.
+"""The schema of a set of measured runs: their files, the differences between them, the mapping of columns to signals.
 
-A dataset file names the scenario that the facility believes in and, for every run, the file and the keys that were different.
-The data themselves are read elsewhere.
+A dataset file names the facility's believed scenario and, for every run, the file and the keys that differed.
+The data themselves are read in :mod:`hiltestbed.measured`.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ Check = Literal["unit", "sign", "axes", "start", "attitude", "lever", "copy", "c
 
 
 class Channel(Strictly):
-    """Where a signal of the trace stands in the file: SI value = scale x (unit in SI) x value in the file + offset."""
+    """Mapping of a column of the file to a signal of the trace: SI value = scale x (unit in SI) x value in the file + offset."""
 
     column: Annotated[str, Field(min_length=1)] | None = Field(default=None, description="name in the file; left out: the trace's own name")
-    scale: float = Field(default=1.0, description="factor, and -1 for a sign that is the other way round")
+    scale: float = Field(default=1.0, description="factor; -1 for a reversed sign")
     offset: float = Field(default=0.0, description="added last, in SI units; for t the shift of the clock [s]")
     unit: str | None = Field(default=None, description="unit of the column, such as mm, kN, ms or deg/s; left out: SI")
 
@@ -36,10 +36,10 @@ class MeasuredRun(Strictly):
     """One file of measured data."""
 
     file: Annotated[str, Field(min_length=1)] = Field(
-        description="CSV, Parquet, HDF5, MAT, MDF4, TDMS or MCAP, from the dataset's folder; ${NAME}: a variable of the environment"
+        description="CSV, Parquet, HDF5, MAT, MDF4, TDMS or MCAP, relative to the dataset's folder; ${NAME}: an environment variable"
     )
-    set: dict[str, Any] = Field(default={}, description="what was different in this run: dotted scenario key to value")
-    channels: dict[str, Channel] = Field(default={}, description="channels that stand elsewhere in this file than in the others")
+    set: dict[str, Any] = Field(default={}, description="settings of this run that differ: dotted scenario key to value")
+    channels: dict[str, Channel] = Field(default={}, description="channels that are mapped differently in this file than in the others")
 
 
 class Dataset(Strictly):
@@ -48,25 +48,25 @@ class Dataset(Strictly):
     name: str = Field(default="", description="Name of the data")
     description: str = Field(default="", description="Where the data come from, in a sentence or two")
     scenario: Annotated[str, Field(min_length=1)] = Field(
-        description="file of the facility's scenario, from the dataset's folder, or a shipped name"
+        description="file of the facility's scenario, relative to the dataset's folder, or a shipped name"
     )
     runs: Annotated[tuple[MeasuredRun, ...], Field(strict=False, min_length=1)] = Field(description="the measured runs, one file each")
     channels: dict[str, Channel] | None = Field(
-        default=None, description="signal of the trace to its column; a signal left out is looked for under the trace's own name and unit"
+        default=None, description="signal of the trace to its column; a signal left out is expected with the trace's name and unit"
     )
     accept: Annotated[tuple[Check, ...], Field(strict=False)] = Field(
         default=(),
-        description="checks whose refusal is overridden, the data taken as they are: a list of what the refusal names: unit, sign, "
-        "axes (exchanged), start (place and speed at the start), attitude, lever (torque over force), copy (of another channel), constant "
-        "(where it should move), shift (by whole rows)",
+        description="checks whose errors are overridden, so that the data are used unchanged; a list of the words in the error messages: "
+        "unit, sign, axes (exchanged), start (position and speed at the start), attitude, lever (torque over force), copy (of another "
+        "channel), constant (where it should move), shift (by whole rows)",
     )
 
 
 @dataclass(frozen=True)
 class LoadedDataset:
-    """A dataset whose scenario and overrides hold.
+    """A dataset whose scenario and overrides are valid.
 
-    nominal is the scenario as the file has it; scenarios and files have one entry a run, with that run's overrides applied.
+    nominal is the scenario in the file; scenarios and files have one entry per run, with that run's overrides applied.
     """
 
     spec: Dataset
@@ -82,7 +82,7 @@ def load_dataset(path: str | Path, set: Mapping[str, Any] | None = None) -> Load
 
 
 def dataset_from(source: Source) -> LoadedDataset:
-    """The dataset in a source that is read already. Raises InputError with every fault."""
+    """The dataset in a source that has been read already. Raises InputError with every fault."""
     spec = validate(Dataset, source)
     faults = [*_missing_files(spec, source), *_channel_faults(spec, source)]
     nominal_source = referenced_source(source)

@@ -1,4 +1,4 @@
-"""What an installation has and lacks."""
+"""Check of an installation: what it has and what it lacks."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from importlib.util import find_spec
 
 from hiltestbed.kernels import cores
 
-EXTRAS = {  # optional package to what it is for and the extra that brings it
+EXTRAS = {  # optional package, to its purpose and the extra that installs it
     "h5py": ("HDF5 data", "hdf5"),
     "asammdf": ("MDF4 data", "mdf"),
     "nptdms": ("TDMS data", "tdms"),
@@ -25,7 +25,7 @@ NEEDED = ("mujoco", "pin", "numpy", "scipy", "numba", "rerun-sdk", "pyarrow", "m
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that was looked at: what it is, how it stands, whether that is good, and whether hiltestbed needs it."""
+    """One check: its subject, its result, whether that is good, and whether hiltestbed needs it."""
 
     what: str
     state: str
@@ -47,7 +47,7 @@ def _package(name: str) -> Finding:
     try:
         return Finding(name, version(name), True)
     except PackageNotFoundError:
-        return Finding(name, "is not installed; pip install hiltestbed brings it", False)
+        return Finding(name, "is not installed; pip install hiltestbed installs it", False)
 
 
 def _extra(name: str, purpose: str, extra: str) -> Finding:
@@ -61,13 +61,13 @@ def _cache() -> Finding:
     folder = cache_folder()
     above = next(path for path in (folder, *folder.parents) if path.exists())
     if not os.access(above, os.W_OK):
-        return Finding("compiled kernels", f"{folder} cannot be written: every run compiles anew; set NUMBA_CACHE_DIR", False)
-    return Finding("compiled kernels", f"in {folder}" if compiled() else "none yet: the first run compiles them, a minute or so", True)
+        return Finding("compiled kernels", f"{folder} cannot be written: every run compiles again; set NUMBA_CACHE_DIR", False)
+    return Finding("compiled kernels", f"in {folder}" if compiled() else "none yet: the first run compiles them, in about a minute", True)
 
 
 def _viewer() -> Finding:
     display = sys.platform != "linux" or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
-    state = "a display is there" if display else "no display: `hiltestbed view` needs one; report.html needs a browser alone"
+    state = "a display is available" if display else "no display: `hiltestbed view` needs one; report.html only needs a browser"
     return Finding("viewer", state, display, needed=False)
 
 

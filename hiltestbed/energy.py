@@ -16,7 +16,7 @@ def energy_generated(trace: RunTrace, scenario: Scenario) -> Array:
     tick = 1.0 / scenario.rate
     slope = np.zeros_like(trace["twist_act"])
     _slopes(trace["pose_act"], tick, slope)
-    commanded = np.concatenate([approach_state(scenario)[None, :7], trace["pose_cmd"][:-1]])  # for t_k, where the wrench is used
+    commanded = np.concatenate([approach_state(scenario)[None, :7], trace["pose_cmd"][:-1]])  # for t_k, when the wrench is used
     force, used = _about_A(trace["wrench_true"], trace["pose_act"]), _about_A(trace["wrench_comp"], commanded)
     rate = trace["twist_cmd"]
     before = np.concatenate([approach_state(scenario)[None, 7:], rate[:-1]])
@@ -26,7 +26,7 @@ def energy_generated(trace: RunTrace, scenario: Scenario) -> Array:
 
 
 def _about_A(wrench: Array, pose: Array) -> Array:
-    """``(ticks, 6)`` wrenches at P's origin with their moments about A's, to go with its twist."""
+    """``(ticks, 6)`` wrenches at P's origin, with their moments about A's origin, so that they are conjugate to A's twist."""
     return np.hstack([wrench[:, :3], wrench[:, 3:] - np.cross(pose[:, :3], wrench[:, :3])])
 
 

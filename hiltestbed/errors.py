@@ -1,4 +1,4 @@
-"""The errors a caller may want to tell apart; everything hiltestbed raises on purpose is a HiltestbedError.
+"""The errors that a caller may want to distinguish; everything that hiltestbed raises on purpose is a HiltestbedError.
 
 The exit status of the command line follows the class: InputError 2, any other 1; a run that diverged or was stopped ends with 3.
 """
@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 
 def printable(text: str) -> str:
-    """``text`` with control characters written out: names in a file may hold what a terminal would act on."""
+    """``text`` with control characters escaped: names in a file may contain terminal escape sequences."""
     return "".join(c if c.isprintable() or c == "\n" else repr(c)[1:-1] for c in text)
 
 
@@ -22,9 +22,9 @@ class HiltestbedError(Exception):
 
 @dataclass(frozen=True)
 class Fault:
-    """One fault of one input: where it stands, which key, and what is wrong (got ...); what is allowed.
+    """One fault of one input: its place, its key, and the message "what is wrong (got ...); what is allowed".
 
-    `file` may also be a place on the command line (`--set KEY`), which has neither line nor column (both None).
+    `file` may also be a command-line option (`--set KEY`), which has neither line nor column (both None).
     """
 
     file: str
@@ -39,7 +39,7 @@ class Fault:
 
 
 class InputError(HiltestbedError):
-    """What was handed in cannot be used; `faults` holds every fault that was found, one line each in the message."""
+    """The input cannot be used; `faults` contains every fault that was found, each with one line in the message."""
 
     exit_status = 2
 

@@ -1,4 +1,4 @@
-"""Play a failure again from the state that was kept before it."""
+"""Replay of a failure from a state saved before it."""
 
 from __future__ import annotations
 
@@ -17,18 +17,16 @@ def replay_failure(folder: str | Path) -> tuple[Loop, tuple[int, str, str]]:
         folder: the folder of a run that diverged or was stopped.
 
     Returns:
-        The loop as it stands after the tick that failed, and (tick, status, what went wrong), the same as in the first place.
+        The loop after the tick that failed, and (tick, status, reason), the same as in the original run.
 
     Raises:
-        InputError: the run did not fail, or its failure does not come again (other versions than those in its summary).
+        InputError: the run did not fail, or its failure is not reproduced (other versions than those in its summary).
     """
     failed = read_run(folder)
     if failed.failure is None:
-        raise InputError(
-            f"{folder}: holds no {FAILURE}, its status is {failed.summary['status']!r}; only a run that failed can be replayed"
-        )
+        raise InputError(f"{folder}: has no {FAILURE}, its status is {failed.summary['status']!r}; only a run that failed can be replayed")
     loop = Loop([failed.scenario])
-    restore(loop, failed.failure)  # or from its start
+    restore(loop, failed.failure)  # if this is not possible, the loop runs from its start
     while loop.k < failed.scenario.ticks and not loop.trouble:
         loop.step()
     if not loop.trouble:

@@ -1,15 +1,15 @@
-"""Names of result folders, and what else is written into them."""
+"""Names of results folders, and the option to write figures as separate files."""
 
 from __future__ import annotations
 
 from contextvars import ContextVar
 from pathlib import Path
 
-FIGURES_APART: ContextVar[bool] = ContextVar("figures_apart", default=False)  # figures of a report beside it as well, as PNG and SVG
+FIGURES_APART: ContextVar[bool] = ContextVar("figures_apart", default=False)  # also write the figures of a report beside it, as PNG and SVG
 
 
 def is_file(path: Path) -> bool:
-    """Whether a file is there; False for a name that no file system takes."""
+    """Whether a file exists; False for a name that the file system does not accept."""
     try:
         return path.is_file()
     except (OSError, ValueError):
@@ -26,5 +26,5 @@ def free_folder(path: Path) -> Path:
 
 
 def safe_name(name: str) -> str:
-    """A scenario's or a campaign's name as the name of a folder."""
+    """The name of a scenario or a campaign, made valid as a folder name."""
     return "".join(c if c.isalnum() or c in "-_." else "-" for c in name).strip(".-")[:100] or "unnamed"

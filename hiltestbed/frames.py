@@ -1,12 +1,12 @@
-"""Every convention of position, attitude and wrench, and every conversion between them.
+"""All conventions of position, attitude and wrench, and all conversions between them.
 
 Two port frames: ``A`` on the active mechanism (carried by the motion platform) and ``P`` on the passive one (on the force
 sensor). Both have +z along the direction of insertion. A pose is ``(..., 7)``: position [m] and unit quaternion ``x, y, z, w``;
 a twist ``(..., 6)``: linear [m/s] and angular [rad/s] velocity; a wrench ``(..., 6)``: force [N] and torque [N m].
-MuJoCo writes quaternions w-first: :func:`quat_to_mujoco` and :func:`quat_from_mujoco` are the only places that know.
+MuJoCo writes quaternions w-first: only :func:`quat_to_mujoco` and :func:`quat_from_mujoco` depend on this.
 
 The scalar kernels work on one-dimensional slices and write into ``out``; they are compiled once and called from the loops over
-the runs of a batch, so that one run and a run inside a batch take the same arithmetic.
+the runs of a batch, so that a single run and a run in a batch use the same arithmetic.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from hiltestbed.jit import njit
 
 Array = NDArray[np.float64]
 
-TINY = 1e-300  # a quaternion of overflown numbers may have no length at all
-SMALL_ANGLE = 1e-4  # [rad] below it sin(a)/a is taken from its series, whose next term is a^4/120 < 1e-18
+TINY = 1e-300  # a quaternion after a numerical overflow may have length zero
+SMALL_ANGLE = 1e-4  # [rad] below it sin(a)/a is computed by its series, whose next term is a^4/120 < 1e-18
 
 
 @njit(cache=True, inline="always")
@@ -44,7 +44,7 @@ def quat_conj_mul(a, b, out):
 
 @njit(cache=True, inline="always")
 def quat_mul_conj(a, b, out):
-    """``out = a * conj(b)``: the turn that takes ``b`` to ``a``; ``out`` may be neither."""
+    """``out = a * conj(b)``: the rotation that takes ``b`` to ``a``; ``out`` may be neither."""
     out[0] = -a[3] * b[0] + a[0] * b[3] - a[1] * b[2] + a[2] * b[1]
     out[1] = -a[3] * b[1] + a[0] * b[2] + a[1] * b[3] - a[2] * b[0]
     out[2] = -a[3] * b[2] - a[0] * b[1] + a[1] * b[0] + a[2] * b[3]
@@ -85,7 +85,7 @@ def cross(a, b, out):
 
 @njit(cache=True, inline="always")
 def rotation_vector(q, out):
-    """``out``: the rotation vector [rad] of ``q``, shorter way round."""
+    """``out``: the rotation vector [rad] of ``q``, by at most pi."""
     s = math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2])
     sign = 1.0 if q[3] >= 0.0 else -1.0
     scale = 2.0 * sign / max(abs(q[3]), s, TINY) if s < 1e-12 else 2.0 * math.atan2(s, abs(q[3])) / s * sign
@@ -96,7 +96,7 @@ def rotation_vector(q, out):
 
 @njit(cache=True, inline="always")
 def quat_exp(r, out):
-    """``out``: the quaternion that turns by the rotation vector ``r`` [rad]."""
+    """``out``: the quaternion of the rotation vector ``r`` [rad]."""
     a2 = r[0] * r[0] + r[1] * r[1] + r[2] * r[2]
     a = math.sqrt(a2)
     scale = 0.5 - a2 / 48.0 if a < SMALL_ANGLE else math.sin(0.5 * a) / a
@@ -146,7 +146,7 @@ def wrench_moved(pose_PS, wrench_S, out):
 
 @njit(cache=True)
 def pose_step(pose, twist, h, out):
-    """``out``: ``pose`` moved for ``h`` [s] by a constant twist, both in the frame of the pose (linear and angular apart)."""
+    """``out``: ``pose`` moved for ``h`` [s] by a constant twist, both in the frame of the pose (linear and angular separately)."""
     r = np.empty(3)
     q = np.empty(4)
     for i in range(3):
@@ -159,7 +159,7 @@ def pose_step(pose, twist, h, out):
 
 @njit(cache=True)
 def twist_between(pose_0, pose_1, h, out):
-    """``out``: the constant twist that takes ``pose_0`` to ``pose_1`` in ``h`` [s], linear and angular apart: the slope."""
+    """``out``: the constant twist that takes ``pose_0`` to ``pose_1`` in ``h`` [s], linear and angular separately."""
     q = np.empty(4)
     inverse = np.empty(4)
     for i in range(3):
@@ -183,7 +183,7 @@ def quat_from_mujoco(q: Array) -> Array:
 
 
 def quat_from_attitude_deg(attitude_deg: ArrayLike) -> Array:
-    """Quaternion ``(..., 4)`` of ``attitude_deg`` ``(..., 3)``: turns about the fixed x, then y, then z axis [deg]."""
+    """Quaternion ``(..., 4)`` of ``attitude_deg`` ``(..., 3)``: rotations about the fixed x, then y, then z axis [deg]."""
     half = 0.5 * np.radians(np.asarray(attitude_deg, dtype=float))
     (sx, sy, sz), (cx, cy, cz) = np.moveaxis(np.sin(half), -1, 0), np.moveaxis(np.cos(half), -1, 0)
     return np.stack(
@@ -197,11 +197,11 @@ def quat_from_attitude_deg(attitude_deg: ArrayLike) -> Array:
     )
 
 
-POLE = 1.0 - 1e-12  # |sin| of the middle angle from which on the first and the last turn about the same axis
+POLE = 1.0 - 1e-12  # |sin| of the middle angle, above which the first and the last rotation have the same axis
 
 
 def attitude_deg_from_quat(q: Array) -> Array:
-    """Turns about the fixed x, then y, then z axis [deg] ``(3,)`` of the quaternion ``(4,)``; at y = +-90 deg x is 0.
+    """Rotations about the fixed x, then y, then z axis [deg] ``(3,)`` of the quaternion ``(4,)``; at y = +-90 deg x is 0.
 
     The inverse of :func:`quat_from_attitude_deg`.
     """
@@ -229,7 +229,7 @@ def rotation_matrix(q: Array) -> Array:
 
 
 def rotation_vectors(q: Array) -> Array:
-    """Rotation vectors ``(..., 3)`` [rad] of quaternions ``(..., 4)``, shorter way round."""
+    """Rotation vectors ``(..., 3)`` [rad] of quaternions ``(..., 4)``, by at most pi."""
     v, w = q[..., :3], q[..., 3:4]
     s = np.linalg.norm(v, axis=-1, keepdims=True)
     tiny = s < 1e-12

@@ -1,4 +1,4 @@
-"""Where the models and scenarios lie that come with hiltestbed: in the installed package, or in the source tree."""
+"""Location of the shipped models and scenarios: in the installed package, or in the source tree."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def shipped(kind: str) -> Path:
 
 
 def find_scenario(name: str | Path) -> Path:
-    """`name` itself when such a path exists, else what is shipped under that name (`02-bumper`, `scenarios/02-bumper.yaml`)."""
+    """`name` itself if such a path exists, otherwise the shipped scenario of that name (`02-bumper`, `scenarios/02-bumper.yaml`)."""
     path = Path(name)
     if path.exists() or path.is_absolute():
         return path
@@ -30,7 +30,7 @@ def find_scenario(name: str | Path) -> Path:
 
 
 def scenario_names() -> list[str]:
-    """The names of the shipped scenarios, those of folders as FOLDER/NAME."""
+    """The names of the shipped scenarios; those in subfolders as FOLDER/NAME."""
     root = shipped("scenarios")
     return sorted(str(path.relative_to(root).with_suffix("")) for path in root.rglob("*.yaml") if path.parent.name != "campaigns")
 
@@ -41,7 +41,7 @@ def campaign_names() -> list[str]:
 
 
 def refuse_unknown(name: str | Path, names: list[str]) -> None:
-    """Raises InputError with the shipped ``names`` where ``name`` is neither a file nor looks like the path of one."""
+    """Raises InputError with the shipped ``names`` if ``name`` is not a file and does not look like a path."""
     if not find_scenario(name).exists():
         close = get_close_matches(str(name), names, n=1, cutoff=0.4)
         hint = f" (did you mean {close[0]!r}?)" if close else ""

@@ -1,8 +1,8 @@
-"""Ctrl-C that is neither lost nor garbled.
+"""Reliable handling of Ctrl-C.
 
-Raised inside a compiled import it comes out as an ImportError, inside a compiler's callback it is printed and forgotten, or takes the
-process down. So it is remembered here: long work asks `check` now and then, an error that follows it is taken for what it is, and while
-LLVM is at work it is put off until that is done.
+A KeyboardInterrupt inside a compiled import appears as an ImportError; inside a compiler's callback it is printed and lost, or crashes the
+process. Ctrl-C is therefore recorded here: long tasks call `check` regularly, an error that follows a Ctrl-C is attributed to it, and while
+LLVM is compiling the exception is deferred.
 """
 
 from __future__ import annotations
@@ -13,13 +13,13 @@ import sys
 from types import FrameType
 from typing import Any
 
-COMPILERS = ("llvmlite", "numba.core.codegen")  # what calls LLVM and is called back by it
+COMPILERS = ("llvmlite", "numba.core.codegen")  # modules that call LLVM and are called back by it
 
 _asked = False
 
 
 def install() -> None:
-    """Remembers Ctrl-C from now on; it still raises KeyboardInterrupt where it can."""
+    """Records Ctrl-C from now on; it still raises KeyboardInterrupt where that is safe."""
     signal.signal(signal.SIGINT, _on_signal)
     atexit.unregister(_over)
     atexit.register(_over)
@@ -36,7 +36,7 @@ def _on_signal(number: int, frame: FrameType | None) -> None:
 
 
 def _on_return(frame: FrameType, event: str, argument: Any) -> None:
-    """Raises what was put off, as soon as a compiler returns to who called it."""
+    """Raises the deferred KeyboardInterrupt as soon as a compiler returns to its caller."""
     if event == "return" and _compiling(frame) and not _compiling(frame.f_back):
         sys.setprofile(None)
         raise KeyboardInterrupt
@@ -51,10 +51,10 @@ def _compiling(frame: FrameType | None) -> bool:
 
 
 def _over() -> None:
-    """The program ends with the status that it has: Python's own end would give Ctrl-C back to the system, which ends it by the signal.
+    """Let the program end with its own exit status: otherwise Python may end it by the signal SIGINT.
 
-    It does so at a Ctrl-C that comes now, and where one has passed through the text of an ``exec``, whoever caught it afterwards: the next
-    text forgets that.
+    Python does so after a Ctrl-C at exit (ignored from here on), and if a KeyboardInterrupt has left an ``exec``, even if it was caught
+    afterwards; another ``exec`` clears that flag.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     exec("")
@@ -66,6 +66,6 @@ def asked() -> bool:
 
 
 def check() -> None:
-    """Raises KeyboardInterrupt when Ctrl-C was pressed."""
+    """Raises KeyboardInterrupt if Ctrl-C was pressed."""
     if _asked:
         raise KeyboardInterrupt

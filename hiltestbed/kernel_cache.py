@@ -1,6 +1,6 @@
-"""Where compiled kernels are kept: beside the package or in the user's cache, and in a temporary folder where neither can be written.
+"""Location of compiled kernels: beside the package or in the user's cache, or in a temporary folder if neither can be written.
 
-Without any of them Numba refuses to load a kernel that is to be kept. Set before Numba is imported; NUMBA_CACHE_DIR overrides it.
+Without any such folder Numba refuses to load a cached kernel. Must be set before Numba is imported; NUMBA_CACHE_DIR overrides it.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ VARIABLE = "NUMBA_CACHE_DIR"
 
 
 def settle(package: Path, environment: MutableMapping[str, str], writable: Callable[[Path], bool] | None = None) -> None:
-    """Name a folder in ``environment`` for the kernels of ``package`` where those that Numba would take cannot be written."""
+    """Set a folder in ``environment`` for the kernels of ``package`` if Numba's default folders cannot be written."""
     can = writable or _writable
     given = environment.get(VARIABLE)
     if given:
@@ -28,21 +28,21 @@ def settle(package: Path, environment: MutableMapping[str, str], writable: Calla
 
 
 def _writable(folder: Path) -> bool:
-    """Whether a file can be made in ``folder``, or the folder in the nearest one that exists."""
+    """Whether a file can be created in ``folder``, or the folder itself below its nearest existing parent."""
     while not folder.exists() and folder != folder.parent:
         folder = folder.parent
     return folder.is_dir() and os.access(folder, os.W_OK | os.X_OK)
 
 
 def _temporary() -> str:
-    """A folder of this user's alone, the same for every process; a new one where something else has taken its name."""
+    """A private folder of this user, the same for every process; a new one if its name is taken."""
     user = os.getuid() if hasattr(os, "getuid") else "user"
     folder = Path(tempfile.gettempdir()) / f"hiltestbed-kernels-{user}"
     try:
         folder.mkdir(mode=0o700, exist_ok=True)
         about = folder.lstat()
         if folder.is_symlink() or (hasattr(os, "getuid") and (about.st_uid != os.getuid() or about.st_mode & 0o022)):
-            raise OSError(folder)  # kernels are code: none is loaded from a folder that another user may write
+            raise OSError(folder)  # kernels are code: never load them from a folder that another user can write to
     except OSError:
         return tempfile.mkdtemp(prefix="hiltestbed-kernels-")
     return str(folder)

@@ -1,6 +1,6 @@
-"""What the machine brings: its cores, and whether the inner loops are compiled already.
+"""The cores of the machine, and whether the inner loops have been compiled.
 
-Numba keeps compiled loops on disk; the first run after an install makes them.
+Numba caches compiled loops on disk; the first run after an install compiles them.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-PATIENCE = 1.0  # [s] of compiling, after which the user is told what he waits for
+PATIENCE = 1.0  # [s] of compiling, after which a message to the user is printed
 
 
 def cores() -> int:
@@ -22,50 +22,50 @@ def cores() -> int:
 
 
 def threads() -> int:
-    """Threads that this process may use at a time: its cores, but one where it is a worker beside others."""
+    """Threads that this process may use at a time: its cores, or one if it is one of several worker processes."""
     return 1 if multiprocessing.parent_process() is not None else cores()
 
 
 def cache_folder() -> Path:
-    """Where numba keeps the compiled kernel of the figures, which every run needs."""
+    """Folder in which Numba caches the kernel of the figures, which every run needs."""
     from hiltestbed.metrics import _update
 
     return Path(_update.stats.cache_path or "")
 
 
 def compiled() -> bool:
-    """Whether a run has been made with this installation, so that its kernels are on disk."""
+    """Whether this installation has made a run before, so that its kernels are on disk."""
     return any(cache_folder().glob("metrics._update-*.nbc"))
 
 
 @functools.cache
 def tell_of_compiling() -> Any:
-    """From now on say on standard error, once, that inner loops are being compiled, should that take longer than :data:`PATIENCE`; the
-    listener that Numba tells of it."""
+    """From now on, print a message to standard error, once, if compiling takes longer than :data:`PATIENCE`; returns the listener for
+    Numba's events."""
     from numba.core import event
 
-    class Told(event.Listener):
+    class CompileListener(event.Listener):
         spent = begun = 0.0
-        depth, told = 0, False  # one kernel compiles those that it calls
+        depth, notified = 0, False  # one kernel compiles those that it calls
 
         def on_start(self, _: event.Event) -> None:
             self.begun = self.begun if self.depth else time.monotonic()
             self.depth += 1
-            self._tell()
+            self._notify()
 
         def on_end(self, _: event.Event) -> None:
-            self._tell()
+            self._notify()
             self.depth -= 1
             if not self.depth:
                 self.spent += time.monotonic() - self.begun
 
-        def _tell(self) -> None:
-            if not self.told and self.spent + time.monotonic() - self.begun > PATIENCE:
-                self.told = True
+        def _notify(self) -> None:
+            if not self.notified and self.spent + time.monotonic() - self.begun > PATIENCE:
+                self.notified = True
                 clear = "\r\x1b[K" if sys.stderr.isatty() else ""
-                sys.stderr.write(f"{clear}compiling inner loops that are new here: a minute or so, and kept for later\n")
+                sys.stderr.write(f"{clear}compiling inner loops: takes about a minute, and is kept for later runs\n")
                 sys.stderr.flush()
 
-    listener = Told()
+    listener = CompileListener()
     event.register("numba:compile", listener)
     return listener

@@ -1,4 +1,4 @@
-"""A trace as pandas and xarray hold it, and its plot: units and frames stay with the columns."""
+"""A trace as pandas and xarray objects, and as a plot, with units and frames of the columns."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from hiltestbed.signals import RunTrace, about_column
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-# Okabe and Ito's palette: told apart with any of the common colour-vision deficiencies
+# Okabe and Ito's palette: distinguishable with any of the common colour-vision deficiencies
 PALETTE = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
 
 
 def trace_to_pandas(trace: RunTrace) -> Any:
-    """A DataFrame, a column a column, over time [s]; ``frame.attrs["columns"]`` has unit, frame and meaning. Raises MissingExtra."""
+    """A DataFrame with the trace's columns over time [s]; ``frame.attrs["columns"]`` has unit, frame and meaning. Raises MissingExtra."""
     try:
         import pandas as pd
     except ImportError:
@@ -52,7 +52,7 @@ def plot_trace(trace: RunTrace, names: Sequence[str], axes: Axes | None) -> Axes
     """Columns or groups over time in one set of axes, contacts shaded."""
     groups = {group.name: group for group in trace.groups()}
     columns = [column for name in names for column in (groups[name].columns if name in groups else (name,))]
-    values = [trace[column] for column in columns]  # an unknown column is refused before anything is drawn
+    values = [trace[column] for column in columns]  # raises for an unknown column before anything is drawn
     if axes is None:
         import matplotlib.pyplot as plt
 
@@ -67,7 +67,7 @@ def plot_trace(trace: RunTrace, names: Sequence[str], axes: Axes | None) -> Axes
 
 
 def shade_contacts(axes: Axes, t: np.ndarray, contact: np.ndarray) -> None:
-    """Shade the times ``t`` ``(rows,)`` [s] in which ``contact`` ``(rows,)`` holds."""
+    """Shade the times ``t`` ``(rows,)`` [s] at which ``contact`` ``(rows,)`` is true."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], contact, [False]]).astype(np.int8)))
     for start, end in zip(edges[::2], edges[1::2], strict=True):
         axes.axvspan(float(t[start]), float(t[min(end, len(t) - 1)]), color="#e9edf1", zorder=0)

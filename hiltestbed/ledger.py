@@ -1,8 +1,8 @@
-"""The delay ledger: every delay in the loop, and the damping that it takes out of the contact.
+"""The delay ledger: every delay in the loop, and the damping that it removes from the contact.
 
 A delay tau of the force acts on a contact of stiffness k as a damping -k tau, since ``F(t - tau) ~ F - tau k v``; one bounce of two
 free bodies of reduced mass mu then has ``ln e = -pi c_eff/(2 sqrt(k mu))``, hence ``ln(e/e_ref) = (pi/2) w sum(tau)`` with
-``w = sqrt(k/mu)``. Good to 0.01 in ln e while w tau <= 0.25.
+``w = sqrt(k/mu)``. Accurate to 0.01 in ln e for w tau <= 0.25.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from hiltestbed.scenario import Scenario
 
 @dataclass(frozen=True)
 class Delay:
-    """One entry: where from, how late [s], and the damping that this is worth [N s/m]."""
+    """One entry: its source, the delay [s], and the equivalent damping [N s/m]."""
 
     source: str
     delay: float
@@ -27,8 +27,9 @@ class Delay:
 
 
 def delay_ledger(scenario: Scenario, figures: ContactFigures) -> list[Delay]:
-    """Every delay between the contact and the numerical model's motion, what leads as negative, their sum last."""
-    # Read at t_k, step the model, run linearly to its pose by t_(k+1): the semi-implicit step makes up for the tick.
+    """Every delay between the contact and the numerical model's motion (leads are negative), and their sum last."""
+    # The force is read at t_k, the model steps, the rig moves linearly to its pose until t_(k+1): the semi-implicit step makes up for
+    # the tick.
     compensation, w = scenario.compensation, contact_frequency(scenario)
     if scenario.rig.platform.physical:  # no loop: the bodies themselves move
         return [Delay("total", 0.0, 0.0)]
@@ -49,7 +50,7 @@ def delay_ledger(scenario: Scenario, figures: ContactFigures) -> list[Delay]:
 
 
 def force_path_delay(scenario: Scenario, compensated: bool) -> float:
-    """How late [s] the force is that drives the numerical model: sensor and effects, less what the compensation takes out."""
+    """Delay [s] of the force that drives the numerical model: sensor and effects, minus what the compensation removes."""
     w = contact_frequency(scenario)
     parts = [*_sensor(scenario, w), *_effects(scenario, w, "dynamics"), *(_compensation(scenario) if compensated else ())]
     return sum(delay for _, delay in parts)
@@ -73,7 +74,7 @@ def _effects(scenario: Scenario, w: float, link: str) -> Iterator[tuple[str, flo
 
 
 def _compensation(scenario: Scenario) -> Iterator[tuple[str, float]]:
-    """What the method takes out at low frequency, once it knows the contact that it needs to know."""
+    """What the method removes at low frequency, once it knows the contact parameters that it needs."""
     return ((f"compensation.{name}", -delay) for name, delay in scenario.compensation.force.removes(scenario).items())
 
 
@@ -83,5 +84,5 @@ def contact_frequency(scenario: Scenario) -> float:
 
 
 def predicted_log_error(scenario: Scenario, ledger: list[Delay]) -> float:
-    """What the ledger's sum does to ``ln e``: ``(pi/2) w sum(tau)``."""
+    """Change of ``ln e`` by the ledger's sum: ``(pi/2) w sum(tau)``."""
     return 0.5 * math.pi * contact_frequency(scenario) * ledger[-1].delay

@@ -1,4 +1,4 @@
-"""The record: what the log holds, where that is not what the loop had."""
+"""Effects of the record: differences between the logged signals and those in the loop."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario
     from hiltestbed.signals import Trace
 
-LONGEST = 20.0  # ticks: as far as a delay is searched on a slow loop
-STARTS = (0.4, 0.8, 1.4, 2.5, 4.5, 8.0, 13.0, 20.0)  # ticks
+LONGEST = 20.0  # [ticks] upper bound of the search for a delay on a slow loop
+STARTS = (0.4, 0.8, 1.4, 2.5, 4.5, 8.0, 13.0, 20.0)  # [ticks]
 
 
 @dataclass
 class LogParameters:
-    """The record of one run. skew: [s] by which the wrench is stamped late. reread: whether it was read anew at the later time, in place
-    of lying between the loop's own readings."""
+    """The record of one run. skew: [s] by which the wrench is stamped late. reread: whether it was read again at the later time, instead
+    of being interpolated between the loop's own readings."""
 
     skew: float = 0.0
     reread: bool = False
@@ -31,7 +31,7 @@ class LogParameters:
 
 @register
 class LogSkew(Effect):
-    """The force record alone is stamped late; the loop itself is untouched."""
+    """The force is stamped late in the record only; the loop itself is not affected."""
 
     kind: Literal["log.skew"] = "log.skew"
     delay: float = quantity("s", "Time by which the force is stamped late", ge=0.0, le=1.0, search=(0.0, 0.03))
@@ -57,7 +57,7 @@ class LogSkew(Effect):
 
 
 def log_parameters(effects: Sequence[Effect]) -> LogParameters:
-    """What the effects of the record among ``effects`` make of it."""
+    """The parameters of the record with those of ``effects`` that act on it."""
     p = LogParameters()
     for effect in effects:
         if effect.link == "log":
@@ -66,7 +66,7 @@ def log_parameters(effects: Sequence[Effect]) -> LogParameters:
 
 
 def stamp_late(trace: Trace, scenarios: Sequence[Scenario]) -> None:
-    """Put the reading of t - delay into the row of t where a record is stamped late, zero before the start; between rows linearly."""
+    """For a record that is stamped late, put the reading of t - delay, interpolated linearly, into the row of t; zero before the start."""
     rows = np.arange(len(trace.t))
     for i, scenario in enumerate(scenarios):
         skew = log_parameters(scenario.effects).skew

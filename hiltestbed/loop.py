@@ -1,8 +1,8 @@
 """The closed loop: read this first.
 
-A tick, at t_k: read the physical wrench through the sensor; identify stiffness and damping; compensate and let the numerical model
-move on; tell the platform where to be at t_(k+1), and let it set out; write the row; let the rig run until then. One call a block, in
-the order of the signal, on arrays whose leading axis is the run in the batch.
+A tick, at t_k: read the physical wrench through the sensor; identify stiffness and damping; compensate the wrench and advance the
+numerical model; command the platform to the pose for t_(k+1) and start its motion; write the row; simulate the rig until then. One call
+per block, in the order of the signal flow, on arrays whose leading axis is the run in the batch.
 """
 
 from __future__ import annotations
@@ -36,11 +36,11 @@ ROW = (
     "pose_cmd", "pose_act", "twist_cmd", "twist_act", "wrench_true", "wrench_meas", "wrench_comp", "slider_cmd", "slider_act", "upper_cmd",
     "upper_act", "stiffness_est", "damping_est",
 )  # fmt: skip
-POSE_LIMIT = 10.0  # [m] a commanded position beyond it is a divergence: forty times the platform's reach
+POSE_LIMIT = 10.0  # [m] a larger commanded position counts as divergence: forty times the platform's reach
 
 
 class RigSide(Protocol):
-    """The rig as the loop sees it: see :class:`~hiltestbed.platform.plant.Plant`, which is one."""
+    """The rig as seen by the loop; implemented by :class:`~hiltestbed.platform.plant.Plant`."""
 
     pose_act: Array
     twist_act: Array
@@ -65,7 +65,7 @@ class RigSide(Protocol):
 
 
 class SensorSide(Protocol):
-    """The force sensor as the loop sees it: see :class:`~hiltestbed.sensor.sensor.Sensor`."""
+    """The force sensor as seen by the loop; implemented by :class:`~hiltestbed.sensor.sensor.Sensor`."""
 
     reading: Array
 
@@ -74,7 +74,7 @@ class SensorSide(Protocol):
 
 
 class Watch(Protocol):
-    """What stops a run: see :class:`~hiltestbed.safety.Safety`."""
+    """The monitor that stops a run; implemented by :class:`~hiltestbed.safety.Safety`."""
 
     def passed(self, plant: Any, pose_before: Array, energy: Array) -> bool: ...
     def reason(self, i: int) -> str | None: ...
@@ -85,7 +85,7 @@ MakeSide = Callable[[Sequence[Scenario], int], Side]
 
 
 def simulated(scenarios: Sequence[Scenario], nthread: int) -> Side:
-    """The physical side in simulation."""
+    """The simulated physical side."""
     sensor = Sensor(scenarios, [np.random.default_rng(s.seed) for s in scenarios])
     return sensor, Plant(scenarios, nthread, late=sensor.late), Safety(scenarios)
 
@@ -94,14 +94,14 @@ class Loop:
     """``n`` runs in lockstep. The scenarios agree in structure (kinds, rates, methods) and differ in numbers.
 
     Attributes:
-        k: the tick to come.
-        alive: ``(n,)`` runs that go on; of one that diverged or was stopped no more rows count.
-        trouble: run to (tick, status, what went wrong).
-        measurement: what the compensation and the identification know at t_k.
+        k: the next tick.
+        alive: ``(n,)`` runs that continue; once a run has diverged or was stopped, its further rows do not count.
+        trouble: run to (tick, status, reason).
+        measurement: the signals that are known to the compensation and the identification at t_k.
     """
 
     def __init__(self, scenarios: Sequence[Scenario], nthread: int = 1, side: MakeSide = simulated) -> None:
-        """``side``: makes the physical side, simulated or of real devices, for the scenarios and a number of threads."""
+        """``side``: makes the physical side, simulated or with real devices, for the scenarios and a number of threads."""
         n = len(scenarios)
         self.scenarios = scenarios
         self.sensor, self.plant, self.safety = side(scenarios, nthread)
@@ -122,7 +122,7 @@ class Loop:
         self.trouble: dict[int, tuple[int, str, str]] = {}
         self._pose_before = self.drive.pose.copy()
         self._wrench = self.plant.wrench_sub[:, -1]
-        self._keeping: tuple[Any, ...] = (None,) * 4  # the arrays that what is kept of a tick comes from
+        self._keeping: tuple[Any, ...] = (None,) * 4  # the trace and the drive's arrays to which _keep is bound
         self.plant.reset(self.drive.pose, self.drive.twist)
         self.motion.start(self.drive.twist)
         self.tally.start(self.drive.twist)
@@ -150,7 +150,7 @@ class Loop:
             self.dead_zone.update(self.sensor.reading)
         self._pose_before[:] = drive.pose
         drive.advance(self.measurement)
-        if not plant.physical:  # bodies that move by themselves are told nothing
+        if not plant.physical:  # bodies that move freely have no command
             self.motion.update(drive.pose, drive.twist, self.measurement)
         plant.begin(self.motion.pose, self.motion.twist, self.motion.acceleration)
         self.sensor.feel(k, self._wrench)
@@ -162,7 +162,7 @@ class Loop:
         self.k = k + 1
 
     def _kept(self, trace: Trace | None) -> Callable[[int], bool]:
-        """What keeps figures, contacts and the row of a tick, and tells whether a run is lost."""
+        """The call that updates figures, contacts and the row of a tick, and returns whether a run is lost."""
         drive, (traced, pose, twist, wrench) = self.drive, self._keeping
         if trace is not traced or drive.pose is not pose or drive.twist is not twist or drive.wrench is not wrench:
             plant, wrench = self.plant, self._wrench
@@ -175,7 +175,7 @@ class Loop:
         return self._keep
 
     def row_of(self, trace: Trace) -> Callable[[int], None]:
-        """What writes row k of a trace: what was read at t_k and what was commanded from it."""
+        """The call that writes row k of a trace: the readings at t_k and the commands computed from them."""
         drive, plant, known = self.drive, self.plant, self.measurement
         now = (
             drive.pose, plant.pose_act, drive.twist, plant.twist_act, self._wrench, self.sensor.reading, drive.wrench, plant.slider_cmd,
@@ -185,7 +185,7 @@ class Loop:
 
     @property
     def blocks(self) -> dict[str, Any]:
-        """The blocks whose arrays are the state of the loop between two ticks."""
+        """The blocks whose arrays form the state of the loop between two ticks."""
         names = ("sensor", "plant", "identification", "monitor", "dead_zone", "drive", "motion", "tally", "outcomes", "safety")
         return {name: getattr(self, name) for name in names}
 
@@ -209,7 +209,7 @@ class Loop:
 def _write(
     k, a0, a1, a2, a3, a4, a5, a6, a7, a8, a9, a10, a11, a12, b0, b1, b2, b3, b4, b5, b6, b7, b8, b9, b10, b11, b12, touching, touched
 ):  # fmt: skip
-    """Row ``k`` of each ``b`` (rows, n, parts) becomes the ``a`` (n, parts); where there are fewer rows, from the first one again."""
+    """Copies each ``a`` (n, parts) to row ``k`` of its ``b`` (rows, n, parts); modulo the number of rows."""
     k = k % b0.shape[0]
     b0[k][:] = a0
     b1[k][:] = a1
@@ -230,7 +230,7 @@ def _write(
 
 @njit(cache=True)
 def _lost(pose, limit, alive, diverged):
-    """Whether a run that was alive has left ``limit`` or the numbers, in the model or in the rig."""
+    """Whether a run that was alive has exceeded ``limit`` or become non-finite, in the numerical model or in the rig."""
     for i in range(pose.shape[0]):
         if alive[i]:
             if diverged[i]:

@@ -1,6 +1,6 @@
-"""What a test engineer asks of a run: coefficient of restitution, energy, forces, tracking. Kept up tick by tick.
+"""Figures of a run: coefficient of restitution, energy, forces, tracking. Updated tick by tick.
 
-Running sums instead of a pass over the trace, so that a campaign needs no trace and a safety watch sees the energy as it is made.
+They are running sums instead of a pass over the trace, so that a campaign needs no trace and the safety limits can use the energy online.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from hiltestbed.frames import Array, twist_between
 from hiltestbed.jit import njit
 from hiltestbed.scenario import Scenario
 
-SETTLE_TIME_CONSTANTS = 5.0  # of the low-pass, after which the rebound speed is read: exp(-5) = 0.7 % of the last force is left
-SETTLE_TICKS = 4  # and ticks on top: the sensor's interpolation, the lead's memory
+SETTLE_TIME_CONSTANTS = 5.0  # of the low-pass, after which the rebound speed is taken: exp(-5) = 0.7 % of the last force remains
+SETTLE_TICKS = 4  # additional ticks, for the sensor's interpolation and the lead's memory
 
 
 @dataclass(frozen=True)
@@ -26,9 +26,9 @@ class ContactFigures:
     """The figures of one run.
 
     Attributes:
-        cor: rebound over approach speed along z of the first contact; None when the ports did not meet, did not part before the end, or
-            still close afterwards. cor_normal: the same along the impulse of that contact, whichever way it points, see
-            :func:`along_impulse`; None when they did not meet, or did not part before the end.
+        cor: rebound over approach speed along z of the first contact; None if the ports did not touch, did not separate before the end,
+            or still approach afterwards. cor_normal: the same along the impulse of that contact, whatever its direction, see
+            :func:`along_impulse`; None if they did not touch, or did not separate before the end.
     """
 
     cor: float | None
@@ -50,9 +50,9 @@ class Tally:
     """Running figures of ``n`` runs.
 
     Attributes:
-        energy: ``(n,)`` [J] energy that the rig has created so far: the work that the physical side took in at the rig's own motion
-            less what the numerical model paid for it, the integral of ``F . v_act - F_used . v_cmd``, moments about A's origin, whose
-            twist it is. Positive is active.
+        energy: ``(n,)`` [J] that the rig has created so far: the work on the physical side, at the rig's actual motion, minus the work
+            of the numerical model, the integral of ``F . v_act - F_used . v_cmd``; moments are about A's origin, as is the twist.
+            Positive: active.
         peak_force: ``(n,)`` [N] largest physical contact force so far.
     """
 
@@ -86,19 +86,19 @@ class Tally:
         self._twist[:] = twist
 
     def update(self, k: int, rig: tuple[Array, Array, Array, NDArray[np.bool_]], pose_before: Array, drive: tuple[Array, Array]) -> None:
-        """Take in tick k.
+        """Update the figures with tick k.
 
         Args:
             rig: physical wrench ``(n, 6)``, pose ``(n, 7)``, twist ``(n, 6)`` and contact ``(n,)`` at t_k.
             pose_before: ``(n, 7)`` pose that had been commanded for t_k.
-            drive: wrench used and new twist of the numerical model, ``(n, 6)`` each.
+            drive: used wrench and new twist of the numerical model, ``(n, 6)`` each.
         """
         self.taking(rig, pose_before, drive)(k)
 
     def taking(
         self, rig: tuple[Array, Array, Array, NDArray[np.bool_]], pose_before: Array, drive: tuple[Array, Array]
     ) -> Callable[[int], None]:
-        """What takes in tick k of arrays that stay; see :meth:`update`."""
+        """:meth:`update` bound to arrays with fixed memory; it is called with k."""
         return self._update.on(*rig, pose_before, *drive)
 
     def parted(self, alive: NDArray[np.bool_]) -> bool:
@@ -111,7 +111,7 @@ class Tally:
         return ~np.isnan(self._speeds[:, 1, 2])
 
     def first_contact(self, i: int) -> tuple[Array, Array, Array]:
-        """Of run ``i``: impulse (6,) of the wrench that was used in the first contact, about A; twists (6,) before and after it, or NaN."""
+        """Of run ``i``: impulse (6,) about A of the wrench used in the first contact; twists (6,) before and after it, or NaN."""
         return self._first_impulse[i], self._speeds[i, 0], self._speeds[i, 1]
 
     def figures(self, i: int) -> ContactFigures:
@@ -136,21 +136,21 @@ class Tally:
 
 
 def along_impulse(impulse: Array, before: Array, after: Array) -> float | None:
-    """Coefficient of restitution along the impulse J of a contact: ``-(J . v_after)/(J . v_before)``, None where there was no contact.
+    """Coefficient of restitution along the impulse J of a contact: ``-(J . v_after)/(J . v_before)``; None without a contact.
 
-    A contact that is short beside the motion changes the kinetic energy of the numerical model by ``J . (v_before + v_after)/2``: it is
-    lost where the coefficient is below 1, gained where it is above, whatever the slope of the surface and the lever. On a head-on hit it is
-    that along z. W. J. Stronge, "Impact Mechanics", Cambridge 2000, ch. 3 and 4.
+    A contact that is short compared with the motion changes the kinetic energy of the numerical model by ``J . (v_before + v_after)/2``:
+    energy is lost if the coefficient is below 1 and gained if it is above, whatever the slope of the surface and the lever arm. In a
+    head-on contact it is the coefficient along z. W. J. Stronge, "Impact Mechanics", Cambridge 2000, ch. 3 and 4.
 
     Args:
-        impulse: ``(6,)`` of the wrench that was used, about A's origin. before, after: ``(6,)`` twists of A relative to P; NaN for none.
+        impulse: ``(6,)`` of the used wrench, about A's origin. before, after: ``(6,)`` twists of A relative to P; NaN for none.
     """
     approach, rebound = float(impulse @ before), float(impulse @ after)
     return -rebound / approach if approach > 0.0 >= rebound else None
 
 
 def settle_ticks(scenario: Scenario) -> int:
-    """Ticks after the ports have parted until the last of the force has reached the numerical model."""
+    """Ticks from the separation of the ports until the end of the force has reached the numerical model."""
     sensor, force = scenario.sensor, scenario.compensation.force
     lowpass = 0.0 if sensor.lowpass is None else SETTLE_TIME_CONSTANTS / (2.0 * math.pi * sensor.lowpass)
     lag = SETTLE_TIME_CONSTANTS * force.memory()
@@ -172,7 +172,7 @@ def tracking_fit(sums: Array) -> tuple[float | None, float | None]:
 
 @njit(cache=True, inline="always")
 def about_A(wrench, pose, out):
-    """The wrench (6,) at P's origin with its moment about A's, into ``out``: with a twist of A its power is F . v_A + M_A . omega."""
+    """``out``: the wrench (6,) at P's origin with its moment about A's: with a twist of A its power is F . v_A + M_A . omega."""
     x, y, z = pose[0], pose[1], pose[2]
     out[0], out[1], out[2] = wrench[0], wrench[1], wrench[2]
     out[3] = wrench[3] - (y * wrench[2] - z * wrench[1])

@@ -1,4 +1,4 @@
-"""The MJCF files that ship with the package, one folder a mechanism or a platform."""
+"""The shipped MJCF files, one folder per mechanism or platform."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def load(name: str) -> mujoco.MjSpec:
 
 
 def _assets(spec: mujoco.MjSpec) -> Iterator[tuple[object, Path]]:
-    """What of a model stands in files of its own, and where."""
+    """The parts of a model that are in separate files, with their paths."""
     folder = Path(spec.modelfiledir)
     for things, below in ((spec.meshes, spec.meshdir), (spec.hfields, spec.meshdir), (spec.textures, spec.texturedir)):
         for thing in things:
@@ -48,7 +48,7 @@ def _assets(spec: mujoco.MjSpec) -> Iterator[tuple[object, Path]]:
 
 
 def digest(file: Path) -> str:
-    """SHA-256 of the model that an MJCF file describes, to nine decimals: the same wherever it is kept. Raises InputError."""
+    """SHA-256 of the model that an MJCF file describes, to nine decimals; independent of its location. Raises InputError."""
     model = _parsed(file).compile()
     whole = hashlib.sha256(model.names)
     for name in sorted(n for n in dir(model) if n.startswith(_CONTENT)):
@@ -59,7 +59,7 @@ def digest(file: Path) -> str:
 
 
 def stamp(file: Path) -> tuple[int, ...]:
-    """When an MJCF file and each of its meshes were last written [ns]; empty where there is no such file."""
+    """Modification times of an MJCF file and each of its meshes [ns]; empty if there is no such file."""
     if not is_file(file):
         return ()
     written = file.stat().st_mtime_ns
@@ -73,11 +73,11 @@ def _asset_files(file: Path, written: int) -> tuple[Path, ...]:
     try:
         return tuple(path for _, path in _assets(mujoco.MjSpec.from_file(str(file))))
     except ValueError:
-        return ()  # what is wrong with it is said where it is read
+        return ()  # its fault is reported where it is read
 
 
 def copy_model(file: Path, folder: Path) -> Path:
-    """A copy of an MJCF file and of all that it needs in ``folder``, which is made; returns the copy. Raises InputError."""
+    """Copies an MJCF file and everything that it needs into a new ``folder``; returns the copy. Raises InputError."""
     spec = _parsed(file)
     folder.mkdir(parents=True)
     for thing, path in list(_assets(spec)):
@@ -99,7 +99,7 @@ def _parsed(file: Path) -> mujoco.MjSpec:
         for thing, path in _assets(spec):
             if not getattr(thing, "name", "x"):
                 thing.name = path.stem  # type: ignore[attr-defined]
-        spec.compile()  # what does not compile cannot be written either
+        spec.compile()  # a model that does not compile cannot be written either
     except ValueError as error:
         raise InputError(f"{file}: is no MJCF that MuJoCo can read: {' '.join(str(error).split())}") from error
     return spec

@@ -1,14 +1,13 @@
-"""Process monitoring: what the identified stiffness and damping say of a docking while it happens, and between dockings.
+"""Process monitoring of a docking, and from docking to docking, by the identified stiffness and damping.
 
-- *touch*: the axial force exceeds five standard deviations of its noise on two readings in a row. On noise alone that happens with a
-  probability of (2.9e-7)^2 a tick: once in 4e5 years at 2 kHz.
-- *seat*: the stiffness over the last samples has risen to a multiple of what it was at first (``seat_ratio``): the probe stands in its
-  socket, a buffer on its stop. Said when the rise exceeds its own standard deviation ``SEAT_SIGMA`` times, on ``CONFIRM`` readings in a
-  row.
-- *capture*: the axial force pulls, beyond five standard deviations, on ``CONFIRM`` readings in a row: a contact alone cannot.
-- *wear*: k and c of one more contact against those of the contacts before, by Hotelling's T^2 with the covariances that the identification
-  reports: an alarm where chi-squared of two degrees of freedom says less than ``false_alarm_rate`` (D. C. Montgomery, Introduction to
-  Statistical Quality Control, 7th ed. 2012, chapter 11). The rate is what its name says as long as the reported deviations hold.
+- *touch*: the axial force exceeds five standard deviations of its noise in two successive readings. By noise alone this has a
+  probability of (2.9e-7)^2 per tick: once in 4e5 years at 2 kHz.
+- *seat*: the stiffness over the last samples has risen to a multiple of the initial one (``seat_ratio``): the probe is in its socket, or
+  a buffer on its stop. Reported if the rise exceeds ``SEAT_SIGMA`` of its standard deviations in ``CONFIRM`` successive readings.
+- *capture*: the axial force pulls, beyond five standard deviations, in ``CONFIRM`` successive readings, which a contact alone cannot do.
+- *wear*: k and c of a contact compared with those of earlier contacts, by Hotelling's T^2 with the covariances that the identification
+  reports: an alarm if the chi-squared probability with two degrees of freedom is below ``false_alarm_rate`` (D. C. Montgomery,
+  Introduction to Statistical Quality Control, 7th ed. 2012, chapter 11). The rate is correct if the reported deviations are.
 """
 
 from __future__ import annotations
@@ -28,16 +27,16 @@ from hiltestbed.scenario import Scenario
 from hiltestbed.scenario.monitoring import ContactEstimate, Monitoring
 
 AXIAL = 2
-CONFIRM = 5  # readings in a row
+CONFIRM = 5  # successive readings
 SEAT_SIGMA = 5.0
 
 
 class ProcessMonitor:
-    """Touch, seat and capture of ``n`` runs, from what the rig measures.
+    """Touch, seat and capture of ``n`` runs, from the signals that the rig measures.
 
     Attributes:
         touch, seat, capture: ``(n,)`` time [s] of each event, NaN before it.
-        first_stiffness: ``(n,)`` [N/m] with which the first contact began, NaN before it is known.
+        first_stiffness: ``(n,)`` [N/m] at the beginning of the first contact, NaN before it is known.
     """
 
     def __init__(self, scenarios: Sequence[Scenario]) -> None:
@@ -51,11 +50,11 @@ class ProcessMonitor:
         self._threshold = np.array([GATE_SIGMA * s.sensor.noise for s in scenarios])
         self.touch, self.seat, self.capture = np.full(n, np.nan), np.full(n, np.nan), np.full(n, np.nan)
         self.first_stiffness = np.full(n, np.nan)
-        self._runs = np.zeros((n, 3), dtype=np.int64)  # readings in a row that said touch, seat, capture
+        self._runs = np.zeros((n, 3), dtype=np.int64)  # successive readings that indicate touch, seat, capture
         self._clock = np.zeros(1, dtype=np.int64)
 
     def update(self, wrench: Array, pose: Array, twist: Array) -> None:
-        """Take in what was measured at t_k: wrench ``(n, 6)``, pose ``(n, 7)``, twist ``(n, 6)``."""
+        """Update with the measurements at t_k: wrench ``(n, 6)``, pose ``(n, 7)``, twist ``(n, 6)``."""
         self._local.update(wrench, pose, twist)
         time, local = float(self._clock[0]) * self.tick, self._local
         _watch(
@@ -65,7 +64,7 @@ class ProcessMonitor:
         self._clock[0] += 1
 
     def summary(self, i: int, contact: ContactEstimate | None) -> dict[str, Any] | None:
-        """The events of run ``i`` [s], None for one that did not happen, and wear as far as there is a baseline and a ``contact``."""
+        """The events of run ``i`` [s], None for one that did not happen, and wear if there are a baseline and a ``contact``."""
         settings = self._settings[i]
         if settings is None:
             return None
@@ -98,12 +97,12 @@ def _watch(time, enough, ratio, wrench, threshold, stiffness, sd, samples, first
 
 @dataclass(frozen=True)
 class Wear:
-    """Whether a contact departs from those before.
+    """Whether a contact deviates from earlier ones.
 
     Attributes:
-        alarm: True where the departure is less probable than the false-alarm rate.
-        probability: of a departure this large without wear.
-        stiffness_change, damping_change: relative, of the contact against the baseline.
+        alarm: True if the deviation is less probable than the false-alarm rate.
+        probability: of a deviation this large without wear.
+        stiffness_change, damping_change: relative change of the contact from the baseline.
     """
 
     alarm: bool

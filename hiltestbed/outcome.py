@@ -1,4 +1,4 @@
-"""What became of a docking: captured, rebounded, missed, or still in touch, with every contact on the way."""
+"""Outcome of a docking: captured, rebounded, missed, or still in contact; and all its contacts."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from hiltestbed.frames import Array
 from hiltestbed.jit import njit
 from hiltestbed.scenario import Scenario
 
-LISTED = 64  # contacts of which start, end, impulse and peak are kept; all are counted
+LISTED = 64  # contacts whose start, end, impulse and peak are kept; all contacts are counted
 START, END, FX, FY, FZ, PEAK, COLUMNS = 0, 1, 2, 3, 4, 5, 6
 
 
 class Outcomes:
-    """The contacts of ``n`` runs as they come.
+    """The contacts of ``n`` runs, updated tick by tick.
 
     Attributes:
         events: ``(n, LISTED, 6)`` first and last tick, impulse x, y, z in P [N s] and peak force [N] of each contact.
@@ -36,11 +36,11 @@ class Outcomes:
         self._update = Call(_update, ..., self.tick, GIVEN, GIVEN, GIVEN, self.events, self.count, self.captured_tick, self.touching)
 
     def update(self, k: int, wrench: Array, contact: NDArray[np.bool_], captured: NDArray[np.bool_]) -> None:
-        """Take in tick k: physical wrench ``(n, 6)``, whether the mechanisms touch and are latched, ``(n,)`` each."""
+        """Update with tick k: physical wrench ``(n, 6)``, whether the mechanisms touch and are latched, ``(n,)`` each."""
         self.taking(wrench, contact, captured)(k)
 
     def taking(self, wrench: Array, contact: NDArray[np.bool_], captured: NDArray[np.bool_]) -> Callable[[int], None]:
-        """What takes in tick k of arrays that stay; see :meth:`update`."""
+        """:meth:`update` bound to arrays with fixed memory; it is called with k."""
         return self._update.on(wrench, contact, captured)
 
     def summary(self, i: int) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Piecewise-linear curves: as pairs in a file, as one row of numbers in a kernel."""
+"""Piecewise-linear curves: pairs of numbers in a file, one row of numbers in a kernel."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from hiltestbed.frames import Array
 from hiltestbed.jit import njit
 
 MOST = 18  # knots of a curve
-PACKED = 1 + 2 * MOST  # numbers of a curve in a row: how many knots, their places, their values; the rest is 0
+PACKED = 1 + 2 * MOST  # length of a packed curve: number of knots, their abscissae, their values; padded with 0
 
-Pairs = tuple[tuple[float, ...], ...]  # place and value of each knot
+Pairs = tuple[tuple[float, ...], ...]  # abscissa and value of each knot
 
 
 def _rising(pairs: Pairs) -> Pairs:
@@ -33,7 +33,7 @@ Curve = Annotated[tuple[_Knot, ...], Strict(False), Field(max_length=MOST), Afte
 
 
 def packed(pairs: Sequence[Sequence[float]], most: int = MOST) -> Array:
-    """``(1 + 2 most,)`` of a curve given as pairs; without pairs all 0, and the curve is 0 everywhere."""
+    """``(1 + 2 most,)`` of a curve given as pairs; all 0 without pairs, which gives a curve that is 0 everywhere."""
     out = np.zeros(1 + 2 * most)
     out[0] = len(pairs)
     for i, (place, value) in enumerate(pairs):
@@ -43,7 +43,7 @@ def packed(pairs: Sequence[Sequence[float]], most: int = MOST) -> Array:
 
 @njit(cache=True)
 def along(curve, x):
-    """Value at x of a packed ``curve``; past its ends its first and last slopes go on."""
+    """Value at x of a packed ``curve``, extrapolated beyond its ends with the first and last slopes."""
     n, most = int(curve[0]), (len(curve) - 1) // 2
     if n == 0:
         return 0.0
@@ -56,14 +56,14 @@ def along(curve, x):
 
 @njit(cache=True)
 def between(curve, x):
-    """Value at x of a packed ``curve``; past its ends its first and last values go on."""
+    """Value at x of a packed ``curve``, held at its first and last values beyond its ends."""
     n = int(curve[0])
     return along(curve, min(max(x, curve[1]), curve[n])) if n > 0 else 0.0
 
 
 @njit(cache=True)
 def steepest(curve):
-    """The largest slope of a packed ``curve``, 0 where it has none that is positive."""
+    """The largest slope of a packed ``curve``; 0 if none is positive."""
     n, most = int(curve[0]), (len(curve) - 1) // 2
     out = 0.0
     for i in range(n - 1):

@@ -1,8 +1,8 @@
-"""Tables of the things that describe themselves, and the user's own beside the built-in ones.
+"""Registries of built-in and user-defined components.
 
-An effect, a compensation method, an identifier, a mechanism, a platform is a class with a literal ``kind``. The built-in ones stand in
-the modules of their packages and are found there; a module of the user's is loaded by ``--plugin MODULE`` (a module name or a .py
-file), by :func:`load`, or through the entry-point group ``hiltestbed.plugins``, and registers its classes with :func:`register`::
+Effects, compensation methods, identifiers, mechanisms and platforms are classes with a literal ``kind``. The built-in ones are found in
+the modules of their packages. A user's module is loaded by ``--plugin MODULE`` (a module name or a .py file), by :func:`load`, or
+through the entry-point group ``hiltestbed.plugins``, and registers its classes with :func:`register`::
 
     from hiltestbed.effects import Effect, quantity
     from hiltestbed.plugins import register
@@ -36,14 +36,14 @@ ENVIRONMENT = "HILTESTBED_PLUGINS"  # modules that every process loads, separate
 
 
 class Registry(Mapping[str, type[T]], Generic[T]):
-    """Classes of one kind of thing by the name that a scenario calls them.
+    """Classes of one sort of component, by their ``kind`` in a scenario.
 
     Attributes:
-        what: the thing in words, for messages. base: the class that all of them derive from.
+        what: name of the sort, for messages. base: the common base class.
     """
 
     def __init__(self, what: str, base: type[T], homes: Sequence[str]) -> None:
-        """``homes``: modules, or packages whose modules, hold the built-in classes; imported when the table is first read."""
+        """``homes``: modules, or packages of modules, with the built-in classes; imported when the table is first read."""
         self.what, self.base = what, base
         self._homes = homes
         self._found: dict[str, type[T]] = {}
@@ -51,7 +51,7 @@ class Registry(Mapping[str, type[T]], Generic[T]):
         _REGISTRIES.append(self)
 
     def add(self, cls: type[T]) -> type[T]:
-        """Enter a class under its kind. Raises InputError where a part is missing or the name is taken."""
+        """Add a class under its kind. Raises InputError if a part is missing or the kind is already in use."""
         kind = kind_of(cls)
         where = _place(cls)
         if kind is None:
@@ -60,7 +60,7 @@ class Registry(Mapping[str, type[T]], Generic[T]):
         if lacking:
             raise InputError(
                 f"plugin class {where}: the {self.what} {kind!r} lacks {', '.join(lacking)}; "
-                f"what each part is says the documentation (Plugins), and {self.base.__module__}.{self.base.__name__}"
+                f"the documentation (Plugins) and {self.base.__module__}.{self.base.__name__} explain each part"
             )
         for part, allowed in getattr(cls, "CHOICES", {}).items():
             given = getattr(cls, part)
@@ -78,7 +78,7 @@ class Registry(Mapping[str, type[T]], Generic[T]):
     def _load(self) -> None:
         if self._whole:
             return
-        self._whole = True  # modules that are imported below register while the table is being filled
+        self._whole = True  # set first: the modules imported below register while the table is being filled
         for home in self._homes:
             module = import_module(home)
             for info in iter_modules(getattr(module, "__path__", ())):
@@ -111,12 +111,12 @@ def kind_of(cls: type) -> str | None:
 
 
 def _place(cls: type) -> str:
-    """Where a class is written: its file, or its module where there is none."""
+    """The file that defines a class, or its module if there is no file."""
     return f"{getattr(sys.modules.get(cls.__module__), '__file__', None) or cls.__module__}: {cls.__qualname__}"
 
 
 def _has(cls: type, part: str) -> bool:
-    """Whether a class brings a part of its own: a docstring, or an attribute that is not the placeholder of the base class."""
+    """Whether a class defines a part itself: a docstring, or an attribute that is not the placeholder of the base class."""
     if part == "docstring":
         return bool((cls.__dict__.get("__doc__") or "").strip())
     value = inspect.getattr_static(cls, part, None)
@@ -124,13 +124,13 @@ def _has(cls: type, part: str) -> bool:
 
 
 def placeholder(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Mark a method of a base class that each class has to bring itself."""
+    """Mark a method of a base class that each class must define itself."""
     function.placeholder = True  # type: ignore[attr-defined]
     return function
 
 
 def register(cls: type[T]) -> type[T]:
-    """Class decorator: enter a class into the table of its kind of thing. Raises InputError where a part is missing."""
+    """Class decorator: add a class to the registry of its base class. Raises InputError if a part is missing."""
     for registry in _REGISTRIES:
         if issubclass(cls, registry.base):
             registry.add(cls)
@@ -143,7 +143,7 @@ def register(cls: type[T]) -> type[T]:
 
 
 def depends(refresh: Callable[[], None]) -> Callable[[], None]:
-    """Call ``refresh`` whenever a class was added: for models whose schema lists a table."""
+    """Call ``refresh`` whenever a class has been added: for models whose schema lists a registry."""
     _DEPENDENTS.append(refresh)
     return refresh
 
@@ -151,13 +151,13 @@ def depends(refresh: Callable[[], None]) -> Callable[[], None]:
 def load(modules: Sequence[str] = ()) -> None:
     """Import the user's modules, by name or as .py files, and those of installed packages (entry points). Raises InputError.
 
-    Processes that this one starts know the modules through the environment variable ``HILTESTBED_PLUGINS``.
+    Child processes load the same modules, through the environment variable ``HILTESTBED_PLUGINS``.
     """
     asked = [*os.environ.get(ENVIRONMENT, "").split(os.pathsep), *(_absolute(name) for name in modules)]
     wanted = [name for name in dict.fromkeys(asked) if name and name not in _LOADED]
     points = [] if _POINTS_READ else sorted(entry_points(group=GROUP), key=lambda p: p.name)
     if points or wanted:
-        import_module("hiltestbed.scenario")  # the tables that a module may add to exist from here on
+        import_module("hiltestbed.scenario")  # defines the registries to which a module may add
     _POINTS_READ.append(True)
     for point in points:
         _LOADED[point.name] = _import(point.value.partition(":")[0], f"entry point {point.name!r} of the group {GROUP}")
@@ -166,21 +166,21 @@ def load(modules: Sequence[str] = ()) -> None:
         os.environ[ENVIRONMENT] = os.pathsep.join([*filter(None, os.environ.get(ENVIRONMENT, "").split(os.pathsep)), name])
 
 
-load_plugins = load  # its name beside the others of the package
+load_plugins = load  # its public name in the package
 
 
 def _absolute(name: str) -> str:
-    """A .py file by its whole path, so that it is found from any folder and loaded once."""
+    """A .py file with its absolute path, so that it is found from any folder and loaded only once."""
     return str(Path(name).resolve()) if name.endswith(".py") else name
 
 
 def is_users(cls: type) -> bool:
-    """Whether a class comes from a module of the user's, not from hiltestbed itself."""
+    """Whether a class comes from a user's module, not from hiltestbed itself."""
     return cls.__module__ in _LOADED.values() or not cls.__module__.startswith("hiltestbed.")
 
 
 def _import(name: str, where: str) -> str:
-    """Import a module by name or file; its name."""
+    """Import a module by name or file; returns its name."""
     path = Path(name)
     if path.suffix == ".py":
         if not path.is_file():
@@ -210,7 +210,7 @@ def _import(name: str, where: str) -> str:
 
 
 def loaded() -> dict[str, str]:
-    """The user's modules as they were asked for, with the SHA-256 of their source: what a result depends on."""
+    """The user's modules, as named by the user, with the SHA-256 of their source, on which a result depends."""
     out = {}
     for asked, name in _LOADED.items():
         file = getattr(sys.modules.get(name), "__file__", None)
@@ -219,17 +219,17 @@ def loaded() -> dict[str, str]:
 
 
 class OneOf:
-    """Annotation of a field that takes any class of a table, told apart by ``kind``: ``Annotated[Base, OneOf(TABLE)]``.
+    """Annotation of a field that takes any class of a registry, selected by ``kind``: ``Annotated[Base, OneOf(TABLE)]``.
 
-    The schema lists the classes that the table holds when the model is built; after a plugin was loaded, models are built again.
+    The schema lists the classes in the registry when the model is built; after a plugin was loaded, models are built again.
     """
 
     def __init__(self, registry: Registry[Any], default: str | None = None) -> None:
-        """``default``: the kind of data that name none."""
+        """``default``: the kind of data without a kind."""
         self.registry, self.default = registry, default
 
     def pick(self, data: Any) -> str | None:
-        """The kind of what stands in a file, or of an object of one of the classes."""
+        """The kind of data from a file, or of an object of one of the classes."""
         kind = data.get("kind", self.default) if isinstance(data, dict) else getattr(data, "kind", None)
         return kind if isinstance(kind, str) else repr(kind) if kind is not None else None
 
@@ -238,7 +238,7 @@ class OneOf:
         return core_schema.tagged_union_schema(choices, discriminator=self.pick)
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
-        """The union as JSON Schema: ``kind`` tells its members apart, and says what each one is."""
+        """The union as JSON Schema: ``kind`` is the discriminator of its members, with a description of each."""
         found = handler(schema)
         for member in found["oneOf"]:
             own = handler.resolve_ref_schema(member)

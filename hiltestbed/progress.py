@@ -1,7 +1,7 @@
 """Progress of long runs on standard error: a bar on a terminal, a line every ten seconds in a log, nothing for short runs.
 
-The time left is told from the pace of the work itself: the clock starts with the first part that is reported, so that imports and
-compiling are not counted in, and a single slow part (a kernel compiled at the first touch) does not set the pace.
+The remaining time is estimated from the pace of the work itself: the clock starts with the first part that is reported, so that imports
+and compiling do not count, and a single slow part (a kernel compiled at the first touch) does not affect the pace.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from contextlib import contextmanager
 
 from hiltestbed import interrupt
 
-QUIET = 1.0  # [s] a run that ends within it shows nothing
+QUIET = 1.0  # [s] a shorter run shows nothing
 LOG_INTERVAL = 10.0  # [s]
-REMEMBERED = 32  # updates of which the pace is made
-ENOUGH = 3  # intervals before a time is told
-SURE = 0.5  # of the pace, within which its 95 % interval lies before a time is told
+REMEMBERED = 32  # updates that determine the pace
+FEWEST_INTERVALS = 3  # intervals, at least, for an estimate
+LARGEST_SPREAD = 0.5  # largest 95 % interval of the pace, relative to it, for an estimate
 
 
 class Pace:
@@ -32,7 +32,7 @@ class Pace:
         self._paces: deque[tuple[float, float]] = deque(maxlen=REMEMBERED)  # seconds, work
 
     def update(self, done: float) -> None:
-        """Take in that ``done`` units are done by now."""
+        """Record that ``done`` units are done now."""
         now = self._clock()
         if self._before is not None and done > self._before[1]:
             self._paces.append((now - self._before[0], done - self._before[1]))
@@ -40,12 +40,12 @@ class Pace:
             self._before = (now, done)
 
     def left(self, work: float) -> float | None:
-        """Seconds that ``work`` more units take; None while too little is known.
+        """Seconds that ``work`` more units take; None while there are too few data.
 
-        The mean of the latest intervals; one alone that took more than five times the median for its work is left out, several are the
-        way the work is. Of parts that differ much more are awaited, until the 95 % interval of the mean is within :data:`SURE` of it.
+        Uses the mean of the latest intervals. A single interval longer than five times the median for its work is left out; several of them
+        count. If the intervals vary much, more are awaited until the 95 % interval of the mean is within :data:`LARGEST_SPREAD` of it.
         """
-        if len(self._paces) < ENOUGH:
+        if len(self._paces) < FEWEST_INTERVALS:
             return None
         middle = statistics.median(seconds / units for seconds, units in self._paces)
         slow = [part for part in self._paces if part[0] > 5.0 * middle * part[1]]
@@ -55,11 +55,11 @@ class Pace:
         if free < 1:
             return None
         spread = math.sqrt(sum((seconds - pace * units) ** 2 for seconds, units in usual) * len(usual) / free)
-        student = 2.0 + 9.0 / free**2  # of 95 %, to 0.2
-        return work * pace if student * spread <= SURE * sum(seconds for seconds, _ in usual) else None
+        student = 2.0 + 9.0 / free**2  # Student's t for 95 %, accurate to 0.2
+        return work * pace if student * spread <= LARGEST_SPREAD * sum(seconds for seconds, _ in usual) else None
 
 
-def told_left(seconds: float | None) -> str:
+def time_left_text(seconds: float | None) -> str:
     """`, 40 s left`, or nothing while it is not known."""
     if seconds is None:
         return ""
@@ -68,21 +68,21 @@ def told_left(seconds: float | None) -> str:
 
 @contextmanager
 def progress_bar(name: str, duration: float) -> Iterator[Callable[[int, int], None]]:
-    """A callback (ticks done, ticks in all) for a run of `duration` [s] of simulated time."""
+    """A callback (ticks done, total ticks) for a run of `duration` [s] of simulated time."""
     with _bar_or_lines(name, lambda part: f"{part * duration:.2f} of {duration:g} s simulated") as update:
         yield update
 
 
 @contextmanager
 def count_bar(name: str) -> Iterator[Callable[[float, float], None]]:
-    """A callback (work done, work in all), in any unit of equal effort."""
+    """A callback (work done, total work), in any unit of equal effort."""
     with _bar_or_lines(name, lambda part: f"{100.0 * part:.0f} % done") as update:
         yield update
 
 
 @contextmanager
 def case_bar() -> Iterator[Callable[[int, int, Mapping[str, int]], None]]:
-    """A callback (cases done, cases in all, how many ended in which status) that tells rate and time left, from this session alone."""
+    """A callback (cases done, total cases, number of cases per status) that shows rate and remaining time, of this session alone."""
     shown = time.monotonic()
     first: int | None = None
     terminal = sys.stderr.isatty()
@@ -102,7 +102,7 @@ def case_bar() -> Iterator[Callable[[int, int, Mapping[str, int]], None]]:
         rate = f", {1.0 / one:.1f} a second" if one else ""
         before = f" ({first} from before)" if first else ""
         odd = "".join(f", {count} {status}" for status, count in statuses.items() if status != "completed")
-        line = f"{done} of {total} cases{before}{rate}{told_left(pace.left(total - done)) if done < total else ''}{odd}"
+        line = f"{done} of {total} cases{before}{rate}{time_left_text(pace.left(total - done)) if done < total else ''}{odd}"
         sys.stderr.write(f"\r\x1b[K{line}" if terminal else f"{line}\n")
         sys.stderr.flush()
 
@@ -115,7 +115,7 @@ def case_bar() -> Iterator[Callable[[int, int, Mapping[str, int]], None]]:
 
 @contextmanager
 def step_line(name: str) -> Iterator[Callable[[str], None]]:
-    """A callback that is told what is being done: one line that changes on a terminal, a line now and then in a log."""
+    """A callback that takes the current step: a line that is updated on a terminal, or occasional lines in a log."""
     start = shown = time.monotonic()
     terminal = sys.stderr.isatty()
 
@@ -138,7 +138,7 @@ def step_line(name: str) -> Iterator[Callable[[str], None]]:
 
 
 @contextmanager
-def _bar_or_lines(name: str, told: Callable[[float], str]) -> Iterator[Callable[[float, float], None]]:
+def _bar_or_lines(name: str, describe: Callable[[float], str]) -> Iterator[Callable[[float, float], None]]:
     start = shown = time.monotonic()
     bar = None
     pace = Pace()
@@ -151,10 +151,10 @@ def _bar_or_lines(name: str, told: Callable[[float], str]) -> Iterator[Callable[
         if bar is None and now - start > QUIET and done < total and sys.stderr.isatty():
             bar = _bar(name, total)
         if bar is not None:
-            bar.update(bar.task_ids[0], completed=done, left=told_left(pace.left(total - done)).lstrip(", "))
+            bar.update(bar.task_ids[0], completed=done, left=time_left_text(pace.left(total - done)).lstrip(", "))
         elif now - shown > LOG_INTERVAL and done < total:
             shown = now
-            sys.stderr.write(f"{name}: {told(done / total)}{told_left(pace.left(total - done))}\n")
+            sys.stderr.write(f"{name}: {describe(done / total)}{time_left_text(pace.left(total - done))}\n")
 
     try:
         yield update

@@ -1,8 +1,9 @@
-"""How bounces along one direction end, over delay and stiffness: computed through the measured response, and played where that is asked.
+"""Rebound of bounces along one direction, over delay and stiffness: computed from the measured response, and simulated on request.
 
-Computed bounces cost little and depend on delay and stiffness as played ones do, to within a factor of the rebound that changes slowly
-with either: that of the last one played is taken over to its neighbours. A limit that is sought among the computed ones is played, and
-sought again, until it stays. Where the first one played is what was computed, the rig is linear, and no other is played.
+Computed bounces are cheap and depend on delay and stiffness like simulated ones, except for a factor of the rebound that changes slowly
+with either; the factor of the last simulated bounce is used for its neighbours. A limit that is found with computed bounces is simulated,
+and the search is repeated until the limit does not change. If the first simulated bounce equals the computed one, the rig is linear, and
+no further bounce is simulated.
 """
 
 from __future__ import annotations
@@ -14,12 +15,12 @@ from hiltestbed.contact.directions import Direction
 from hiltestbed.rig_response import RigResponse
 from hiltestbed.trial import Case, FirstContact
 
-ROUNDS = 4  # of looking for a limit
-SAME = 2e-3  # of a limit, by which it stays; of a rebound, what its computation resolves
+ROUNDS = 4  # searches for a limit, at most
+SAME = 2e-3  # relative change at which a limit has converged; relative resolution of a computed rebound
 
 
 class Rebounds:
-    """Bounces of a contact ``way`` on a rig of a response; ``played``: what plays them, None: they are computed."""
+    """Bounces of a contact ``way`` on a rig with a response; ``played`` simulates them, None: they are only computed."""
 
     def __init__(self, response: RigResponse, way: Direction, played: FirstContact | None = None) -> None:
         self._response, self._way, self._played = response, way, played
@@ -27,14 +28,15 @@ class Rebounds:
         self.lag = lag_of(response)
 
     def first(self, delay: float, stiffness: float) -> Bounce:
-        """The contact's own bounce; where it is as computed, no other is played."""
+        """The bounce of the contact itself; if it equals the computed one, no further bounce is simulated."""
         found = self.at(delay, stiffness)
         if abs(self._factor - 1.0) < SAME:
             self._played, self._factor = None, 1.0
         return found
 
     def at(self, delay: float, stiffness: float) -> Bounce:
-        """Played, a force that leads as one without delay beside what is computed of both; computed where nothing is played or parts."""
+        """The simulated bounce, or the computed one if none is simulated or the bodies do not separate. A negative delay (a lead) is
+        simulated as zero delay, times the ratio of the computed bounces."""
         through = self._computed(delay, stiffness)
         found = self._played.played(Case(max(delay, 0.0), stiffness), self.lag) if self._played else None
         if found is None:
@@ -46,11 +48,11 @@ class Rebounds:
         return Bounce(through.rebound * self._factor, through.energy + found.energy - beside.energy)
 
     def slower(self, delay: float, stiffness: float) -> bool:
-        """Whether a bounce ends slower than it began, as far as the last one played tells."""
+        """Whether a bounce ends slower than it began, by the computed rebound times the factor of the last simulated one."""
         return self._computed(delay, stiffness).rebound * self._factor < 1.0
 
     def settled(self, seek: Callable[[], float | None], case: Callable[[float], tuple[float, float]]) -> float | None:
-        """The limit that ``seek`` finds with :meth:`slower`, at which a bounce is the ``case`` of (delay, stiffness)."""
+        """The converged limit that ``seek`` finds with :meth:`slower`; ``case`` gives (delay, stiffness) of the bounce at a limit."""
         limit = seek()
         for _ in range(ROUNDS):
             if limit is None or self._played is None:

@@ -32,9 +32,9 @@ MODELS = "models"
 
 @contextmanager
 def whole_folder(path: Path, mark: str = SUMMARY) -> Iterator[Path]:
-    """A folder beside ``path`` to write into; it becomes ``path`` when the block ends well, and is removed when it does not.
+    """A temporary folder beside ``path``; it is renamed to ``path`` if the block succeeds, and removed otherwise.
 
-    An earlier result at ``path``, known by its file ``mark``, is replaced; anything else there is refused.
+    An earlier result at ``path``, recognised by its file ``mark``, is replaced; anything else there is refused.
 
     Raises:
         InputError: ``path`` exists and holds something else, or cannot be written.
@@ -58,7 +58,7 @@ def whole_folder(path: Path, mark: str = SUMMARY) -> Iterator[Path]:
 
 
 def refuse_foreign(path: Path, mark: str = SUMMARY) -> None:
-    """Refuse to replace what is not a result of ours.
+    """Refuse to replace anything that is not a result of hiltestbed.
 
     Raises:
         InputError: ``path`` is a file, or a folder with other things in it.
@@ -73,7 +73,7 @@ def refuse_foreign(path: Path, mark: str = SUMMARY) -> None:
 
 
 def _swap(beside: Path, path: Path) -> None:
-    """Put the finished folder in place; an earlier one is moved away first, so that ``path`` is never half of each."""
+    """Move the finished folder into place; an earlier one is moved away first, so that ``path`` never contains a mixture."""
     if path.exists():
         old = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=".old", dir=path.parent))
         os.rename(path, old / path.name)
@@ -114,7 +114,7 @@ def write_run(run: Run, path: str | Path, *, rerun: bool = True, report: bool = 
 
 
 def _with_models(scenario: Scenario, folder: Path) -> dict[str, Any]:
-    """The resolved scenario; models of the user's are copied into ``folder``, and their keys name the copies."""
+    """The resolved scenario; the user's models are copied into ``folder``, and their keys name the copies."""
     data = resolved(scenario)
     for key in scenario.mechanism.fingerprint():
         copy = copy_model(Path(data["mechanism"][key]), folder / MODELS / key)
@@ -123,7 +123,7 @@ def _with_models(scenario: Scenario, folder: Path) -> dict[str, Any]:
 
 
 def read_run(path: str | Path) -> Run:
-    """What a run folder holds.
+    """The run in a run folder.
 
     Raises:
         InputError: it is not a run folder.
@@ -137,7 +137,7 @@ def read_run(path: str | Path) -> Run:
 
 
 def _scenario_of(path: Path, summary: dict[str, Any]) -> Scenario:
-    """The scenario of a run folder. Raises InputError, which says which plugin the run was made with where that is not loaded."""
+    """The scenario of a run folder. Raises InputError; it names the plugins of the run that are not loaded."""
     try:
         return load_scenario(path / SCENARIO)
     except InputError as error:
@@ -145,7 +145,7 @@ def _scenario_of(path: Path, summary: dict[str, Any]) -> Scenario:
         if not lacking:
             raise
         options = " ".join(f"--plugin {name}" for name in lacking)
-        hint = f"was made with a plugin that is not loaded; give {options} (or where it lies now), from Python hiltestbed.load_plugins"
+        hint = f"was made with a plugin that is not loaded; give {options} (or its current path), from Python hiltestbed.load_plugins"
         raise InputError([*error.faults, Fault(str(path), None, None, "", hint)]) from None
 
 
@@ -157,7 +157,7 @@ def _read_failure(path: Path) -> Snapshot | None:
 
 
 def write_trace(trace: RunTrace, path: Path) -> None:
-    """One row a tick, unit, frame and meaning of each column in its field's metadata; the same rows give the same bytes."""
+    """One row per tick; the metadata of each field have unit, frame and meaning. The same rows give the same bytes."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 

@@ -1,4 +1,4 @@
-"""One self-contained HTML page: headings, text, tables and pictures, with nothing fetched from anywhere."""
+"""One self-contained HTML page: headings, text, tables and figures, without external resources."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from hiltestbed.folders import FIGURES_APART, safe_name
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-DOTTED = re.compile(r"(?<=[a-z0-9_])\.(?=[a-z_])")  # the dots of a key, of a scenario or of a file
-LONGEST_NAME = 48  # characters of a caption, that a figure's file is called by
+DOTTED = re.compile(r"(?<=[a-z0-9_])\.(?=[a-z_])")  # the dots in a scenario key or in a file name
+LONGEST_NAME = 48  # characters of the caption in a figure's file name
 
 _PAGE = Environment(autoescape=True).from_string("""<!doctype html>
 <html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
@@ -44,7 +44,7 @@ p.warning { border-left: 4px solid #d55e00; padding: .3rem .9rem; background: #f
 
 
 class Report:
-    """A page that is written from top to bottom."""
+    """A page, written from top to bottom."""
 
     def __init__(self, title: str) -> None:
         self.title = title
@@ -62,7 +62,7 @@ class Report:
         self._parts.append(Markup("<p>{}</p>").format(text))
 
     def warning(self, text: str) -> None:
-        """What must not be overlooked."""
+        """A highlighted warning."""
         self._parts.append(Markup('<p class="warning"><b>Warning:</b> {}</p>').format(text))
 
     def items(self, texts: Sequence[str]) -> None:
@@ -89,7 +89,7 @@ class Report:
         """A matplotlib figure, as a PNG inside the page."""
         data = io.BytesIO()
         figure.savefig(data, format="png", dpi=110, bbox_inches="tight", metadata={"Software": None})
-        wide = int.from_bytes(data.getvalue()[16:20], "big")  # of the PNG's header: on a narrow screen it scrolls and stays readable
+        wide = int.from_bytes(data.getvalue()[16:20], "big")  # width from the PNG header; narrow screens scroll the figure
         source = Markup("data:image/png;base64," + base64.b64encode(data.getvalue()).decode())
         image = Markup('<div class="scroll"><img alt="{}" style="--wide: {}" src="{}"></div>').format(caption, wide, source)
         self._parts.append(Markup("<figure>{}<figcaption>{}</figcaption></figure>").format(image, caption))
@@ -101,7 +101,7 @@ class Report:
         return _PAGE.render(title=self.title, parts=self._parts)
 
     def write(self, path: Path) -> None:
-        """Write the page, and beside it the folder ``figures`` where they are asked for, see :data:`hiltestbed.folders.FIGURES_APART`."""
+        """Write the page, and the folder ``figures`` beside it if requested by :data:`hiltestbed.folders.FIGURES_APART`."""
         path.write_text(self.html(), encoding="utf-8")
         for name, png, svg in self._apart:
             folder = path.parent / "figures"
@@ -111,7 +111,7 @@ class Report:
 
 
 def _as_svg(figure: Figure) -> bytes:
-    """The same bytes for the same figure."""
+    """The figure as SVG; the same figure gives the same bytes."""
     from matplotlib import rc_context
 
     data = io.BytesIO()
@@ -121,24 +121,24 @@ def _as_svg(figure: Figure) -> bytes:
 
 
 def provenance(versions: Mapping[str, str], plugins: Mapping[str, str]) -> list[tuple[str, str]]:
-    """Rows of a table: each package with its version, each plugin with the start of its hash."""
+    """Table rows: each package with its version, each plugin with the start of its hash."""
     return [*versions.items(), *((f"plugin {name}", digest[:16]) for name, digest in plugins.items())]
 
 
 def _words(cells: Sequence[object]) -> bool:
-    """Whether a column holds text for the most part: numbers stand under each other at their ends, words at their beginnings."""
+    """Whether a column contains mostly text, which is left-aligned; numbers are right-aligned."""
     firsts = [str(cell)[:1] for cell in cells if str(cell)]
     return 2 * sum(first.isalpha() for first in firsts) > len(firsts)
 
 
 def _cell(cell: object) -> Markup:
-    """Escaped; a number and its per cent stay together, and a dotted key breaks after a dot."""
+    """The escaped cell; no line break between a number and its per cent sign; dotted keys may break after a dot."""
     text = escape(str(cell).replace(" %", "\N{NO-BREAK SPACE}%"))
     return Markup(DOTTED.sub(".<wbr>", text))
 
 
 def new_figure(width: float = 8.0, height: float = 4.0, **subplots: object):
-    """A figure and its axes that need no screen; pyplot does not know of it, so that whatever the caller draws with stays as it is."""
+    """A figure and its axes, independent of a display and of pyplot, so that the caller's pyplot state is not changed."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(width, height), layout="constrained")

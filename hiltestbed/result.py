@@ -1,4 +1,4 @@
-"""A run as it is handed to the user: scenario, summary, trace, and what can be asked of them."""
+"""A run as returned to the user: scenario, summary, trace, and methods to evaluate them."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ if TYPE_CHECKING:
 
 @dataclass(repr=False)
 class Run:
-    """One run: what the run folder holds.
+    """One run: the content of a run folder.
 
     Attributes:
         scenario: as it was run.
         summary: the contents of summary.json.
-        trace: the rows, or None where none was kept.
-        failure: the state some ticks before a divergence or a stop, from which it can be replayed.
+        trace: the rows, or None if none was kept.
+        failure: the state some ticks before a divergence or a stop, from which that can be replayed.
     """
 
     scenario: Scenario
@@ -33,7 +33,7 @@ class Run:
 
     @property
     def assessment(self) -> Assessment:
-        """What the figures mean: passive or active, warnings, what to do next."""
+        """Assessment of the figures: passive or active, warnings, what to do next."""
         return assess(self.summary)
 
     def __repr__(self) -> str:
@@ -78,5 +78,5 @@ class Run:
 
     def _trace(self) -> RunTrace:
         if self.trace is None:
-            raise ValueError("the run has no trace: run it with hiltestbed.run, or read a folder that holds trace.parquet")
+            raise ValueError("the run has no trace: run it with hiltestbed.run, or read a folder with trace.parquet")
         return self.trace

@@ -1,7 +1,7 @@
-"""What a scenario's rig makes of its command and of a force, measured on the rig itself: response G and compliance Y on six axes.
+"""Response G of a scenario's rig to its command and compliance Y to a force, on six axes, measured on the simulated rig itself.
 
-Effects and friction of its drives included: of each axis one run follows a sum of sines along it, and one holds its place under a force
-that is one.
+Effects and friction of its drives are included. For each axis, one run follows a sum of sines along the axis, and one holds its position
+under a force that is a sum of sines.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from hiltestbed.scenario import Scenario, resolved, scenario_from
 
 Complex = NDArray[np.complex128]
 LINES = 100  # [Hz] sines at 1, 2, ... Hz
-PERIOD = 1.0  # [s] of their sum, measured after as long a lead-in
-MOST_INSTANTS = 1_000_000  # of the physics, that a measurement may take: half a minute along one axis, three on six
-SWING, PULL = 1e-3, 0.3  # [m], [m/s^2] a sine's amplitude and acceleration, at most
-PUSH = 20.0  # [N] of a sine of the force
-ARM = 0.6  # [m] by which an angle is a length, and a force a torque: the height of a docking mechanism
-FINE = 50  # points between two lines
+PERIOD = 1.0  # [s] of their sum, measured after a lead-in of the same length
+MOST_INSTANTS = 1_000_000  # physics steps of a measurement, at most: half a minute along one axis, three minutes on six
+MAX_AMPLITUDE, MAX_ACCELERATION = 1e-3, 0.3  # [m], [m/s^2] largest amplitude and acceleration of a sine
+FORCE_AMPLITUDE = 20.0  # [N] amplitude of each sine of the force
+ARM = 0.6  # [m] converts angles to lengths and forces to torques: the height of a docking mechanism
+FINE = 50  # interpolated points per line spacing
 ALONG = 2  # the axis of the insertion
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 
@@ -41,7 +41,7 @@ class RigResponse:
     yields: Complex
 
     def finer(self) -> RigResponse:
-        """Interpolated to :data:`FINE` points a line."""
+        """Interpolated to :data:`FINE` points per line spacing."""
         f = np.linspace(self.frequency[0], self.frequency[-1], FINE * (len(self.frequency) - 1) + 1)
         parts = [np.interp(f, self.frequency, x.real) + 1j * np.interp(f, self.frequency, x.imag) for x in (self.follows, self.yields)]
         return RigResponse(f, parts[0], parts[1])
@@ -54,7 +54,7 @@ EXACT = RigResponse(np.arange(0.0, 2001.0), np.ones(2001, dtype=complex), np.zer
 class SixAxisResponse:
     """Measured on six axes: frequency (L,) [Hz]; follows (L, 6, 6), pose over command; yields (L, 6, 6), to the contact's wrench at A.
 
-    The axis that answers comes before the one that is moved or pushed; turns are rotation vectors.
+    The index of the responding axis precedes that of the moved or pushed axis; rotations are rotation vectors.
     """
 
     frequency: Array
@@ -62,16 +62,16 @@ class SixAxisResponse:
     yields: Complex
 
     def along(self, row: Array, mobility: Array) -> RigResponse:
-        """Of the penetration x = ``row`` (6,) q between bodies of that relative ``mobility`` (6, 6) [1/kg, ...].
+        """The response of the penetration x = ``row`` (6,) q between bodies with relative ``mobility`` (6, 6) [1/kg, ...].
 
-        A force F along x moves the numerical model by M^-1 J^T F, so that G counts as J G M^-1 J^T over J M^-1 J^T, and Y as J Y J^T.
+        A force F along x moves the numerical model by M^-1 J^T F, so G becomes J G M^-1 J^T over J M^-1 J^T, and Y becomes J Y J^T.
         """
         way = mobility @ row
         return RigResponse(self.frequency, (self.follows @ way) @ row / (row @ way), (self.yields @ row) @ row)
 
 
 def measured_response(scenario: Scenario) -> RigResponse:
-    """The response of a scenario's rig along the insertion; the same rig is measured once a process."""
+    """The response of a scenario's rig along the insertion; each rig is measured once per process."""
     if _exact(scenario):
         return EXACT
     found = _measured(_quiet(scenario), (ALONG,))
@@ -79,7 +79,7 @@ def measured_response(scenario: Scenario) -> RigResponse:
 
 
 def six_axis_response(scenario: Scenario) -> SixAxisResponse:
-    """The response of a scenario's rig on all axes; the same rig is measured once a process."""
+    """The response of a scenario's rig on all axes; each rig is measured once per process."""
     if _exact(scenario):
         follows = np.tile(np.eye(6, dtype=complex), (len(EXACT.frequency), 1, 1))
         return SixAxisResponse(EXACT.frequency, follows, np.zeros_like(follows))
@@ -88,7 +88,7 @@ def six_axis_response(scenario: Scenario) -> SixAxisResponse:
 
 
 def beyond_measure(scenario: Scenario) -> str | None:
-    """Why the loop of a scenario is not judged, where its physics is so finely divided that it would take minutes; else None."""
+    """Why the loop of a scenario is not judged, if its physics steps are so short that this would take minutes; otherwise None."""
     instants = 2.0 * PERIOD * scenario.rate * scenario.substeps
     if instants <= MOST_INSTANTS:
         return None
@@ -101,7 +101,7 @@ def _exact(scenario: Scenario) -> bool:
 
 
 def _quiet(scenario: Scenario) -> str:
-    """The rig of a scenario with nothing around it, as text: vehicles and contact, which do not act, are the same in all."""
+    """The rig of a scenario as text, isolated: vehicles and contact have no influence and are set to standard values."""
     data, body = resolved(scenario), {"mass": 1000.0, "inertia": [500.0, 500.0, 500.0]}
     quiet = {
         "name": "response", "description": "", "seed": 0, "duration": 1.0, "sensor": {}, "identification": {"kind": "none"},
@@ -122,7 +122,7 @@ def _measured(scenario: str, axes: tuple[int, ...]) -> SixAxisResponse:
 
 
 class _Pushes:
-    """No force on the runs that follow, a sum of sines along an axis each on those that hold their place."""
+    """No force on the runs that follow a command; a sum of sines along one axis on each run that holds its position."""
 
     def __init__(self, wave: Array, axes: Sequence[int]) -> None:
         self._wave, self._at, self._wrench = wave, 0, np.zeros((2 * len(axes), 6))
@@ -136,16 +136,16 @@ class _Pushes:
 
 
 def _measure(scenario: Scenario, axes: Sequence[int]) -> SixAxisResponse:
-    """``follows`` and ``yields`` (L, len(axes), 6): the answer of every axis to a motion or a force along one of ``axes``."""
+    """``follows`` and ``yields`` (L, len(axes), 6): the response of every axis to a motion or a force along each of ``axes``."""
     tick, m = scenario.tick, scenario.substeps
     still = np.zeros((1, len(axes), 6), dtype=complex)
     still[0, range(len(axes)), list(axes)] = 1.0
     lines = np.arange(1, int(min(LINES, 0.1 * scenario.rate)) + 1)
-    if not len(lines):  # a loop so slow that no sine of the lowest frequency is ten of its ticks long
+    if not len(lines):  # the loop is so slow that a period of the lowest frequency is shorter than ten ticks
         return SixAxisResponse(np.zeros(1), still, np.zeros_like(still))
-    phase = -math.pi * lines * (lines - 1) / len(lines)  # Schroeder's: the sum has no peak
+    phase = -math.pi * lines * (lines - 1) / len(lines)  # Schroeder phases: a low crest factor
     w = 2.0 * math.pi * lines / PERIOD
-    size = np.minimum(SWING, PULL / w**2)
+    size = np.minimum(MAX_AMPLITUDE, MAX_ACCELERATION / w**2)
     period = round(PERIOD / tick)
 
     def wave(t: NDArray[Any], order: int) -> Array:
@@ -154,10 +154,10 @@ def _measure(scenario: Scenario, axes: Sequence[int]) -> SixAxisResponse:
 
     ends = np.arange(1, 2 * period + 1) * tick
     place = wave(ends, 0)
-    # The velocity of a tick belongs to its middle, its acceleration to its start.
+    # The velocity of a tick refers to its middle, its acceleration to its start.
     speed, bend = wave(ends - 0.5 * tick, 1), wave(ends - tick, 2)
     instants = np.arange(period * m) * tick / m
-    push = PUSH * np.sin(w * instants[:, None] + phase).sum(axis=1)
+    push = FORCE_AMPLITUDE * np.sin(w * instants[:, None] + phase).sum(axis=1)
     runs = 2 * len(axes)
     plant = Plant([scenario] * runs, force=_Pushes(push, axes))
     pose, twist, accel = np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (runs, 1)), np.zeros((runs, 6)), np.zeros((runs, 6))
@@ -183,7 +183,7 @@ def _measure(scenario: Scenario, axes: Sequence[int]) -> SixAxisResponse:
     answer = np.fft.rfft(reached[period:], axis=0)[lines]
     scale = np.array([1.0 if axis < 3 else 1.0 / ARM for axis in axes])[:, None]
     follows = answer[:, 0::2] / (np.fft.rfft(place[period:])[lines][:, None, None] * scale)
-    # The force of the instants t_k, the first of which is the start: one row later than the pose that is reached at the end of a tick.
+    # The force at t_k, beginning with the start, is one row behind the pose, which is reached at the end of a tick.
     force = np.fft.rfft(np.roll(push[::m], -1))[lines]
     yields = -answer[:, 1::2] / (force[:, None, None] / scale)
     return SixAxisResponse(

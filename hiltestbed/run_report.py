@@ -18,8 +18,8 @@ from hiltestbed.scenario import Scenario
 from hiltestbed.signals import RunTrace
 
 REPORT = "report.html"
-NORMAL = " normal: along the normal of the surfaces where they touch, which no axis is."
-POINTS = 4000  # rows that a picture shows: more cannot be told apart
+NORMAL = " normal: along the contact normal of the surfaces, which is not an axis."
+POINTS = 4000  # rows in a figure: more cannot be distinguished
 
 
 def write_run_report(run: Run, path: Path) -> None:
@@ -42,12 +42,12 @@ def run_report(run: Run) -> Report:
     report.heading("Is the loop passive?")
     report.text(_margin(run.scenario, summary))
     if run.trace is not None and summary["contact_duration"] and len(run.trace.t) > 1:
-        caption = "Energy that the rig has made so far. What a passive rig makes is never above zero."
+        caption = "Energy that the rig has made so far. For a passive rig it is never above zero."
         report.figure(_energy(run.trace, run.scenario, summary), caption)
     _ledger(report, summary)
     _identified(report, summary)
     report.heading("What to do next")
-    report.items(judged.advice or ("Nothing here calls for it.",))
+    report.items(judged.advice or ("Nothing: no further action is needed.",))
     report.heading("How it was made")
     rows = [("scenario", summary["scenario_sha256"][:16]), ("seed", summary["seed"])]
     report.table(("what", "version, or start of the SHA-256"), rows + provenance(summary["versions"], summary.get("plugins", {})))
@@ -62,7 +62,7 @@ def _figures(summary: dict[str, Any]) -> list[tuple[str, str, str]]:
     ]
     if summary["cor_log_error"] is not None:
         percent = 100.0 * math.expm1(summary["cor_log_error"])
-        rows.append(("ln of their ratio", f"{summary['cor_log_error']:+.4f}", f"the rebound is {percent:+.1f} % off"))
+        rows.append(("ln of their ratio", f"{summary['cor_log_error']:+.4f}", f"the rebound deviates by {percent:+.1f} %"))
     if summary.get("cor_normal") is not None and summary["cor"] is None:
         reference = number(summary.get("cor_normal_reference"))
         note = f"of the first contact: speed after over before, along the direction of its impulse; reference {reference}"
@@ -71,7 +71,7 @@ def _figures(summary: dict[str, Any]) -> list[tuple[str, str, str]]:
         ("energy made by the rig", number(summary["energy_generated"], 4, "J"), assess(summary).energy),
         ("peak force", number(summary["peak_force"], 4, "N"), ""),
         ("contact time", number(summary["contact_duration"], 4, "s"), ""),
-        ("largest tracking error", number(1e3 * summary["tracking_error"], 3, "mm"), "commanded less reached position"),
+        ("largest tracking error", number(1e3 * summary["tracking_error"], 3, "mm"), "commanded minus reached position"),
     ]
     if (seen := monitored(summary)) is not None:
         rows.append(("process monitoring", *seen))
@@ -79,17 +79,19 @@ def _figures(summary: dict[str, Any]) -> list[tuple[str, str, str]]:
 
 
 def _margin(scenario: Scenario, summary: dict[str, Any]) -> str:
-    """The energy balance in words, and the delay that the contact still bears."""
+    """The energy balance in words, and the further delay up to which the loop is stable."""
     share = energy_share(summary)
     if not summary["contact_duration"]:
         return "Nothing touched, so the question does not arise."
     words = []
     if share is not None:
-        verdict = "made no energy worth mentioning" if abs(share) <= NEUTRAL else "made energy" if share > 0.0 else "took energy away"
-        words.append(f"The rig {verdict}: {100.0 * share:+.2f} % of the energy of the approach.")
+        verdict = "made no significant energy" if abs(share) <= NEUTRAL else "made energy" if share > 0.0 else "dissipated energy"
+        words.append(f"The rig {verdict}: {100.0 * share:+.2f} % of the approach energy.")
     total = summary["delay_ledger"][-1]["delay"] if summary["delay_ledger"] else 0.0
     contact, stability = scenario.mechanism.contact, summary.get("stability")
-    words.append(f"The delays that are left add up to {1e3 * total:+.3f} ms, worth a damping of {-contact.stiffness * total:+.4g} N s/m.")
+    words.append(
+        f"The remaining delays add up to {1e3 * total:+.3f} ms, equivalent to a damping of {-contact.stiffness * total:+.4g} N s/m."
+    )
     if stability:
         without = stability.get("uncompensated") or {}
         words.append(f"The loop in this contact is {stability['verdict']}.")
@@ -98,11 +100,11 @@ def _margin(scenario: Scenario, summary: dict[str, Any]) -> str:
     elif contact.damping > 0.0:
         bears = contact.damping / contact.stiffness
         words.append(
-            f"The damping of the surfaces, {contact.damping:.4g} N s/m, makes up for a delay of c/k = {1e3 * bears:.3g} ms: "
-            + (f"{1e3 * (bears - total):.3g} ms are left before the loop gains energy." if total < bears else "less than that delay.")
+            f"The damping of the surfaces, {contact.damping:.4g} N s/m, compensates a delay of c/k = {1e3 * bears:.3g} ms: "
+            + (f"{1e3 * (bears - total):.3g} ms more until the loop gains energy." if total < bears else "less than that delay.")
         )
     else:
-        words.append("The surfaces have no damping: any delay that is left makes the loop gain energy.")
+        words.append("The surfaces have no damping: any remaining delay makes the loop gain energy.")
     return " ".join(words)
 
 
@@ -110,7 +112,7 @@ def _ledger(report: Report, summary: dict[str, Any]) -> None:
     if not summary["delay_ledger"]:
         return
     rows = [(e["source"], f"{1e3 * e['delay']:+.4f}", f"{e['equivalent_damping']:+.2f}") for e in summary["delay_ledger"]]
-    caption = "Which delay costs what: a delay tau acts on a contact of stiffness k like a damping of -k tau."
+    caption = "Effect of each delay: a delay tau acts on a contact of stiffness k like a damping of -k tau."
     predicted = summary.get("cor_log_error_predicted")
     if predicted is not None:
         caption += f" Their sum predicts {predicted:+.4f} for the ln of the ratio."
@@ -131,17 +133,17 @@ def _identified(report: Report, summary: dict[str, Any]) -> None:
         header = ("axis", "k", "true", "error", "c", "true", "error", "samples")
         report.table(header, rows, "k in N/m (rx, ry, rz: N m/rad), c in N s/m (N m s/rad)." + NORMAL * ("normal" in identified(summary)))
     else:
-        report.text("Neither an axis nor a normal was in contact for long enough to identify stiffness and damping.")
+        report.text("No axis and no normal was in contact long enough to identify stiffness and damping.")
 
 
 def _signals(trace: RunTrace):
-    """Position and force along the insertion, what came of it below."""
+    """Force and position along the insertion."""
     rows = _shown(trace)
     t = trace.t[rows]
     figure, axes = new_figure(9.0, 5.6, nrows=3, sharex=True)
     panels = (
         ("force [N]", (("physical", "wrench_true.fz", 1.0), ("measured", "wrench_meas.fz", 1.0), ("used", "wrench_comp.fz", 1.0))),
-        ("measured less\nphysical [N]", ()),
+        ("measured minus\nphysical [N]", ()),
         ("pz [mm]", (("reached", "pose_act.pz", 1e3), ("commanded", "pose_cmd.pz", 1e3))),
     )
     for axis, (label, lines) in zip(axes, panels, strict=True):
@@ -158,14 +160,14 @@ def _signals(trace: RunTrace):
 
 
 def _shown(trace: RunTrace) -> np.ndarray:
-    """The rows of the span that is shown, no more than can be told apart."""
+    """The rows of the displayed span, at most as many as can be distinguished."""
     start, end = _span(trace)
     rows = np.flatnonzero((trace.t >= start) & (trace.t <= end))
     return rows[:: max(1, len(rows) // POINTS)]
 
 
 def _span(trace: RunTrace) -> tuple[float, float]:
-    """From shortly before the first contact to shortly after the last; the whole run where that is most of it."""
+    """From shortly before the first contact to shortly after the last; the whole run if that is most of it."""
     start, end = float(trace.t[0]), float(trace.t[-1])
     if trace.contact.any():
         first = float(trace.t[np.argmax(trace.contact)])
@@ -176,7 +178,7 @@ def _span(trace: RunTrace) -> tuple[float, float]:
 
 
 def _energy(trace: RunTrace, scenario: Scenario, summary: dict[str, Any]):
-    """What the rig has made so far: work that went into the physical contact less what the numerical model paid for it."""
+    """Energy that the rig has made so far: the work on the physical contact minus the work of the numerical model."""
     made = energy_generated(trace, scenario)
     rows = _shown(trace)
     figure, axis = new_figure(9.0, 2.6)

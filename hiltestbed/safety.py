@@ -1,9 +1,9 @@
-"""The rig's safety limits: past one, the run stops within the tick.
+"""The rig's safety limits: if one is exceeded, the run stops within the tick.
 
-What is watched is what the rig's own electronics watch: the sliders and limbs of the platform, how well it follows, the sensor's
+The monitored quantities are those of a rig's own electronics: the sliders and limbs of the platform, its tracking error, the sensor's
 load before any delay (its overload relay is analogue), and the energy that the rig has created so far,
 the integral of ``F . v_act - F_used . v_cmd``. A delay makes energy from the first millimetre of penetration on, long before the
-force is large: the energy limit stops a loop that diverges while the hardware is still unharmed.
+force is large: the energy limit stops a diverging loop before the hardware is damaged.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from hiltestbed.scenario import Scenario
 
 LIMITS = ("stroke", "speed", "acceleration", "limb_angle_deg", "tracking_error", "force", "torque", "energy")
 _UNITS = ("m", "m/s", "m/s^2", "deg", "m", "N", "N m", "J")
-_SAID = (
-    "a slider stands {value:.4g} m from home",
+_MESSAGES = (
+    "a slider is {value:.4g} m from home",
     "a slider moves at {value:.4g} m/s",
     "a slider accelerates at {value:.4g} m/s^2",
     "a limb leans {value:.4g} deg from its slider",
-    "the platform is {value:.4g} m from where it was commanded",
+    "the platform is {value:.4g} m from its command",
     "the sensor carries {value:.4g} N",
     "the sensor carries {value:.4g} N m",
     "the rig has created {value:.4g} J",
@@ -35,7 +35,7 @@ _SAID = (
 
 
 class Safety:
-    """The watch over ``n`` runs.
+    """The safety limits of ``n`` runs.
 
     Attributes:
         quantities: ``(n, 8)`` the largest value at this tick of each quantity in :data:`LIMITS`.
@@ -46,17 +46,17 @@ class Safety:
         self._tick = 1.0 / scenarios[0].rate
         limits = [[getattr(s.safety, name) for name in LIMITS] for s in scenarios]
         self._limits = np.array([[math.inf if limit is None else limit for limit in row] for row in limits])
-        # A platform that states limits of its joints is watched against these (Plant.joint_limit); the others' sliders and limbs here.
+        # If a platform states limits of its joints, Plant.joint_limit checks these; sliders and limbs of other platforms are checked here.
         stated = scenarios[0].rig.platform.states_limits
         self._limbs = Platform.load().limbs[: 0 if stated else 6]
         self._plant: Plant | None = None
         self.quantities = np.zeros((n, len(LIMITS)))
-        self._sliders = np.zeros((n, 2, 6))  # positions and speeds at the tick before
+        self._sliders = np.zeros((n, 2, 6))  # positions and speeds at the previous tick
         self._ticks = np.zeros(n, dtype=np.int64)
         self._watch = Call(_watch, self._tick, self._limbs, *(GIVEN,) * 6, self._ticks, self._sliders, self.quantities, self._limits)
 
     def passed(self, plant: Plant, pose_before: Array, energy: Array) -> bool:
-        """Whether a run has passed a limit at this tick.
+        """Whether a run has exceeded a limit at this tick.
 
         Args:
             plant: at t_k. pose_before: ``(n, 7)`` that had been commanded for this tick. energy: ``(n,)`` created so far [J].
@@ -67,11 +67,11 @@ class Safety:
         return look() or passed
 
     def reason(self, i: int) -> str | None:
-        """Which limit run ``i`` has passed, by how much; None when it has passed none."""
+        """The limit that run ``i`` has exceeded, with the value; None if it has exceeded none."""
         for j, name in enumerate(LIMITS):
             value, limit = self.quantities[i, j], self._limits[i, j]
             if value > limit:
-                return f"{_SAID[j].format(value=value)}; safety.{name} is {limit:g} {_UNITS[j]}"
+                return f"{_MESSAGES[j].format(value=value)}; safety.{name} is {limit:g} {_UNITS[j]}"
         return self._plant.joint_limit(i) if self._plant is not None else None
 
 

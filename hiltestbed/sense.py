@@ -1,8 +1,9 @@
-"""Scenarios whose numbers are each allowed and absurd together: what of the result cannot be trusted, and what to change.
+"""Warnings on scenarios whose numbers are valid individually but implausible in combination: what is unreliable, and what to change.
 
-Among them keys that were given and act on nothing.
+They include keys that were given but have no effect.
 
-None of it is refused. The warnings stand in `hiltestbed check`, on standard error of `hiltestbed run` and in summary.json.
+Such scenarios are not refused. The warnings are in the output of `hiltestbed check`, on standard error of `hiltestbed run` and in
+summary.json.
 """
 
 from __future__ import annotations
@@ -17,14 +18,14 @@ from hiltestbed.scenario.idle import given_in_vain
 if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario
 
-FEWEST_TICKS = 2.0  # of the loop in a contact, below which nothing of it is felt as it is
-FEWEST_INSTANTS = 8.0  # of the physics in a contact, below which its impulse is wrong by a percent: (pi/n)^2/24 of it
-MASS_RATIO = 1e6  # from which differences of the two motions lose half of the digits
-STIFF_DAMPER = 1.0  # part of the relative speed that the damper takes in one instant, from which an explicit force overshoots
+FEWEST_TICKS = 2.0  # ticks of the loop per contact; with fewer, the measured force does not represent the contact
+FEWEST_INSTANTS = 8.0  # physics steps per contact; with fewer, the impulse is wrong by about a percent: (pi/n)^2/24 of it
+MASS_RATIO = 1e6  # above it, differences of the two motions lose half of the digits
+STIFF_DAMPER = 1.0  # part of the relative speed that the damper removes in one physics step; above it an explicit force overshoots
 
 
 def warnings(scenario: Scenario) -> tuple[str, ...]:
-    """What cannot be trusted in a run of this scenario."""
+    """What is unreliable in a run of this scenario."""
     return tuple(_warnings(scenario))
 
 
@@ -37,31 +38,31 @@ def _warnings(scenario: Scenario) -> Iterator[str]:
         if ticks < FEWEST_TICKS:
             yield (
                 f"the contact lasts {ticks:.2g} ticks of the loop ({lasts:.3g} s at {scenario.rate:g} Hz): the numerical model is driven "
-                f"with another force than the contact's, rebound and energy say nothing; take a rate above {8.0 / lasts:.3g} Hz"
+                f"with another force than the contact's, rebound and energy are meaningless; use a rate above {8.0 / lasts:.3g} Hz"
             )
         elif instants < FEWEST_INSTANTS:
             yield (
-                f"the contact lasts {instants:.2g} steps of the physics: its peak and impulse are wrong by percents; "
-                f"take a physics_rate above {4 * FEWEST_INSTANTS / lasts:.3g} Hz"
+                f"the contact lasts {instants:.2g} steps of the physics: its peak and impulse are wrong by some percent; "
+                f"use a physics_rate above {4 * FEWEST_INSTANTS / lasts:.3g} Hz"
             )
         yield from _too_far(scenario)
         yield from _drowned(scenario, frequency)
     late = scenario.sensor.delay + sum(float(getattr(e, "delay", 0.0)) for e in scenario.effects if e.link != "log")
     if late > lasts:
         yield (
-            f"the delay of {late:.3g} s is longer than the contact ({lasts:.3g} s): the force arrives when the bodies have parted, no "
-            f"compensation mends that; take a delay below {lasts / 10:.2g} s or a softer contact"
+            f"the delay of {late:.3g} s is longer than the contact ({lasts:.3g} s): the force arrives when the bodies have separated, no "
+            f"compensation helps; use a delay below {lasts / 10:.2g} s or a softer contact"
         )
     pair = scenario.spacecraft.chaser.mass, scenario.spacecraft.target.mass
     if max(pair) >= MASS_RATIO * min(pair):
         yield (
-            f"one vehicle has {max(pair) / min(pair):.3g} times the mass of the other: the heavy one does not move within the digits that "
-            "are kept, so that momentum and energy of the pair mean nothing"
+            f"one vehicle has {max(pair) / min(pair):.3g} times the mass of the other: the motion of the heavy one is below the "
+            "numerical resolution, so that momentum and energy of the pair are meaningless"
         )
     if contact.damping / (mass * scenario.physics_rate) > STIFF_DAMPER:
         yield (
-            f"the damper takes {contact.damping / (mass * scenario.physics_rate):.3g} times the relative speed in one step of the physics: "
-            f"the contact chatters; take a physics_rate above {4 * contact.damping / mass:.3g} Hz or less damping"
+            f"the damper removes {contact.damping / (mass * scenario.physics_rate):.3g} times the relative speed in one physics step: "
+            f"the contact chatters; use a physics_rate above {4 * contact.damping / mass:.3g} Hz or less damping"
         )
     yield from _too_deep(scenario, frequency)
     for keys, why in given_in_vain(scenario):
@@ -69,7 +70,7 @@ def _warnings(scenario: Scenario) -> Iterator[str]:
 
 
 def _too_far(scenario: Scenario) -> Iterator[str]:
-    """A head-on approach that the run ends before it has led to a touch."""
+    """A head-on approach that does not lead to a touch before the run ends."""
     approach = scenario.approach
     if approach.velocity[2] < 0.0 < approach.gap:
         yield (
@@ -82,34 +83,34 @@ def _too_far(scenario: Scenario) -> Iterator[str]:
     if touch >= scenario.duration:
         yield (
             f"nothing touches: the gap of {1e3 * approach.gap:.3g} mm takes {touch:.3g} s at {approach.velocity[2]:.3g} m/s, the run lasts "
-            f"{scenario.duration:.3g} s; take a longer duration or a smaller gap"
+            f"{scenario.duration:.3g} s; use a longer duration or a smaller gap"
         )
 
 
 def _drowned(scenario: Scenario, frequency: float) -> Iterator[str]:
-    """A force that never comes out of the sensor's noise."""
+    """A force that never exceeds the sensor's noise."""
     peak = scenario.mechanism.contact.stiffness * abs(scenario.approach.velocity[2]) / frequency
     if 0.0 < peak < scenario.sensor.noise:
         yield (
             f"the sensor's noise, {scenario.sensor.noise:.3g} N, is more than the contact's peak of about {peak:.3g} N: noise drives the "
-            "loop, and rebound and energy say nothing of the contact; the verdict on stability is that of a sensor without noise"
+            "loop, and rebound and energy are not those of the contact; the verdict on stability is that for a sensor without noise"
         )
 
 
 def _too_deep(scenario: Scenario, frequency: float) -> Iterator[str]:
-    """A penetration v/omega that goes through the tip: what the surfaces do there is not what a contact does."""
+    """A penetration v/omega larger than the tip, beyond the validity of the contact surfaces."""
     if scenario.mechanism.captured:
         return
     deepest, tip = abs(scenario.approach.velocity[2]) / frequency, _tip(scenario)
     if tip is not None and deepest > 2 * tip:
         yield (
-            f"the contact goes {1e3 * deepest:.3g} mm deep, the tip is {2e3 * tip:.3g} mm across: it is all inside the other side, where "
-            "no contact is; take a slower approach or a stiffer contact"
+            f"the contact goes {1e3 * deepest:.3g} mm deep, the tip is {2e3 * tip:.3g} mm across: it is completely inside the other side, "
+            "where there is no contact; use a slower approach or a stiffer contact"
         )
 
 
 def _tip(scenario: Scenario) -> float | None:
-    """[m] the smallest radius of a ball or rod on the active side; None where it has none."""
+    """[m] the smallest radius of a ball or rod on the active side; None if it has none."""
     import mujoco
 
     active, _ = scenario.mechanism.sides()

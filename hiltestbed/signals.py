@@ -69,7 +69,7 @@ CYCLE = Group(
     "",
     "of a run against devices: from the start of the cycle before, from its start to the command, age of the reading, ticks missed",
 )
-RECORDED = GROUPS | {CYCLE.name: CYCLE}  # what a trace may hold; the simulation has no cycles
+RECORDED = GROUPS | {CYCLE.name: CYCLE}  # all groups that a trace may have; the simulation has no cycles
 
 
 SIX_SLIDERS = ("m",) * 6
@@ -78,20 +78,20 @@ _JOINTS = ("slider_cmd", "slider_act")
 
 @lru_cache
 def groups(joints: tuple[str, ...] = SIX_SLIDERS) -> dict[str, Group]:
-    """The groups of a trace of a platform whose driven joints have the units ``joints``: as many columns; none where nothing is driven."""
+    """The groups of a trace for a platform with driven joints of the units ``joints``; no joint columns if nothing is driven."""
     parts = tuple(map(str, range(len(joints))))
     return {name: replace(g, parts=parts, units=joints) if name in _JOINTS else g for name, g in RECORDED.items()}
 
 
 class Trace:
-    """What a batch of runs did, tick by tick.
+    """The signals of a batch of runs, tick by tick.
 
     Attributes:
         joints: units of the platform's driven joints.
         t: ``(ticks,)`` time [s], ``tick/rate``.
         data: group name to ``(ticks, n, parts)``.
         contact: ``(ticks, n)`` bool, the mechanisms touch.
-        length: ``(n,)`` rows that hold data: fewer than ``ticks`` where a run was stopped.
+        length: ``(n,)`` rows with data: fewer than ``ticks`` if a run was stopped.
     """
 
     def __init__(self, ticks: int, n: int, rate: float, joints: tuple[str, ...] = SIX_SLIDERS) -> None:
@@ -117,7 +117,7 @@ class Trace:
 class RunTrace(dict[str, NDArray[np.float64]]):
     """One run: ``t`` ``(rows,)``, ``data`` group name to ``(rows, parts)``, ``contact`` ``(rows,)``.
 
-    A dict of column names to columns, so that ``pandas.DataFrame(trace)`` has a column a column; the name of a group gives the whole
+    A dict of column names to columns, so that ``pandas.DataFrame(trace)`` has the same columns; the name of a group gives the whole
     group: ``trace["wrench_meas.fz"]`` ``(rows,)``, ``trace["wrench_meas"]`` ``(rows, 6)``, ``trace["t"]``, ``trace["contact"]``.
     """
 
@@ -151,7 +151,7 @@ class RunTrace(dict[str, NDArray[np.float64]]):
         return html_table(f"Trace of {len(self.t)} rows", ("group", "parts", "unit", "frame", "meaning"), rows)
 
     def groups(self) -> list[Group]:
-        """The groups that it has, with the columns of its platform."""
+        """The groups of this trace, with the columns of its platform."""
         return [group for group in groups(self.joints).values() if group.name in self.data]
 
     def columns(self) -> dict[str, Array]:
@@ -169,13 +169,13 @@ class RunTrace(dict[str, NDArray[np.float64]]):
         return trace_to_pandas(self)
 
     def to_xarray(self):
-        """An xarray Dataset: a variable ``(t, part)`` a group, with units and frame in its ``attrs``. Raises MissingExtra."""
+        """An xarray Dataset: one variable ``(t, part)`` per group, with units and frame in its ``attrs``. Raises MissingExtra."""
         from hiltestbed.labelled import trace_to_xarray
 
         return trace_to_xarray(self)
 
     def plot(self, *names: str, axes: Axes | None = None) -> Axes:
-        """Columns or groups over time, the contacts shaded; returns the Matplotlib axes. Raises UnknownColumn."""
+        """Columns or groups over time, with contacts shaded; returns the Matplotlib axes. Raises UnknownColumn."""
         from hiltestbed.labelled import plot_trace
 
         return plot_trace(self, names or ("wrench_meas.fz",), axes)

@@ -1,4 +1,4 @@
-"""Runs and batches of runs: the loop from the first tick to the last, the reference, and what came of it."""
+"""Runs and batches of runs: the loop from the first tick to the last, the reference run, and the results."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ from hiltestbed.stability import stability
 from hiltestbed.versions import versions
 
 Progress = Callable[[int, int], None]
-MakeTrace = Callable[[Loop], Any]  # what takes the rows of a loop in place of a Trace
+MakeTrace = Callable[[Loop], Any]  # makes an object that takes the rows of a loop instead of a Trace
 PROGRESS_TICKS = 500
 
 
 @dataclass
 class Batch:
-    """What the loop left behind for ``n`` runs, before it is put in words."""
+    """Raw results of the loop for ``n`` runs, before they are summarised."""
 
     scenarios: Sequence[Scenario]
     figures: list[ContactFigures]
@@ -49,7 +49,7 @@ class Batch:
 
 
 def run(scenario: Scenario, progress: Progress | None = None, nthread: int = 1) -> Run:
-    """Run one scenario, with its trace, its reference, and whether its loop is stable in a contact."""
+    """Run one scenario, with its trace, its reference, and the stability of its loop in a contact."""
     done = run_batch([scenario], trace=True, progress=progress, nthread=nthread)[0]
     done.summary["stability"] = stability(scenario)
     return done
@@ -58,14 +58,14 @@ def run(scenario: Scenario, progress: Progress | None = None, nthread: int = 1) 
 def run_batch(
     scenarios: Sequence[Scenario], *, trace: bool | MakeTrace = False, progress: Progress | None = None, nthread: int = 1
 ) -> list[Run]:
-    """Run scenarios of one structure in lockstep, each with its reference: the same with no delay and perfect tracking.
+    """Run scenarios of the same structure in lockstep, each with its reference: the same without delay and with ideal tracking.
 
     A run's result does not depend on the others in its batch.
     """
     batch = simulate(scenarios, trace=trace, progress=progress, nthread=nthread)
     references = [reference_scenario(s) for s in scenarios]
     names = [scenario_sha256(reference) for reference in references]
-    different = dict(zip(names, references, strict=True))  # scenarios that differ in the rig alone share one
+    different = dict(zip(names, references, strict=True))  # scenarios that differ only in the rig share one
     reference = simulate(list(different.values()), until_parted=True, nthread=nthread)
     found = dict(zip(different, reference.figures, strict=True))
     return [concluded(batch, found[name], i) for i, name in enumerate(names)]
@@ -79,7 +79,7 @@ def simulate(
     progress: Progress | None = None,
     nthread: int = 1,
 ) -> Batch:
-    """Drive the loop to its end; ``until_parted`` ends it when every run's rebound speed is known."""
+    """Run the loop to its end; ``until_parted`` ends it once every run's rebound speed is known."""
     ticks = max(s.ticks for s in scenarios)
     budget = run_budget(scenarios, rows=trace is True)
     refuse_beyond(replace(budget, time=0.0, disk=0.0), scenarios[0].name, "a shorter duration, a lower rate or shorter delays need less")
@@ -91,16 +91,16 @@ def simulate(
         snapshots.keep()
         try:
             loop.step(rows)
-        except ZeroDivisionError:  # numbers so far from any rig that they have no ratio
+        except ZeroDivisionError:  # a denominator is zero or has overflowed, with numbers far from those of any rig
             if len(scenarios) > 1:
-                raise HiltestbedError("a run of the batch divided by zero; each alone says which") from None
-            loop.trouble[0] = (max(loop.k - 1, 0), "diverged", "a quantity reached zero or overflowed where it divides")
+                raise HiltestbedError("a run of the batch divided by zero; run each alone to find out which") from None
+            loop.trouble[0] = (max(loop.k - 1, 0), "diverged", "a denominator reached zero or overflowed")
             loop.alive[:] = False
         if rows is not None:
             rows.filled(loop.k)
         if loop.trouble:
             snapshots.failures()
-        if loop.k == 1:  # the first tick may have compiled the blocks: it is not timed
+        if loop.k == 1:  # the first tick may have compiled the blocks and is not timed
             start = time.perf_counter()
             if progress:
                 progress(1, ticks)
@@ -122,7 +122,7 @@ def simulate(
 
 
 def collected(loop: Loop, rows: Any, wall: float, failures: dict[int, Snapshot]) -> Batch:
-    """What ``loop`` has left behind, ``rows`` among it, after ``wall`` [s]."""
+    """The raw results of ``loop``, with ``rows`` and the wall time ``wall`` [s]."""
     scenarios = loop.scenarios
     return Batch(
         scenarios=scenarios,
@@ -141,15 +141,15 @@ def collected(loop: Loop, rows: Any, wall: float, failures: dict[int, Snapshot])
 
 
 def reference_scenario(scenario: Scenario) -> Scenario:
-    """The same contact between the same bodies with nothing in between: no sensor, no compensation, perfect tracking.
+    """The same contact between the same bodies with an ideal rig: no sensor, no compensation, ideal tracking.
 
-    Effects of the contact itself stay; those of the rig, the sensor and the numerical model go.
+    Effects of the contact itself are kept; those of the rig, the sensor and the numerical model are removed.
     """
     data = scenario.model_dump(mode="json") | {"name": "reference", "description": "", "seed": 0}
     data["sensor"] = {}
     data["compensation"] = {"force": {"kind": "none"}, "motion": {"kind": "none"}}
     data["identification"] = {"kind": "none"}
-    data["safety"] = dict.fromkeys(data["safety"])  # nothing is watched
+    data["safety"] = dict.fromkeys(data["safety"])  # no limits
     data["monitoring"] = None
     data["rig"]["platform"] = scenario.rig.platform.reference()
     data["rig"]["upper"]["tracking"] = "ideal"
@@ -158,16 +158,16 @@ def reference_scenario(scenario: Scenario) -> Scenario:
 
 
 def _identified(loop: Loop, i: int) -> dict[str, Any]:
-    """Per axis: stiffness and damping identified, None where the axis gave no estimate, and the truth where there is one."""
+    """Per axis: identified stiffness and damping (None without an estimate), and the true values if they are defined."""
     truth = _truth(loop, i)
     estimate = loop.identification
     out = {}
-    told = _axes_told(loop, i)
+    identifiable = _identifiable_axes(loop, i)
     for j, axis in enumerate(AXES):
         pair = truth[j] or (None, None)
         out[axis] = {
-            "stiffness": _number(estimate.stiffness[i, j]) if estimate and j < told else None,
-            "damping": _number(estimate.damping[i, j]) if estimate and j < told else None,
+            "stiffness": _number(estimate.stiffness[i, j]) if estimate and j < identifiable else None,
+            "damping": _number(estimate.damping[i, j]) if estimate and j < identifiable else None,
             "stiffness_true": pair[0],
             "damping_true": pair[1],
             "samples": int(estimate.samples[i, j]) if estimate else 0,
@@ -176,15 +176,15 @@ def _identified(loop: Loop, i: int) -> dict[str, Any]:
 
 
 def _truth(loop: Loop, i: int) -> list[tuple[float, float] | None]:
-    """Stiffness and damping of each axis: by the mechanism's numbers, or once it is held in phases, by the Jacobians of the model."""
+    """True stiffness and damping of each axis: from the mechanism's numbers or, once latched in phases, from the model's Jacobians."""
     held = loop.plant.held_pair(i)
     if held is None:
         return axis_truth(loop.scenarios[i], bool(loop.plant.captured[i]))
     return [(float(held[0][j, j]), float(held[1][j, j])) for j in range(len(AXES))]
 
 
-def _axes_told(loop: Loop, i: int) -> int:
-    """How many of the six axes a spring can have: a ball joint turns freely, and what is fitted there is the arm of its force."""
+def _identifiable_axes(loop: Loop, i: int) -> int:
+    """Number of axes with a stiffness: a ball joint rotates freely, and a fit on its rotations would only give the arm of its force."""
     phases = loop.plant.phases
     if phases is None:
         return len(AXES)
@@ -193,7 +193,7 @@ def _axes_told(loop: Loop, i: int) -> int:
 
 
 def _along_normal(loop: Loop, i: int) -> dict[str, Any]:
-    """What was identified along the normal of the contact, of a mechanism whose surfaces are not one plane, before it is latched."""
+    """The values identified along the contact normal before latching, for a mechanism whose surfaces are not one plane."""
     estimate, mechanism = loop.identification, loop.scenarios[i].mechanism
     if not isinstance(estimate, RecursiveLeastSquares) or mechanism.flat or mechanism.captured:
         return {}
@@ -204,7 +204,7 @@ def _along_normal(loop: Loop, i: int) -> dict[str, Any]:
 
 
 def _capture(loop: Loop, i: int) -> dict[str, Any]:
-    """The phases of a mechanism that has them, each with the time at which it began [s], None where it has not."""
+    """The phases of a mechanism with phases, each with the time at which it began [s], None if it has not begun."""
     phases = loop.plant.phases
     if phases is None:
         return {}
@@ -217,7 +217,7 @@ def _capture(loop: Loop, i: int) -> dict[str, Any]:
 
 
 def _monitored(loop: Loop, i: int) -> dict[str, Any]:
-    """What process monitoring says of a run that asks for it, of wear by what was identified along z."""
+    """Result of process monitoring for a run that requests it; wear is judged by the values identified along z."""
     if loop.monitor is None or loop.scenarios[i].monitoring is None:
         return {}
     estimate, contact = loop.identification, None
@@ -233,7 +233,7 @@ def _number(value: float) -> float | None:
 
 
 def concluded(batch: Batch, reference: ContactFigures | None, i: int) -> Run:
-    """Run ``i`` of a batch with its summary; ``reference``: of the same contact with nothing in between."""
+    """Run ``i`` of a batch with its summary; ``reference``: figures of the same contact with an ideal rig."""
     scenario, figures = batch.scenarios[i], batch.figures[i]
     cor, along = figures.cor, figures.cor_normal
     cor_reference, along_reference = (None, None) if reference is None else (reference.cor, reference.cor_normal)
@@ -284,13 +284,13 @@ def concluded(batch: Batch, reference: ContactFigures | None, i: int) -> Run:
 
 
 def _speed(scenario: Scenario) -> float:
-    """Of A's origin relative to P before the contact [m/s]."""
+    """Speed of A's origin relative to P before the contact [m/s]."""
     return math.dist(scenario.approach.velocity, (0.0, 0.0, 0.0))
 
 
 def _energy_reference(scenario: Scenario, figures: ContactFigures) -> float | None:
-    """What the energy that a rig makes is large or small beside [J]: the kinetic energy of the approach, along z at least, and of contacts
-    that begin without one the spring's at the peak force, F^2/(2 k). None where nothing touched."""
+    """Reference of the energy made by the rig [J]: the kinetic energy of the approach (at least along z) or, for contacts that begin at
+    rest, the energy of the spring at the peak force, F^2/(2 k). None if nothing touched."""
     if not figures.contact_duration:
         return None
     if scenario.mechanism.captured:
@@ -300,7 +300,7 @@ def _energy_reference(scenario: Scenario, figures: ContactFigures) -> float | No
 
 
 def log_error(cor: float | None, reference: float | None) -> float | None:
-    """``ln(e/e_ref)``: additive over bounces, None where there was no rebound."""
+    """``ln(e/e_ref)``, which is additive over bounces; None without a rebound."""
     if cor is None or reference is None or cor <= 0.0 or reference <= 0.0:
         return None
     return math.log(cor / reference)

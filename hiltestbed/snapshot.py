@@ -13,12 +13,12 @@ from hiltestbed.state import arrays_of
 if TYPE_CHECKING:
     from hiltestbed.loop import Loop
 
-INTERVAL = 512  # ticks between two snapshots: copying the state costs some ten ticks
+INTERVAL = 512  # ticks between two snapshots: copying the state takes as long as about ten ticks
 
 
 @dataclass
 class Snapshot:
-    """The state of one run before tick ``k``: name of each array that has changed since the start to that run's part of it."""
+    """The state of one run before tick ``k``: name of each array that has changed since the start, to this run's part of it."""
 
     k: int
     arrays: dict[str, Array]
@@ -35,13 +35,13 @@ class Snapshots:
         self._failures: dict[int, Snapshot] = {}
 
     def keep(self) -> None:
-        """Keep the state when one is due; call before every tick."""
+        """Save the state if a snapshot is due; call before every tick."""
         if self._loop.k % INTERVAL == 0:
             changed = {n: a.copy() for n, a in self._live.items() if not np.array_equal(a, self._initial[n], equal_nan=a.dtype.kind == "f")}
             self._kept = [*self._kept[-1:], (self._loop.k, changed)]
 
     def failures(self) -> dict[int, Snapshot]:
-        """For each run that has failed, a state from which its failure follows; call after every tick."""
+        """For each run that has failed, a state from which its failure can be replayed; call after every tick."""
         for i in self._loop.trouble.keys() - self._failures.keys():
             k, arrays = self._kept[0]
             runs = len(self._loop.scenarios)
@@ -50,15 +50,15 @@ class Snapshots:
 
 
 def _part(array: Array, i: int, runs: int) -> Array:
-    """Run ``i`` of an array whose leading axis is the run; an array shared by all runs as it is."""
+    """Run ``i`` of an array whose leading axis is the run; an array shared by all runs unchanged."""
     return array[i : i + 1].copy() if array.shape[:1] == (runs,) else array.copy()
 
 
 def restore(loop: Loop, snapshot: Snapshot) -> bool:
     """Put a new loop of one run into the state of ``snapshot``.
 
-    False, and nothing done, where the shapes differ: the run was one of a batch whose buffers were longer. From its start it fails the
-    same.
+    Returns False, with the loop unchanged, if the shapes differ: the run was in a batch with longer buffers. It then fails in the same way
+    when run from its start.
     """
     live = arrays_of(loop.blocks)
     if any(name not in live or live[name].shape != array.shape for name, array in snapshot.arrays.items()):

@@ -1,25 +1,25 @@
-"""Whether the loop is stable in a contact, before a run: net damping, largest delay and stiffness, from the rig's measured response.
+"""Stability of the loop in a contact, before a run: net damping, largest delay and stiffness, from the rig's measured response.
 
-Along a direction, the insertion first of all, with the reduced mass m, a contact of stiffness k and damping c, the platform's response G
-from command to pose, its compliance Y to the contact force, and a force that is used tau late,
+Along a direction (first of all the insertion), with the reduced mass m, a contact of stiffness k and damping c, the platform's response G
+from command to pose, its compliance Y to the contact force, and a force that is delayed by tau,
 
     m s^2 + D(s) = 0,   D(s) = (k + c s) G(s) e^(-s tau)/(1 + (k + c s) Y(s))
 
-The contact swings at the w of m w^2 = Re D(jw), and Im D(jw)/w is the damping that is left of it: below zero a contact gains energy. The
-loop is at its limit where D(jw) = m w^2: |D| gives the w and the phase of D without tau the largest tau. For a second order with a delay
-this is the critical damping of M. Zebenay, T. Boge, D. Choukroun, "Modeling, stability analysis, and testing of a hybrid docking
+The contact oscillates at the w with m w^2 = Re D(jw), and Im D(jw)/w is its net damping: if it is negative, the contact gains energy. At
+the stability limit D(jw) = m w^2: |D| gives w, and the phase of D without tau gives the largest tau. For a second-order system with a
+delay this is the critical damping of M. Zebenay, T. Boge, D. Choukroun, "Modeling, stability analysis, and testing of a hybrid docking
 simulator", IEEE Trans. Industrial Electronics 62(10), 2015.
 
-A contact that pulls is as stable as that. One that only pushes begins with a step, in which the rig makes energy however much damping is
-left of what stays: it is stable where its bounce (:mod:`hiltestbed.bounce`) ends slower than it began, too.
+For a contact that can pull, this is the stability criterion. A contact that only pushes begins with a force step, in which the rig makes
+energy whatever the net damping is. It counts as stable if, in addition, its bounce (:mod:`hiltestbed.bounce`) ends slower than it began.
 
-The first contact of the approach is played besides (:mod:`hiltestbed.trial`): with the dry friction of the drives, which no response
-holds, and with surfaces that curve and rub. What is told of its bounce is that.
+The first contact of the approach is also simulated (:mod:`hiltestbed.trial`), with the dry friction of the drives, which no response
+includes, and with curved surfaces and their friction. Its reported bounce is the simulated one.
 
-Where a contact acts in other directions as well (:mod:`hiltestbed.contact.directions`), each is judged so, with the parts of G and Y along
-it (:mod:`hiltestbed.rig_response`); the verdict is that of the one that bears the least further delay. A method that makes up for the
-platform does so from the first touch on along the line that it meets first; on a surface that is not flat a later touch has another line,
-and the platform's lag in full until that is known.
+If a contact also acts in other directions (:mod:`hiltestbed.contact.directions`), each is judged in this way, with the parts of G and Y
+along it (:mod:`hiltestbed.rig_response`); the verdict is that of the direction with the smallest delay margin. A method that compensates
+the platform does so from the first touch on, along the line of that touch; on a curved surface a later touch has another line, and the
+full lag of the platform counts until that line is known.
 """
 
 from __future__ import annotations
@@ -44,23 +44,23 @@ from hiltestbed.scenario import Scenario, load_scenario
 from hiltestbed.trial import FirstContact, first_contact
 
 NEUTRAL = 5e-3  # of the energy of a bounce, as of a run (:mod:`hiltestbed.assessment`)
-HALVINGS = 20  # of a delay or a stiffness that is sought
+BISECTIONS = 20  # bisection steps in the search for a delay or a stiffness
 LATER = "along the normal of a later touch"
-WIDEST = 1e3  # times the stiffness, up to and down to which its limit is looked for
+SEARCH_RANGE = 1e3  # range of the search for the stiffness limit: the stiffness times or divided by this
 
 
 @dataclass(frozen=True)
 class Stability:
-    """What the loop leaves of a contact's damping.
+    """Stability of the loop in one direction of a contact.
 
     Attributes:
-        stable: the contact loses energy. frequency: at which it swings [Hz]. damping: of the contact [N s/m]; net_damping: what is left
-        [N s/m]. delay: of the force that is used, compensation taken off [s]; largest_delay: at which no damping is left [s], below 0
-        where the platform alone takes more than there is; delay_margin: what is left [s]. stiffness: of the contact, largest_stiffness:
-        at which no damping is left [N/m], None beyond a thousand times it.
-        compensated: the compensation of the scenario counts as its ledger has it. direction: along or about what. turns: it is of an
-        angle, in N m s/rad and N m/rad. rebound: speed after a bounce over that before it; rig_energy: that the rig makes in it, over
-        the energy before it; both None of a contact that pulls.
+        stable: the contact loses energy. frequency: of its oscillation [Hz]. damping: of the contact [N s/m]; net_damping: damping minus
+        what the loop removes [N s/m]. delay: of the used force, minus compensation [s]; largest_delay: at the stability limit [s],
+        negative if the platform alone removes more than the damping; delay_margin: largest_delay - delay [s]. stiffness: of the
+        contact, largest_stiffness: at the stability limit [N/m], None beyond a thousand times the stiffness.
+        compensated: the compensation of the scenario is included as in its ledger. direction: along or about which axis. turns: the
+        direction is a rotation, with units N m s/rad and N m/rad. rebound: speed after a bounce over that before it; rig_energy: made by
+        the rig in it, over the energy before it; both None for a contact that can pull. caveat: why the bounce may differ in the run.
     """
 
     stable: bool
@@ -80,7 +80,7 @@ class Stability:
     caveat: str | None
 
     def sentence(self) -> str:
-        """The verdict, with what to act on."""
+        """The verdict, with the quantities to act on."""
         head = "stable" if self.stable else "unstable"
         if self.direction != "along z":
             head += f" {self.direction}"
@@ -99,8 +99,8 @@ class Stability:
 
 
 def stability(scenario: Scenario) -> dict[str, Any] | None:
-    """``summary["stability"]`` of a scenario: with its compensation, and under `uncompensated` without; None where there is no loop,
-    or the contact swings faster than the rig was measured."""
+    """``summary["stability"]`` of a scenario: with its compensation, and under `uncompensated` without; None if there is no loop or the
+    contact frequency is beyond the measured response."""
     if scenario.rig.platform.physical:
         return None
     if why := beyond_measure(scenario):
@@ -108,38 +108,38 @@ def stability(scenario: Scenario) -> dict[str, Any] | None:
     bare = worst_of(scenario, force_path_delay(scenario, compensated=False), compensated=False)
     if bare is None:
         return None
-    without = told(bare)
+    without = _as_summary(bare)
     force = scenario.compensation.force
     if force.adds_force:
-        said = f"not judged with {force.kind}, which adds a force of its own; without it {bare[0].sentence()}"
-        return _unjudged(said) | {"uncompensated": without}
+        verdict = f"not judged with {force.kind}, which adds a force of its own; without it {bare[0].sentence()}"
+        return _unjudged(verdict) | {"uncompensated": without}
     corrects = scenario.compensation.force.corrects_platform or scenario.compensation.motion.corrects_force
     left = force_path_delay(scenario, compensated=True)
     if not corrects and left == bare[0].delay:
-        return told([replace(judged, compensated=True) for judged in bare]) | {"uncompensated": without}
+        return _as_summary([replace(judged, compensated=True) for judged in bare]) | {"uncompensated": without}
     found = worst_of(scenario, left, compensated=True, exact=corrects)
-    return told(found) | {"uncompensated": without} if found is not None else None
+    return _as_summary(found) | {"uncompensated": without} if found is not None else None
 
 
-def _unjudged(said: str) -> dict[str, Any]:
-    """No figure, and ``said`` for a verdict."""
-    return dict.fromkeys(f.name for f in fields(Stability)) | {"compensated": True, "directions": [], "verdict": said}
+def _unjudged(verdict: str) -> dict[str, Any]:
+    """No figures, and ``verdict``."""
+    return dict.fromkeys(f.name for f in fields(Stability)) | {"compensated": True, "directions": [], "verdict": verdict}
 
 
-def told(judged: list[Stability]) -> dict[str, Any]:
+def _as_summary(judged: list[Stability]) -> dict[str, Any]:
     """The worst direction, its verdict, and every direction."""
     return asdict(judged[0]) | {"verdict": judged[0].sentence(), "directions": [asdict(j) for j in judged]}
 
 
 def worst_of(scenario: Scenario, delay: float, compensated: bool, exact: bool = False) -> list[Stability] | None:
-    """Every direction of a scenario's contact whose frequency was measured, the one that bears the least further delay first; or None.
+    """Every direction of a scenario's contact within the measured frequencies, that with the smallest delay margin first; or None.
 
-    ``exact``: the compensation makes up for the platform.
+    ``exact``: the method also compensates the platform.
     """
     ways = directions(scenario)
     played = first_contact(scenario, exact) if any(way.first for way in ways) and not _computes(scenario, ways, exact) else None
     judged = [judge(scenario, EXACT, delay, compensated, way, played) for way in ways] if exact else []
-    if exact:  # what is met later, elsewhere on the surface, is not
+    if exact:  # later touches, elsewhere on the surface, are not compensated exactly
         ways = [replace(way, name=LATER, first=False) for way in ways if way.slant]
     if len(ways) == 1 and not ways[0].slant:
         judged += [judge(scenario, measured_response(scenario), delay, compensated, ways[0], played)]
@@ -150,19 +150,19 @@ def worst_of(scenario: Scenario, delay: float, compensated: bool, exact: bool = 
 
 
 def _computes(scenario: Scenario, ways: Sequence[Direction], exact: bool) -> bool:
-    """Whether the first contact is a spring and a damper along one line on a rig that follows exactly: what is computed is then so."""
+    """Whether the first contact is a spring and a damper along one line on an ideal rig, so that the computed bounce is exact."""
     straight = len(ways) == 1 and not ways[0].slant and scenario.mechanism.contact.friction == 0.0
     straight &= not any(e.link == "contact" for e in scenario.effects)
     return straight and (exact or measured_response(scenario) is EXACT)
 
 
 def stability_of_file(path: str | Path, set: Mapping[str, Any] | None = None) -> dict[str, Any] | None:
-    """The same of a scenario's file, which holds, with dotted keys overridden."""
+    """The same for a valid scenario file, with dotted keys overridden."""
     return stability(load_scenario(path, set))
 
 
 def _left(judged: Stability) -> float:
-    """How much more delay a direction bears [s], where that was within what was measured."""
+    """Delay margin of a direction [s]; infinite if it is beyond the measured frequencies."""
     if judged.delay_margin is None:
         return math.inf if judged.stable else -math.inf
     return judged.delay_margin
@@ -176,8 +176,8 @@ def judge(
     way: Direction | None = None,
     played: FirstContact | None = None,
 ) -> Stability | None:
-    """The stability of a scenario's contact ``way`` (the insertion) on a rig of that response with a force that is ``delay`` [s] late;
-    None where its frequency was not measured. ``played``: the first contact, which is that of ``way`` where this is the first."""
+    """The stability of a scenario's contact ``way`` (default: the insertion) on a rig with a response, for a force with a ``delay`` [s];
+    None if its frequency was not measured. ``played``: simulates the first contact, used if ``way`` is the first contact."""
     contact = insertion(scenario) if way is None else way
     fine = response.finer()
     found = net_damping(fine, contact.mass, contact.stiffness, contact.damping, delay)
@@ -208,7 +208,7 @@ def judge(
 
 
 def _caveat(scenario: Scenario, contact: Direction) -> str | None:
-    """Why the bounce of a contact is not that of the first one to come, or what acts on that one and is not in it."""
+    """Why the bounce of a contact may differ from that in the run; for the first contact: which effects it does not include."""
     if contact.name == LATER:
         return "an upper bound: the line of a later touch is not known, and the platform's lag counts in full"
     if contact.first:
@@ -221,14 +221,14 @@ def _caveat(scenario: Scenario, contact: Direction) -> str | None:
 
 
 def _bears(rebounds: Rebounds, fine: RigResponse, contact: Direction) -> float | None:
-    """Delay of the force [s] at which a contact gains energy: no damping is left of it, or a bounce ends as fast as it began."""
+    """Delay of the force [s] from which a contact gains energy: its net damping is zero, or a bounce ends as fast as it began."""
     most = largest_delay(fine, contact.mass, contact.stiffness, contact.damping)
     if most is None or contact.pulls or rebounds.at(most, contact.stiffness).rebound < 1.0:
         return most
 
     def seek() -> float:
-        low, high = min(0.0, -rebounds.lag), most  # a force that leads by the rig's lag is used when it acts
-        for _ in range(HALVINGS):
+        low, high = min(0.0, -rebounds.lag), most  # a lead that equals the rig's lag: no delay in total
+        for _ in range(BISECTIONS):
             middle = 0.5 * (low + high)
             low, high = (middle, high) if rebounds.slower(middle, contact.stiffness) else (low, middle)
         return low
@@ -237,7 +237,7 @@ def _bears(rebounds: Rebounds, fine: RigResponse, contact: Direction) -> float |
 
 
 def net_damping(fine: RigResponse, mass: float, stiffness: float, damping: float, delay: float) -> tuple[float, float] | None:
-    """Frequency [Hz] at which the contact swings and the damping that is left of it [N s/m]; None beyond what was measured."""
+    """Frequency of the contact [Hz] and its net damping [N s/m]; None beyond the measured frequencies."""
     w = 2.0 * math.pi * fine.frequency
     dynamic = _dynamic(fine, stiffness, damping) * np.exp(-1j * w * delay)
     balance = dynamic.real - mass * w * w
@@ -251,7 +251,7 @@ def net_damping(fine: RigResponse, mass: float, stiffness: float, damping: float
 
 
 def largest_delay(fine: RigResponse, mass: float, stiffness: float, damping: float) -> float | None:
-    """Delay of the force [s] at which no damping is left; None beyond what was measured."""
+    """Delay of the force [s] at which the net damping is zero; None beyond the measured frequencies."""
     w = 2.0 * math.pi * fine.frequency
     dynamic = _dynamic(fine, stiffness, damping)
     balance = np.abs(dynamic) - mass * w * w
@@ -270,7 +270,7 @@ def _dynamic(fine: RigResponse, stiffness: float, damping: float) -> Complex:
 
 
 def _crossing(balance: Array) -> int | None:
-    """Where a balance first falls below zero."""
+    """Index before the first value of ``balance`` below zero; None if there is none."""
     below = np.flatnonzero(balance < 0.0)
     return int(below[0]) - 1 if len(below) and below[0] > 0 else None
 
@@ -280,7 +280,7 @@ def _between(balance: Array, k: int) -> float:
 
 
 def _largest_stiffness(rebounds: Rebounds, fine: RigResponse, contact: Direction, delay: float, stable: bool) -> float | None:
-    """Stiffness [N/m] from which a contact gains energy, above its own where it is stable, else below it."""
+    """Stiffness [N/m] from which a contact gains energy: above its own stiffness if it is stable, otherwise below."""
 
     def left(factor: float) -> bool | None:
         found = net_damping(fine, contact.mass, contact.stiffness * factor, contact.damping, delay)
@@ -291,14 +291,14 @@ def _largest_stiffness(rebounds: Rebounds, fine: RigResponse, contact: Direction
     def seek() -> float | None:
         factor = 1.0
         step = 1.25 if stable else 0.8
-        while 1.0 / WIDEST < factor < WIDEST:
+        while 1.0 / SEARCH_RANGE < factor < SEARCH_RANGE:
             following = factor * step
             state = left(following)
             if state is None:
                 return None
             if state != stable:
                 inside, outside = (factor, following) if stable else (following, factor)
-                for _ in range(HALVINGS):
+                for _ in range(BISECTIONS):
                     middle = math.sqrt(inside * outside)
                     inside, outside = (middle, outside) if left(middle) else (inside, middle)
                 return contact.stiffness * inside

@@ -1,7 +1,7 @@
-"""The state of a block: every array that it holds, itself or in its parts, found by name.
+"""The state of a block: every array that it or one of its parts contains, found by name.
 
-No block lists its arrays. What is saved of a loop are the arrays that have changed since it was made: what never changes is a constant,
-and a new loop of the same scenario has it already.
+Blocks need not list their arrays. The saved state of a loop consists of the arrays that have changed since it was made: all others are
+constants, which a new loop of the same scenario has already.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ _DEEPEST = 12
 
 
 def arrays_of(block: Any) -> dict[str, Array]:
-    """Every array that can be written, in ``block`` and in its parts, by a dotted name; an array in two places by its first name."""
+    """Every writable array in ``block`` and in its parts, by a dotted name; an array with several names by the first one."""
     found: dict[str, Array] = {}
     seen: set[int] = set()
     for name, array in _walk(block, "", seen, 0):
@@ -45,7 +45,7 @@ def _walk(value: Any, name: str, seen: set[int], depth: int) -> Iterator[tuple[s
 
 
 def _parts(value: Any) -> Iterator[tuple[Any, Any]] | None:
-    """Names and values of what a block holds; None for what holds no state of the loop."""
+    """Names and values of a block's parts; None for objects without state of the loop."""
     if isinstance(value, dict):
         return iter(value.items())
     if hasattr(value, "_asdict"):  # a named tuple

@@ -1,4 +1,4 @@
-"""What `hiltestbed run` prints: the figures of a run that a test engineer reads at a glance."""
+"""Output of `hiltestbed run` and other commands: the figures at a glance."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 def print_run(summary: dict[str, Any], folder: Path, recording: bool = True, elapsed: float | None = None) -> None:
-    """Prints the summary of a run to standard output, and where it lies; ``elapsed`` [s]: what the whole command took."""
+    """Prints the summary of a run and its folder to standard output; ``elapsed`` [s]: duration of the whole command."""
     console = Console(highlight=False, soft_wrap=False)
     console.print(_figures(summary, elapsed))
     for warning in assess(summary).warnings:
@@ -35,7 +35,7 @@ def print_run(summary: dict[str, Any], folder: Path, recording: bool = True, ela
 
 
 def print_lines(title: str, lines: list[tuple[str, str]], folder: Path) -> None:
-    """Prints the figures of a benchmark to standard output, and where its report lies."""
+    """Prints the figures of a benchmark and the path of its report to standard output."""
     table = _table(title, header=False)
     table.add_column("figure")
     table.add_column("value", justify="right")
@@ -61,7 +61,7 @@ def print_comparison(names: Sequence[str], rows: Sequence[Sequence[str]], page: 
 
 
 def print_doctor(findings: Sequence[Finding]) -> None:
-    """Prints what an installation has to standard output."""
+    """Prints the findings on an installation to standard output."""
     table = _table("this installation", header=False)
     for name in ("", "what", "state"):
         table.add_column(name, overflow="fold")
@@ -73,7 +73,7 @@ def print_doctor(findings: Sequence[Finding]) -> None:
 
 
 def print_sweep(about: dict[str, Any], folder: Path) -> None:
-    """Prints how a campaign ended to standard output, and where its results lie."""
+    """Prints the outcome of a campaign and its results folder to standard output."""
     wall = about["wall"]
     lines = [(status, str(count)) for status, count in sorted(about["counts"].items(), key=lambda item: -item[1])]
     lines.append(("last session", f"{wall['last_session_cases']} cases in {wall['last_session']:.1f} s"))
@@ -83,7 +83,7 @@ def print_sweep(about: dict[str, Any], folder: Path) -> None:
 
 
 def print_diagnosis(result: dict[str, Any], folder: Path) -> None:
-    """Prints what diagnosis.json says at a glance to standard output, and where the report lies."""
+    """Prints the main results of diagnosis.json and the path of the report to standard output."""
     console = Console(highlight=False)
     console.print(f"[bold]{escape(result['name'])}: {result['verdict']}[/bold]\n{escape(result['sentence'])}", soft_wrap=False)
     heldout, loop = result["heldout"], result["closed_loop"]
@@ -91,7 +91,7 @@ def print_diagnosis(result: dict[str, Any], folder: Path) -> None:
         low, high = (100.0 * v for v in heldout["ci95"])
         placebo = 100.0 * heldout["placebo_reduction"]
         gain = f"{100.0 * heldout['reduction']:.4g} % ({low:.4g} to {high:.4g} %); with a wrong effect by {placebo:.3g} %"
-        console.print(f"residual on runs that were not fitted: less by {gain}", markup=False)
+        console.print(f"residual on runs that were not fitted: lower by {gain}", markup=False)
     if result["partial"]["sentence"]:
         console.print(result["partial"]["sentence"], markup=False)
     if result["learned"]:
@@ -134,7 +134,7 @@ def _figures(summary: dict[str, Any], elapsed: float | None) -> Table:
     pace = "" if timing["real_time_factor"] is None else f", {timing['real_time_factor']:.1f} times real time"
     table.add_row("time in the loop", _number(timing["wall"], 3, "s"), f"{timing['ticks']} ticks{pace}")
     if elapsed is not None:
-        table.add_row("time in all", _number(elapsed, 3, "s"), "with start, compiling, reference and files")
+        table.add_row("total time", _number(elapsed, 3, "s"), "with start, compiling, reference and files")
     return table
 
 

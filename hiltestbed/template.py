@@ -1,4 +1,4 @@
-"""A scenario to start from, with a comment at every key: what it means, from the schema itself."""
+"""A scenario to start from, with a comment at every key, taken from the schema."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ START: dict[str, Any] = {
 HEAD = """\
 # Check it:  hiltestbed check {file}
 # Run it:    hiltestbed run {file}
-# Every key that may stand here: hiltestbed schema
+# All keys: hiltestbed schema
 """
 
 
@@ -46,10 +46,10 @@ def template(name: str) -> str:
 
 
 def write_template(name: str) -> Path:
-    """Write NAME.yaml into the current folder. Raises InputError where it exists or the name is no name of a file."""
+    """Write NAME.yaml into the current folder. Raises InputError if it exists or the name is not a valid file name."""
     stem = name.removesuffix(".yaml")
     if safe_name(stem) != stem:
-        raise InputError(f"new: no name for a scenario (got {name!r}); allowed are letters, digits, '-', '_' and '.', such as my-rig")
+        raise InputError(f"new: invalid name for a scenario (got {name!r}); allowed are letters, digits, '-', '_' and '.', such as my-rig")
     path = Path(f"{stem}.yaml")
     if path.exists():
         raise InputError(f"{path}: exists already; choose another name")

@@ -1,12 +1,13 @@
-"""The first contact of a scenario, played before the run on its own rig: how it ends, and how much energy the rig makes of it.
+"""The first contact of a scenario, simulated on its own rig before the run: its rebound, and the energy that the rig makes in it.
 
-A response measured with sines holds at their amplitude and along one direction. Dry friction of seals and gears is no part of it: of drives
-with feed-forward it takes f_c/k_p off the way at each reversal, as much of a slow contact as of a fast one, and holds a leg that has
-stopped. And the normal of a socket turns while a tip slides in it, which changes the mass along it, and rubs. Both are in the blocks of
-the loop, so that the first contact is stepped with them: the scenario's platform, surfaces and vehicles, and a sensor whose one fault is
-to be as late as the force that is used; nothing else compensates. Vehicles that an FMU holds, which begins where it will, are those of
-`spacecraft`. The approach begins :data:`APPROACH` before the touch, or :data:`LEAD` of time: drives that rub yield at the start, and have
-forgotten it after some way (hydraulic legs at 5 mm/s: 0.5 mm before, the rebound is 1.5 % above that of the run, 5 mm before 0.4 %).
+A response measured with sines is valid at their amplitude and along one direction. It does not include dry friction of seals and gears:
+in drives with feed-forward, friction shortens the travel by f_c/k_p at each reversal, whatever the speed of the contact, and holds a leg
+that has stopped. Nor does it include that the normal of a socket turns while a tip slides in it, which changes the mass along the normal
+and adds friction. The blocks of the loop model both, so the first contact is simulated with them: the scenario's platform, surfaces and
+vehicles, and an ideal sensor except for a delay, that of the force in the loop; no other compensation is active. Vehicles in an FMU, which
+has its own start, are replaced by those of `spacecraft`. The simulation begins :data:`APPROACH` before the touch, within the times
+:data:`LEAD`: drives with friction yield at the start, and this transient needs some travel to decay (hydraulic legs at 5 mm/s: starting
+0.5 mm before the touch, the rebound is 1.5 % above that of the run, 5 mm before 0.4 %).
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from hiltestbed.bounce import LAGS, SWINGS, Bounce
+from hiltestbed.bounce import HALF_PERIODS, LAGS, Bounce
 from hiltestbed.contact.directions import time_of_touch
 from hiltestbed.contact.sides import sides_of
 from hiltestbed.errors import InputError
@@ -27,17 +28,17 @@ from hiltestbed.metrics import along_impulse
 from hiltestbed.numerical_model.bodies import approach_state, effective_mass, mobility
 from hiltestbed.scenario import Scenario, resolved, scenario_from
 
-LEAD = (0.1, 1.0)  # [s] of uniform motion before the touch, at least and at most
-APPROACH = 5e-3  # [m] of it
-LONGEST = 20.0  # [s] of a head-on bounce that is played: of one that takes minutes the run will not see the end either
-SLOWER = 2.0  # times as long as a head-on swing lasts, within which a tip that slides has parted
-NEVER = 1e-12  # [m/s] at which a latch closes: no bounce is that slow
-LOOKS = 10  # ticks between two looks at whether they have parted
+LEAD = (0.1, 1.0)  # [s] of uniform motion before the touch, minimum and maximum
+APPROACH = 5e-3  # [m] of uniform motion before the touch
+LONGEST = 20.0  # [s] longest head-on bounce that is simulated: one that takes minutes will not end within the run either
+SLIDING_FACTOR = 2.0  # simulated duration, in durations of a head-on bounce, for a sliding tip
+BELOW_ANY_BOUNCE = 1e-12  # [m/s] limit for a latch to close, below the speed of any bounce
+CHECK_INTERVAL = 10  # ticks between two checks of whether the bodies have separated
 
 
 @dataclass(frozen=True)
 class Case:
-    """A force that is ``delay`` [s] late, in a contact of ``stiffness`` [N/m]."""
+    """A force with a ``delay`` [s], in a contact of ``stiffness`` [N/m]."""
 
     delay: float
     stiffness: float
@@ -47,11 +48,11 @@ class FirstContact:
     """The first contact of a scenario.
 
     Attributes:
-        playable: it does not last so long that playing it would take longer than the run.
+        playable: whether it is short enough to be simulated, see :data:`LONGEST`.
     """
 
     def __init__(self, scenario: Scenario, touch: float, ideal: bool = False) -> None:
-        """``touch``: when it comes at the earliest [s]; ``ideal``: on a rig that follows exactly."""
+        """``touch``: its earliest time [s]; ``ideal``: on a rig with ideal tracking."""
         self._data, self._ideal = resolved(scenario), scenario.rig.platform.reference() if ideal else None
         links = ("contact",) if ideal else ("contact", "platform")
         pairs = zip(scenario.effects, self._data["effects"], strict=True)
@@ -69,21 +70,21 @@ class FirstContact:
             self._data["approach"] |= {"gap": -z, "offset": [x, y], "attitude_deg": attitude}
 
     def _lasts(self, stiffness: float, late: float) -> float:
-        """[s] within which a head-on bounce has parted."""
-        return SWINGS * math.pi * math.sqrt(self._mass / stiffness) + LAGS * late
+        """[s] upper bound of the duration of a head-on bounce."""
+        return HALF_PERIODS * math.pi * math.sqrt(self._mass / stiffness) + LAGS * late
 
     def played(self, case: Case, lag: float) -> Bounce | None:
-        """How a case ends, on a rig with that lag [s]; None where it has not parted in time, is lost, or no scenario may be so."""
+        """The bounce of a case, on a rig with that lag [s]; None if it does not end in time, diverges, or its scenario is invalid."""
         try:
             loop = Loop([self._scenario(case, lag)])
-        except InputError:  # a limit is sought among stiffnesses that the effects of the contact may not bear
+        except InputError:  # in the search for a limit, a stiffness may be invalid with the effects of the contact
             return None
         while loop.k < loop.scenarios[0].ticks and loop.alive[0]:
             try:
                 loop.step()
-            except ZeroDivisionError:  # numbers so far from any rig that they have no ratio
+            except ZeroDivisionError:  # a denominator is zero or has overflowed, with numbers far from those of any rig
                 return None
-            if loop.k % LOOKS == 0 and loop.tally.rebounded[0] and loop.alive[0]:
+            if loop.k % CHECK_INTERVAL == 0 and loop.tally.rebounded[0] and loop.alive[0]:
                 return self._ended(loop)
         return None
 
@@ -100,11 +101,11 @@ class FirstContact:
         lasts = self._lasts(case.stiffness, max(case.delay + lag, 0.0))
         mechanism: dict[str, Any] = data["mechanism"] | {"contact": data["mechanism"]["contact"] | {"stiffness": case.stiffness}}
         if mechanism.get("latch"):
-            mechanism["latch"] = mechanism["latch"] | {"speed": NEVER}
+            mechanism["latch"] = mechanism["latch"] | {"speed": BELOW_ANY_BOUNCE}
         changed = {
             "name": "first contact", "description": "", "seed": 0, "mechanism": mechanism, "sensor": {"delay": case.delay},
             "numerical_model": {"kind": "free_flyers"},
-            "duration": self._lead + SLOWER * min(lasts, max(self._own, data["duration"])),
+            "duration": self._lead + SLIDING_FACTOR * min(lasts, max(self._own, data["duration"])),
             "identification": {"kind": "none"}, "monitoring": None,
             "compensation": {"force": {"kind": "none"}, "motion": {"kind": "feedforward" if self._feeds else "none"}},
             "safety": dict.fromkeys(data["safety"]), "effects": self._effects,
@@ -116,8 +117,8 @@ class FirstContact:
 
 
 def first_contact(scenario: Scenario, ideal: bool = False) -> FirstContact | None:
-    """What can be played of a scenario; None where it is held from the start, nothing is met or the contact lasts for minutes, and where
-    parts move or MuJoCo finds the contacts: there the first contact is part of the capture."""
+    """The first contact of a scenario, for simulation. None if it is latched from the start, nothing touches, or the contact lasts for
+    minutes; also if parts move or MuJoCo detects the contacts: the first contact is then part of the capture."""
     if scenario.mechanism.captured or not sides_of(scenario.mechanism).rigid:
         return None
     touch = time_of_touch(scenario)

@@ -1,4 +1,4 @@
-"""From a `Source` to a pydantic model, or to every fault at once, in words that say what is allowed."""
+"""From a `Source` to a pydantic model, or to all faults at once, with messages that say what is allowed."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ Problem = tuple[KeyPath, str]
 
 
 class Strictly(BaseModel):
-    """Base of every model that comes from a file: no unknown key, no silent conversion, no NaN or infinity, never changed."""
+    """Base of every model that is read from a file: no unknown keys, no silent conversion, no NaN or infinity, immutable."""
 
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 
     def idle(self, scenario: Any) -> Iterable[Problem]:
-        """Keys below this one that act on nothing in ``scenario``, since another choice leaves them aside, each with why and what to do.
+        """Keys below this one that have no effect in ``scenario`` because of other settings, each with the reason and what to do.
 
-        A section stands for every key in it.
+        The path of a section means every key in it.
         """
         return ()
 
@@ -42,9 +42,9 @@ Vector3 = Annotated[tuple[float, ...], Strict(False), Field(min_length=3, max_le
 
 
 def _found(name: str, info: ValidationInfo) -> str:
-    """An existing file, as an absolute path; a relative one starts from the folder of the file that names it."""
+    """An existing file, as an absolute path; relative paths start at the folder of the file that names it."""
     path = (info.context or {}).get("folder", Path()) / name
-    with suppress(OSError, ValueError):  # a name that no file system takes
+    with suppress(OSError, ValueError):  # a name that the file system does not accept
         path = path.resolve()
     if not is_file(path):
         raise PydanticCustomError("no_file", "no such file (got {name}, looked for {path})", {"name": repr(name), "path": str(path)})
@@ -55,7 +55,7 @@ ModelFile = Annotated[str, AfterValidator(_found)]
 
 
 def refuse(problems: Iterable[Problem]) -> None:
-    """For a validator: raises all of `problems` (path below the model, message) together, if there are any."""
+    """For validators: raises all `problems` (path below the model, message) together, if there are any."""
     found = list(problems)
     if found:
         raise PydanticCustomError("problems", "{count} problems", {"count": len(found), "problems": found})
@@ -64,8 +64,8 @@ def refuse(problems: Iterable[Problem]) -> None:
 def validate(model: type[Model], source: Source, specimen: Mapping[str, Any] | None = None) -> Model:
     """`source.data` as `model`. Raises InputError with every fault.
 
-    Checks that join several keys run only where each key is right by itself, so what a pass refuses is replaced by the value of a
-    `specimen` that holds (or left out), and the rest is validated again: a misspelt key does not hide two rates that do not divide.
+    Checks of several keys together only run if each key is valid by itself. Therefore each rejected value is replaced by that of a valid
+    `specimen` (or removed), and the rest is validated again: a misspelt key does not hide two rates that do not divide.
     """
     data = source.data
     problems: list[Problem] = []
@@ -88,12 +88,12 @@ def validate(model: type[Model], source: Source, specimen: Mapping[str, Any] | N
 
 
 def _overlaps(path: KeyPath, problems: list[Problem]) -> bool:
-    """Whether `path` lies on, above or below one that was refused already."""
+    """Whether `path` equals, or is above or below, one that was rejected already."""
     return any(path[: len(other)] == other or other[: len(path)] == path for other, _ in problems)
 
 
 def _is_misspelt(missing: Problem, problems: list[Problem]) -> bool:
-    """Whether a missing key stands beside it under a wrong name, which is the one fault then."""
+    """Whether a missing key is present under a misspelt name; then only the misspelling is reported."""
     path, message = missing
     hint = f"unknown key (did you mean {str(path[-1])!r}?)" if path else ""
     return message.startswith("is missing") and any(other[:-1] == path[:-1] and text.startswith(hint) for other, text in problems)
@@ -113,7 +113,7 @@ def _holds(data: Any, path: KeyPath) -> bool:
 
 
 def _repair(data: Any, path: KeyPath, specimen: Any) -> None:
-    """Puts the specimen's value at `path`, or takes the key away; of a list all items, since its length has a meaning."""
+    """Sets `path` to the specimen's value, or removes the key; for a list all items, since its length has a meaning."""
     for depth, part in enumerate(path):
         specimen = specimen[part] if _holds(specimen, (part,)) else None
         if not isinstance(data, dict):
@@ -131,7 +131,7 @@ def _problems(model: type[BaseModel], data: Any, error: ValidationError) -> Iter
         if detail["type"] == "default_factory_not_called":
             continue
         if detail["type"] == "too_short" and len(detail["input"]) != detail["ctx"]["actual_length"]:  # type: ignore[typeddict-item]
-            continue  # pydantic counts the good items alone; the bad ones have a fault of their own
+            continue  # pydantic counts only the valid items; the invalid ones have their own faults
         path = _path(data, detail["loc"])
         if detail["type"] == "problems":
             yield from (((*path, *below), message) for below, message in detail["ctx"]["problems"])  # type: ignore[typeddict-item]
@@ -144,7 +144,7 @@ def _problems(model: type[BaseModel], data: Any, error: ValidationError) -> Iter
 
 
 def _path(data: Any, location: tuple[int | str, ...]) -> KeyPath:
-    """pydantic's location without the tags of unions that it holds beside the keys."""
+    """pydantic's location without the union tags that it contains besides the keys."""
     path: list[int | str] = []
     for index, part in enumerate(location):
         if isinstance(data, dict) and part in data:
@@ -164,13 +164,13 @@ def _unknown(path: KeyPath, owner: type[BaseModel] | None) -> str:
 
 
 def nearest(name: str, allowed: Iterable[str]) -> str:
-    """`, did you mean 'x'?`-style hint, or nothing when no name is near."""
+    """A hint ` (did you mean 'x'?)`, or nothing if no name is similar."""
     close = difflib.get_close_matches(name, list(allowed), n=1, cutoff=0.5)
     return f" (did you mean {close[0]!r}?)" if close else ""
 
 
 def _model_at(model: type[BaseModel], data: Any, path: KeyPath) -> type[BaseModel] | None:
-    """The model that `path` leads to; among the members of a union, the one whose `kind` the data names."""
+    """The model at `path`; among the members of a union, the one with the `kind` in the data."""
     annotation: Any = model
     for part in path:
         found = _pick(annotation, data)
@@ -183,7 +183,7 @@ def _model_at(model: type[BaseModel], data: Any, path: KeyPath) -> type[BaseMode
 
 
 def _items(annotation: Any) -> Any:
-    """The annotation of what a list or a mapping holds; None for anything else."""
+    """The annotation of the items of a list or a mapping; None for anything else."""
     origin, members = get_origin(annotation), get_args(annotation)
     if origin is Annotated:
         return _items(members[0])
@@ -195,14 +195,14 @@ def _items(annotation: Any) -> Any:
 
 
 def description_of(model: type[BaseModel], data: Any, path: KeyPath) -> str:
-    """What the key at ``path`` of ``data`` means, or nothing; among the members of a union, the one whose `kind` the data names."""
+    """Description of the key at ``path`` of ``data``, or an empty text; in a union, of the member with the `kind` in the data."""
     owner = _model_at(model, data, path[:-1])
     field = owner.model_fields.get(str(path[-1])) if owner is not None else None
     return (field.description or "") if field is not None else ""
 
 
 def _annotation(model: type[BaseModel], key: str) -> Any:
-    """The annotation of a field with what stands beside it; None where there is no such field."""
+    """The annotation of a field with its metadata; None if there is no such field."""
     field = model.model_fields.get(key)
     if field is None:
         return None
@@ -211,7 +211,7 @@ def _annotation(model: type[BaseModel], key: str) -> Any:
 
 
 def _pick(annotation: Any, data: Any) -> type[BaseModel] | None:
-    """The model that an annotation stands for; among several, the one whose `kind` the data names."""
+    """The model of an annotation; among several, the one with the `kind` in the data."""
     table = next((m for m in get_args(annotation)[1:] if isinstance(m, OneOf)), None) if get_origin(annotation) is Annotated else None
     if table is not None:
         kind = table.pick(data)
@@ -244,7 +244,7 @@ _BOUNDS = {"greater_than": (">", "gt"), "greater_than_equal": (">=", "ge"), "les
 
 
 def _message(detail: ErrorDetails) -> str:
-    """pydantic's finding as `what is wrong (got ...); what is allowed`."""
+    """pydantic's error as `what is wrong (got ...); what is allowed`."""
     kind, got, context = detail["type"], describe(detail["input"]), detail.get("ctx", {})
     if kind == "missing":
         return "is missing; this key must be given"

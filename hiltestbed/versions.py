@@ -1,4 +1,4 @@
-"""Versions of everything that a number depends on."""
+"""Versions of the packages on which results depend."""
 
 from __future__ import annotations
 
@@ -11,5 +11,5 @@ PACKAGES = ("hiltestbed", "mujoco", "pin", "numpy", "scipy", "numba")
 
 @functools.cache
 def versions() -> dict[str, str]:
-    """Package name to installed version, Python's own among them."""
+    """Package name to installed version, including Python."""
     return {"python": platform.python_version()} | {name: version(name) for name in PACKAGES}

@@ -1,4 +1,4 @@
-"""Processes of this machine that work for another one: they end with it, and at once when they are told to."""
+"""Worker processes on this machine, which end with their parent."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from multiprocessing import get_context
 
 from hiltestbed import plugins
 
-WATCH = 0.5  # [s] between two looks at whether the parent is there
+WATCH = 0.5  # [s] between two checks whether the parent is alive
 
 
 def new_pool(workers: int) -> ProcessPoolExecutor:
@@ -19,7 +19,7 @@ def new_pool(workers: int) -> ProcessPoolExecutor:
 
 
 def end_pool(pool: ProcessPoolExecutor) -> None:
-    """End the pool now: what is under way is worth less than a prompt return."""
+    """End the pool at once: a prompt return is worth more than the tasks in progress."""
     children = list((pool._processes or {}).values())
     pool.shutdown(wait=False, cancel_futures=True)
     for child in children:
@@ -29,7 +29,7 @@ def end_pool(pool: ProcessPoolExecutor) -> None:
 
 
 def _begin(parent: int) -> None:
-    """A worker leaves Ctrl-C to its parent, and ends when the parent is gone, however it went."""
+    """A worker ignores Ctrl-C, which its parent handles, and ends when the parent has ended for any reason."""
     import signal
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -40,4 +40,4 @@ def _begin(parent: int) -> None:
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
-    plugins.load()  # what is handed over may be of their classes
+    plugins.load()  # tasks contain objects of plugin classes

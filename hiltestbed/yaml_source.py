@@ -1,7 +1,7 @@
-"""YAML 1.2 files as plain data that remembers where each key stood.
+"""YAML 1.2 files as plain data with the place of each key.
 
-A `Source` is the tree of a file (dicts, lists, numbers, strings) with the line and column of every key, and the `--set` overrides
-laid over it. Nothing here knows what a scenario is.
+A `Source` is the tree of a file (dicts, lists, numbers, strings) with the line and column of every key, and with the `--set` overrides
+applied. This module is independent of the content of a scenario.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from hiltestbed.errors import Fault, InputError
 from hiltestbed.folders import is_file
 from hiltestbed.gallery import find_scenario, scenario_names
 
-SIZE_LIMIT = 500_000  # [byte] a scenario is a page or two; a hundred times that is some other file
-VALUE_LIMIT = 100_000  # values after aliases are expanded: aliases of aliases grow without bound
+SIZE_LIMIT = 500_000  # [byte] a scenario is a page or two; a file a hundred times larger is something else
+VALUE_LIMIT = 100_000  # values after expansion of aliases: nested aliases grow without bound
 DEPTH_LIMIT = 40
 
 KeyPath = tuple[str | int, ...]
@@ -29,13 +29,13 @@ _SCALARS = {_PREFIX + name for name in ("null", "bool", "int", "float", "str", "
 
 
 def dotted(path: KeyPath) -> str:
-    """`("approach", "velocity", 2)` as it is written on the command line: `approach.velocity.2`."""
+    """`("approach", "velocity", 2)` as written on the command line: `approach.velocity.2`."""
     return ".".join(str(part) for part in path)
 
 
 @dataclass
 class Source:
-    """The data of one file (or of a dict from Python), with the place of each key; `overridden` are the paths set over it."""
+    """The data of one file (or of a dict from Python), with the place of each key; `overridden` are the paths set by overrides."""
 
     file: str
     data: Any
@@ -44,16 +44,16 @@ class Source:
 
     @property
     def folder(self) -> Path:
-        """The folder that relative paths in the file start from."""
+        """The folder to which paths in the file are relative."""
         return Path(self.file).parent
 
     def fault(self, path: KeyPath, message: str) -> Fault:
-        """A fault at `path`, or at the nearest key above it that the file or a `--set` holds."""
+        """A fault at `path`, or at the nearest key above it that is in the file or in a `--set`."""
         key = dotted(path)
         for end in range(len(path), -1, -1):
             if path[:end] in self.overridden:
                 return Fault(f"--set {dotted(path[:end])}", None, None, key, message)
-        if path and path not in self.marks:  # a key that the file does not hold came with what is set below it
+        if path and path not in self.marks:  # a key that is not in the file was created by an override below it
             for below in sorted(self.overridden, key=dotted):
                 if below[: len(path)] == path:
                     return Fault(f"--set {dotted(below)}", None, None, key, message)
@@ -64,7 +64,7 @@ class Source:
         return Fault(self.file, *((1, 1) if self.marks else (None, None)), key, message)
 
     def relocated(self, fault: Fault, base: KeyPath) -> Fault:
-        """A fault of an override that stands in this source below `base`, placed there; any other fault as it is."""
+        """A fault of an override that is written in this source below `base`, with its place there; any other fault unchanged."""
         if not fault.file.startswith("--set "):
             return fault
         key = fault.file.removeprefix("--set ")
@@ -95,12 +95,12 @@ class Source:
 
 
 def key_path(key: str) -> KeyPath:
-    """`approach.velocity.2` as `("approach", "velocity", 2)`: a part of digits alone is the number of a list item."""
+    """`approach.velocity.2` as `("approach", "velocity", 2)`: a part with digits only is the index of a list item."""
     return tuple(int(part) if part.isdecimal() else part for part in key.split("."))
 
 
 def _assign(data: Any, path: KeyPath, value: Any) -> str | None:
-    """Sets `value` at `path` inside `data`, making mappings on the way; returns what stands in the way, if anything."""
+    """Sets `value` at `path` inside `data`, creating mappings as needed; returns a message if that is not possible."""
     node = data
     for depth, part in enumerate(path):
         last = depth == len(path) - 1
@@ -125,7 +125,7 @@ def _assign(data: Any, path: KeyPath, value: Any) -> str | None:
 
 
 def describe(value: Any) -> str:
-    """A value as a message shows it: short, and never a page long."""
+    """A value as shown in a message, shortened if necessary."""
     if isinstance(value, dict):
         return "a mapping"
     if value is None:
@@ -135,7 +135,7 @@ def describe(value: Any) -> str:
 
 
 def read_source(path: str | Path) -> Source:
-    """Reads one YAML file. Raises InputError for anything that is not one, by size before reading."""
+    """Reads one YAML file. Raises InputError for anything else, and for a file that is too large before reading it."""
     path = Path(path)
     text = _read_text(path)
     data, marks = parse_yaml(text, str(path))
@@ -147,7 +147,7 @@ def read_source(path: str | Path) -> Source:
 
 
 def referenced_source(source: Source, key: str = "scenario") -> Source:
-    """The file that a file names under `key`, from the folder of the file that names it, or a shipped scenario. Raises InputError."""
+    """The file that a source names under `key`, relative to the source's folder, or a shipped scenario. Raises InputError."""
     name = str(source.data[key])
     target = source.folder / name
     if is_file(target):
@@ -187,7 +187,7 @@ def _read_text(path: Path) -> str:
 
 
 def parse_yaml(text: str, file: str) -> tuple[Any, dict[KeyPath, tuple[int, int]]]:
-    """YAML text as plain data, with the (line, column) of every key and list item, both from 1. Raises InputError."""
+    """YAML text as plain data, with the (line, column) of every key and list item, counted from 1. Raises InputError."""
     from ruamel.yaml import YAML
     from ruamel.yaml.error import MarkedYAMLError, YAMLError
 
@@ -214,7 +214,7 @@ def parse_yaml(text: str, file: str) -> tuple[Any, dict[KeyPath, tuple[int, int]
 
 
 def dump_yaml(data: Any) -> str:
-    """Plain data as YAML text that reads back to the same."""
+    """Plain data as YAML text, which reads back as the same data."""
     from ruamel.yaml import YAML
 
     yaml = YAML(typ="safe", pure=True)
@@ -295,7 +295,7 @@ class _Builder:
 
 def _integer(text: str) -> int:
     digits = text.replace("_", "")
-    if len(digits) > 400:  # Python refuses to read thousands of digits; nothing here counts that far
+    if len(digits) > 400:  # Python refuses to convert thousands of digits, and no value needs them
         raise ValueError(text)
     if digits.lstrip("+-")[:2] in ("0x", "0o", "0b"):
         return int(digits, 0)

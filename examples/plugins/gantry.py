@@ -1,4 +1,4 @@
-"""A platform of the user's own: a gantry of three slides with a wrist of three hinges, described by an MJCF file beside this one.
+"""A user-defined platform: a gantry of three slides with a wrist of three hinges, described by the MJCF file in the folder gantry.
 
 hiltestbed run 02-bumper --plugin examples/plugins/gantry.py --set 'rig.platform={kind: gantry}'
 hiltestbed rig 02-bumper --plugin examples/plugins/gantry.py --set 'rig.platform={kind: gantry}'

@@ -1,4 +1,4 @@
-"""A compensation of the user's own: the measured wrench is extrapolated over the delay by its slope over the last ticks.
+"""A user-defined compensation: the measured wrench is extrapolated over the delay, with its slope over the last ticks.
 
 hiltestbed run 03-bumper-delay-uncompensated --plugin examples/plugins/slope_lead.py --set 'compensation.force={kind: slope_lead}'
 hiltestbed bench cor --quick --plugin examples/plugins/slope_lead.py
@@ -36,7 +36,7 @@ class SlopeLead(ForceMethod):
         return SlopeLeadBlock(scenarios)
 
     def removes(self, scenario: Scenario) -> Mapping[str, float]:
-        """What the delay ledger is told: the delay that is taken out at low frequency."""
+        """For the delay ledger: the delay [s] that the method removes at low frequency."""
         return {self.kind: scenario.sensor.delay}
 
 
@@ -51,7 +51,7 @@ class SlopeLeadBlock:
         self._runs = np.arange(n)
 
     def compensate(self, measurement: Measurement) -> Array:
-        """``(n, 6)`` the wrench of ``delay`` later, as far as its slope tells."""
+        """``(n, 6)`` the wrench extrapolated by the delay, with its slope over the last ticks."""
         self._before = np.roll(self._before, 1, axis=0)
         self._before[0] = measurement.wrench
         change = measurement.wrench - self._before[self._ticks, self._runs]

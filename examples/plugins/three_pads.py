@@ -1,4 +1,4 @@
-"""A mechanism of the user's own: three pads on a ring that meet a flat plate. Its geometry is MJCF, in the folder beside this file.
+"""A user-defined mechanism: three pads on a ring that meet a flat plate. Its geometry is in the MJCF files of the folder three_pads.
 
 hiltestbed run 02-bumper --plugin examples/plugins/three_pads.py --set mechanism.kind=three_pads
 """
@@ -26,5 +26,5 @@ class ThreePads(Mechanism):
         return FOLDER / "active.xml", FOLDER / "passive.xml"
 
     def rules(self) -> tuple[Rule, ...]:
-        """Which geoms may touch: every pad, and the plate."""
+        """Which geoms may touch: each pad and the plate."""
         return (Rule("pad_*", "plate"),)

@@ -1,4 +1,4 @@
-"""An effect of the user's own: a rubber pad that wears loses stiffness and gains damping, by one number.
+"""A user-defined effect with one parameter: a worn rubber pad loses stiffness and gains damping.
 
 hiltestbed run 02-bumper --plugin examples/plugins/worn_pad.py --set 'effects=[{kind: contact.worn_pad, wear: 0.2}]'
 """
@@ -37,5 +37,5 @@ class WornPad(Effect):
 
     @classmethod
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:
-        """Where a diagnosis starts its search; the bounds are those of the field above."""
+        """The starting points of a diagnosis; the bounds are those of the field above."""
         yield candidate(cls, {"wear": [0.05, 0.2, 0.5]})

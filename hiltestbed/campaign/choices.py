@@ -1,4 +1,4 @@
-"""The keys of a campaign that choose between things rather than vary a number, and what each choice comes to."""
+"""The categorical keys of a campaign (those that select alternatives rather than vary a number), and the results of each choice."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class Choice:
     """One combination of the campaign's choices.
 
     Attributes:
-        label: its values in words. cases: ``(n,)`` bool, the cases that have it.
+        label: its values as text. cases: ``(n,)`` bool, the cases with this choice.
     """
 
     label: str
@@ -28,12 +28,12 @@ class Choice:
 
 @dataclass(frozen=True)
 class Result:
-    """What a choice comes to.
+    """The result of a choice.
 
     Attributes:
-        cases, completed, active: how many there are, completed, and rebounded faster than they came.
-        median, worst: of the figure's magnitude over the completed cases: median and 95 % quantile; None where none has the figure.
-        best: whether it has the largest share of completed cases, and among those the smallest worst figure.
+        cases, completed, active: number of cases, of those that completed, and of those that rebounded faster than they approached.
+        median, worst: median and 95 % quantile of the figure's magnitude over the completed cases; None if none has the figure.
+        best: whether it has the largest share of completed cases and, among choices with that share, the smallest worst figure.
     """
 
     label: str
@@ -46,7 +46,7 @@ class Result:
 
 
 def choices_of(campaign: LoadedCampaign, table: Any) -> list[Choice]:
-    """Every combination of the campaign's choices that its cases have; a single one, without a label, where there are none."""
+    """Every combination of the campaign's choices that occurs in its cases; a single one without a label if there are no choices."""
     keys = [key for key, variation in campaign.spec.vary.items() if not is_numeric(variation)]
     if not keys:
         return [Choice("", np.ones(table.num_rows, dtype=bool))]
@@ -59,7 +59,7 @@ def choices_of(campaign: LoadedCampaign, table: Any) -> list[Choice]:
 
 
 def in_words(cell: str) -> str:
-    """A value as the table has it, without the punctuation of JSON: `{"kind": "phase_lead", "lag": 0.001}` as `phase_lead (lag 0.001)`."""
+    """A value from the table as text without JSON syntax: `{"kind": "phase_lead", "lag": 0.001}` as `phase_lead (lag 0.001)`."""
     try:
         value = json.loads(cell)
     except (json.JSONDecodeError, TypeError):
@@ -71,7 +71,7 @@ def in_words(cell: str) -> str:
 
 
 def results(choices: Sequence[Choice], statuses: np.ndarray, cor: Array, figure: Array) -> list[Result]:
-    """What each choice comes to, best first. statuses: ``(n,)`` text; cor, figure: ``(n,)``."""
+    """The results of each choice, best first. statuses: ``(n,)`` text; cor, figure: ``(n,)``."""
     out = []
     for choice in choices:
         good = choice.cases & (statuses == "completed") & np.isfinite(figure)

@@ -1,4 +1,4 @@
-"""One chunk of cases: from their numbers to their rows. This is what a worker runs, here or on another machine."""
+"""One chunk of cases: from case numbers to table rows. A worker runs this, on this machine or on another."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from hiltestbed.campaign.structure import lockstep_groups
 from hiltestbed.errors import HiltestbedError, InputError
 from hiltestbed.scenario import Scenario, scenario_from
 
-ROWS_LIMIT = 400_000  # rows of trace held at a time (0.25 GB), where traces are kept
+ROWS_LIMIT = 400_000  # rows of trace in memory at a time (0.25 GB), if traces are kept
 
 
 @dataclass
 class ChunkResult:
-    """What came of a chunk: a row a case, the files that are kept of each case (path below `cases/` to bytes), the time it took [s]."""
+    """Result of a chunk: one row per case, the files that are kept (path below `cases/`, to bytes), the wall time [s]."""
 
     cases: tuple[int, ...]
     rows: list[dict[str, Any]]
@@ -30,7 +30,7 @@ class ChunkResult:
 
 
 def run_chunk(campaign: LoadedCampaign, cases: Sequence[int]) -> ChunkResult:
-    """Runs the cases, those of one structure in lockstep. A case that cannot be run has its reason in its row."""
+    """Runs the cases, those of the same structure in lockstep. The row of a case that cannot be run has the reason."""
     start = time.perf_counter()
     result = ChunkResult(tuple(cases), [])
     values = dict(zip(cases, case_values(campaign.spec, cases), strict=True))
@@ -47,7 +47,7 @@ def run_chunk(campaign: LoadedCampaign, cases: Sequence[int]) -> ChunkResult:
 
 
 def _has_rows(campaign: LoadedCampaign, scenario: Scenario) -> bool:
-    """Whether the rows of the trace are needed: to keep them, or since the record is changed when it is whole (`log.*` effects)."""
+    """Whether the rows of the trace are needed: to keep them, or because `log.*` effects act on the complete record."""
     return campaign.spec.keep != "summary" or any(effect.link == "log" for effect in scenario.effects)
 
 
@@ -69,7 +69,7 @@ def _run_group(campaign: LoadedCampaign, group: list[tuple[int, Scenario]], valu
     keep = campaign.spec.keep
     try:
         runs = run_batch([scenario for _, scenario in group], trace=True if _has_rows(campaign, group[0][1]) else digest)
-    except HiltestbedError as error:  # a scenario that the rig refuses: the others of the group run without it
+    except HiltestbedError as error:  # the rig rejects this scenario: the others of the group run without it
         if len(group) == 1:
             case = group[0][0]
             result.rows.append(row(campaign.spec, case, values[case], None, str(error), None))
@@ -85,7 +85,7 @@ def _run_group(campaign: LoadedCampaign, group: list[tuple[int, Scenario]], valu
 
 
 def case_folder(case: int) -> str:
-    """The folder of a case below `cases/`, so many digits that a listing is in case order."""
+    """The folder of a case below `cases/`, zero-padded so that a listing is in case order."""
     return f"{case:08d}"
 
 

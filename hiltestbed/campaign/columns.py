@@ -1,4 +1,4 @@
-"""The columns of cases.parquet: fixed by the campaign alone, so that every chunk of it has the same."""
+"""The columns of cases.parquet. They depend on the campaign alone, so that all its chunks have the same columns."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ ESTIMATES = tuple(f"identification.{axis}.{quantity}" for axis in AXES for quant
 
 
 def schema(campaign: Campaign):
-    """The pyarrow schema: the case, each varied key, the scalars of the summary, what went wrong, the trace's hash."""
+    """The pyarrow schema: the case, each varied key, the scalars of the summary, the error, the hash of the trace."""
     import pyarrow as pa
 
     fields = [pa.field("case", pa.int64())]
@@ -56,7 +56,7 @@ def is_numeric(variation: Variation) -> bool:
 
 
 def cell(variation: Variation, value: Any) -> float | str:
-    """A varied value as it stands in the table: a number, a text, anything else as JSON."""
+    """A varied value as stored in the table: a number, a text, anything else as JSON."""
     if is_numeric(variation):
         return float(value)
     return value if all(isinstance(v, str) for v in variation.values or ()) else json.dumps(value)
@@ -65,7 +65,7 @@ def cell(variation: Variation, value: Any) -> float | str:
 def row(
     campaign: Campaign, case: int, values: dict[str, Any], summary: dict[str, Any] | None, error: str | None, trace: str | None
 ) -> dict:
-    """One case as column name to value; what the case has no figure for is null."""
+    """One case as column name to value; null for figures that the case lacks."""
     cells: dict[str, Any] = {"case": case, "seed": values["seed"], "error": error, "trace_sha256": trace, "status": "invalid"}
     if summary is not None:
         cells |= {name: summary[name] for name in SCALARS}

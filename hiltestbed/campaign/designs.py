@@ -1,4 +1,4 @@
-"""Which values case number N has: a function of the campaign and N alone, whatever the chunks and whoever runs them."""
+"""The values of case number N: a function of the campaign and N alone, independent of the chunks and the workers."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from hiltestbed.campaign.schema import Campaign, Grid, Sobol
 
-_POINT, _SEED = 0, 1  # streams of random numbers of one case, apart from each other
+_POINT, _SEED = 0, 1  # independent random streams of one case
 
 
 def case_values(campaign: Campaign, cases: Sequence[int]) -> list[dict[str, Any]]:
@@ -44,7 +44,7 @@ def _random(campaign: Campaign, cases: Sequence[int]) -> list[np.ndarray]:
 
 
 def _sobol(campaign: Campaign, cases: Sequence[int]) -> list[np.ndarray]:
-    """Points of one scrambled sequence, drawn where they are asked for."""
+    """The requested points of one scrambled sequence."""
     from scipy.stats import qmc
 
     engine = qmc.Sobol(len(campaign.vary), scramble=True, rng=np.random.default_rng(campaign.design.seed))

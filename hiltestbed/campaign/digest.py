@@ -1,4 +1,4 @@
-"""The hash of a trace, without the trace: a campaign keeps a block of rows of each run, not all of them."""
+"""The hash of a trace without storing the trace: a campaign holds one block of rows per run."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ BLOCK = 128  # rows between two updates of the hashes: 64 runs take 5 MB
 
 
 class TraceDigest:
-    """Stands in for a Trace: takes the same rows, a block at a time, and gives `sha256(i)` of run i in place of them.
+    """Replaces a Trace: takes the same rows, a block at a time, and gives `sha256(i)` of run i instead of the rows.
 
-    The hash covers every column but `t`, row by row in the order of the trace file, as little-endian float64; a run that ended
-    early is hashed up to the row in which it did.
+    The hash covers every column except `t`, row by row in the order of the trace file, as little-endian float64. A run that ended
+    early is hashed up to its last row.
     """
 
     def __init__(self, loop: Loop) -> None:
         n = len(loop.scenarios)
-        self._trouble = loop.trouble  # not the loop itself, which would live on with its models
+        self._trouble = loop.trouble  # not the loop itself: this would keep its models in memory
         self._hashes = [hashlib.sha256() for _ in range(n)]
         self._done = 0
         self.length = np.zeros(n, dtype=int)  # set by the simulation when it ends
@@ -33,7 +33,7 @@ class TraceDigest:
         self.contact = np.zeros((BLOCK, n), dtype=bool)
 
     def filled(self, ticks: int) -> None:
-        """The first ``ticks`` rows are written: take the block that is full."""
+        """Hash a full block; the first ``ticks`` rows are written."""
         if ticks - self._done == BLOCK:
             self._take(ticks)
 
@@ -48,10 +48,10 @@ class TraceDigest:
         self._done = end
 
     def run(self, i: int) -> None:
-        """There are no rows to give."""
+        """None: the rows are not kept."""
 
     def sha256(self, i: int) -> str:
-        """The hash of run i, in hexadecimal; ask when the loop has ended."""
+        """The hash of run i, in hexadecimal; valid once the loop has ended."""
         if self._done < self.length.max():
             self._take(int(self.length.max()))
         return self._hashes[i].hexdigest()
@@ -62,5 +62,5 @@ def _matrix(parts: list[Array], contact: Array) -> bytes:
 
 
 def trace_sha256(trace: RunTrace) -> str:
-    """The same hash of a trace that is there."""
+    """The same hash, of a stored trace."""
     return hashlib.sha256(_matrix([trace.data[name] for name in GROUPS], trace.contact)).hexdigest()

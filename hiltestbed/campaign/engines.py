@@ -1,6 +1,6 @@
-"""One map, three engines: this process, worker processes, a Dask cluster. Each yields chunks as they are finished, in any order.
+"""Three engines with one interface: this process, worker processes, a Dask cluster. Each yields chunks as they finish, in any order.
 
-None holds more than a few chunks at a time: work is handed out as results come back.
+None holds more than a few chunks at a time: a new chunk is submitted when a result arrives.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ Chunk = Sequence[int]
 Results = Generator[ChunkResult, None, None]
 Engine = Callable[[LoadedCampaign, Iterable[Chunk]], Results]
 
-ATTEMPTS = 4  # times a chunk is tried whose worker dies; then the chunk is taken for the cause
-ANSWER = 5.0  # [s] a scheduler has to answer
+ATTEMPTS = 4  # of a chunk whose worker dies; after these the chunk is assumed to be the cause
+ANSWER = 5.0  # [s] timeout for the scheduler's answer
 
 
 def serial(campaign: LoadedCampaign, chunks: Iterable[Chunk]) -> Results:
@@ -47,7 +47,7 @@ def processes(workers: int) -> Engine:
                 if attempts[chunk] >= ATTEMPTS:
                     raise HiltestbedError(
                         f"cases {min(chunk)} to {max(chunk)}: the worker process died {ATTEMPTS} times (killed, or out of memory); "
-                        "the same command goes on where it stopped, with fewer --workers or a smaller --chunk"
+                        "the same command resumes where it stopped, with fewer --workers or a smaller --chunk"
                     )
             again = list(lost)
 
@@ -55,7 +55,7 @@ def processes(workers: int) -> Engine:
 
 
 def _until_broken(campaign: LoadedCampaign, waiting: Iterator[Chunk], again: list[Chunk], workers: int):
-    """Yields results until all is done or a worker dies; returns the chunks that were under way then."""
+    """Yields results until all chunks are done or a worker dies; returns the chunks that were in progress then."""
     pool = new_pool(workers)
     running: dict[Future[ChunkResult], Chunk] = {}
     next_up = list(again)
@@ -80,7 +80,7 @@ def _until_broken(campaign: LoadedCampaign, waiting: Iterator[Chunk], again: lis
 def dask(address: str) -> Engine:
     """The engine of a Dask cluster whose scheduler is at `address` (`tcp://host:8786`, `tls://...` with Dask's own TLS settings).
 
-    Raises InputError when the scheduler does not answer.
+    Raises InputError if the scheduler does not answer.
     """
     client = _connect(address)
 
@@ -122,13 +122,13 @@ def _on_cluster(client, campaign: LoadedCampaign, waiting: Iterator[Chunk]) -> I
 
     from hiltestbed.versions import versions
 
-    told = False
+    warned = False
     running = as_completed(loop=client.loop)
     while True:
         threads = sum(client.nthreads().values())
-        if not threads and not told:
+        if not threads and not warned:
             sys.stderr.write("the scheduler has no workers yet; waiting for them (start some with `dask worker ADDRESS --nthreads 1`)\n")
-            told = True
+            warned = True
         for chunk in islice(waiting, max(0, 2 * max(threads, 1) - running.count())):
             running.add(client.submit(run_chunk_of, campaign, tuple(chunk), versions(), pure=False))
         if running.is_empty():
@@ -138,11 +138,11 @@ def _on_cluster(client, campaign: LoadedCampaign, waiting: Iterator[Chunk]) -> I
         except KilledWorker as error:
             raise HiltestbedError(f"a chunk has killed every worker that took it ({error}); the same command tries again") from None
         except CancelledError:
-            raise HiltestbedError("the scheduler was lost; the same command goes on where it stopped") from None
+            raise HiltestbedError("the scheduler was lost; the same command resumes where it stopped") from None
 
 
 def run_chunk_of(campaign: LoadedCampaign, chunk: Chunk, expected: dict[str, str]) -> ChunkResult:
-    """`run_chunk` on a worker elsewhere, which must have the packages that the campaign was begun with."""
+    """`run_chunk` on a remote worker, which must have the package versions with which the campaign was started."""
     from hiltestbed.versions import versions
 
     if versions() != expected:

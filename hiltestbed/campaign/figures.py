@@ -1,4 +1,4 @@
-"""Pictures of a campaign: the response over two keys with the stability boundary over it, and distributions."""
+"""Figures of a campaign: the response over two keys with the stability boundary, and distributions."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from hiltestbed.validation import description_of
 from hiltestbed.yaml_source import key_path
 
 HARMLESS = ("approach.gap", "approach.velocity", "sensor.noise", "sensor.torque_noise", "identification", "seed", "duration", "name")
-RIGHT = 0.01  # |ln(e/e_ref)| up to which colours go linearly: 1 % of the rebound speed
-MESH = 24  # points a side at which the boundary is judged
+LINEAR_BELOW = 0.01  # |ln(e/e_ref)| up to which the colour scale is linear: 1 % of the rebound speed
+MESH = 24  # points per side at which the boundary is evaluated
 BANDS = 16  # parts of a key over which a band is drawn
-MARGINAL_CHOICES = 6  # lines that can be told apart in one picture
+MARGINAL_CHOICES = 6  # lines that can be distinguished in one figure
 
 
 UNITS = {"energy_generated": "J", "peak_force": "N", "contact_duration": "s", "tracking_error": "m"}
@@ -38,9 +38,9 @@ def heat_maps(
     choices: Sequence[Choice],
     worst: bool = False,
 ):
-    """Figure `name` over two keys, `(n,)` each, a map a choice, on one colour scale: (matplotlib figure, boundary drawn).
+    """Figure `name` over two keys, `(n,)` each, one map per choice, on one colour scale: (matplotlib figure, boundary drawn).
 
-    A cell has the mean of its cases, or with ``worst`` the value of largest magnitude. The boundary is drawn where it applies.
+    A cell shows the mean of its cases, or with ``worst`` the value of largest magnitude. The boundary is drawn where it applies.
     """
     columns = 2 if len(choices) == 4 else min(3, len(choices))
     lines = -(-len(choices) // columns)
@@ -57,8 +57,8 @@ def heat_maps(
     if name == "cor_log_error":
         from matplotlib.colors import SymLogNorm
 
-        limit = max(limit, 2.0 * RIGHT)
-        scale = {"norm": SymLogNorm(RIGHT, vmin=-limit, vmax=limit, base=10), "cmap": "RdBu_r"}
+        limit = max(limit, 2.0 * LINEAR_BELOW)
+        scale = {"norm": SymLogNorm(LINEAR_BELOW, vmin=-limit, vmax=limit, base=10), "cmap": "RdBu_r"}
     boundary = _boundary(campaign, keys, edges, (x_log, y_log))
     for axis, choice, cell in zip(axes.flat, choices, cells, strict=False):
         mesh = axis.pcolormesh(x_edges, y_edges, cell.T, **scale)
@@ -73,19 +73,19 @@ def heat_maps(
             )
     for axis in list(axes.flat)[len(choices) :]:
         axis.set_visible(False)
-    for axis in list(axes.flat)[max(0, len(choices) - columns) : len(choices)]:  # those with nothing below them
+    for axis in list(axes.flat)[max(0, len(choices) - columns) : len(choices)]:  # the lowest map of each column
         axis.set_xlabel(with_unit(keys[0], campaign))
         axis.tick_params(labelbottom=True)
     for axis in axes[:, 0]:
         axis.set_ylabel(with_unit(keys[1], campaign))
     if boundary is not None:
-        axes[0, 0].legend(loc="upper right", title="the rig gives energy beyond", fontsize=8)
+        axes[0, 0].legend(loc="upper right", title="the rig adds energy beyond", fontsize=8)
     picture.colorbar(mesh, ax=axes, label=with_unit(name), extend="both" if filled.size and filled.max() > limit else "neither")
     return picture, boundary is not None
 
 
 def marginals(campaign: LoadedCampaign, inputs: dict[str, Array], figure: Array, name: str, choices: Sequence[Choice]):
-    """Median and 5 to 95 % band of a figure ``(n,)`` over each key alone, a line a choice."""
+    """Median and 5 to 95 % band of a figure ``(n,)`` over each key alone, one line per choice."""
     columns = min(3, len(inputs))
     lines = -(-len(inputs) // columns)
     picture, axes = new_figure(3.6 * columns + 0.6, 2.9 * lines, nrows=lines, ncols=columns, squeeze=False, sharey=True)
@@ -113,7 +113,7 @@ def marginals(campaign: LoadedCampaign, inputs: dict[str, Array], figure: Array,
 
 
 def _scale(axis: Any, log: bool, edges: Array) -> None:
-    """A linear scale with few ticks, or a logarithmic one whose ticks stand closer where less than a decade is shown."""
+    """A linear scale with few ticks, or a logarithmic one with denser ticks if it spans less than a decade."""
     from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
 
     if not log:
@@ -126,7 +126,7 @@ def _scale(axis: Any, log: bool, edges: Array) -> None:
 
 
 def with_unit(name: str, campaign: LoadedCampaign | None = None) -> str:
-    """A figure, or a scenario key of a campaign, with its unit in brackets, where it has one."""
+    """A figure, or a scenario key of a campaign, with its unit, if any, in brackets."""
     unit = UNITS.get(name, "")
     if not unit and campaign is not None:
         unit = description_of(Scenario, resolved(campaign.nominal), key_path(name)).partition("[")[2].partition("]")[0]
@@ -134,14 +134,14 @@ def with_unit(name: str, campaign: LoadedCampaign | None = None) -> str:
 
 
 def _cells(inputs: tuple[Array, Array], edges: tuple[Array, Array], figure: Array, worst: bool):
-    """Mean of the cases in each cell, or the value of largest magnitude; masked where there is none."""
+    """Mean of the cases in each cell, or the value of largest magnitude; masked in empty cells."""
     good = np.isfinite(figure)
     places = [values[good] for values in inputs]
     if worst:
         at = [np.clip(np.searchsorted(e, p, side="right") - 1, 0, len(e) - 2) for e, p in zip(edges, places, strict=True)]
         cells = np.full((len(edges[0]) - 1, len(edges[1]) - 1), np.nan)
         order = np.argsort(np.abs(figure[good]), kind="stable")
-        cells[at[0][order], at[1][order]] = figure[good][order]  # of equal places the last stays: the largest
+        cells[at[0][order], at[1][order]] = figure[good][order]  # of several in one cell the last assignment wins: the largest
         return np.ma.masked_invalid(cells)
     counts = np.histogram2d(*places, bins=edges)[0]
     sums = np.histogram2d(*places, bins=edges, weights=figure[good])[0]
@@ -149,7 +149,7 @@ def _cells(inputs: tuple[Array, Array], edges: tuple[Array, Array], figure: Arra
 
 
 def _draw_neutral(axes: Any, edges: tuple[Array, Array], cor: Any) -> None:
-    """Where the cases themselves return the speed that they came with."""
+    """The line where the cases themselves have e = 1."""
     x, y = (np.sqrt(e[1:] * e[:-1]) if e[0] > 0 else 0.5 * (e[1:] + e[:-1]) for e in edges)
     if cor.count() and cor.min() < 1.0 < cor.max() and min(cor.shape) > 2:
         axes.contour(x, y, cor.T, levels=[1.0], colors="black", linestyles=":", linewidths=2.4)
@@ -157,7 +157,7 @@ def _draw_neutral(axes: Any, edges: tuple[Array, Array], cor: Any) -> None:
 
 
 def _edges(variation: Variation, values: Array, most: int = 64) -> tuple[Array, bool]:
-    """Edges of the cells along a key, from its lowest to its highest value, and whether it goes by ratio."""
+    """Edges of the cells along a key, from its lowest to its highest value, and whether they are spaced logarithmically."""
     levels = np.unique(values)
     log = variation.log_uniform is not None or bool(levels[0] > 0 and levels.size > 2 and np.ptp(np.diff(np.log(levels))) < 1e-6)
     if levels.size == 1:
@@ -172,8 +172,8 @@ def _edges(variation: Variation, values: Array, most: int = 64) -> tuple[Array, 
 
 
 def _boundary(campaign: LoadedCampaign, keys: tuple[str, str], edges: tuple[Array, Array], logs: tuple[bool, bool]):
-    """(x, y, margins (2, MESH, MESH)) where the closed forms say that the rig starts to give energy, other keys as in the campaign's
-    scenario; None where they do not apply or no boundary lies within the edges."""
+    """(x, y, margins (2, MESH, MESH)) of the closed forms, zero where the rig starts to add energy; other keys as in the campaign's
+    scenario. None if they do not apply or no boundary lies within the edges."""
     others = [key for key in campaign.spec.vary if key not in keys]
     if not applies(campaign.nominal) or not all(key.startswith(HARMLESS) for key in others):
         return None

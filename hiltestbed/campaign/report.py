@@ -1,4 +1,4 @@
-"""report.html of a campaign: what came out, choice by choice, over which keys, what moves it, and which cases to look at."""
+"""report.html of a campaign: results per choice, maps over the keys, sensitivities, and the worst cases."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from hiltestbed.report import Report
 
 REPORT = "report.html"
 WORST = 10
-FACETS = 9  # maps side by side; of more choices the best
-TRUSTED = 0.5  # share of left-out variance that an expansion must explain before its indices are shown
+FACETS = 9  # maps side by side; with more choices, those of the best
+TRUSTED = 0.5  # share of the variance of left-out cases that an expansion must explain for its indices to be shown
 _HELD = ("case", "status", "error", "outcome", *FIGURES)
 
 
 def write_report(folder: Path, campaign: LoadedCampaign) -> None:
-    """Writes report.html from the folder's cases.parquet; holds the numeric columns that it shows, no more."""
+    """Writes report.html from the folder's cases.parquet; only the numeric columns that it shows are held in memory."""
     import pyarrow.parquet as pq
 
     cases = pq.read_table(folder / "cases.parquet", columns=[*_HELD, *campaign.spec.vary])
@@ -61,7 +61,7 @@ def _are_choices(campaign: LoadedCampaign) -> list[bool]:
 
 
 def _numbers(variation: Variation, column) -> Array:
-    """A varied key as numbers; values that are none, by their place in the list."""
+    """A varied key as numbers; non-numeric values by their index in the list."""
     if is_numeric(variation):
         return column.to_numpy()
     places = column.combine_chunks().dictionary_encode()
@@ -81,18 +81,16 @@ def _active(report: Report, cor: Array) -> None:
     known = np.isfinite(cor)
     faster = int((cor[known] > 1.0).sum())
     if known.any():
-        told = "none rebounds" if not faster else "1 rebounds" if faster == 1 else f"{faster} rebound"
-        report.text(
-            f"Of {int(known.sum())} cases with a rebound {told} faster than it came: e > 1, the loop feeds energy into the contact."
-        )
+        rebounding = "none rebounds" if not faster else "1 rebounds" if faster == 1 else f"{faster} rebound"
+        report.text(f"Of {int(known.sum())} cases with a rebound {rebounding} faster than the approach: e > 1, the loop feeds energy in.")
 
 
 def _by_choice(report: Report, choices: Sequence[Choice], statuses: np.ndarray, figures: dict[str, Array], name: str) -> list[Choice]:
-    """A row a choice, best first; the choices in that order."""
+    """A table with one row per choice, best first; returns the choices in that order."""
     if len(choices) < 2:
         return list(choices)
     ranked = results(choices, statuses, figures["cor"], figures[name])
-    report.heading("Choice by choice")
+    report.heading("Results per choice")
     rows = [
         [
             f"{r.label} (best)" if r.best else r.label,
@@ -115,7 +113,7 @@ def _by_choice(report: Report, choices: Sequence[Choice], statuses: np.ndarray, 
 
 
 def _strongest(inputs: dict[str, Array], figure: Array, found: Sensitivity | None) -> list[str]:
-    """The keys, strongest first: by total index where the expansion can be trusted, else by the share that a key explains alone."""
+    """The keys, strongest first: by total index if the expansion is reliable, otherwise by the share that a key explains alone."""
     if found is not None and found.explained > TRUSTED:
         return [index.key for index in sorted(found.indices, key=lambda index: -index.total)]
     return sorted(inputs, key=lambda key: -explained_share(inputs[key], figure))
@@ -130,7 +128,7 @@ def _maps(
     name: str,
     strongest: Sequence[str],
 ) -> None:
-    """The response over the two numeric keys that move it most, a map a choice; the mean of each cell and, where others vary, its worst."""
+    """The response over its two strongest numeric keys, one map per choice: the mean of each cell and, if other keys vary, its worst."""
     numeric = [key for key in strongest if is_numeric(campaign.spec.vary[key]) and np.unique(inputs[key][:1000]).size > 1]
     if len(numeric) < 2 or not np.isfinite(figures[name]).any():
         return
@@ -153,13 +151,13 @@ def _map_caption(
     if others:
         words.append(f"Also varied within a cell: {', '.join(others)}.")
     if choices > 1:
-        words.append("A map a choice, never averaged over choices." + (f" The best {shown} of {choices}." if shown < choices else ""))
+        words.append("One map per choice, never averaged over choices." + (f" The best {shown} of {choices}." if shown < choices else ""))
     ordered = [key if is_numeric(campaign.spec.vary[key]) else f"{key} (a choice)" for key in strongest[:3]]
-    words.append(f"What moves {name} most, in this order: {', '.join(ordered)}.")
+    words.append(f"The keys with the largest influence on {name}, in this order: {', '.join(ordered)}.")
     if drawn:
         words.append(
-            "The lines are closed forms: beyond the full one a contact that stays closed grows; on the dashed one a bounce returns its "
-            "speed, e = 1, which for a contact that cannot pull comes earlier."
+            "The lines are closed forms: beyond the solid line the oscillation of a closed contact grows; on the dashed line a bounce "
+            "rebounds with its approach speed, e = 1, which for a contact that cannot pull happens earlier."
         )
     return " ".join(words)
 
@@ -182,7 +180,7 @@ def _marginals(
     shown = choices[:MARGINAL_CHOICES]
     picture = marginals(campaign, {key: inputs[key] for key in numeric[:6]}, figure, name, shown)
     least = f" The best {len(shown)} of {len(choices)} choices." if len(shown) < len(choices) else ""
-    report.figure(picture, f"Line: median of the cases; band: from 5 % to 95 % of them, whatever the other keys are.{least}")
+    report.figure(picture, f"Line: median of the cases; band: from 5 % to 95 % of them, over all values of the other keys.{least}")
 
 
 def _distributions(report: Report, figures: dict[str, Array]) -> None:
@@ -195,7 +193,7 @@ def _distributions(report: Report, figures: dict[str, Array]) -> None:
 
 
 def _sensitivities(report: Report, campaign: LoadedCampaign, found: dict[str, Sensitivity | None]) -> None:
-    report.heading("What moves a figure")
+    report.heading("Sensitivities")
     keys = list(campaign.spec.vary)
     rows = []
     for name, one in found.items():
@@ -205,15 +203,15 @@ def _sensitivities(report: Report, campaign: LoadedCampaign, found: dict[str, Se
     if rows:
         caption = (
             "Sobol indices, first order / total: the share of a figure's variance that a key explains alone / with all interactions. From "
-            "a polynomial expansion of the cases; last column: how much of the variance of left-out cases it explains."
+            "a polynomial expansion of the cases; last column: the share of the variance of left-out cases that it explains."
         )
         report.table(["figure", *keys, "explained"], rows, caption)
     else:
-        report.text("Too few cases for Sobol indices, or figures that jump too much for an expansion of them.")
+        report.text("Too few cases for Sobol indices, or figures that are too discontinuous for a polynomial expansion.")
 
 
 def _worst(report: Report, campaign: LoadedCampaign, cases, statuses: np.ndarray, figure: Array, name: str, folder: Path) -> None:
-    """Cases that did not complete, then those with the largest figure, and the command that repeats one."""
+    """Cases that did not complete, then those with the largest figure, and the command to repeat a case."""
     failed = np.flatnonzero(statuses != "completed")
     magnitude = np.where(np.isfinite(figure), np.abs(figure), -1.0)
     largest = [int(i) for i in np.argsort(-magnitude, kind="stable")[:WORST] if magnitude[i] >= 0]
@@ -238,6 +236,6 @@ def _figure(value: float | None) -> str:
 
 
 def _command(case: int, folder: Path) -> str:
-    """Repeats a case from the campaign as it was run, which lies in the folder of the results."""
+    """The command that repeats a case, from the campaign.yaml in the results folder."""
     file, out = folder / "campaign.yaml", f"{folder.name}-case-{case}"
     return f"hiltestbed run {shlex.quote(str(file))} --case {case} --out {shlex.quote(out)}"

@@ -1,4 +1,4 @@
-"""What a campaign is: which scenario, which keys vary over what, by which design, and what is kept of each case."""
+"""The schema of a campaign: its scenario, the varied keys and their ranges, the design, and what is kept of each case."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from hiltestbed.scenario import Scenario, scenario_from
 from hiltestbed.validation import Problem, Strictly, Vector2, refuse, validate
 from hiltestbed.yaml_source import Source, key_path, read_source, referenced_source
 
-FIGURES = ("cor", "cor_log_error", "energy_generated", "peak_force", "contact_duration", "tracking_error")  # that a report shows
-CASE_LIMIT = 10_000_000  # a day on a thousand cores; more is taken for a typing error
+FIGURES = ("cor", "cor_log_error", "energy_generated", "peak_force", "contact_duration", "tracking_error")  # shown in a report
+CASE_LIMIT = 10_000_000  # a day on a thousand cores; a larger number is assumed to be a typing error
 
 
 class Variation(Strictly):
     """How one key varies: exactly one of values, uniform, log_uniform and normal."""
 
     values: Annotated[tuple[Any, ...], Field(strict=False, min_length=1)] | None = Field(
-        default=None, description="these values, each as likely"
+        default=None, description="these values, with equal probability"
     )
     uniform: Vector2 | None = Field(default=None, description="[low, high]")
     log_uniform: Vector2 | None = Field(default=None, description="[low, high], uniform in the logarithm")
@@ -58,7 +58,7 @@ class Variation(Strictly):
         return NormalDist(mean, sigma).inv_cdf(min(max(u, 1e-12), 1.0 - 1e-12))
 
     def grid(self) -> list[Any]:
-        """The values of a grid along this key: those listed, or `points` of the range with both ends."""
+        """The values of a grid along this key: those listed, or `points` values of the range including both ends."""
         if self.values is not None:
             return list(self.values)
         low, high = self.uniform or self.log_uniform or (0.0, 0.0)
@@ -86,7 +86,7 @@ class Grid(Strictly):
     """Every combination of the values; the last key varies fastest."""
 
     kind: Literal["grid"] = Field(default="grid", description="Design. grid: every combination of the values")
-    seed: Annotated[int, Field(ge=0)] = Field(default=0, description="Seed; a grid has no use for it")
+    seed: Annotated[int, Field(ge=0)] = Field(default=0, description="Seed; not used by a grid")
 
 
 class Sobol(Strictly):
@@ -106,22 +106,22 @@ class Random(Strictly):
 
 
 class Campaign(Strictly):
-    """Many runs of one scenario, some of its keys varied."""
+    """Many runs of one scenario with some of its keys varied."""
 
-    name: str = Field(default="", description="Name of the campaign, of which the folder of its results is made; left out: the file's")
-    description: str = Field(default="", description="What the campaign asks, in a sentence or two")
-    scenario: Annotated[str, Field(min_length=1)] = Field(description="scenario file, from the campaign's folder, or a shipped name")
-    set: dict[str, Any] = Field(default={}, description="keys of the scenario that every case has set: dotted key to value")
-    vary: Annotated[dict[str, Variation], Field(min_length=1)] = Field(description="dotted scenario key to how it varies")
+    name: str = Field(default="", description="Name of the campaign, used for its results folder; left out: the file's")
+    description: str = Field(default="", description="The question that the campaign answers, in a sentence or two")
+    scenario: Annotated[str, Field(min_length=1)] = Field(description="scenario file, relative to the campaign's folder, or a shipped name")
+    set: dict[str, Any] = Field(default={}, description="scenario keys that are set in every case: dotted key to value")
+    vary: Annotated[dict[str, Variation], Field(min_length=1)] = Field(description="dotted scenario key, and how it varies")
     design: Annotated[Grid | Sobol | Random, Field(discriminator="kind")] = Field(description="How the cases are laid out")
     keep: Literal["summary", "trace", "all"] = Field(
         default="summary",
-        description="What is kept of each case. summary: its row; trace: its trace, too; all: its run folder, without report.html",
+        description="What is kept of each case. summary: its row; trace: also its trace; all: its run folder without report.html",
     )
 
     criterion: Literal["cor", "cor_log_error", "energy_generated", "peak_force", "contact_duration", "tracking_error"] | None = Field(
         default=None,
-        description="figure by which the report ranks choices, the smaller its magnitude the better; null: cor_log_error, or peak_force",
+        description="figure by which the report ranks choices, smallest magnitude first; null: cor_log_error, or peak_force",
     )
 
     @property
@@ -152,7 +152,7 @@ def _design_problems(campaign: Campaign) -> Iterator[Problem]:
 
 
 def _overlap_problems(campaign: Campaign) -> Iterator[Problem]:
-    """A key and a part of it cannot vary both: which is set last would decide."""
+    """A key and a key below it cannot both vary: the result would depend on which is set last."""
     paths = {key: key_path(key) for key in campaign.vary}
     for key, path in paths.items():
         for other, above in paths.items():
@@ -162,7 +162,7 @@ def _overlap_problems(campaign: Campaign) -> Iterator[Problem]:
 
 @dataclass(frozen=True)
 class LoadedCampaign:
-    """A campaign whose scenario and keys hold. `source` is the scenario's data, with the campaign's own `set` laid over."""
+    """A campaign whose scenario and keys are valid. `source` is the scenario's data with the campaign's `set` applied."""
 
     spec: Campaign
     path: Path
@@ -176,7 +176,7 @@ def load_campaign(path: str | Path, set: Mapping[str, Any] | None = None) -> Loa
 
 
 def campaign_from(source: Source) -> LoadedCampaign:
-    """The campaign in a source that is read already. Raises InputError with every fault."""
+    """The campaign in a source that has been read already. Raises InputError with every fault."""
     if "vary" not in source.data and "design" not in source.data:
         raise InputError(
             source.fault((), "is no campaign (got neither vary nor design); a campaign names a scenario and what varies in it")
@@ -195,7 +195,7 @@ def campaign_from(source: Source) -> LoadedCampaign:
 
 
 def _key_faults(source: Source, base: Source, key: str, variation: Variation) -> Iterator[Fault]:
-    """Every listed value, or both ends of a range, set alone in the scenario. Combinations are judged case by case, when they run."""
+    """Tests every listed value, or both ends of a range, alone in the scenario. Combinations are validated per case, when they run."""
     for index, value in enumerate(_probes(variation)):
         try:
             scenario_from(base, {key: value})

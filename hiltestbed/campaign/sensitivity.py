@@ -1,9 +1,9 @@
-"""Which key moves a figure: first-order and total Sobol indices of cases that are there already, whatever design they follow.
+"""Influence of each key on a figure: first-order and total Sobol indices from existing cases of any design.
 
 The figure is expanded in polynomials of the keys (polynomial chaos; B. Sudret, Reliab. Eng. Syst. Saf. 93, 2008): per key a basis that
-is orthonormal over the cases, products of two keys at most, fitted by least squares. The variance splits into the squares of the
-coefficients: those of a key alone make its first-order index, all that contain the key its total one. How far the expansion can be
-trusted is the variance that it explains of cases that are left out, in closed form from the hat matrix.
+is orthonormal over the cases, products of at most two keys, fitted by least squares. The variance is the sum of the squared
+coefficients: those of a key alone give its first-order index, all that contain the key its total index. The quality of the expansion is
+the share of the variance of left-out cases that it explains, in closed form from the hat matrix.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ import numpy as np
 
 from hiltestbed.frames import Array
 
-ENOUGH = 64  # cases below which an index is noise
-MOST = 4096  # cases that are used: more tell nothing new
+FEWEST_CASES = 64  # cases; with fewer, an index is noise
+MOST_CASES = 4096  # cases that are used: more do not change the indices
 DEGREES = (1, 2, 3, 4, 6, 8)
-CASES_A_TERM = 3  # fewer cases a coefficient than that fit noise
+CASES_A_TERM = 3  # cases per coefficient, at least: with fewer the fit follows noise
 
 
 @dataclass(frozen=True)
@@ -40,15 +40,15 @@ class Sensitivity:
 
 
 def sensitivity(keys: Sequence[str], inputs: Array, figure: Array, choices: Sequence[bool], seed: int = 0) -> Sensitivity | None:
-    """Sobol indices of a figure; None where there are too few cases, or the figure does not vary.
+    """Sobol indices of a figure; None if there are too few cases or the figure does not vary.
 
     Args:
         keys: names of the columns. inputs: ``(n, keys)``. figure: ``(n,)``; cases whose figure is not finite are left out.
-        choices: of each key, whether its numbers are only names of values.
+        choices: for each key, whether its numbers are only labels of categorical values.
     """
-    usable = np.random.default_rng(seed).permutation(np.flatnonzero(np.isfinite(figure)))[:MOST]
+    usable = np.random.default_rng(seed).permutation(np.flatnonzero(np.isfinite(figure)))[:MOST_CASES]
     y = figure[usable]
-    if usable.size < ENOUGH or np.ptp(y) == 0.0:
+    if usable.size < FEWEST_CASES or np.ptp(y) == 0.0:
         return None
     y = (y - y.mean()) / y.std()
     best: Sensitivity | None = None
@@ -74,7 +74,7 @@ def _basis(values: Array, degree: int, choice: bool) -> list[tuple[int, Array]]:
         degrees = [1] * len(raw)
     else:
         at = 2.0 * np.argsort(np.argsort(values, kind="stable"), kind="stable") / (values.size - 1) - 1.0
-        if levels.size <= 64:  # cases of one value share one place
+        if levels.size <= 64:  # cases with equal values are evaluated once
             place = np.array([at[values == level].mean() for level in levels])
             at = place[np.searchsorted(levels, values)]
         degrees = list(range(1, min(degree, levels.size - 1) + 1))
@@ -84,7 +84,7 @@ def _basis(values: Array, degree: int, choice: bool) -> list[tuple[int, Array]]:
 
 
 def _terms(bases: Sequence[Sequence[tuple[int, Array]]], degree: int) -> tuple[list[tuple[int, ...]], list[Array]]:
-    """Products of one or two keys up to a total degree: the keys of each, and its column ``(n,)``."""
+    """Products of one or two keys up to a total degree: the keys of each product, and its column ``(n,)``."""
     owners: list[tuple[int, ...]] = []
     columns = []
     for j, basis in enumerate(bases):
@@ -115,7 +115,7 @@ def _fit(keys: Sequence[str], owners: Sequence[tuple[int, ...]], columns: Sequen
 
 
 def explained_share(values: Array, figure: Array, bins: int = 16) -> float:
-    """Variance of the figure's mean over the values of a key (over ``bins`` equal parts where there are more), over its variance."""
+    """Variance of the figure's conditional mean over the values of a key (in at most ``bins`` bins), divided by its total variance."""
     good = np.isfinite(figure)
     if good.sum() < 2 * bins or np.ptp(figure[good]) == 0.0:
         return 0.0

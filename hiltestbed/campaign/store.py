@@ -1,9 +1,9 @@
-"""The result folder of a campaign while it grows: a chunk counts when its file is on disk, whole, under its final name.
+"""The results folder of a campaign while it runs: a chunk counts as finished once its complete file has its final name.
 
-campaign.json      whose folder this is, how far it is, wall times
-chunks/N.parquet   finished cases, N the first of them; gone when cases.parquet is whole
-cases/NNNNNNNN/    what is kept of each case beside its row
-cases.parquet      every case in order, the same bytes whatever the chunks were
+campaign.json      the campaign that the folder belongs to, its progress, wall times
+chunks/N.parquet   finished cases, N the first of them; deleted when cases.parquet is complete
+cases/NNNNNNNN/    what is kept of each case besides its row
+cases.parquet      every case in order, byte-identical for any division into chunks
 """
 
 from __future__ import annotations
@@ -37,14 +37,14 @@ _WALL = b"wall"
 
 
 def campaign_sha256(campaign: LoadedCampaign) -> str:
-    """What decides the results: the resolved scenario, how it varies, and what is kept."""
+    """Hash of everything that determines the results: the resolved scenario, how it varies, and what is kept."""
     spec = campaign.spec.model_dump(mode="json")
     identity = {"scenario": resolved(campaign.nominal)} | {key: spec[key] for key in ("vary", "design", "keep")}
     return hashlib.sha256(json.dumps(identity, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
 
 
 class Store:
-    """The folder of one campaign, held by this process alone."""
+    """The folder of one campaign, locked by this process."""
 
     def __init__(self, folder: Path, campaign: LoadedCampaign) -> None:
         self.folder, self.campaign = folder, campaign
@@ -53,7 +53,7 @@ class Store:
     @classmethod
     @contextmanager
     def opened(cls, folder: Path, campaign: LoadedCampaign) -> Iterator[Store]:
-        """The store in `folder`, new or continued. Raises InputError when the folder is another's, in use, or cannot be written."""
+        """The store in `folder`, new or resumed. Raises InputError if it is another campaign's, in use, or cannot be written."""
         refuse_another(folder, campaign)
         store = cls(folder, campaign)
         try:
@@ -74,14 +74,14 @@ class Store:
             yield store
 
     def write_files(self) -> None:
-        """campaign.yaml and scenario.yaml, with every override in them: what `--case` repeats, wherever the folder is taken."""
+        """campaign.yaml and scenario.yaml with every override included, so that `--case` works wherever the folder is copied."""
         spec = self.campaign.spec.model_dump(mode="json", exclude_none=True)
         spec |= {"name": spec["name"] or self.campaign.path.stem, "scenario": SCENARIO, "set": {}}
         write_whole(self.folder / SCENARIO, dump_yaml(self.campaign.source.data).encode())
         write_whole(self.folder / CAMPAIGN, dump_yaml(spec).encode())
 
     def write_about(self, more: dict[str, Any]) -> None:
-        """campaign.json: whose folder this is, and `more`."""
+        """campaign.json: the identity of the campaign, and `more`."""
         about = {
             "name": self.campaign.spec.name or self.campaign.path.stem,
             "campaign": str(self.campaign.path.resolve()),
@@ -96,7 +96,7 @@ class Store:
         return (self.folder / CASES).is_file() and read_about(self.folder).get("status") == "complete"
 
     def done(self) -> np.ndarray:
-        """For each case, whether it is on disk. A chunk that cannot be read (a disk that lied) is removed and does not count."""
+        """For each case, whether it is on disk. A chunk that cannot be read (corrupted by the disk) is removed and does not count."""
         flags = np.zeros(self.campaign.spec.cases, dtype=bool)
         for file in self.chunks.glob("*.parquet"):
             try:
@@ -106,7 +106,7 @@ class Store:
         return flags
 
     def add(self, result: ChunkResult) -> None:
-        """Puts a finished chunk on disk: what is kept of its cases first, its rows last."""
+        """Writes a finished chunk: the files of its cases first, its rows last."""
         for name, content in result.files.items():
             path = self.folder / KEPT / name
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -136,7 +136,7 @@ class Store:
         _sync(self.folder)
 
     def remove_chunks(self) -> None:
-        """Takes the chunks away, once cases.parquet holds what they held."""
+        """Deletes the chunks, once cases.parquet contains their rows."""
         shutil.rmtree(self.chunks, ignore_errors=True)
         (self.folder / LOCK).unlink(missing_ok=True)
 
@@ -146,7 +146,7 @@ def _cases_in(file: Path) -> np.ndarray:
 
 
 def _window(files: list[tuple[Path, np.ndarray]], start: int, end: int) -> pa.Table:
-    """The rows of cases [start, end), in case order, from whichever chunks hold them."""
+    """The rows of cases [start, end) in case order, from the chunks that contain them."""
     parts = []
     for file, cases in files:
         inside = (cases >= start) & (cases < end)
@@ -156,7 +156,7 @@ def _window(files: list[tuple[Path, np.ndarray]], start: int, end: int) -> pa.Ta
 
 
 def refuse_another(folder: Path, campaign: LoadedCampaign) -> None:
-    """Raises InputError when `folder` holds anything but this campaign, made by these versions; it is left untouched."""
+    """Raises InputError if `folder` contains anything other than this campaign with these versions; the folder is not changed."""
     if not folder.exists() and not folder.is_symlink():
         return
     if not folder.is_dir():
@@ -178,7 +178,7 @@ def refuse_another(folder: Path, campaign: LoadedCampaign) -> None:
 
 
 def read_about(folder: Path) -> dict[str, Any]:
-    """campaign.json of a result folder. Raises InputError when it is not one."""
+    """campaign.json of a results folder. Raises InputError if the folder is not one."""
     try:
         about = json.loads((folder / ABOUT).read_text(encoding="utf-8"))
     except (OSError, ValueError):
@@ -187,7 +187,7 @@ def read_about(folder: Path) -> dict[str, Any]:
 
 
 def write_whole(path: Path, content: bytes) -> None:
-    """Writes beside the final name, waits for the disk, renames: the file is there whole or not at all."""
+    """Writes a temporary file, syncs it to disk and renames it: the file is complete or absent."""
     partial = path.with_name(path.name + ".partial")
     with partial.open("wb") as handle:
         handle.write(content)

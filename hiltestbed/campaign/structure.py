@@ -1,4 +1,4 @@
-"""Which cases can run in lockstep: those whose scenarios differ in numbers alone."""
+"""Which cases can run in lockstep: those whose scenarios differ only in numbers."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from hiltestbed.campaign.schema import LoadedCampaign
 from hiltestbed.errors import InputError
 from hiltestbed.scenario import Scenario, resolved, scenario_from
 
-_FREE = ("name", "description", "seed", "duration")  # do not bear on the structure; the number of ticks does
+_FREE = ("name", "description", "seed", "duration")  # do not affect the structure; the number of ticks does
 _KEPT = ("rate", "physics_rate")
 
 
 def skeleton(scenario: Scenario) -> str:
-    """The scenario without its numbers: kinds, methods, what is there and what is not, the rates and the number of ticks."""
+    """The scenario without its numbers: kinds, methods, which optional parts are present, the rates and the number of ticks."""
     data = {key: value if key in _KEPT else _bare(value) for key, value in resolved(scenario).items() if key not in _FREE}
     contact = scenario.mechanism.contact
     platform = str(scenario.rig.platform.alike(scenario))  # numbers that its model depends on
@@ -31,7 +31,7 @@ def _bare(value: Any) -> Any:
 
 
 def lockstep_groups(scenarios: Sequence[tuple[int, Scenario]], size: int) -> list[list[tuple[int, Scenario]]]:
-    """(case, scenario) pairs in groups of one skeleton and at most `size`, in case order within each."""
+    """(case, scenario) pairs in groups with the same skeleton and at most `size` members, in case order within each."""
     groups: dict[str, list[tuple[int, Scenario]]] = {}
     for pair in scenarios:
         groups.setdefault(skeleton(pair[1]), []).append(pair)
@@ -39,7 +39,7 @@ def lockstep_groups(scenarios: Sequence[tuple[int, Scenario]], size: int) -> lis
 
 
 def structural_keys(campaign: LoadedCampaign) -> list[str]:
-    """The varied keys that change the skeleton, judged by setting each of their listed values alone."""
+    """The varied keys that change the skeleton, found by setting each of their listed values alone."""
     return [key for key, variation in campaign.spec.vary.items() if len(_skeletons(campaign, key, variation.values or ())) > 1]
 
 

@@ -1,4 +1,4 @@
-"""A campaign from its file to its result folder; run again, it goes on where it stopped."""
+"""A campaign from its file to its results folder; run again, it resumes where it stopped."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ if TYPE_CHECKING:
 
 CHUNK = 64
 CHUNK_LIMIT = 1024
-LOOKED_AT = 16  # cases of a campaign, in which a key that varies is looked for among those without effect
-Progress = Callable[[int, int, Mapping[str, int]], None]  # cases done, cases in all, how many ended in which status
+LOOKED_AT = 16  # cases of a campaign that are checked for varied keys without effect
+Progress = Callable[[int, int, Mapping[str, int]], None]  # cases done, cases in total, number of cases per status
 
 
 @dataclass(frozen=True, repr=False)
 class Sweep:
-    """A campaign's results: the folder, and what campaign.json says."""
+    """A campaign's results: the folder, and the content of campaign.json."""
 
     folder: Path
     about: dict[str, Any]
@@ -50,7 +50,7 @@ class Sweep:
         return html_table(f"{self.about['name']}: {self.about['status']}", (), rows)
 
     def to_pandas(self) -> Any:
-        """cases.parquet as a pandas DataFrame, a row a case. Raises MissingExtra."""
+        """cases.parquet as a pandas DataFrame, one row per case. Raises MissingExtra."""
         try:
             import pandas as pd
         except ImportError:
@@ -58,9 +58,9 @@ class Sweep:
         return pd.read_parquet(self.folder / CASES)
 
     def plot(self, x: str, y: str, color: str | None = None, axes: Axes | None = None) -> Axes:
-        """A point a case over two columns of cases.parquet, coloured by a third; returns the Matplotlib axes.
+        """One point per case over two columns of cases.parquet, coloured by a third; returns the Matplotlib axes.
 
-        Raises InputError for a column that is not there.
+        Raises InputError for an unknown column.
         """
         table = self.cases()
         for name in filter(None, (x, y, color)):
@@ -99,7 +99,7 @@ def sweep(
     chunk: int = CHUNK,
     progress: Progress | None = None,
 ) -> Sweep:
-    """Runs every case that `out` (left out: results/NAME) does not hold yet, then writes cases.parquet, report.html and campaign.json.
+    """Runs every case that `out` (left out: results/NAME) does not contain yet, then writes cases.parquet, report.html and campaign.json.
 
     Raises InputError for a bad campaign, a folder that belongs to something else, or a scheduler that does not answer.
     """
@@ -124,12 +124,12 @@ def sweep(
 
 
 def default_folder(campaign: LoadedCampaign) -> Path:
-    """results/NAME, the same whenever the same campaign is run: that is how it goes on where it stopped."""
+    """results/NAME, the same each time the campaign is run, so that it resumes where it stopped."""
     return Path("results") / safe_name(campaign.spec.name or campaign.path.stem)
 
 
 def _run(store: Store, engine: engines.Engine, chunk: int, progress: Progress | None) -> tuple[int, float]:
-    """Runs what is not done yet; returns how many cases that were, and the wall time [s]."""
+    """Runs the remaining cases; returns their number and the wall time [s]."""
     done = store.done()
     missing = int(done.size - done.sum())
     start = time.perf_counter()
@@ -146,7 +146,7 @@ def _run(store: Store, engine: engines.Engine, chunk: int, progress: Progress | 
 
 
 def planned_chunks(campaign: LoadedCampaign, cases: np.ndarray, size: int) -> Iterator[tuple[int, ...]]:
-    """The cases cut in chunks, cases of one structure together and in order."""
+    """The cases divided into chunks, cases of one structure together and in order."""
     keys = structural_keys(campaign)
     if not keys:
         for start in range(0, len(cases), size):
@@ -165,7 +165,7 @@ def planned_chunks(campaign: LoadedCampaign, cases: np.ndarray, size: int) -> It
 
 
 def _finish(store: Store, engine: str, chunk: int, ran: int, wall: float) -> None:
-    """cases.parquet, then the report, then campaign.json; the chunks go last."""
+    """Writes cases.parquet, then the report, then campaign.json; deletes the chunks last."""
     import pyarrow.parquet as pq
 
     from hiltestbed.campaign.report import write_report
@@ -187,14 +187,14 @@ def _finish(store: Store, engine: str, chunk: int, ran: int, wall: float) -> Non
 
 
 def case_scenario(campaign: LoadedCampaign, case: int, overrides: Mapping[str, Any] | None = None) -> Scenario:
-    """The scenario of case number `case`, with keys overridden over it. Raises InputError when it cannot be."""
+    """The scenario of case number `case`, with keys overridden. Raises InputError if there is no such case or its scenario is invalid."""
     if not 0 <= case < campaign.spec.cases:
         raise InputError(f"--case {case}: is no case of {campaign.path}; allowed are 0 to {campaign.spec.cases - 1}")
     return scenario_from(campaign.source.with_set(case_values(campaign.spec, [case])[0]), overrides)
 
 
 def varied_in_vain(campaign: LoadedCampaign) -> tuple[str, ...]:
-    """A sentence for each key that varies and acts on nothing in any of up to :data:`LOOKED_AT` cases."""
+    """A sentence for each varied key that has no effect in any of up to :data:`LOOKED_AT` cases."""
     cases = sorted({round(i * (campaign.spec.cases - 1) / (LOOKED_AT - 1)) for i in range(LOOKED_AT)})
     found: dict[str, str] = {}
     for n, case in enumerate(cases):
@@ -207,5 +207,5 @@ def varied_in_vain(campaign: LoadedCampaign) -> tuple[str, ...]:
 
 
 def read_sweep(folder: str | Path) -> Sweep:
-    """What a campaign's result folder holds. Raises InputError when it is not one."""
+    """The results in a campaign's folder. Raises InputError if the folder is not one."""
     return Sweep(Path(folder), read_about(Path(folder)))

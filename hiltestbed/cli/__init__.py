@@ -1,7 +1,7 @@
 """The command line: `hiltestbed run | check | rig | view | compare | new | doctor | schema | bench | sweep | diagnose | live | ...`.
 
-Exit status: 0 done; 2 bad input; 3 the simulation diverged or a safety limit stopped it; 1 anything else that failed. Results go to
-standard output, progress and messages to standard error. A command imports what it needs when it runs, so that --help is quick.
+Exit status: 0 done; 2 bad input; 3 the simulation diverged or a safety limit stopped it; 1 any other failure. Results go to
+standard output, progress and messages to standard error. A command imports what it needs when it runs, so that --help is fast.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ __all__ = ["app", "main"]
 
 
 def main() -> None:
-    """Entry point: Ctrl-C while the program is still being loaded ends it in a word as well."""
+    """Entry point. Ctrl-C while the program is still loading also ends it with a short message."""
     interrupt.install()
     try:
         from hiltestbed.cli.program import main as program

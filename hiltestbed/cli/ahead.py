@@ -1,8 +1,8 @@
-"""Compiles what a first run needs later, in a process beside it.
+"""Compiles, in a background process, the kernels that a first run needs later.
 
-The first run after an install compiles its blocks in the order in which a tick calls them, on one core. What identifies, and what keeps
-figures and rows, does not hang on the blocks before it, so that another core can compile it meanwhile: Numba finds it on disk when its
-turn comes. Nothing waits for the process, and nothing is wrong without it: what it has not done by then is compiled by the run itself.
+The first run after an install compiles its blocks in the order in which a tick calls them, on one core. The identification and the
+recording of figures and rows do not depend on the blocks before them, so a second core can compile them meanwhile; Numba then
+finds them on disk. Nothing waits for this process: the run itself compiles whatever is still missing.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ if TYPE_CHECKING:
     from hiltestbed.loop import Side
     from hiltestbed.scenario import Scenario
 
-_running: list[subprocess.Popen[bytes]] = []  # held: one that is let go of while it runs is warned of
+_running: list[subprocess.Popen[bytes]] = []  # referenced: Python warns if a Popen is garbage-collected while its process runs
 
 
 def begin(scenario: Path, sets: list[str] | None, case: int | None) -> None:
-    """Start it for what `run` was called with, unless no kernel or no core is left."""
+    """Start the process for the arguments of `run`, unless the kernels are compiled already or there is only one core."""
     if compiled() or cores() < 2:
         return
     with contextlib.suppress(OSError):
@@ -39,7 +39,7 @@ def begin(scenario: Path, sets: list[str] | None, case: int | None) -> None:
 
 
 def compile_later_blocks(scenario: Scenario) -> None:
-    """Call the blocks of a loop that do not hang on its rig, and then what is asked of the rig when the run is over."""
+    """Call the blocks of a loop that do not depend on its rig, then the measurement of the rig that follows a run."""
     from hiltestbed.loop import Loop
     from hiltestbed.rig_response import measured_response
     from hiltestbed.signals import Trace
@@ -53,7 +53,7 @@ def compile_later_blocks(scenario: Scenario) -> None:
 
 
 def _no_rig(scenarios: Sequence[Scenario], nthread: int) -> Side:
-    """Arrays of the kinds that a rig has, which nothing moves."""
+    """Static arrays with the shapes and types of a rig's."""
     import numpy as np
 
     from hiltestbed.safety import Safety
@@ -69,7 +69,7 @@ def _no_rig(scenarios: Sequence[Scenario], nthread: int) -> Side:
 
 
 def main() -> None:
-    """Without looking how the parts lie to each other at the start: that is compiled, and the run looks at it meanwhile."""
+    """Entry point. The check of the parts' relative position at the start is skipped: its kernels are compiled, and the run does it."""
     from hiltestbed.cli.options import read_scenario
     from hiltestbed.contact import findings
 

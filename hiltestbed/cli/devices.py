@@ -20,7 +20,7 @@ File = Annotated[Path, typer.Argument(metavar="SCENARIO", help="Scenario file, o
 Sensor = Annotated[str, typer.Option("--sensor", metavar="URL", help="Force sensor: rdt://, rtde://, udp://, shm:// and its options.")]
 Platform = Annotated[str, typer.Option("--platform", metavar="URL", help="Motion platform: rsi://, rtde://, udp://, shm://, and options.")]
 Out = Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Folder to write; left out: runs/NAME-live.")]
-Cpu = Annotated[int | None, typer.Option("--cpu", metavar="N", help="Processor to run the cycle on, best one that nothing else uses.")]
+Cpu = Annotated[int | None, typer.Option("--cpu", metavar="N", help="Processor for the cycle, preferably one that nothing else uses.")]
 Arm = Annotated[bool, typer.Option("--arm", help="Let the platform move. Left out, the devices are only watched.")]
 
 app = typer.Typer()
@@ -50,7 +50,7 @@ def live(
     folder = out if out is not None else free_folder(Path("runs") / safe_name(f"{spec.name}-live"))
     refuse_foreign(folder)
     _end_like_ctrl_c()
-    rows = folder.with_name(folder.name + ".rows.f64")  # for a process that dies: gone once the run is written
+    rows = folder.with_name(folder.name + ".rows.f64")  # remains if the process dies; deleted once the run is written
     result = run_live(spec, Options(sensor, platform, armed=arm, cpu=cpu, record=rows, say=_say))
     if isinstance(result, Observed):
         _print_observed(result, spec, as_json)
@@ -60,7 +60,7 @@ def live(
     discard(rows)
     _print_live(result.summary, folder, whole and not no_rerun, as_json)
     if result.summary["status"] != "completed":
-        print(f"{spec.name}: {result.summary['status']}: {result.summary['stop_reason']}; the run lies in {folder}", file=sys.stderr)
+        print(f"{spec.name}: {result.summary['status']}: {result.summary['stop_reason']}; the run is in {folder}", file=sys.stderr)
         raise typer.Exit(3)
 
 
@@ -74,7 +74,7 @@ def emulate(
     cpu: Cpu = None,
     as_json: Json = False,
 ) -> None:
-    """Play the physical side of a scenario in real time behind the protocols of real devices."""
+    """Emulate the physical side of a scenario in real time, with the protocols of real devices."""
     from hiltestbed.devices.emulate import emulate as run_emulation
 
     _end_like_ctrl_c()
@@ -144,7 +144,7 @@ def fmu(
 
 
 def _for_seconds(file: Path, sets: list[str] | None, seconds: float | None) -> Scenario:
-    """The scenario in a file, with that duration where it is given."""
+    """The scenario in a file, with its duration replaced by ``seconds`` if given."""
     return read_scenario(file, [*(sets or []), *([f"duration={seconds!r}"] if seconds is not None else [])])
 
 
@@ -167,7 +167,7 @@ def _say(step: str) -> None:
 
 
 def _end_like_ctrl_c() -> None:
-    """A request to terminate ends a run as Ctrl-C does: with the platform held and its folder written."""
+    """Handle SIGTERM like Ctrl-C: hold the platform and write the run folder."""
     signal.signal(signal.SIGTERM, signal.getsignal(signal.SIGINT))
 
 

@@ -1,4 +1,4 @@
-"""What the commands share: their options, and how a scenario is read."""
+"""Options that the commands share, and the reading of a scenario."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Json = Annotated[bool, typer.Option("--json", help="One JSON object on standard 
 
 
 def complete(incomplete: str) -> list[str]:
-    """Shipped scenarios and campaigns, and files, that begin like that: for a shell."""
+    """Shell completion: shipped scenarios and campaigns, and files, that begin with ``incomplete``."""
     from hiltestbed.gallery import campaign_names, scenario_names
 
     files = [str(path) for path in Path().glob("*.yaml")]
@@ -28,7 +28,7 @@ def complete(incomplete: str) -> list[str]:
 
 
 def overrides(sets: list[str] | None) -> dict[str, Any]:
-    """`["a.b=1"]` as `{"a.b": "1"}`. Raises InputError for what has no `=`."""
+    """`["a.b=1"]` as `{"a.b": "1"}`. Raises InputError for an item without `=`."""
     result = {}
     for item in sets or []:
         key, sign, value = item.partition("=")
@@ -39,7 +39,7 @@ def overrides(sets: list[str] | None) -> dict[str, Any]:
 
 
 def read_scenario(file: Path, sets: list[str] | None, case: int | None = None) -> Scenario:
-    """The scenario in a file, or of one case of the campaign in it; another kind of file is named, not taken for a faulty scenario."""
+    """The scenario in a file, or one case of the campaign in it. Raises InputError that names the kind of any other file."""
     from hiltestbed.check import file_kind
     from hiltestbed.gallery import campaign_names, find_scenario, refuse_unknown, scenario_names
     from hiltestbed.kernels import tell_of_compiling

@@ -1,4 +1,4 @@
-"""The program: its commands together, what holds for all of them, and what becomes of errors."""
+"""The program: all commands, their common options, and the handling of errors."""
 
 from __future__ import annotations
 
@@ -38,11 +38,11 @@ def _root(
         typer.Option(
             "--plugin",
             metavar="MODULE",
-            help="Load effects, methods, mechanisms or platforms of your own: a module, or a .py file (repeatable, with every command).",
+            help="Load your own effects, methods, mechanisms or platforms: a module, or a .py file (repeatable, with every command).",
         ),
     ] = None,
     figures: Annotated[
-        bool, typer.Option("--figures", help="Write the figures of reports beside them as well, as PNG and SVG (with every command).")
+        bool, typer.Option("--figures", help="Also write the figures of reports as PNG and SVG files beside them (with every command).")
     ] = False,
 ) -> None:
     FIGURES_APART.set(figures)
@@ -54,12 +54,12 @@ def _root(
 
 for group in (scenarios, studies, devices):
     for command in group.app.registered_commands:
-        command.epilog = "With every command: --plugin MODULE, --figures (hiltestbed --help says what they do)."
+        command.epilog = "With every command: --plugin MODULE, --figures (explained by hiltestbed --help)."
     app.add_typer(group.app)
 
 
 def _fail(error: BaseException, text: str, status: int) -> int:
-    """Says what went wrong on standard error; with --json on standard output too, as the one object there."""
+    """Print an error to standard error, and with --json also to standard output, as the only object there; returns ``status``."""
     if "--json" in sys.argv:
         faults = [vars(fault) for fault in error.faults] if isinstance(error, InputError) else []
         print(json.dumps({"status": "error", "exit_status": status, "error": text, "faults": faults}))
@@ -68,9 +68,9 @@ def _fail(error: BaseException, text: str, status: int) -> int:
 
 
 def main() -> None:
-    """Entry point: runs a command and turns what goes wrong into a message and an exit status."""
+    """Entry point: runs a command and turns errors into a message and an exit status."""
     for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):  # a terminal without UTF-8 gets a mark in place of what it cannot show
+        if isinstance(stream, io.TextIOWrapper):  # a terminal without UTF-8 gets a replacement mark for other characters
             stream.reconfigure(errors="replace")
     try:
         status = _run()
@@ -82,7 +82,7 @@ def main() -> None:
 
 
 def _common_first(arguments: list[str]) -> list[str]:
-    """The arguments with ``--figures`` and every ``--plugin MODULE`` at their head, where the program takes them, wherever they stand."""
+    """The arguments with ``--figures`` and every ``--plugin MODULE`` moved to the front, where the program expects them."""
     ahead, rest = [], []
     waiting = iter(arguments)
     for argument in waiting:
@@ -100,7 +100,7 @@ def _common_first(arguments: list[str]) -> list[str]:
 def _run() -> int:
     try:
         app(_common_first(sys.argv[1:]))
-    except SystemExit as ended:  # what typer ends with: 2 for a wrong call, 130 after Ctrl-C
+    except SystemExit as ended:  # raised by typer: 2 for a wrong call, 130 after Ctrl-C
         return ended.code if ended.code in (0, 1, 2, 3) else int(ended.code is not None)  # type: ignore[return-value]
     except HiltestbedError as error:
         return _fail(error, str(error), error.exit_status)

@@ -65,7 +65,7 @@ def run(
         print_run(result.summary, folder, not no_rerun, time.monotonic() - start)
     if result.summary["status"] != "completed":
         print(
-            printable(f"{spec.name}: {result.summary['status']}: {result.summary['stop_reason']}; its state lies in {folder}"),
+            printable(f"{spec.name}: {result.summary['status']}: {result.summary['stop_reason']}; its state is in {folder}"),
             file=sys.stderr,
         )
         raise typer.Exit(3)
@@ -77,7 +77,7 @@ def check(
     sets: Sets = None,
     as_json: Json = False,
 ) -> None:
-    """Validate files: every fault at once, with file, line and column; the data of a dataset are opened and checked, too.
+    """Validate files and report all faults at once, with file, line and column. The data of a dataset are read and checked, too.
 
     hiltestbed check my-rig.yaml --set sensor.delay=0.010
     """
@@ -120,7 +120,7 @@ def rig(
     sets: Sets = None,
     as_json: Json = False,
 ) -> None:
-    """Measure the rig of a scenario: workspace, bandwidth and delay in six axes, modes, dynamic stiffness; in pictures and a JSON file."""
+    """Measure the rig of a scenario: workspace, bandwidth and delay in six axes, modes, dynamic stiffness; as figures and a JSON file."""
     from hiltestbed.platform.rig_report import RIG, measure_rig, write_rig
     from hiltestbed.progress import count_bar
     from hiltestbed.recording import refuse_foreign
@@ -150,10 +150,10 @@ def view(run: Annotated[Path, typer.Argument(metavar="RUN", help="A run folder, 
 @app.command()
 def compare(
     runs: Annotated[list[Path], typer.Argument(metavar="RUN RUN ...", help="Run folders.")],
-    out: Annotated[Path | None, typer.Option("--out", metavar="FILE", help="Write the comparison as an HTML page, too.")] = None,
+    out: Annotated[Path | None, typer.Option("--out", metavar="FILE", help="Also write the comparison as an HTML page.")] = None,
     as_json: Json = False,
 ) -> None:
-    """Put runs side by side: what differs in their scenarios, and what that did to the figures.
+    """Compare runs: the differences between their scenarios, and their effect on the results.
 
     hiltestbed compare runs/late runs/right --out both.html
     """
@@ -188,7 +188,7 @@ def new(
 
 @app.command()
 def doctor(as_json: Json = False) -> None:
-    """Say what this installation has: versions, extras, cores, viewer, compiled kernels. Status 1 where something needed is missing."""
+    """List what this installation has: versions, extras, cores, viewer, compiled kernels. Status 1 if something required is missing."""
     from hiltestbed.doctor import examine
 
     found = examine()

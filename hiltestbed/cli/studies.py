@@ -1,4 +1,4 @@
-"""The commands that take many runs: `hiltestbed bench | sweep | diagnose`."""
+"""The commands that make many runs: `hiltestbed bench | sweep | diagnose`."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from hiltestbed.folders import free_folder, safe_name
 
 app = typer.Typer()
 
-BENCHES = {  # name to the module whose function of that name measures
+BENCHES = {  # name of a benchmark, and the module with its function of the same name
     "cor": "hiltestbed.bench.cor",
     "diagnosis": "hiltestbed.bench.diagnosis",
     "facilities": "hiltestbed.bench.facilities",
@@ -23,9 +23,9 @@ BENCHES = {  # name to the module whose function of that name measures
     "robustness": "hiltestbed.bench.robustness.run",
     "throughput": "hiltestbed.bench.throughput",
 }
-LASTING = ("diagnosis", "robustness")  # those that go on for as long as there is time
+LASTING = ("diagnosis", "robustness")  # benchmarks with a time limit
 LONG = ", ".join(LASTING)
-KEPT = ".sets.jsonl"  # beside the folder of a diagnosis benchmark: what it has done so far
+KEPT = ".sets.jsonl"  # suffix of the file beside the folder of a diagnosis benchmark that holds the finished sets
 
 
 @app.command()
@@ -33,20 +33,20 @@ def bench(
     name: Annotated[str, typer.Argument(metavar="|".join(BENCHES), help="Which benchmark.")],
     out: Out = None,
     quick: Annotated[bool, typer.Option("--quick", help="A smaller grid.")] = False,
-    noise: Annotated[bool, typer.Option("--noise", help="diagnosis: healthy rigs under every kind of noise alone.")] = False,
-    docking: Annotated[bool, typer.Option("--docking", help="diagnosis: the docking sets alone.")] = False,
+    noise: Annotated[bool, typer.Option("--noise", help="diagnosis: only sets with noise that is not white.")] = False,
+    docking: Annotated[bool, typer.Option("--docking", help="diagnosis: only the docking sets.")] = False,
     computing: Annotated[
-        bool, typer.Option("--computing", help="diagnosis: facilities alone that divide and stamp their ticks in other ways.")
+        bool, typer.Option("--computing", help="diagnosis: only facilities with other sub-steps, sampling instants and time stamps.")
     ] = False,
-    minutes: Annotated[float | None, typer.Option("--for", metavar="MINUTES", min=0.01, help=f"{LONG}: how long to go on.")] = None,
-    workers: Annotated[int | None, typer.Option("--workers", min=1, help=f"{LONG}: processes, else one a core.")] = None,
+    minutes: Annotated[float | None, typer.Option("--for", metavar="MINUTES", min=0.01, help=f"{LONG}: duration.")] = None,
+    workers: Annotated[int | None, typer.Option("--workers", min=1, help=f"{LONG}: processes; left out: one per core.")] = None,
     as_json: Json = False,
 ) -> None:
     """Run a benchmark and write its bench.json and report.html.
 
     hiltestbed bench cor --quick --plugin my_method.py
 
-    hiltestbed bench diagnosis --noise --for 60 --out runs/noise      (the same again goes on where it stopped)
+    hiltestbed bench diagnosis --noise --for 60 --out runs/noise      (repeat the command to continue)
     """
     from importlib import import_module
 
@@ -54,9 +54,9 @@ def bench(
         raise InputError(f"bench: unknown benchmark (got {name!r}); allowed: {', '.join(BENCHES)}")
     chosen = {option: True for option, given in (("noise", noise), ("docking", docking), ("computing", computing)) if given}
     if chosen and name != "diagnosis":
-        raise InputError(f"bench {name}: --{next(iter(chosen))} is an option of bench diagnosis alone; leave it out")
+        raise InputError(f"bench {name}: --{next(iter(chosen))} is an option of bench diagnosis only; leave it out")
     if (minutes is not None or workers is not None) and name not in LASTING:
-        raise InputError(f"bench {name}: --for and --workers are options of bench {' and '.join(LASTING)} alone; leave them out")
+        raise InputError(f"bench {name}: --for and --workers are options of bench {' and '.join(LASTING)} only; leave them out")
     from hiltestbed.bench.result import BENCH, write_bench
     from hiltestbed.kernels import tell_of_compiling
     from hiltestbed.progress import count_bar
@@ -92,12 +92,12 @@ def sweep(
     campaign: Annotated[Path, typer.Argument(metavar="CAMPAIGN", help="Campaign file.")],
     out: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Folder of the results; left out: results/NAME.")] = None,
     sets: Sets = None,
-    workers: Annotated[int | None, typer.Option("--workers", metavar="N", help="Processes on this machine; left out: one a core.")] = None,
+    workers: Annotated[int | None, typer.Option("--workers", metavar="N", help="Processes on this machine; default: one per core.")] = None,
     scheduler: Annotated[str | None, typer.Option("--scheduler", metavar="ADDRESS", help="Dask scheduler, tcp://host:8786.")] = None,
-    chunk: Annotated[int, typer.Option("--chunk", metavar="N", help="Cases in lockstep, and on disk, at a time.")] = 64,
+    chunk: Annotated[int, typer.Option("--chunk", metavar="N", help="Cases that run in lockstep and are written together.")] = 64,
     as_json: Json = False,
 ) -> None:
-    """Run a campaign; run again with the same --out, it goes on where it stopped.
+    """Run a campaign; run again with the same --out, it resumes where it stopped.
 
     hiltestbed sweep delay-stiffness --out results/map
 
@@ -125,7 +125,7 @@ def sweep(
         with case_bar() as progress:
             result = run_sweep(spec, folder, workers=workers, scheduler=scheduler, chunk=chunk, progress=progress)
     except KeyboardInterrupt:
-        raise HiltestbedError(f"interrupted; what is finished lies in {folder}, the same command goes on from there") from None
+        raise HiltestbedError(f"interrupted; finished cases are in {folder}, the same command resumes from there") from None
     if as_json:
         print(json.dumps(result.about | {"folder": str(folder)}, allow_nan=False))
     else:
@@ -140,7 +140,7 @@ def diagnose(
     out: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Folder to write; left out: runs/diagnosis-NAME.")] = None,
     as_json: Json = False,
 ) -> None:
-    """Measured data against the simulation: what departs, why, and what is gained.
+    """Compare measured data with the simulation: where they deviate, the cause, and the gain of an extended model.
 
     hiltestbed check dataset.yaml && hiltestbed diagnose dataset.yaml --out results/mine
     """

@@ -1,23 +1,23 @@
-"""Measured data in: files of seven formats to records on the loop's ticks, checked before anything is made of them.
+"""Reading of measured data: files in seven formats to records on the loop's ticks, checked before they are used.
 
-:func:`load_dataset` is all that a diagnosis needs::
+A diagnosis only needs :func:`load_dataset`::
 
     dataset = load_dataset("dataset.yaml")      # InputError when a file is unreadable or the data contradict the physics
     for run in dataset.runs:
         run.scenario                            # the facility's scenario with this run's `set`
         run.record.t                            # (ticks,) [s], tick/rate
         run.record.data["pose_act"]             # (ticks, 7), NaN where not measured
-        run.record.valid["pose_act"]            # (ticks, 7), the mask that residuals count under
-        run.record.filled("pose_act")           # (ticks, 7) without NaN, to drive a model with
+        run.record.valid["pose_act"]            # (ticks, 7), the mask of samples that count in residuals
+        run.record.filled("pose_act")           # (ticks, 7) without NaN, as the input of a model
         run.record.absent                       # columns that were not measured
         run.survey.noise["wrench_meas.fz"].rms  # from before the first touch
         run.survey.contacts                     # start, end, peak force, penetration, speed
-    dataset.links()                             # the links whose two ends were measured
+    dataset.links()                             # the links whose input and output were measured
     dataset.remarks                             # losses and notes, each with run, channel and numbers
 
-Nothing is corrected: a wrong sign or unit is an error that names the line of the channel map to write, and the key ``accept`` of the
-dataset with which the data are taken as they are. :func:`examine` returns the errors as remarks instead of raising them. Readers are
-imported when a file of their format is opened.
+Nothing is corrected: the error for a wrong sign or unit gives the line to write in the channel map, and the key ``accept`` with which the
+dataset accepts the data unchanged. :func:`examine` returns the errors as remarks instead of raising them. Readers are imported when a
+file of their format is opened.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _HOME = {"Contact": "survey", "Noise": "noise", "Record": "record", "Remark": "r
 
 
 def __getattr__(name: str) -> Any:
-    """Names are imported when they are asked for: the process of a reader needs none of them, and starts in a fifth of the time."""
+    """Names are imported on first access: the process of a reader needs none of them, and so starts in a fifth of the time."""
     if name in __all__:
         return getattr(import_module(f"hiltestbed.measured.{_HOME.get(name, 'load')}"), name)
     raise AttributeError(f"module 'hiltestbed.measured' has no attribute {name!r}")

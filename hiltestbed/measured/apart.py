@@ -1,6 +1,6 @@
-"""Other people's readers in a process of their own: one that crashes, hangs or takes all memory ends there, and the file is refused.
+"""Third-party readers in a separate process: if one crashes, hangs or exhausts memory, only that process ends, and the file is refused.
 
-The process is told a path and column names, and answers with arrays in NumPy's own format, which holds no objects and executes nothing.
+The process gets a path and column names, and returns arrays in NumPy's own format, without pickled objects, so that no code is executed.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ import numpy as np
 from hiltestbed.errors import Fault, HiltestbedError, InputError, MissingExtra
 from hiltestbed.measured.columns import Columns, unreadable
 
-TIME_LIMIT = 60.0  # [s] for a file, and for each GB of it as much again
-MEMORY = 4 << 30  # [byte] of address space that a reader may take
+TIME_LIMIT = 60.0  # [s] per file, plus the same for each GB
+MEMORY = 4 << 30  # [byte] limit of a reader's address space
 COLUMNS = "columns.npz"
 ANSWER = "answer.json"
 
 
 def read_apart(module: str, path: Path, wanted: Set[str]) -> Columns:
-    """What the reader ``module`` finds in a file. Raises InputError when it finds nothing to use, crashes or does not end; MissingExtra."""
+    """The result of the reader ``module`` for a file. Raises InputError if it finds nothing usable, crashes or hangs; MissingExtra."""
     limit = TIME_LIMIT * (1.0 + path.stat().st_size / 1e9)
     with tempfile.TemporaryDirectory(prefix="hiltestbed-") as folder:
         order = json.dumps({"module": module, "path": str(path.absolute()), "wanted": sorted(wanted), "folder": folder, "given": str(path)})
@@ -42,29 +42,29 @@ def read_apart(module: str, path: Path, wanted: Set[str]) -> Columns:
         answer = Path(folder) / ANSWER
         if not answer.is_file():
             how = f"signal {-ended.returncode}" if ended.returncode < 0 else f"exit status {ended.returncode}"
-            raise unreadable(path, f"ends its reader ({how})", "it is damaged: copy or export it again")
+            raise unreadable(path, f"crashes its reader ({how})", "it is damaged: copy or export it again")
         return _answer(json.loads(answer.read_text(encoding="utf-8")), Path(folder) / COLUMNS)
 
 
 def _environment() -> dict[str, str]:
-    """This environment, with the packages of this process where it finds its own."""
+    """This environment, with the import path of this process."""
     here = str(Path(__file__).parents[2])
     return os.environ | {"PYTHONPATH": os.pathsep.join([here, *filter(None, [os.environ.get("PYTHONPATH")])])}
 
 
-def _answer(told: dict, file: Path) -> Columns:
-    if "faults" in told:
-        raise InputError([Fault(**fault) for fault in told["faults"]])
-    if "error" in told:
-        raise HiltestbedError(told["error"])
+def _answer(answer: dict, file: Path) -> Columns:
+    if "faults" in answer:
+        raise InputError([Fault(**fault) for fault in answer["faults"]])
+    if "error" in answer:
+        raise HiltestbedError(answer["error"])
     with np.load(io.BytesIO(file.read_bytes()), allow_pickle=False) as arrays:
-        data = {name: arrays[f"data.{i}"] for i, name in enumerate(told["data"])}
-        clock = {name: arrays[f"clock.{i}"] for i, name in enumerate(told["clock"])}
-    return Columns(tuple(told["names"]), data, clock)
+        data = {name: arrays[f"data.{i}"] for i, name in enumerate(answer["data"])}
+        clock = {name: arrays[f"clock.{i}"] for i, name in enumerate(answer["clock"])}
+    return Columns(tuple(answer["names"]), data, clock)
 
 
 def _serve() -> None:
-    """Read what standard input asks for and leave the answer in the folder that it names."""
+    """Read the file that standard input names, and write the result to the folder that it names."""
     from hiltestbed.measured.formats import reader
 
     order = json.loads(sys.stdin.buffer.read())
@@ -72,18 +72,18 @@ def _serve() -> None:
     try:
         _limit_memory()
         columns = reader(order["module"])(Path(order["path"]), frozenset(order["wanted"]))
-        told = {"names": list(columns.names), "data": list(columns.data), "clock": list(columns.clock)}
+        answer = {"names": list(columns.names), "data": list(columns.data), "clock": list(columns.clock)}
         arrays = {f"data.{i}": a for i, a in enumerate(columns.data.values())}
         arrays |= {f"clock.{i}": a for i, a in enumerate(columns.clock.values())}
         np.savez(folder / COLUMNS, **arrays)  # type: ignore[arg-type]
     except InputError as error:
-        told = {"faults": [vars(fault) | {"file": given} for fault in error.faults]}
+        answer = {"faults": [vars(fault) | {"file": given} for fault in error.faults]}
     except MissingExtra as error:
-        told = {"error": str(error).replace(order["path"], given)}
+        answer = {"error": str(error).replace(order["path"], given)}
     except MemoryError:
-        told = {"faults": [vars(Fault(given, None, None, "", "asks for more memory than there is; it is damaged, or cut it to the run"))]}
+        answer = {"faults": [vars(Fault(given, None, None, "", "asks for more memory than there is; it is damaged, or cut it to the run"))]}
     partial = folder / (ANSWER + ".partial")
-    partial.write_text(json.dumps(told), encoding="utf-8")
+    partial.write_text(json.dumps(answer), encoding="utf-8")
     partial.replace(folder / ANSWER)
 
 

@@ -1,4 +1,4 @@
-"""Unit, sign and axes of force and pose by momentum: what the force did to the bodies is what the pose shows, whatever was in contact."""
+"""Check of unit, sign and axes of force and pose by momentum: the force must have caused the recorded motion, whatever the contact."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from hiltestbed.measured.start import AGREE, Start, factor_text, likely_scale, s
 from hiltestbed.measured.survey import Survey
 from hiltestbed.scenario import Scenario
 
-SCALE = 2.2  # factor off 1 that no effect gives: the largest over the independent rig's effects is 1.25
-HOLDS = 0.85  # part of the motion that a force in the given order explains at least, or else an order is looked for
-LEAVES = 0.1  # of what that force leaves unexplained, that is left in another order; the least over the rig's hidden effects is 0.29
-AXIS_REVERSED = -0.5  # of the common scale: one axis has the other sign
+SCALE = 2.2  # factor from 1 that no effect causes: the largest over the independent rig's effects is 1.25
+EXPLAINED = 0.85  # part of the motion that a force with its axes as given must explain; otherwise other orders of axes are tried
+REMAINDER = 0.1  # largest remainder with another order, as part of that in the given order; the least over the rig's hidden effects is 0.29
+AXIS_REVERSED = -0.5  # of the common scale: below it the sign of one axis is reversed
 
 
 def balances(record: Record, scenario: Scenario) -> dict[str, Momentum]:
-    """Group of the force to what it and the pose say of each other, for the forces of which it can be said.
+    """The momentum balance of each force (by its group) with the pose, where it can be evaluated.
 
-    The commanded pose follows from the force by the numerical model's own law. Where there is no wrench_comp, or only a reached pose, the
-    force has to have moved the bodies: taken for granted where they were sent with the scenario's speed, not of a driven machine.
+    The commanded pose follows from wrench_comp by the law of the numerical model. Without wrench_comp, or with a reached pose only, the
+    force must have moved the bodies: assumed if they approach with the scenario's speed, but not for a driven machine.
     """
     pose = "pose_cmd" if record.has("pose_cmd") else "pose_act"
     modelled = record.has("wrench_comp") and pose == "pose_cmd"
@@ -37,14 +37,14 @@ def balances(record: Record, scenario: Scenario) -> dict[str, Momentum]:
 
 
 def imbalances(record: Record, found: Survey, scenario: Scenario, pairs: dict[str, Momentum]) -> Iterator[Remark]:
-    """Errors for a force that does not belong to the motion it is said to have caused."""
+    """Errors for a force that cannot have caused the recorded motion."""
     for pair in pairs.values():
-        otherwise = pair.explained < HOLDS and 1.0 - pair.explained_in_order < LEAVES * (1.0 - pair.explained)
+        otherwise = pair.explained < EXPLAINED and 1.0 - pair.explained_in_order < REMAINDER * (1.0 - pair.explained)
         if otherwise and pair.order != FORCES:
             yield _exchanged(record, pair)
         elif otherwise and -1 in pair.signs:
             yield from _turned(record, pair)
-        elif pair.explained > HOLDS:
+        elif pair.explained > EXPLAINED:
             yield from _scaled(record, found, scenario, pair)
 
 
@@ -65,13 +65,11 @@ def _exchanged(record: Record, pair: Momentum) -> Remark:
 
 
 def _turned(record: Record, pair: Momentum) -> Iterator[Remark]:
-    text, evidence = _seen(pair, "with this axis turned round")
+    text, evidence = _seen(pair, "with this axis reversed")
     for name, sign in zip(FORCES, pair.signs, strict=True):
         if sign < 0:
             channel = f"{pair.force}.{name}"
-            yield Remark(
-                "error", record.run, channel, f"{text}: the sign is the other way round", scale_fix(channel, -1.0), evidence, "sign"
-            )
+            yield Remark("error", record.run, channel, f"{text}: the sign is reversed", scale_fix(channel, -1.0), evidence, "sign")
 
 
 def _scaled(record: Record, found: Survey, scenario: Scenario, pair: Momentum) -> Iterator[Remark]:
@@ -79,13 +77,13 @@ def _scaled(record: Record, found: Survey, scenario: Scenario, pair: Momentum) -
     at_fault = _pose_at_fault(pair, start)
     scale = pair.scale
     if not at_fault and scale < 0:
-        text = f"pulls while pushing: the motion of {pair.pose} is {scale:.3g} times what it causes; the sign is the other way round"
+        text = f"pulls while pushing: the motion of {pair.pose} is {scale:.3g} times what it causes; the sign is reversed"
         for name in _moving(pair):
             yield Remark("error", record.run, name, text, scale_fix(name, -1.0), {"scale": scale}, "sign")
     for axis, s in pair.axes.items():
-        if scale > 0 and -SCALE * scale < s < AXIS_REVERSED * scale:  # more than that is another motion, which the force does not make
+        if scale > 0 and -SCALE * scale < s < AXIS_REVERSED * scale:  # beyond -SCALE the motion has another cause than this force
             name = f"{pair.force}.f{axis}"
-            text = f"pushes {pair.pose}.p{axis} the wrong way ({s:.3g} times what it causes, all axes {scale:.3g}): its sign is turned"
+            text = f"pushes {pair.pose}.p{axis} the wrong way ({s:.3g} times what it causes, all axes {scale:.3g}): its sign is reversed"
             yield Remark("error", record.run, name, text, scale_fix(name, -1.0), {"scale": s}, "sign")
     size = abs(scale)
     if 1 / SCALE < size < SCALE or at_fault:
@@ -100,12 +98,12 @@ def _causes(pair: Momentum, scale: float) -> str:
 
 
 def _moving(pair: Momentum) -> list[str]:
-    """The columns of the force that clearly move the pose, z at least."""
+    """The columns of the force that clearly move the pose; at least z."""
     return [f"{pair.force}.f{axis}" for axis in dict.fromkeys(("z", *pair.axes))]
 
 
 def _pose_at_fault(pair: Momentum, start: Start | None) -> bool:
-    """Whether the pose's own start shows the same factor or sign: then it is the pose that is in another unit, not the force."""
+    """Whether the start of the pose shows the same factor or sign: then the unit of the pose is wrong, not that of the force."""
     if start is None or not start.ratios:
         return False
     off = start.unit if start.unit is not None else 1.0

@@ -1,4 +1,4 @@
-"""The check of measured data that comes before a diagnosis: every finding with its numbers, and the fix to make."""
+"""The check of measured data before a diagnosis: every finding with its numbers and a proposed fix."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ NEEDED = ("pose_cmd", "pose_act", "wrench_meas", "wrench_comp")
 
 
 def check_run(record: Record, scenario: Scenario) -> tuple[Record, Survey, list[Remark]]:
-    """The record with its clipped samples marked, what it holds, and all that is to be said of it."""
+    """The record with its clipped samples marked, its survey, and all remarks on it."""
     found = look(record, scenario)
     clipped, remarks = clipped_samples(record, found)
     remarks += contradictions(record, found, scenario)
@@ -31,7 +31,7 @@ def check_run(record: Record, scenario: Scenario) -> tuple[Record, Survey, list[
 
 
 def check_dataset(records: Sequence[Record], names: Sequence[str], links: Mapping[str, tuple[str, ...]]) -> list[Remark]:
-    """What the whole dataset lacks: links that lose an end, groups of which only some axes were measured; ``names``: of its runs."""
+    """Remarks on what the dataset lacks: links without input or output, groups with missing axes. ``names``: of its runs."""
     remarks = []
     for group in NEEDED:
         without = [record.run for record in records if not record.has(group)]
@@ -39,7 +39,7 @@ def check_dataset(records: Sequence[Record], names: Sequence[str], links: Mappin
         if without:
             everywhere = len(without) == len(records)
             where = "in no run" if everywhere else f"not in {', '.join(names[run] for run in without)}"
-            text = f"was measured {where}: nothing can be said there of the link{'s' if len(cut) > 1 else ''} {' and '.join(cut)}"
+            text = f"was measured {where}: the link{'s' if len(cut) > 1 else ''} {' and '.join(cut)} cannot be judged there"
             remarks.append(Remark("loss", None, group, text, "", {"runs": len(without)}))
         parts = {p for record in records if record.has(group) for p in GROUPS[group].columns if p in record.absent}
         if parts and any(record.has(group) for record in records):

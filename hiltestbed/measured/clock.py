@@ -1,4 +1,4 @@
-"""Time stamps of a file and the loop's ticks: what is wrong with the clock, and which sample belongs to which tick."""
+"""Time stamps of a file and the loop's ticks: faults of the clock, and the assignment of samples to ticks."""
 
 from __future__ import annotations
 
@@ -12,24 +12,24 @@ from scipy.interpolate import CubicSpline
 from hiltestbed.frames import Array
 from hiltestbed.measured.remark import Remark
 
-ON_TICK = 1e-6  # of a tick: a stamp this close to a tick is that tick, and its value is taken as it is
-AT_END = 0.02  # of a tick: the same for a tick that lies just before the first or just after the last sample
-REPEATED_LIMIT = 0.1  # part of the rows that may repeat a time stamp before the clock is too coarse to use
+ON_TICK = 1e-6  # of a tick: a sample this close to a tick is used for it without interpolation
+AT_END = 0.02  # of a tick: the same for a tick just before the first or just after the last sample
+REPEATED_LIMIT = 0.1  # part of the rows that repeat a time stamp, above which the clock is too coarse
 GAP = 1.75  # sample intervals: a longer one is a gap
-LENGTH_LIMIT = 20.0  # times the scenario's duration that a record may last
-OFF_TICKS = 0.2  # part of the ticks without a sample of their own, from which the rows are another clock's
-FEWEST = 4  # samples that a cubic goes through
-JITTER_LIMIT = 0.02  # of the interval, above which the spread of the sampling is worth a note
+LENGTH_LIMIT = 20.0  # longest record, in durations of the scenario
+OFF_TICKS = 0.2  # part of the ticks without a sample of their own, above which the rows follow another clock
+FEWEST = 4  # samples that determine a cubic
+JITTER_LIMIT = 0.02  # of the interval; a larger spread of the sampling gives a note
 
 
 @dataclass(frozen=True)
 class Clock:
-    """The rows of a file that are usable, in time order.
+    """The usable rows of a file, in time order.
 
     Attributes:
         t: ``(kept,)`` [s], strictly increasing.
         rows: ``(kept,)`` their rows in the file.
-        interval: [s] median distance of two samples.
+        interval: [s] median sample interval.
     """
 
     t: Array
@@ -38,7 +38,7 @@ class Clock:
 
 
 def check_clock(run: int, t: Array, tick: float, duration: float) -> tuple[Clock | None, list[Remark]]:
-    """The usable rows of time stamps ``(rows,)`` [s], and what is to be said of them; None when they cannot be used.
+    """The usable rows of time stamps ``(rows,)`` [s] (None if there are none), and the remarks on them.
 
     Args:
         run: its number.
@@ -92,7 +92,7 @@ def _repeated(run: int, t: Array, steps: Array, repeated: int) -> Remark:
 
 
 def _wrong_length(run: int, t: Array, interval: float, tick: float, duration: float) -> Remark | None:
-    """A record that is very much longer or shorter than its scenario: mostly a clock in another unit."""
+    """A remark on a record that is much longer or shorter than its scenario, usually because its clock has another unit."""
     span, ratio = float(t[-1] - t[0]), interval / tick
     longer = span > LENGTH_LIMIT * max(duration, tick)
     shorter = span < duration / LENGTH_LIMIT and ratio < 1 / LENGTH_LIMIT
@@ -107,9 +107,9 @@ def _wrong_length(run: int, t: Array, interval: float, tick: float, duration: fl
 
 
 def start_of_run(run: int, first: float, tick: float, duration: float) -> tuple[float, list[Remark]]:
-    """What to take off the stamps so that they count from the start of the run, and what is to be said of it.
+    """The offset to subtract from the stamps so that they count from the start of the run, and the remarks on it.
 
-    A clock that reads less than 0 or more than the run lasts at its first row (a wall clock) counts from that row.
+    If the first stamp is below 0 or beyond the duration of the run (a wall clock), time is counted from the first row.
     """
     if -0.5 * tick <= first <= max(duration, tick):
         late = first > 1.5 * tick
@@ -121,7 +121,7 @@ def start_of_run(run: int, first: float, tick: float, duration: float) -> tuple[
 
 
 def _sampling(run: int, t: Array, interval: float, tick: float) -> list[Remark]:
-    """Notes on rate, spread and gaps."""
+    """Notes on sampling rate, jitter and gaps."""
     remarks, steps = [], np.diff(t)
     if abs(interval - tick) > 0.01 * tick:
         text = f"is sampled at {1 / interval:.6g} Hz, the loop runs at {1 / tick:.6g} Hz; resampled to the ticks"
@@ -143,8 +143,8 @@ def _sampling(run: int, t: Array, interval: float, tick: float) -> list[Remark]:
 def to_ticks(t: Array, values: Array, ticks: int, tick: float, interval: float) -> tuple[Array, NDArray[np.bool_]]:
     """Values at the loop's ticks, and which of them were measured.
 
-    A sample that stands on a tick is taken as it is. Between two samples that are no further apart than a gap, the value is
-    interpolated linearly, but counts only at ticks with a sample within half a tick: no tick is filled that the file says nothing of.
+    A sample on a tick is used unchanged. Between two samples that are not separated by a gap, the value is interpolated linearly, but
+    counts as measured only at ticks with a sample within half a tick: no tick is filled without data in the file.
 
     Args:
         t: ``(rows,)`` [s], strictly increasing.
@@ -171,7 +171,7 @@ def to_ticks(t: Array, values: Array, ticks: int, tick: float, interval: float) 
 
 
 def _about(t: Array, at: Array) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp], Array]:
-    """Of each time ``at``: the samples before and after it, the nearer one, and how far that is [s]."""
+    """For each time ``at``: the samples before and after it, the nearer one, and the distance to that one [s]."""
     after = np.clip(np.searchsorted(t, at), 1, len(t) - 1) if len(t) > 1 else np.zeros(len(at), dtype=np.intp)
     before = np.maximum(after - 1, 0)
     nearest = np.where(np.abs(t[after] - at) < np.abs(at - t[before]), after, before)
@@ -179,10 +179,11 @@ def _about(t: Array, at: Array) -> tuple[NDArray[np.intp], NDArray[np.intp], NDA
 
 
 def bend(t: Array, values: Array, ticks: int, tick: float) -> Array | None:
-    """``(ticks,)`` by which a cubic spline through the samples departs from the straight lines between them; None where rows are ticks.
+    """``(ticks,)`` difference of a cubic spline through the samples from linear interpolation; None if the rows are the loop's ticks.
 
-    Of a curve whose second derivative is x'', the lines miss ``x'' h^2 / 8`` half way between samples that are h apart, the spline
-    a part of it that falls with h^2 (C. de Boor, A Practical Guide to Splines, 2001, chapter V). Arguments as of :func:`to_ticks`.
+    For a curve with second derivative x'', linear interpolation is off by ``x'' h^2 / 8`` midway between samples at distance h; the error
+    of the spline is a fraction of this that decreases with h^2 (C. de Boor, A Practical Guide to Splines, 2001, chapter V). Arguments
+    as for :func:`to_ticks`.
     """
     known = np.isfinite(values)
     t, values = t[known], values[known]
@@ -191,7 +192,7 @@ def bend(t: Array, values: Array, ticks: int, tick: float) -> Array | None:
     at = tick * np.arange(ticks, dtype=np.float64)
     inside = (at > t[0]) & (at < t[-1])
     off = inside & (_about(t, at)[3] > ON_TICK * tick)
-    if off.sum() <= OFF_TICKS * inside.sum():  # rows that a logger lost are gaps, not another clock
+    if off.sum() <= OFF_TICKS * inside.sum():  # rows that the logger lost are gaps, not another clock
         return None
     out = np.zeros(ticks)
     out[off] = CubicSpline(t, values)(at[off]) - np.interp(at[off], t, values)

@@ -1,6 +1,6 @@
-"""Columns of one data file, as the file has them: names, values, and the clock of each where it has one of its own.
+"""Columns of one data file, unchanged: names, values, and the clock of each column that has its own.
 
-A reader is a function ``read(path, wanted) -> Columns``; it loads the columns in ``wanted`` alone and lists the names of the others.
+A reader is a function ``read(path, wanted) -> Columns``; it loads only the columns in ``wanted`` and lists the names of the others.
 """
 
 from __future__ import annotations
@@ -20,18 +20,18 @@ from hiltestbed.signals import GROUPS
 if TYPE_CHECKING:
     from hiltestbed.frames import Array
 
-# What the parsers of foreign formats raise when the bytes are not what the header promises, beside errors of their own.
+# Errors that third-party parsers raise, besides their own, if the bytes contradict the header.
 BROKEN = (OSError, EOFError, ValueError, LookupError, TypeError, AttributeError, RuntimeError, OverflowError, struct.error)
-SAMPLE_LIMIT = 32_000_000  # numbers that one file may bring into memory: 256 MB
+SAMPLE_LIMIT = 32_000_000  # numbers that may be loaded from one file: 256 MB
 
 
 @dataclass
 class Columns:
-    """What a reader found in a file.
+    """Result of a reader.
 
     Attributes:
-        names: every column the file holds, read or not.
-        data: name to ``(rows,)`` of the columns that were wanted and are there.
+        names: every column in the file, read or not.
+        data: name to ``(rows,)`` of the wanted columns that exist.
         clock: name to ``(rows,)`` [s] for columns that carry their own time stamps (MDF4, TDMS, MCAP); others share a time column.
     """
 
@@ -41,19 +41,19 @@ class Columns:
 
 
 def unreadable(path: Path, what: str, do: str) -> InputError:
-    """The error of a file that cannot be taken in: what is wrong with it and what to do."""
+    """The error for a file that cannot be read: what is wrong with it and what to do."""
     return InputError(Fault(str(path), None, None, "", f"{what}; {do}"))
 
 
 def refuse_large(path: Path, rows: int, columns: int) -> None:
-    """Raises InputError when ``rows`` x ``columns`` numbers are more than SAMPLE_LIMIT; called before anything is read."""
+    """Raises InputError if ``rows`` x ``columns`` exceeds SAMPLE_LIMIT; called before any data are read."""
     if rows * columns > SAMPLE_LIMIT:
         what = f"is too large (got about {rows:.3g} rows of {columns} channels); allowed are {SAMPLE_LIMIT:.3g} numbers a run"
         raise unreadable(path, what, "cut the file to the run, thin it out, or store only the channels that are mapped")
 
 
 def as_numbers(path: Path, name: str, values: object) -> Array:
-    """``values`` as float64 ``(rows,)``. Raises InputError when they are not real numbers."""
+    """``values`` as float64 ``(rows,)``. Raises InputError if they are not real numbers."""
     array = np.asarray(values)
     if array.dtype.kind not in "biuf":
         kind = "complex numbers" if array.dtype.kind == "c" else f"values of type {array.dtype}"
@@ -64,8 +64,8 @@ def as_numbers(path: Path, name: str, values: object) -> Array:
 def split_matrix(name: str, shape: tuple[int, ...]) -> list[tuple[str, tuple[int, ...]]]:
     """Names for the columns of an array that a file stores under one name, each with its index along the columns.
 
-    A vector (or a matrix of one column or row) keeps its name; a matrix named after a group of the trace, of the right width,
-    takes the group's parts (``pose_act`` of 7 columns gives ``pose_act.px`` ...); any other is numbered: ``name.0``, ``name.1`` ...
+    A vector (or a matrix with one column or row) keeps its name. A matrix with the name and the width of a group of the trace gets the
+    names of the group's parts (``pose_act`` with 7 columns gives ``pose_act.px`` ...). Any other is numbered: ``name.0``, ``name.1`` ...
     """
     if len(shape) == 1 or (len(shape) == 2 and 1 in shape):
         return [(name, ())]
@@ -78,7 +78,7 @@ def split_matrix(name: str, shape: tuple[int, ...]) -> list[tuple[str, tuple[int
 
 
 def near(name: str, names: Iterable[str]) -> str:
-    """The names most like ``name``, or the first few, for an error message."""
+    """The names most similar to ``name``, or the first few names, for an error message."""
     known = list(names)
     close = difflib.get_close_matches(name, known, n=3, cutoff=0.5)
     if close:

@@ -1,4 +1,4 @@
-"""CSV: one header line, one row a sample. Streamed block by block, the wanted columns alone."""
+"""CSV: one header line, one row per sample. Only the wanted columns are read, block by block."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def read(path: Path, wanted: Set[str]) -> Columns:
 
 
 def _dialect(path: Path) -> _Dialect:
-    """What the first lines say about the file."""
+    """The format of the file, from its first lines."""
     with path.open("rb") as file:
         head = file.read(PROBE)
     try:

@@ -1,4 +1,4 @@
-"""Whether a record is that of an axis that a force drives: a machine's, of which position and force are all that was measured."""
+"""Whether a record is of an axis driven by a force: of a machine for which only position and force were measured."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from hiltestbed.scenario import Scenario
 from hiltestbed.signals import GROUPS
 
 PLACE, FORCE = "pose_cmd.pz", "wrench_comp.fz"
-STILL_FREE = 20  # rows at the start of a run in which a spacecraft that approaches feels nothing
-UNDRIVEN = 0.01  # of the approach speed, that the force changes it by in these rows
+STILL_FREE = 20  # rows at the start of a run in which an approaching spacecraft feels no force
+UNDRIVEN = 0.01  # of the approach speed: largest change by the force in these rows that counts as free flight
 
 
 def is_driven(record: Record, scenario: Scenario) -> bool:
-    """Whether all that was measured is one position and a force that drives it from the first row on."""
+    """Whether the record contains only one position, and a force that drives it from the first row on."""
     given = set(record.columns())
     if not {PLACE, FORCE} <= given or record.has("pose_act") or record.has("wrench_meas") or not centred(scenario):
         return False

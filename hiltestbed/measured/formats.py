@@ -1,4 +1,4 @@
-"""Which reader takes which file, by its suffix; a reader is imported when a file asks for it, the fragile ones in another process."""
+"""Selection of the reader by the suffix of a file. A reader is imported when needed, the fragile ones in a separate process."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from hiltestbed.measured.apart import read_apart
 from hiltestbed.measured.columns import Columns, unreadable
 
 Reader = Callable[[Path, Set[str]], Columns]
-FRAGILE = ("hdf5_file", "matlab_file", "mdf_file", "tdms_file", "mcap_file")  # whose parsers crash, hang or believe any size
+FRAGILE = ("hdf5_file", "matlab_file", "mdf_file", "tdms_file", "mcap_file")  # their parsers may crash, hang or trust any size in the file
 
 READERS = {
     ".csv": "csv_file",
@@ -30,7 +30,7 @@ READERS = {
 
 
 def read_columns(path: Path, wanted: Set[str]) -> Columns:
-    """The columns ``wanted`` of a data file, as many as it has. Raises InputError; MissingExtra with the install line."""
+    """The columns ``wanted`` that a data file contains. Raises InputError; MissingExtra with the install line."""
     module = READERS.get(path.suffix.lower())
     if module is None:
         allowed = ", ".join(READERS)

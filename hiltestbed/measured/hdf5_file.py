@@ -1,4 +1,4 @@
-"""HDF5: every numeric dataset of one or two dimensions, named by its path with dots: ``/wrench_meas/fz`` is ``wrench_meas.fz``."""
+"""HDF5: every numeric dataset with one or two dimensions, named by its path with dots: ``/wrench_meas/fz`` is ``wrench_meas.fz``."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def rows_first(dataset: Any, index: tuple[int, ...]) -> Array:
 
 
 def read_datasets(path: Path, wanted: Set[str], take: Callable[[Any, tuple[int, ...]], Array], transposed: bool = False) -> Columns:
-    """The columns ``wanted``, each cut out of its dataset by ``take``; ``transposed``: rows lie along the last axis."""
+    """The columns ``wanted``, each extracted from its dataset by ``take``; ``transposed``: rows are along the last axis."""
     try:
         import h5py
     except ImportError as error:

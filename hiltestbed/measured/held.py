@@ -1,4 +1,4 @@
-"""Rows in which a logger repeats the one before: all axes of a sensor that is never at rest hold the same numbers again."""
+"""Rows in which a logger repeats the previous row: all axes of a sensor, whose noise never stops, have the same numbers again."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from hiltestbed.measured.remark import Remark
 from hiltestbed.signals import GROUPS
 
 GROUP = "wrench_meas"
-LEAST_AXES = 3  # that have to stand still together
-MOST = 0.2  # part of the rows: a sensor that is slower than its log repeats most of them
-LONGEST = 12  # rows in a row: what stands still for longer is at rest
+LEAST_AXES = 3  # that must be constant together
+MOST = 0.2  # part of the rows; above it, the sensor is slower than its log and repeats most rows
+LONGEST = 12  # successive rows; longer constant stretches are a sensor at rest
 
 
 def without_held(run: int, values: Mapping[str, Array]) -> tuple[dict[str, Array], list[Remark]]:
-    """The columns with NaN in place of repeated rows of the force, and a remark on them."""
+    """The columns, with NaN in repeated rows of the force, and a remark on them."""
     names = [n for n in GROUPS[GROUP].columns if n in values]
     if len(names) < LEAST_AXES or len({len(values[n]) for n in names}) != 1:
         return dict(values), []
@@ -27,12 +27,12 @@ def without_held(run: int, values: Mapping[str, Array]) -> tuple[dict[str, Array
     if not same.any() or same.mean() > MOST:
         return dict(values), []
     out = dict(values) | {n: np.where(same, np.nan, values[n]) for n in names}
-    text = f"repeats the row before in {int(same.sum())} of {len(same)} rows, all axes alike: held by the logger, and left out"
+    text = f"repeats the previous row in {int(same.sum())} of {len(same)} rows on all axes: held by the logger, and left out"
     return out, [Remark("loss", run, GROUP, text, "", {"rows": float(same.sum())})]
 
 
 def _long(same: np.ndarray) -> np.ndarray:
-    """Stretches of repeated rows longer than :data:`LONGEST`."""
+    """The rows in stretches of repeated rows longer than :data:`LONGEST`."""
     out = np.zeros(len(same), dtype=bool)
     edges = np.flatnonzero(np.diff(np.r_[False, same, False]))
     for start, end in zip(edges[::2], edges[1::2], strict=True):

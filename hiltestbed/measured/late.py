@@ -1,8 +1,8 @@
-"""Poses and forces that are late in the record alone: what no late platform and no late sensor shows.
+"""Poses and forces that are late only in the record, as opposed to a late platform or a late sensor.
 
-A platform that is late takes the contact with it: the force comes when the pose that is on record makes it. A pose that was stamped late
-has the force before it, which nothing between contact and sensor can make. A sensor that is late delays what the loop answers to; a force
-that was stamped late is answered before it is on record: bodies that float freely have moved by then.
+With a late platform the contact is late as well: the force agrees in time with the recorded pose. If the pose was stamped late, the force
+precedes it, which nothing between contact and sensor can cause. A late sensor delays the reaction of the loop. If the force was stamped
+late, the loop reacts before the recorded force: free-floating bodies have moved by then.
 """
 
 from __future__ import annotations
@@ -26,16 +26,16 @@ from hiltestbed.replay.wrench import Lane
 from hiltestbed.scenario import Scenario
 from hiltestbed.sensor.parameters import SensorParameters
 
-FURTHEST = 40  # rows that a shift is looked for
-LEFT = 0.1  # part of the misfit that may be left once the shift is taken back
-CLEAR = 20.0  # noise floors of the force, that the misfit has to be worth, all rows together
-SMOOTHING = 11  # rows, of pose and force alike: a contact is fitted that both show in the same way
+FURTHEST = 40  # largest shift that is searched [rows]
+REMAINDER = 0.1  # part of the misfit that may remain once the shift is removed
+CLEAR = 20.0  # least decrease of the misfit, over all rows together, in noise floors of the force
+SMOOTHING = 11  # rows; pose and force are smoothed in the same way, so that the fitted contact is consistent
 
 
 def force_leads(record: Record, found: Survey, scenario: Scenario) -> int:
-    """Whole rows by which wrench_meas shows the contact earlier than the pose on record makes it; 0 where it does not, or none can tell.
+    """Whole rows by which the contact in wrench_meas precedes that of the recorded pose; 0 if it does not, or if it cannot be determined.
 
-    Stiffness and damping are free: more damping leads as well, but not before the touch.
+    Stiffness and damping are fitted: more damping also makes the force lead, but not before the touch.
     """
     if not (found.contacts and record.whole("pose_act") and record.has("wrench_meas.fz")):
         return 0
@@ -55,7 +55,7 @@ def force_leads(record: Record, found: Survey, scenario: Scenario) -> int:
     best = int(np.argmin(left))
     noise = max(found.noise["wrench_meas.fz"].white, 1e-9)
     worth = left[0] - left[best] > (CLEAR * noise) ** 2
-    return best if worth and left[best] < LEFT * left[0] and best < FURTHEST - 1 else 0
+    return best if worth and left[best] < REMAINDER * left[0] and best < FURTHEST - 1 else 0
 
 
 def _smooth(values: Array) -> Array:
@@ -63,7 +63,7 @@ def _smooth(values: Array) -> Array:
 
 
 def _felt(record: Record, scenario: Scenario) -> tuple[Array, Array]:
-    """(ticks, 6) twice what the believed sensor reads on the pose on record: without the damping of the contact, and with it."""
+    """The believed sensor's reading for the recorded pose, twice (ticks, 6): without and with the damping of the contact."""
     mechanism, path = scenario.mechanism, record.filled("pose_act")
     path[:, :3] = _smooth(path[:, :3])
     before = np.empty(7)

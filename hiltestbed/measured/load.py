@@ -25,12 +25,12 @@ LINKS = {
     "compensation": ("wrench_meas", "wrench_comp"),
     "dynamics": ("wrench_comp", "pose_cmd"),
 }
-FEWEST = 30  # ticks of a run, from which a noise floor can be read
+FEWEST = 30  # ticks of a run, at least, to estimate a noise floor
 
 
 @dataclass(frozen=True)
 class MeasuredRun:
-    """One run: its record on the ticks, the scenario that the facility believes it was, what the check found in it, and its file's name."""
+    """One run: its record on the ticks, the facility's believed scenario of the run, the survey of its check, and its file name."""
 
     record: Record
     scenario: Scenario
@@ -38,7 +38,7 @@ class MeasuredRun:
     name: str = ""
 
     def touching(self, rows: int) -> np.ndarray:
-        """(rows,) bool: in contact, or the sensor still shows it."""
+        """(rows,) bool: in contact, or the delayed sensor still shows the contact."""
         return self.survey.touching(rows, round(self.scenario.sensor.delay * self.scenario.rate))
 
 
@@ -47,7 +47,7 @@ class MeasuredDataset:
     """Checked measured data.
 
     Attributes:
-        path: of the dataset file; spec: its content; nominal: its scenario, without any run's differences.
+        path: of the dataset file; spec: its content; nominal: its scenario, without the settings of single runs.
         files: the data file of each run.
         runs: in the order of the file.
         remarks: losses and notes of all runs (and errors, when it comes from :func:`examine`).
@@ -62,19 +62,19 @@ class MeasuredDataset:
 
     @property
     def names(self) -> list[str]:
-        """Of the runs, as messages and pictures call them."""
+        """Names of the runs in messages and figures."""
         return [run.name for run in self.runs]
 
     def links(self) -> tuple[str, ...]:
-        """The links of the loop whose two ends were measured in at least one run (contact: with the sensor)."""
+        """The links of the loop whose input and output were measured in at least one run (contact: with the sensor)."""
         return tuple(link for link, ends in LINKS.items() if any(all(run.record.has(end) for end in ends) for run in self.runs))
 
 
 def load_dataset(path: str | Path | LoadedDataset, set: Mapping[str, Any] | None = None) -> MeasuredDataset:
     """The measured runs of a dataset, or of a dataset file, on the loop's ticks and checked; ``set`` overrides keys of the file.
 
-    Raises InputError with every fault when a file cannot be read or a finding of the check forbids a diagnosis (wrong unit, sign,
-    quaternion order ...); MissingExtra when a format's reader is not installed.
+    Raises InputError with every fault if a file cannot be read or a finding of the check forbids a diagnosis (wrong unit, sign,
+    quaternion order ...); MissingExtra if the reader of a format is not installed.
     """
     dataset = examine(path, set)
     faults = as_faults(dataset)
@@ -84,9 +84,9 @@ def load_dataset(path: str | Path | LoadedDataset, set: Mapping[str, Any] | None
 
 
 def examine(path: str | Path | LoadedDataset, set: Mapping[str, Any] | None = None) -> MeasuredDataset:
-    """Like :func:`load_dataset`, but findings that forbid a diagnosis stand in ``remarks``, and runs that hold no record are left out.
+    """Like :func:`load_dataset`, but findings that forbid a diagnosis are in ``remarks``, and runs without a record are left out.
 
-    Raises InputError when the dataset file has a fault or a data file cannot be read.
+    Raises InputError if the dataset file has a fault or a data file cannot be read.
     """
     loaded = path if isinstance(path, LoadedDataset) else load_specification(path, set)
     runs, remarks, faults = [], [], []
@@ -115,7 +115,7 @@ def examine(path: str | Path | LoadedDataset, set: Mapping[str, Any] | None = No
 
 
 def _names(files: Sequence[Path]) -> list[str]:
-    """What each run is called: its file's name, with as many folders before it as tell two of one name apart."""
+    """Name of each run: its file name, preceded by as many folders as are needed to make it unique."""
     parts, deep = [file.parts for file in files], 1
     while len({p[-deep:] for p in parts}) < len(set(parts)):
         deep += 1
@@ -123,13 +123,13 @@ def _names(files: Sequence[Path]) -> list[str]:
 
 
 def _nothing(run: int, record: Record | None) -> Remark:
-    """The error of a run of which nothing can be said."""
+    """The error for a run without usable data."""
     text = "holds no channel with enough samples" if record is None else f"lasts {record.ticks} ticks; a run needs at least {FEWEST}"
     return Remark("error", run, "", text, "record the run again or take it out of the dataset")
 
 
 def as_faults(dataset: MeasuredDataset) -> list[Fault]:
-    """The errors among the remarks on a dataset, each placed at its file."""
+    """The errors among the remarks on a dataset, each with its file."""
     return [_as_fault(remark, dataset) for remark in dataset.remarks if remark.severity == "error"]
 
 

@@ -25,14 +25,14 @@ def read(path: Path, wanted: Set[str]) -> Columns:
 
 
 def _is_hdf5(path: Path) -> bool:
-    """Version 7.3 has 512 bytes of MATLAB's own before the HDF5 signature."""
+    """Version 7.3 has 512 bytes of its own before the HDF5 signature."""
     with path.open("rb") as file:
         head = file.read(520)
     return head[512:] == HDF5_SIGNATURE or head.startswith(HDF5_SIGNATURE)
 
 
 def _rows_last(dataset: Any, index: tuple[int, ...]) -> Array:
-    """MATLAB's column-major matrix stands transposed in HDF5."""
+    """One column of a MATLAB matrix, which is column-major and so appears transposed in HDF5."""
     return dataset[index[0], :] if index else dataset[()].reshape(-1)
 
 
@@ -56,7 +56,7 @@ def _read_version_5(path: Path, wanted: Set[str]) -> Columns:
 
 
 def _collect(name: str, value: Any, found: dict[str, tuple[np.ndarray, tuple[int, ...]]]) -> None:
-    """The numeric arrays below ``value``, a struct's fields with dots."""
+    """Collect the numeric arrays below ``value``; fields of structs are named with dots."""
     if isinstance(value, dict):
         for key, inner in value.items():
             _collect(f"{name}.{key}", inner, found)

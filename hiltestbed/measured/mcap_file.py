@@ -1,4 +1,4 @@
-"""MCAP with JSON messages: number ``fz`` of topic ``/wrench_meas`` is ``wrench_meas.fz``; its clock is the message's log time."""
+"""MCAP with JSON messages: the field ``fz`` of topic ``/wrench_meas`` is ``wrench_meas.fz``; its clock is the message's log time."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def read(path: Path, wanted: Set[str]) -> Columns:
                     if name in wanted:
                         kept.append((message.log_time - start, value))
                         count += 1
-                if count > SAMPLE_LIMIT // 8:  # a Python tuple is some eight times the number in it
+                if count > SAMPLE_LIMIT // 8:  # a Python tuple takes about eight times the memory of the number in it
                     refuse_large(path, count, 8)
     except (McapError, ZstdError, *BROKEN) as error:
         raise unreadable(path, f"is not a whole MCAP file ({error})", "copy or record it again") from error
@@ -46,7 +46,7 @@ def read(path: Path, wanted: Set[str]) -> Columns:
 
 
 def _numbers(name: str, value: Any) -> Iterator[tuple[str, float]]:
-    """The numbers of a message, nested fields with dots."""
+    """The numbers in a message; nested fields are named with dots."""
     if isinstance(value, dict):
         for key, inner in value.items():
             yield from _numbers(f"{name}.{key}", inner)

@@ -1,4 +1,4 @@
-"""MDF4 (and 3) through asammdf: each channel with the master of its own group as clock."""
+"""MDF4 (and 3) through asammdf: the clock of each channel is the master of its group."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from hiltestbed.measured.columns import BROKEN, Columns, as_numbers, refuse_larg
 
 
 def read(path: Path, wanted: Set[str]) -> Columns:
-    """The channels ``wanted`` of an MDF file. A name in several groups is refused when wanted. Raises InputError, MissingExtra."""
+    """The channels ``wanted`` of an MDF file. Raises InputError, also for a wanted name in several groups; MissingExtra."""
     try:
         from asammdf import MDF
         from asammdf.blocks.utils import MdfException

@@ -1,11 +1,11 @@
-"""Momentum: what the logged force, acting on the believed bodies, does to the logged pose.
+"""Momentum balance: comparison of the logged pose with the motion that the logged force causes on the believed bodies.
 
-The bodies float freely, so that the relative motion of the ports follows from the wrench alone::
+The bodies float freely, so the relative motion of the ports follows from the wrench alone::
 
     x(t) = x0 + v0 t - s integral integral L W dt dt,    L = the sum over both bodies of their inverse inertia seen at the port
 
-s is 1 where mass, force and length belong together, whatever contact, sensor and compensation do. A force in pounds makes it 4.448,
-a sign turned round -1, and exchanged axes leave motion that no s explains.
+s is 1 if the units of mass, force and length are consistent, whatever contact, sensor and compensation do. A force in pounds makes it
+4.448, a reversed sign -1, and exchanged axes leave motion that no s explains.
 """
 
 from __future__ import annotations
@@ -24,18 +24,18 @@ from hiltestbed.scenario import Scenario
 PLACES = ("px", "py", "pz")
 FORCES = ("fx", "fy", "fz")
 GAP_LIMIT = 0.02  # part of the rows that may be missing: an impulse that was not logged cannot be integrated
-BETTER = 0.02  # part of the motion by which another order or other signs have to explain more
-CLEAR = 50.0  # times the noise of the pose that the force has to move it by
+BETTER = 0.02  # part of the motion that another order or other signs must explain in addition
+CLEAR = 50.0  # least motion that the force causes, in units of the pose's noise
 
 
 @dataclass(frozen=True)
 class Momentum:
-    """What one force and one pose say of each other.
+    """Momentum balance of one force and one pose.
 
     Attributes:
-        force, pose: the groups. scale: s above, of all axes together; axes: axis to its own s, where the force moves it clearly.
-        explained: part of the motion's square that s explains. order, signs: of the force's axes that explain it best.
-        explained_in_order: the same part with the axes in that order and of these signs, whatever s above 0.
+        force, pose: the groups. scale: s above, of all axes together; axes: axis to its own s, for axes that the force clearly moves.
+        explained: part of the motion's sum of squares that s explains. order, signs: of the force's axes that explain it best.
+        explained_in_order: the same part with the axes in that order and with these signs, for the best s > 0.
     """
 
     force: str
@@ -49,7 +49,7 @@ class Momentum:
 
 
 def momentum(record: Record, scenario: Scenario, force: str, pose: str) -> Momentum | None:
-    """What force and pose say of each other; None where axes or rows are missing or nothing moves."""
+    """The momentum balance of force and pose; None if axes or rows are missing or nothing moves."""
     names = [*(f"{pose}.{p}" for p in PLACES), *(f"{force}.{f}" for f in FORCES)]
     if centred(scenario) and {names[2], names[5]} <= set(record.columns()):
         names = [name for name in names if name in record.columns()]
@@ -77,11 +77,11 @@ def momentum(record: Record, scenario: Scenario, force: str, pose: str) -> Momen
 
 @dataclass(frozen=True)
 class _Parts:
-    """What each column of the force does to each axis, in inner products, so that every order and sign of the axes is judged at once.
+    """Inner products of the motions that each column of the force causes on each axis, for the fit of every order and sign of the axes.
 
     Attributes:
-        driven: (10, 3, rows) what column j does, acting along axis i, at 3 i + j; the torques last; all without their lines.
-        gram: (10, 10) of them with each other, shown: (10,) with the motion, square: of the motion.
+        driven: (10, 3, rows) motion by column j acting along axis i, at 3 i + j; by the torques last; all without their linear trend.
+        gram: (10, 10) inner products of these with each other; shown: (10,) with the motion; square: of the motion with itself.
     """
 
     driven: Array
@@ -99,7 +99,7 @@ class _Parts:
         return cls(driven, motion, flat @ flat.T, flat @ motion.reshape(-1), float(np.sum(motion**2)))
 
     def fit(self, order: tuple[str, ...], signs: tuple[int, ...]) -> tuple[float, float]:
-        """s, and the part of the motion's square that it explains, torques in the force's unit or in their own."""
+        """s, and the part of the motion's square sum that it explains; torques are scaled like the force or not, whichever fits better."""
         force = np.zeros(10)
         for i, (name, sign) in enumerate(zip(order, signs, strict=True)):
             force[3 * i + FORCES.index(name)] = sign
@@ -117,7 +117,7 @@ class _Parts:
         return float(self.square - 2 * weights @ self.shown + weights @ self.gram @ weights)
 
     def best(self, as_given: tuple[float, float]) -> tuple[tuple[str, ...], tuple[int, ...], float]:
-        """The order and signs that explain the motion best, the given ones unless others are clearly better; and how much they do."""
+        """The order and signs that explain the motion best (the given ones unless others are clearly better), and the explained part."""
         found: tuple[tuple[str, ...], tuple[int, ...], float] = FORCES, (1, 1, 1), as_given[1]
         for order in permutations(FORCES):
             for signs in product((1, -1), repeat=3):
@@ -127,14 +127,14 @@ class _Parts:
         return found
 
     def axis(self, j: int) -> float:
-        """The s of axis j alone, forces in the given order; 0 where the force along it does nothing."""
+        """The s of axis j alone, with forces in the given order; 0 if the force along it causes no motion."""
         driven = sum(self.driven[4 * i][j] for i in range(3)) + self.driven[9][j]
         square = float(np.sum(driven**2))
         return float(np.sum(driven * self.motion[j])) / square if square > 0 else 0.0
 
 
 def mobility(scenario: Scenario) -> Array:
-    """``(3, 6)`` [1/kg, 1/(kg m)] acceleration of A relative to P, in P, of a unit wrench that A exerts on P, at the start attitude."""
+    """``(3, 6)`` [1/kg, 1/(kg m)] acceleration of A relative to P, in P, by a unit wrench of A on P, at the start attitude."""
     turned = rotation_matrix(quat_from_attitude_deg(scenario.approach.attitude_deg))
     total = np.zeros((3, 6))
     for body, port_in_p in ((scenario.spacecraft.chaser, turned), (scenario.spacecraft.target, np.eye(3))):
@@ -149,7 +149,7 @@ def mobility(scenario: Scenario) -> Array:
 
 
 def centred(scenario: Scenario) -> bool:
-    """Whether nothing but the axis of insertion moves: what was not measured of the others is zero by symmetry."""
+    """Whether only the axis of insertion moves, so that the other axes are zero by symmetry even if they were not measured."""
     approach, vehicles = scenario.approach, (scenario.spacecraft.chaser, scenario.spacecraft.target)
     still = (*approach.offset, *approach.velocity[:2], *approach.attitude_deg, *approach.rate_deg)
     ports = [v for body in vehicles for v in (*body.port.position[:2], *body.port.attitude_deg)]
@@ -158,7 +158,7 @@ def centred(scenario: Scenario) -> bool:
 
 
 def _columns(record: Record, names: list[str]) -> Array:
-    """``(names, ticks)``, zero where a column was not measured."""
+    """``(names, ticks)``; zero for columns that were not measured."""
     return np.stack([record.column(n) if n in record.columns() else np.zeros(record.ticks) for n in names])
 
 
@@ -167,25 +167,25 @@ def _wrench(group: str) -> list[str]:
 
 
 def _whole(rows: np.ndarray, record: Record, scenario: Scenario) -> bool:
-    """Whether the rows are dense: as dense as the file samples, but for GAP_LIMIT of them."""
+    """Whether at most GAP_LIMIT of the rows that the file's sampling rate gives are missing."""
     stride = max(1.0, scenario.rate / record.sample_rate) if record.sample_rate else 1.0
     return len(rows) * stride > (1 - GAP_LIMIT) * (rows[-1] - rows[0]) and rows[0] < 0.2 * record.ticks
 
 
 def _twice(t: Array, rate: Array, tick: float) -> Array:
-    """Integral of the integral of ``rate`` ``(3, rows)``: semi-implicit, as the model steps, where every tick is there."""
+    """Double integral of ``rate`` ``(3, rows)``; semi-implicit like the model's step if no tick is missing."""
     step = np.diff(t, prepend=t[0] - tick)
     return np.cumsum(np.cumsum(rate * step, axis=1) * step, axis=1)
 
 
 def _without_line(t: Array, values: Array) -> Array:
-    """``values`` ``(axes, rows)`` without their best line in t: start and speed are not looked at."""
+    """``values`` ``(axes, rows)`` minus their best-fit line in t, so that start and speed do not count."""
     basis = np.stack([np.ones_like(t), t - t.mean()])
     basis /= np.linalg.norm(basis, axis=1, keepdims=True)
     return values - (values @ basis.T) @ basis
 
 
 def _roughness(values: Array) -> float:
-    """1 sigma of what differs from sample to sample."""
+    """1 sigma of the difference from sample to sample."""
     third = np.abs(np.diff(values, 3))
     return 1.4826 * float(np.median(third)) / np.sqrt(20.0) if len(third) else 0.0

@@ -1,4 +1,4 @@
-"""Noise floor of a measured column: what is left when the motion is taken out."""
+"""Noise floor of a measured column: what remains once the motion is removed."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ import numpy as np
 
 from hiltestbed.frames import Array
 
-FREE_MINIMUM = 20  # samples before the first touch from which a noise floor is read
-THIRD_DIFFERENCE = math.sqrt(20.0)  # of white noise: 1 + 9 + 9 + 1 times its variance
+FREE_MINIMUM = 20  # samples before the first touch, at least, to estimate a noise floor
+THIRD_DIFFERENCE = math.sqrt(20.0)  # its sigma for white noise of unit sigma: the variance is 1 + 9 + 9 + 1
 MAD_TO_SIGMA = 1.4826
-UNIFORM = 2.0  # rms over white, above which a pose does not move uniformly and a straight line says nothing of its noise
-ROUND_OFF = 1e-12  # of the largest value: such steps are those of the number format
-SPARSE = 0.7  # part of the ticks that hold a sample, below which they are the samples of a slower log
-FEW_DIGITS = 6  # of a text file, up to which its rounding may show
-SMALLEST = 1e-290  # below which a last digit is none of the number format's
-SAME = 1e-9  # of the range: values this close are one value
+UNIFORM = 2.0  # ratio of rms to white; above it a pose does not move uniformly, and a straight line does not give its noise
+ROUND_OFF = 1e-12  # of the largest value: smaller steps are those of the number format
+SPARSE = 0.7  # part of the ticks with a sample; below it the log is slower than the loop
+FEW_DIGITS = 6  # significant digits of a text file, up to which its rounding may matter
+SMALLEST = 1e-290  # smallest value whose last digit can be represented
+SAME = 1e-9  # of the range: values this close count as equal
 
 
 @dataclass(frozen=True)
@@ -25,12 +25,12 @@ class Noise:
     """Noise of one column.
 
     Attributes:
-        rms: 1 sigma about a straight line in the free segment; hum and drift of a force count. For a pose that does not move
+        rms: 1 sigma about a straight line in the free segment; includes hum and drift of a force. For a pose that does not move
             uniformly there, the same as ``white``.
-        white: 1 sigma of the part that differs from sample to sample (third differences): hum and motion do not count.
-        samples: it was read from; 0 when the free segment is too short and the whole record was taken, with ``rms`` = ``white``.
+        white: 1 sigma of the part that differs from sample to sample (third differences), without hum and motion.
+        samples: used for the estimate; 0 if the free segment is too short and the whole record was used, with ``rms`` = ``white``.
 
-    Neither is less than step/sqrt(12) of a channel that comes in steps.
+    For a quantised channel neither is less than step/sqrt(12).
     """
 
     rms: float
@@ -39,7 +39,7 @@ class Noise:
 
 
 def noise_of(values: Array, free: int, step: float, pose: bool) -> Noise:
-    """Noise of ``values`` ``(ticks,)`` whose first ``free`` samples lie before the first touch and which come in ``step`` (0: none)."""
+    """Noise of ``values`` ``(ticks,)`` with ``free`` samples before the first touch and the quantisation step ``step`` (0: none)."""
     segment, least = values[:free], step / math.sqrt(12.0)
     known = np.flatnonzero(np.isfinite(segment))
     if len(known) < FREE_MINIMUM:
@@ -52,7 +52,7 @@ def noise_of(values: Array, free: int, step: float, pose: bool) -> Noise:
 
 
 def white_noise(values: Array) -> float:
-    """1 sigma of the part of ``values`` that differs from sample to sample; 0 when there are too few."""
+    """1 sigma of the part of ``values`` that differs from sample to sample; 0 if there are too few samples."""
     third = np.diff(_samples(values), 3)
     third = third[np.isfinite(third)]
     if len(third) < 8:
@@ -62,13 +62,13 @@ def white_noise(values: Array) -> float:
 
 
 def _samples(values: Array) -> Array:
-    """``values``; those that are there alone where most are not, as on the ticks of a loop that is faster than its log."""
+    """``values``; without the missing ones if many are missing, as on the ticks of a loop that is faster than its log."""
     known = np.isfinite(values)
     return values[known] if len(values) and known.mean() < SPARSE else values
 
 
 def finest_noise(values: Array) -> float:
-    """1 sigma of white noise in a column that moves: the least of differences of orders 3, 5 and 7, in which motion counts ever less."""
+    """1 sigma of white noise in a moving column: the least from differences of orders 3, 5 and 7, which suppress motion increasingly."""
     found = [white_noise(values)]
     for order in (5, 7):
         differences = np.diff(_samples(values), order)
@@ -79,7 +79,7 @@ def finest_noise(values: Array) -> float:
 
 
 def step_of(values: Array) -> float | None:
-    """The step that all of ``values`` are multiples of, or None when they come in no steps; a uniform motion makes one a sample."""
+    """The step of which all ``values`` are multiples; None if they are not quantised. A uniform motion has one step per sample."""
     distinct = np.unique(values)
     if len(distinct) < 3:
         return None
@@ -95,12 +95,12 @@ def step_of(values: Array) -> float | None:
 
 
 def last_digit(size: Array, count: int) -> Array:
-    """What the last of ``count`` significant digits is worth in numbers of a ``size`` above 0."""
+    """The value of the last of ``count`` significant digits in numbers of magnitude ``size`` > 0."""
     return 10.0 ** (np.floor(np.log10(size)) - count + 1)
 
 
 def digits_of(values: Array) -> int | None:
-    """How many significant digits ``values`` have where they are few, :data:`FEW_DIGITS` at most; None where they have more."""
+    """Number of significant digits of ``values`` if it is at most :data:`FEW_DIGITS`; otherwise None."""
     size = np.abs(values[np.isfinite(values)])
     size = size[size > SMALLEST]
     if len(np.unique(size)) < 10:

@@ -1,4 +1,4 @@
-"""Parquet through pyarrow: the wanted columns alone."""
+"""Parquet through pyarrow; only the wanted columns are read."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from hiltestbed.measured.columns import Columns, as_numbers, refuse_large, unrea
 
 
 def read(path: Path, wanted: Set[str]) -> Columns:
-    """The columns ``wanted`` of a Parquet file; a null is a sample that is missing. Raises InputError."""
+    """The columns ``wanted`` of a Parquet file; a null is a missing sample. Raises InputError."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 

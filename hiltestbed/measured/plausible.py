@@ -1,8 +1,8 @@
-"""Units, signs and orders that contradict the physics of the scenario. Found, never corrected.
+"""Detection of units, signs and orders that contradict the physics of the scenario. Nothing is corrected.
 
-The pose is held against gap and approach velocity, the attitude against the start attitude, and force and pose against each other by
-momentum. Where the bodies do not float freely on record, the force is held against k x + c v and v sqrt(k mu), which effects change by a
-factor of a few: there a unit has to be off by hundreds.
+The pose is compared with gap and approach velocity, the attitude with the start attitude, and force and pose with each other by the
+momentum balance. If the recorded bodies do not float freely, the force is compared with k x + c v and v sqrt(k mu). Effects change these
+by a factor of a few, so that a wrong unit is only detected there from a factor of some hundreds.
 """
 
 from __future__ import annotations
@@ -25,19 +25,19 @@ from hiltestbed.measured.start import factor_text, likely_scale, scale_fix, star
 from hiltestbed.measured.survey import MOVED, Survey, baseline, penetration
 from hiltestbed.scenario import Scenario
 
-FORCE_FACTOR = 200.0  # off by more than this: another unit, whatever the contact is
+FORCE_FACTOR = 200.0  # a larger ratio means another unit, whatever the contact is
 CORRELATION = -0.5
 QUAT_NORM = 0.01
 QUAT_NORM_NOTE = 1e-3
-TURNED_DEG = 30.0  # the platform turns by 10 deg at most
-ARM = (0.8, 1.25)  # of the torque of a push beside the axis: effects change it by less, or not both torques alike
-SURE = 0.9  # of the variance of a torque, that the push beside the axis has to explain
-LEVER_LIMIT = 20.0  # [m] from torque over force: no rig is that large
+TURNED_DEG = 30.0  # the platform rotates by 10 deg at most
+RATIO = (0.8, 1.25)  # of a measured torque to that of the off-axis force: effects change it by less, or the two torques differently
+EXPLAINED = 0.9  # of the variance of a torque that the off-axis force must explain
+LEVER_LIMIT = 20.0  # [m] torque over force: no rig is that large
 
 
 def contradictions(record: Record, found: Survey, scenario: Scenario) -> list[Remark]:
-    """Errors for what cannot be right, notes for what is merely odd."""
-    if is_driven(record, scenario):  # it starts where it stood, and its mass is what is sought
+    """Errors for contradictions, notes for what is merely unusual."""
+    if is_driven(record, scenario):  # it starts from rest at any place, and its mass is unknown
         return [*copies_and_constants(record, found, scenario), *(_of_the_mass(r) for r in _forces(record, found, scenario))]
     return [
         *starts_at_fault(record, found, scenario),
@@ -50,14 +50,14 @@ def contradictions(record: Record, found: Survey, scenario: Scenario) -> list[Re
 
 
 def _of_the_mass(remark: Remark) -> Remark:
-    """A note in place of an error on the unit of the force, which another mass would make as well."""
+    """A note instead of an error on the unit of the force: another mass would have the same effect."""
     if remark.check != "unit" or remark.severity != "error":
         return remark
     return replace(remark, severity="note", text=f"{remark.text}; or its mass is another", check="")
 
 
 def _forces(record: Record, found: Survey, scenario: Scenario) -> list[Remark]:
-    """By momentum where the bodies float freely, by the law of the contact where they do not."""
+    """Remarks on the forces: by the momentum balance if the bodies float freely, otherwise by the contact law."""
     pairs = balances(record, scenario)
     wrong = list(imbalances(record, found, scenario, pairs))
     if pairs:
@@ -92,7 +92,7 @@ def _attitudes(record: Record, scenario: Scenario) -> Iterator[Remark]:
 
 
 def _order(record: Record, name: str, q: Array, expected: Array) -> Iterator[Remark]:
-    """A start attitude that is far from the scenario's, and which reading of the four columns would bring it there."""
+    """Remark on a start attitude far from the scenario's, and the reading of the four columns that would match it."""
     given = _angle_deg(q, expected)
     group = name.partition(".")[0]
     w_first = _angle_deg(q[:, [1, 2, 3, 0]], expected)
@@ -102,10 +102,10 @@ def _order(record: Record, name: str, q: Array, expected: Array) -> Iterator[Rem
         fix = f"exchange the columns under channels: {group}.qw takes that of qx, qx that of qy, qy that of qz, qz that of qw"
         yield _error("attitude", record, name, text, fix, angle_deg=given, w_first_deg=w_first)
     elif given > TURNED_DEG:
-        text = f"starts {given:.0f} deg from the scenario's attitude; the platform turns by 10 deg at most"
+        text = f"starts {given:.0f} deg from the scenario's attitude; the platform rotates by 10 deg at most"
         yield _error("attitude", record, name, text, "check frames and columns, or set approach.attitude_deg", angle_deg=given)
     elif given > 1.0 and conjugate < 0.2 * given:
-        text = f"starts {given:.1f} deg from the scenario's attitude, {conjugate:.1f} deg when turned the other way: it is P in A"
+        text = f"starts {given:.1f} deg from the scenario's attitude, {conjugate:.1f} deg when inverted: it is P in A"
         yield _error("attitude", record, name, text, "give the scale -1 to its qx, qy and qz", angle_deg=given, conjugate_deg=conjugate)
 
 
@@ -116,7 +116,7 @@ def _angle_deg(q: Array, expected: Array) -> float:
 
 
 def _measured_force(record: Record, found: Survey, scenario: Scenario) -> Iterator[Remark]:
-    """Sign and size of the force along z, and whether it stands on another axis."""
+    """Remarks on sign and magnitude of the force along z, and on a force that is on another axis."""
     name = "wrench_meas.fz" if "wrench_meas.fz" in record.columns() else "wrench_comp.fz"
     if name not in record.columns() or not found.contacts:
         return
@@ -131,7 +131,7 @@ def _measured_force(record: Record, found: Survey, scenario: Scenario) -> Iterat
         return
     ratio = max(peak, -low) / expected
     if clear and not 1 / FORCE_FACTOR < ratio < FORCE_FACTOR:
-        text = f"peaks at {max(peak, -low):.4g} N, the scenario gives some {expected:.4g} N: {factor_text(ratio, 'N')}"
+        text = f"peaks at {max(peak, -low):.4g} N, the scenario gives about {expected:.4g} N: {factor_text(ratio, 'N')}"
         yield _error(
             "unit", record, name, text, scale_fix(name, 10.0 ** -round(math.log10(ratio))), peak=max(peak, -low), expected=expected
         )
@@ -140,7 +140,7 @@ def _measured_force(record: Record, found: Survey, scenario: Scenario) -> Iterat
 
 
 def _pulls(record: Record, force: Array, peak: float, low: float, scenario: Scenario) -> bool:
-    """Whether the force has the wrong sign: by its strongest excursion (not for a latched mechanism, which may pull) and its course."""
+    """Whether the force has the wrong sign: by its largest excursion (not for a latched mechanism, which may pull) and its time history."""
     poses = [name for name in ("pose_act.pz", "pose_cmd.pz") if name in record.columns()]
     latched = scenario.mechanism.captured
     if not latched and -low < 3 * peak:
@@ -156,7 +156,7 @@ def _pulls(record: Record, force: Array, peak: float, low: float, scenario: Scen
 
 
 def correlation(a: Array, b: Array) -> float:
-    """Pearson's correlation where both are known; 0 when one of them does not vary."""
+    """Pearson's correlation over the rows where both are known; 0 if one of them does not vary."""
     known = np.isfinite(a) & np.isfinite(b)
     if known.sum() < 3:
         return 0.0
@@ -166,7 +166,7 @@ def correlation(a: Array, b: Array) -> float:
 
 
 def _expected_force(record: Record, scenario: Scenario) -> float | None:
-    """The peak that the scenario leads to [N]: v sqrt(k mu) for two free bodies, k x + c v for a latched mechanism; None without motion."""
+    """The peak expected from the scenario [N]: v sqrt(k mu) for two free bodies, k x + c v for a latched mechanism; None without motion."""
     k, c = scenario.mechanism.contact.stiffness, scenario.mechanism.contact.damping
     if scenario.mechanism.captured:
         depth = penetration(record)
@@ -180,7 +180,7 @@ def _expected_force(record: Record, scenario: Scenario) -> float | None:
 
 
 def _fastest(record: Record, depth: Array) -> float:
-    """The 99th percentile of the rate of penetration [m/s], over steps that are long enough for the noise of the pose."""
+    """The 99th percentile of the rate of penetration [m/s], over steps that are long compared with the noise of the pose."""
     known = np.flatnonzero(np.isfinite(depth))
     stride = max(1, len(known) // 500)
     known = known[::stride]
@@ -201,7 +201,7 @@ def _other_axis(record: Record, found: Survey, name: str, expected: float) -> It
 
 
 def _force_pair(record: Record, found: Survey) -> Iterator[Remark]:
-    """Each axis of the compensated wrench against the measured one: it is the same force, some milliseconds apart."""
+    """Remarks on each axis of the compensated wrench compared with the measured one: the same force, some milliseconds apart."""
     if "wrench_meas" not in record.data or "wrench_comp" not in record.data:
         return
     for axis in ("fx", "fy", "fz", "tx", "ty", "tz"):
@@ -215,7 +215,7 @@ def _force_pair(record: Record, found: Survey) -> Iterator[Remark]:
             continue
         together = correlation(a, b)
         if together < CORRELATION:
-            text = f"goes against {meas} (correlation {together:.2f}): the sign of one is the other way round"
+            text = f"is opposite to {meas} (correlation {together:.2f}): the sign of one is reversed"
             yield _error("sign", record, comp, text, scale_fix(comp, -1.0), correlation=together)
         if not 1 / FORCE_FACTOR < high_b / high_a < FORCE_FACTOR:
             text = f"peaks at {high_b:.4g} where {meas} peaks at {high_a:.4g}: {factor_text(high_b / high_a, 'N')}"
@@ -223,7 +223,7 @@ def _force_pair(record: Record, found: Survey) -> Iterator[Remark]:
 
 
 def _torques(record: Record, found: Survey) -> Iterator[Remark]:
-    """Torques that would need a lever arm longer than any rig."""
+    """Remarks on torques that would need a lever arm longer than any rig."""
     for group in ("wrench_meas", "wrench_comp"):
         names = [n for n in record.columns() if n.startswith(group + ".")]
         peaks = {n[-2:]: float(np.nanmax(np.abs(record.column(n) - baseline(record, found, n)))) for n in names}
@@ -239,7 +239,7 @@ def _torques(record: Record, found: Survey) -> Iterator[Remark]:
 
 
 def _arms(record: Record, found: Survey, scenario: Scenario) -> Iterator[Remark]:
-    """Torques of a plane that is met beside the axis: about P's origin tx = y fz and ty = -x fz, of the place (x, y) of A."""
+    """Remarks on the torques of an off-axis contact with a plane: about P's origin tx = y fz and ty = -x fz, with A at (x, y)."""
     columns = set(record.columns())
     place = next((name for name in ("pose_act", "pose_cmd") if {f"{name}.px", f"{name}.py"} <= columns), None)
     if place is None or scenario.mechanism.captured or not scenario.mechanism.flat:
@@ -256,21 +256,21 @@ def _arms(record: Record, found: Survey, scenario: Scenario) -> Iterator[Remark]
         ):
             continue
         own, crossed = [_share(m, t) for m, t in zip(made, (tx, ty), strict=True)], [_share(made[1], tx), _share(made[0], ty)]
-        if all(-ARM[1] < share < -ARM[0] for share in own):
+        if all(-RATIO[1] < share < -RATIO[0] for share in own):
             for name, share in zip(names[1:], own, strict=True):
-                text = f"is {share:.2f} times what the force beside the axis turns about P's origin: the sign is the other way round"
+                text = f"is {share:.2f} times the torque of the off-axis force about P's origin: the sign is reversed"
                 yield _error("sign", record, name, text, scale_fix(name, -1.0), share=share)
-        elif all(ARM[0] < abs(share) < ARM[1] for share in crossed) and not any(ARM[0] < share < ARM[1] for share in own):
-            text = f"is what the force beside the axis turns about the other axis, and {names[2]} is what belongs here: they are exchanged"
+        elif all(RATIO[0] < abs(share) < RATIO[1] for share in crossed) and not any(RATIO[0] < share < RATIO[1] for share in own):
+            text = f"is the torque of the off-axis force about the other axis, and {names[2]} is that of this axis: they are exchanged"
             yield _error(
                 "axes", record, names[1], text, f"exchange the columns of {names[1]} and {names[2]}", shares=min(map(abs, crossed))
             )
 
 
 def _share(made: Array, torque: Array) -> float:
-    """How many times ``made`` a torque is; 0 where it follows something else."""
+    """Ratio of a torque to ``made``; 0 if ``made`` does not explain it."""
     known = np.isfinite(made) & np.isfinite(torque)
     m, t = made[known], torque[known]
     size = float(m @ m)
     share = float(m @ t) / size if size > 0.0 else 0.0
-    return share if float(np.sum((t - share * m) ** 2)) < (1.0 - SURE) * float(t @ t) else 0.0
+    return share if float(np.sum((t - share * m) ** 2)) < (1.0 - EXPLAINED) * float(t @ t) else 0.0

@@ -1,4 +1,4 @@
-"""Channels that stand at a limit, and channels that come in steps."""
+"""Channels that are clipped at a limit, and channels that are quantised."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from hiltestbed.measured.record import Record, place
 from hiltestbed.measured.remark import Remark
 from hiltestbed.measured.survey import Survey, baseline
 
-FLAT = 4  # equal samples in a row at an extreme value, from which clipping is considered
+FLAT = 4  # successive equal samples at an extreme value, at least, for clipping to be considered
 CORNER = 6.0  # quanta; the rounded top of a smooth signal gives 3, see `_is_corner`
-AWAY = 0.2  # of the range, that a limit lies away from the free level: a force of zero between contacts is no limit
-ROUND_OFF = 1e-9  # [m], [N], [N m]: no sensor tells this; a simulated channel that should be zero may hold it
-STEPS = 4  # samples to a step of the range, from which steps are worth a note: a CSV of six digits has steps too
+AWAY = 0.2  # of the range: least distance of a limit from the free level, since a force of zero between contacts is no limit
+ROUND_OFF = 1e-9  # [m], [N], [N m]: below any sensor's resolution; a simulated channel that should be zero may contain it
+STEPS = 4  # samples per step over the range, above which a note is given: a CSV file with six digits has steps, too
 
 
 def clipped_samples(record: Record, found: Survey) -> tuple[dict[str, NDArray[np.bool_]], list[Remark]]:
-    """Group to ``(ticks, parts)``: which samples stand at a limit; and a remark on each such channel."""
+    """Group to ``(ticks, parts)``: which samples are at a limit; and a remark on each such channel."""
     clipped = {group: np.zeros_like(valid) for group, valid in record.valid.items()}
     remarks = []
     for name in record.columns():
@@ -37,13 +37,13 @@ def clipped_samples(record: Record, found: Survey) -> tuple[dict[str, NDArray[np
 
 def _clipped(run: int, name: str, values: Array) -> Remark:
     levels = ", ".join(f"{level:.6g}" for level in np.unique(values))
-    text = f"stands at its limit ({levels}) in {len(values)} samples, with a corner on the way in: clipped; what lies beyond is lost"
+    text = f"is at its limit ({levels}) in {len(values)} samples, which it reaches with a corner: clipped; larger values are lost"
     evidence = {"samples": len(values), "limit": float(values[0])}
     return Remark("loss", run, name, text, "raise the range of the channel, or run slower", evidence)
 
 
 def _at_limit(values: Array, level: float, quantum: float) -> NDArray[np.bool_]:
-    """Samples of flat stretches at the highest or lowest value that are entered with a corner."""
+    """Samples in flat stretches at the highest or lowest value that begin with a corner."""
     mask = np.zeros(len(values), dtype=bool)
     known = values[np.isfinite(values)]
     span = float(np.ptp(known)) if len(known) else 0.0
@@ -60,7 +60,7 @@ def _at_limit(values: Array, level: float, quantum: float) -> NDArray[np.bool_]:
 
 
 def _held_back(record: Record, part: int, values: Array) -> NDArray[np.bool_]:
-    """Samples of a pose whose command goes further than they do: a pose at rest where it was sent is at no limit."""
+    """Samples of a pose whose command goes beyond them: a pose that rests at its command is not at a limit."""
     if "pose_cmd" not in record.data or part > 2:
         return np.zeros(len(values), dtype=bool)
     with np.errstate(invalid="ignore"):
@@ -68,10 +68,10 @@ def _held_back(record: Record, part: int, values: Array) -> NDArray[np.bool_]:
 
 
 def _is_corner(values: Array, start: int, end: int, quantum: float) -> bool:
-    """Whether the signal runs into the flat stretch too steeply for a rounded top.
+    """Whether the signal enters the flat stretch too steeply for a rounded top.
 
-    A parabola a t^2/2 that is read in steps of q stays for T = sqrt(2 q/a) on either side of its top on the last step, and falls by
-    a (2 T)^2/2 - q = 3 q over as long again, however wide the top. A clipped signal has no such bound.
+    A parabola a t^2/2 quantised in steps of q stays on the last step for T = sqrt(2 q/a) on either side of its top, and falls by
+    a (2 T)^2/2 - q = 3 q during the next T, however wide the top. A clipped signal has no such bound.
     """
     half = max(2, (end - start) // 2)
     falls = [abs(values[start] - values[start - half])] if start >= half else []
@@ -81,7 +81,7 @@ def _is_corner(values: Array, start: int, end: int, quantum: float) -> bool:
 
 
 def quantisation(record: Record) -> list[Remark]:
-    """A note on each channel that comes in steps."""
+    """A note on each quantised channel."""
     remarks = []
     for name, step in record.steps.items():
         if np.isfinite(record.column(name)).sum() * step >= STEPS * np.ptp(record.column(name)[record.measured(name)]):

@@ -23,17 +23,17 @@ from hiltestbed.measured.units import factor
 from hiltestbed.scenario import Scenario
 from hiltestbed.signals import GROUPS
 
-BETWEEN = 1.5  # ticks from row to row, below which about every tick lies between two rows; above, on a row or on none
-RESAMPLED = 1.5  # of the variance of samples that a logger may have put between two of its own: the mean of (1 - p)^2 + p^2 is 2/3
-MISSING_LIMIT = 0.5  # part of its samples that a channel may miss before it is left out
+BETWEEN = 1.5  # ticks per row; below it about every tick lies between two rows, above it on a row or on none
+RESAMPLED = 1.5  # inverse variance factor of samples that a logger has interpolated: the mean of (1 - p)^2 + p^2 is 2/3
+MISSING_LIMIT = 0.5  # part of its samples that a channel may lack before it is left out
 SAME = Channel()
 CHANNELS = tuple(column for group in MEASURED_GROUPS for column in GROUPS[group].columns)
 
 
 def read_record(run: int, file: Path, channels: Mapping[str, Channel], scenario: Scenario) -> tuple[Record | None, list[Remark]]:
-    """One file on the loop's ticks; None when it cannot be used (the remarks say why).
+    """One file on the loop's ticks; None if it cannot be used (the remarks say why).
 
-    Raises InputError when the file cannot be read or lacks a mapped column; MissingExtra when its reader is not installed.
+    Raises InputError if the file cannot be read or lacks a mapped column; MissingExtra if its reader is not installed.
     """
     source = {name: channels.get(name, SAME).column or name for name in ("t", *CHANNELS)}
     columns = _read(file, frozenset(source.values()))
@@ -66,7 +66,7 @@ def _read(file: Path, wanted: frozenset[str]) -> Columns:
 
 
 def _refuse_missing(file: Path, columns: Columns, channels: Mapping[str, Channel], source: Mapping[str, str]) -> None:
-    """Raises InputError for every column that the channel map names and the file does not hold."""
+    """Raises InputError for every column that the channel map names and the file lacks."""
     missing = [name for name in channels if name in source and channels[name].column and source[name] not in columns.data]
     faults = [
         Fault(str(file), None, None, f"channels.{n}", f"names no column of the file (got {source[n]!r}); {near(source[n], columns.names)}")
@@ -77,7 +77,7 @@ def _refuse_missing(file: Path, columns: Columns, channels: Mapping[str, Channel
 
 
 def _si(values: Array, name: str, channels: Mapping[str, Channel]) -> Array:
-    """Values of a channel in SI units, as its entry in the channel map says; untouched without one."""
+    """Values of a channel in SI units, by its entry in the channel map; unchanged without an entry."""
     channel = channels.get(name, SAME)
     scale = channel.scale * factor(name, channel.unit)
     scaled = values if scale == 1.0 else scale * values
@@ -87,7 +87,7 @@ def _si(values: Array, name: str, channels: Mapping[str, Channel]) -> Array:
 def _stamps(
     file: Path, columns: Columns, values: Mapping[str, Array], source: Mapping[str, str], channels: Mapping[str, Channel]
 ) -> dict[str, Array]:
-    """The time stamps [s] of each channel: the time column of the file, or the channel's own clock where there is no such column."""
+    """The time stamps [s] of each channel: the time column of the file, or the channel's own clock if there is no such column."""
     shared = columns.data.get(source["t"])
     if shared is None and not all(source[name] in columns.clock for name in values):
         what = f"has no time column {source['t']!r}; {near(source['t'], columns.names)}"
@@ -119,7 +119,7 @@ def _clocks(run: int, stamps: Mapping[str, Array], scenario: Scenario) -> tuple[
 
 
 def _losses(run: int, channels: Mapping[str, tuple[Array, Clock]]) -> tuple[set[str], list[Remark]]:
-    """Channels that miss too many samples to be used; channels that miss the same samples share a remark."""
+    """Channels that lack too many samples to be used, and remarks; channels that lack the same samples share one."""
     lost, patterns = set(), {}
     for name, (column, clock) in channels.items():
         missing = ~np.isfinite(column[clock.rows])
@@ -140,7 +140,7 @@ def _missing(run: int, missing: np.ndarray, clock: Clock, names: list[str]) -> R
 
 
 def _on_ticks(run: int, file: Path, channels: Mapping[str, tuple[Array, Clock]], scenario: Scenario) -> Record | None:
-    """The record; None when there is no channel left."""
+    """The record; None if no channel is left."""
     if not channels:
         return None
     clocks = [clock for _, clock in channels.values()]
@@ -169,7 +169,7 @@ def _on_ticks(run: int, file: Path, channels: Mapping[str, tuple[Array, Clock]],
 
 
 def _share_steps(steps: dict[str, float], columns: Mapping[str, Array]) -> None:
-    """Give a channel that hardly moves the step of its like (the other forces, the other places): its own cannot be read."""
+    """Give a channel that hardly moves the quantisation step of similar channels (forces, positions): its own cannot be determined."""
     for name, column in columns.items():
         alike = [step for other, step in steps.items() if other[:-1] == name[:-1] and other != name]
         if name not in steps and alike and len(np.unique(column[np.isfinite(column)])) < 3:

@@ -1,4 +1,4 @@
-"""One measured run on the ticks of the loop, with a mask that says which samples were measured."""
+"""One measured run on the ticks of the loop, with a mask of the samples that were measured."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from hiltestbed.measured.noise import last_digit
 from hiltestbed.signals import GROUPS
 
 MEASURED_GROUPS = ("pose_cmd", "pose_act", "twist_cmd", "twist_act", "wrench_meas", "wrench_comp")
-FOLLOWING = 20  # samples that tell the speed before the first of them
+FOLLOWING = 20  # samples from which the speed before the first sample is estimated
 IDENTITY = (0.0, 0.0, 0.0, 1.0)
 
 
@@ -24,19 +24,19 @@ class Record:
 
     Attributes:
         run: its number in the dataset.
-        file: where it was read from.
+        file: from which it was read.
         t: ``(ticks,)`` [s], ``tick/rate``, from 0 to the last tick that the file reaches.
         data: group name to ``(ticks, parts)``, SI units; NaN where ``valid`` is False. Groups without any column are left out.
-        valid: group name to ``(ticks, parts)``: a sample of the file lies at this tick (within half a tick).
-        clipped: group name to ``(ticks, parts)``: the sample stands at a limit of the channel; what lies beyond is lost.
-        absent: columns of MEASURED_GROUPS that the file does not hold, or that were lost.
+        valid: group name to ``(ticks, parts)``: the file has a sample at this tick (within half a tick).
+        clipped: group name to ``(ticks, parts)``: the sample is at a limit of the channel; larger values are lost.
+        absent: columns of MEASURED_GROUPS that the file lacks, or that were lost.
         sample_rate: [Hz] of the file.
-        steps: column to the step its samples come in, for those that come in steps.
-        digits: column to how many significant digits its samples have, for those that were written with few.
-        bends: group to ``(ticks, parts)`` by which a smooth curve through the samples departs from straight lines between them, for groups
-            of which the rows are not the loop's ticks.
-        sampled: column to the noise of the samples that its ticks were put between, as white noise of as many samples as there are ticks
-            which adds up to the same.
+        steps: column to its quantisation step, for quantised columns.
+        digits: column to the number of significant digits of its samples, for columns that were written with few.
+        bends: group to ``(ticks, parts)`` difference of a smooth curve through the samples from linear interpolation, for groups whose
+            rows are not the loop's ticks.
+        sampled: for columns whose ticks were interpolated: column to the noise of the original samples, expressed as white noise of as many
+            samples as there are ticks with the same total.
     """
 
     run: int
@@ -57,11 +57,11 @@ class Record:
         return len(self.t)
 
     def has(self, name: str) -> bool:
-        """Whether the record holds a group (any column of it) or a column, such as ``wrench_meas`` or ``wrench_meas.fz``."""
+        """Whether the record has a group (any column of it) or a column, such as ``wrench_meas`` or ``wrench_meas.fz``."""
         return name in self.data if name in GROUPS else name in self.columns()
 
     def whole(self, group: str) -> bool:
-        """Whether it holds every sample of a group."""
+        """Whether the record has every sample of a group."""
         return group in self.data and bool(self.valid[group].all())
 
     def columns(self) -> tuple[str, ...]:
@@ -69,7 +69,7 @@ class Record:
         return tuple(c for name in self.data for c in GROUPS[name].columns if c not in self.absent)
 
     def column(self, name: str) -> Array:
-        """``(ticks,)`` of one column, NaN where not measured; KeyError when the record does not hold it."""
+        """``(ticks,)`` of one column, NaN where not measured; KeyError if the record lacks it."""
         group, part = place(name)
         return self.data[group][:, part]
 
@@ -79,7 +79,7 @@ class Record:
         return self.valid[group][:, part]
 
     def rounding(self, group: str) -> Array:
-        """``(ticks, parts)`` 1 sigma of what writing the samples with few significant digits has made of them; 0 where they have many."""
+        """``(ticks, parts)`` 1 sigma of the rounding error of samples written with few significant digits; 0 for those with many."""
         values = self.data[group]
         out = np.zeros_like(values)
         for j, name in enumerate(GROUPS[group].columns):
@@ -89,11 +89,11 @@ class Record:
         return out
 
     def filled(self, group: str) -> Array:
-        """``(ticks, parts)`` without NaN, to drive a model with; not for residuals, which count where ``valid`` alone.
+        """``(ticks, parts)`` without NaN, as the input of a model; not for residuals, which count only where ``valid``.
 
-        Gaps are bridged linearly, ticks between the rows of a log that has other ones on a smooth curve (quaternions are brought to unit
-        length again), and before the first and after the last sample the value is held, but for places of a pose before the first sample,
-        which move uniformly. Axes that are absent are zero, an absent attitude is none.
+        Gaps are interpolated linearly; ticks between the rows of a log with another clock are on a smooth curve (quaternions are
+        normalised). Before the first and after the last sample the value is held, except for positions before the first sample, which are
+        extrapolated uniformly. Absent axes are zero, an absent attitude is the identity.
         """
         values = self.data[group].copy()
         default = (0.0,) * 3 + IDENTITY if group.startswith("pose") else (0.0,) * values.shape[1]
@@ -121,12 +121,12 @@ class Record:
             values[: first[0]] = values[first[0]] + slope * t[: first[0]]
 
     def unknown(self, group: str, memory: float | None = None) -> NDArray[np.bool_]:
-        """``(ticks,)``: what a block does here hangs on samples of ``group`` that are missing.
+        """``(ticks,)``: the output of a block here depends on missing samples of ``group``.
 
         Args:
-            memory: [s] for which a block remembers its input; None: for good, as an integral does.
+            memory: [s] for which the block's output depends on its input; None: forever, as for an integral.
 
-        Ticks between two samples of a log that is slower than the loop are not missing. Columns that are absent do not count.
+        Ticks between two samples of a log that is slower than the loop do not count as missing, nor do absent columns.
         """
         known = np.all([self.measured(c) for c in GROUPS[group].columns if c not in self.absent], axis=0)
         rate = (self.ticks - 1) / self.t[-1] if self.ticks > 1 else 1.0

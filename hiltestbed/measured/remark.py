@@ -1,4 +1,4 @@
-"""What the check of measured data has to say about one channel of one run."""
+"""A finding of the check of measured data about one channel of one run."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ Severity = Literal["error", "loss", "note"]
 
 @dataclass(frozen=True)
 class Remark:
-    """One finding. Nothing is ever corrected on the strength of one: the fix is for the owner of the data to make.
+    """One finding. The program never corrects data because of a finding: the fix is left to the owner of the data.
 
     Attributes:
         severity: ``error``: a diagnosis of these data would be wrong; ``loss``: a channel, a run or samples cannot be used;
-            ``note``: good to know.
-        run: number of the run, or None for the whole dataset. file: that holds the run, by which messages call it.
+            ``note``: for information.
+        run: number of the run, or None for the whole dataset. file: of the run, its name in messages.
         channel: column or group of the trace, ``t``, or empty for the run as a whole.
-        text: what was found, with its numbers.
-        fix: what to do, as it would stand in the dataset file where that is possible; may be empty.
+        text: the finding, with its numbers.
+        fix: what to do, if possible in the syntax of the dataset file; may be empty.
         evidence: the numbers, by name.
-        check: what was checked, as the dataset's ``accept`` names it; empty for an error that cannot be accepted.
+        check: the word for it in the dataset's ``accept``; empty for an error that cannot be accepted.
     """
 
     severity: Severity
@@ -42,11 +42,11 @@ class Remark:
         )
 
     def accepted(self) -> Remark:
-        """The same as a note: the dataset says that the data are meant to be as they are."""
+        """The same finding as a note: the dataset declares that the data are correct."""
         return replace(self, severity="note", text=f"{self.text} (accepted by the dataset: {self.check})")
 
     @property
     def remedy(self) -> str:
-        """The fix, and the key with which the data are taken as they are where that is possible."""
+        """The fix, and the key that accepts the data unchanged if that is possible."""
         anyway = f"to use the data as they are, accept: [{self.check}]" if self.severity == "error" and self.check else ""
         return "; ".join(part for part in (self.fix, anyway) if part)

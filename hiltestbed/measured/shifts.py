@@ -1,8 +1,8 @@
-"""Channels that are some rows early or late in the record: an output that comes before its input, which no rig can do.
+"""Channels that are some rows early or late in the record: an output that precedes its input, which no rig can produce.
 
-Of the four links of the loop three tell their delay to a fraction of a row: the numerical model moves the pose by the force of the same
-row; a platform that tracks ideally is where it was sent one row later; and the noise of the sensor goes through the compensation in the
-row that it is read in. A channel that was shifted makes the link before it too late and the one after it too early by the same rows.
+Three of the four links of the loop have a delay that is known to a fraction of a row: the numerical model moves the pose by the force of
+the same row; a platform with ideal tracking reaches its command one row later; and the noise of the sensor passes the compensation in the
+row in which it is read. A shifted channel makes the link before it too late and the link after it too early by the same number of rows.
 """
 
 from __future__ import annotations
@@ -23,22 +23,22 @@ from hiltestbed.replay import Departing, follows_exactly, replay_compensation, r
 from hiltestbed.replay.compensation import needs
 from hiltestbed.scenario import Scenario
 
-FURTHEST = 40  # rows that a shift is looked for
-LEFT = 0.1  # part of the misfit that may be left once the shift is taken back
-EXCHANGED = 0.02  # of the misfit, that is left where two forces are exchanged
-ECHO = 0.3  # correlation of the noise of two forces, from which they are one noise
-LOGGER = 2.25  # rows up to which a shift is a note: loggers stamp each channel up to a row early or late
-AHEAD = 0.5  # rows by which a platform is ahead of what it can be
-CLEAR = 20.0  # noise floors that the pose has to move by within a row, all rows together
+FURTHEST = 40  # largest shift that is searched [rows]
+REMAINDER = 0.1  # part of the misfit that may remain once the shift is removed
+EXCHANGED = 0.02  # part of the misfit that remains if two forces are exchanged
+ECHO = 0.3  # correlation of the noise of two forces, above which it is the same noise
+LOGGER = 2.25  # rows; smaller shifts give a note: loggers stamp each channel up to a row early or late
+LEAD_LIMIT = 0.5  # [rows] least lead over the earliest possible response of a platform that counts
+CLEAR = 20.0  # least motion of the pose within a row, over all rows together, in noise floors
 
 
 def shifts(record: Record, found: Survey, scenario: Scenario) -> Iterator[Remark]:
-    """Errors for an output before its input, by more than the rows that a logger may choose; notes for those."""
+    """Errors for an output that precedes its input by more than a logger's stamping can explain; notes for smaller shifts."""
     if abs(record.sample_rate * scenario.tick - 1.0) > 1e-3:
-        return  # rows of the file are no ticks of the loop
+        return  # the rows of the file are not ticks of the loop
     given = compensated(record, scenario)
     if _exchanged_forces(record, scenario, given):
-        text = "gives wrench_comp worse than wrench_comp gives it, by the scenario's own compensation: the two are exchanged"
+        text = "does not give wrench_comp by the scenario's compensation, but wrench_comp gives it: the two are exchanged"
         yield Remark("error", record.run, "wrench_meas", text, "exchange the columns of wrench_meas and wrench_comp", {}, "shift")
         return
     others = list(_out_of_order(record, found, scenario, given))
@@ -49,7 +49,7 @@ def shifts(record: Record, found: Survey, scenario: Scenario) -> Iterator[Remark
 
 
 def _out_of_order(record: Record, found: Survey, scenario: Scenario, given: Array | None) -> Iterator[Remark]:
-    """Where an output comes before its input, on the links that are exact."""
+    """Remarks on outputs that precede their inputs, on the links with a known delay."""
     moved = _model_lag(record, scenario)
     echo = _echo(record, given)
     ahead = _platform_lead(record, found, scenario)
@@ -69,11 +69,11 @@ def _out_of_order(record: Record, found: Survey, scenario: Scenario, given: Arra
 
 
 def _shifted(record: Record, channel: str, rows: float, scenario: Scenario, why: str) -> Remark:
-    """``rows`` that a channel is late in the record; early where negative."""
+    """Remark on a channel that is ``rows`` late in the record; early if negative."""
     when = f"{abs(rows):.3g} row{'s' if abs(rows) != 1 else ''} {'late' if rows > 0 else 'early'}"
     seconds = -rows * scenario.tick
     fix = f"move it by {seconds:.6g} s before the export: all channels share the rows of one clock"
-    return _remark(record, channel, f"stands {when} in the record: {why}", fix, rows)
+    return _remark(record, channel, f"is {when} in the record: {why}", fix, rows)
 
 
 def _remark(record: Record, channel: str, text: str, fix: str, rows: float) -> Remark:
@@ -82,27 +82,27 @@ def _remark(record: Record, channel: str, text: str, fix: str, rows: float) -> R
 
 def _ahead(record: Record, rows: float, moved: int | None, scenario: Scenario, found: Survey) -> Remark:
     if moved is not None and moved > 0 and abs(moved - rows) < 1.0:
-        return _shifted(record, "pose_cmd", float(moved), scenario, "the platform is ahead of it, and it follows its own force too late")
-    if abs(rows - 2.0) < AHEAD and _rough(found, "pose_cmd") > 3 * _rough(found, "pose_act"):
+        return _shifted(record, "pose_cmd", float(moved), scenario, "the platform precedes it, and it follows its force too late")
+    if abs(rows - 2.0) < LEAD_LIMIT and _rough(found, "pose_cmd") > 3 * _rough(found, "pose_act"):
         text = "follows pose_act a row later and carries a sensor's noise, which pose_act does not: the two are exchanged"
         return Remark("error", record.run, "pose_cmd", text, "exchange the columns of pose_cmd and pose_act", {"rows": rows}, "shift")
-    text = f"is {rows:.3g} rows ahead of where its command takes it: it stands early in the record, or is exchanged with pose_cmd"
+    text = f"precedes the response to its command by {rows:.3g} rows: it is early in the record, or exchanged with pose_cmd"
     fix = f"move it by {rows * scenario.tick:.6g} s before the export, or exchange the columns of pose_cmd and pose_act"
     return _remark(record, "pose_act", text, fix, rows)
 
 
 def _answered(record: Record, rows: int, scenario: Scenario, why: str) -> Remark:
-    """A note: the diagnosis has a name for a force that is late on record alone."""
-    text = f"is answered {rows} rows before it stands in the record, for {why}: the record is late and the loop is not"
-    fix = f"move it by {-rows * scenario.tick:.6g} s before the export; else the diagnosis takes it for log.skew, or for a late sensor"
+    """A note, not an error: the diagnosis has an effect for a force that is late only in the record."""
+    text = f"has its effect {rows} rows before it is in the record, since {why}: the record is late, not the loop"
+    fix = f"move it by {-rows * scenario.tick:.6g} s before the export; otherwise the diagnosis may name log.skew or a late sensor"
     return Remark("note", record.run, "wrench_meas", text, fix, {"rows": float(rows)}, "shift")
 
 
 def _led(record: Record, rows: int, lead: float | None, scenario: Scenario) -> Remark:
-    """The force comes ``rows`` before the pose on record makes it; ``lead`` of the platform tells which of the two was shifted."""
+    """Remark on a force ``rows`` before the contact of the recorded pose; the platform's ``lead`` shows which of the two was shifted."""
     if lead is not None and abs(lead + rows) < 1.0:
-        return _shifted(record, "pose_act", rows, scenario, "wrench_meas shows the contact before it, and pose_cmd is as much ahead of it")
-    text = f"shows the contact {rows} rows before pose_act makes it: one of the two was shifted, or the sensor is faster than sensor.delay"
+        return _shifted(record, "pose_act", rows, scenario, "wrench_meas shows the contact before it, and pose_cmd precedes it by as much")
+    text = f"shows the contact {rows} rows before pose_act does: one of the two was shifted, or the sensor is faster than sensor.delay"
     by = rows * scenario.tick
     fix = f"move pose_act by {-by:.6g} s or wrench_meas by {by:.6g} s before the export, or correct sensor.delay"
     return _remark(record, "wrench_meas", text, fix, rows)
@@ -113,9 +113,9 @@ def _rough(found: Survey, group: str) -> float:
 
 
 def _model_lag(record: Record, scenario: Scenario, given: Array | None = None) -> int | None:
-    """Whole rows by which pose_cmd shows the force late (negative: early); None where nothing can be said, 0 where it fits as it is.
+    """Whole rows by which pose_cmd responds late to the force (negative: early); None if it cannot be determined, 0 if it fits unchanged.
 
-    given: (ticks, 6) in place of the wrench_comp on record.
+    given: (ticks, 6) used instead of the recorded wrench_comp.
     """
     names = [f"pose_cmd.p{a}" for a in "xyz"]
     names += [f"wrench_comp.{p}" for p in ("fx", "fy", "fz", "tx", "ty", "tz")] if given is None else []
@@ -135,13 +135,13 @@ def _model_lag(record: Record, scenario: Scenario, given: Array | None = None) -
     now = left[FURTHEST]
     if now < 1e-18 * max(1.0, float(np.sum(shown**2))) or best == 0:
         return 0
-    if left.min() < LEFT * now and abs(best) < FURTHEST:
+    if left.min() < REMAINDER * now and abs(best) < FURTHEST:
         return best
     return 0
 
 
 def _misfit(t: Array, shown: Array, pushed: Array) -> float:
-    """Square of what is left of ``shown`` (rows, 3) when ``pushed`` and a straight line are taken from it."""
+    """Sum of squares of ``shown`` (rows, 3) minus ``pushed`` and a straight line."""
     basis = np.stack([np.ones_like(t), t - t.mean()], axis=1)
     rest = shown - pushed
     rest = rest - basis @ np.linalg.lstsq(basis, rest, rcond=None)[0]
@@ -149,7 +149,7 @@ def _misfit(t: Array, shown: Array, pushed: Array) -> float:
 
 
 def compensated(record: Record, scenario: Scenario, source: str = "wrench_meas") -> Array | None:
-    """``(ticks, 6)`` what the believed compensation makes of a recorded wrench; None where it needs more than that, or rows are missing."""
+    """``(ticks, 6)`` output of the believed compensation for a recorded wrench; None if it needs other inputs or rows are missing."""
     if needs(scenario) != {"wrench_meas"} or not record.whole(source):
         return None
     reading = np.ascontiguousarray(record.data[source])[None]
@@ -157,7 +157,7 @@ def compensated(record: Record, scenario: Scenario, source: str = "wrench_meas")
 
 
 def _exchanged_forces(record: Record, scenario: Scenario, given: Array | None) -> bool:
-    """Whether the believed compensation makes wrench_meas of wrench_comp, and not the other way round."""
+    """Whether the believed compensation converts wrench_comp to wrench_meas, and not the reverse."""
     crossed = compensated(record, scenario, "wrench_comp")
     if given is None or crossed is None:
         return False
@@ -166,7 +166,7 @@ def _exchanged_forces(record: Record, scenario: Scenario, given: Array | None) -
 
 
 def _echo(record: Record, given: Array | None) -> int | None:
-    """Rows by which the noise of what the compensation gives shows later in wrench_comp (negative: earlier); None: not in both."""
+    """Rows by which the noise of the computed compensated wrench is later in wrench_comp (negative: earlier); None: not in both."""
     columns, best = set(record.columns()), None
     for j, name in enumerate(f"wrench_comp.{axis}" for axis in ("fx", "fy", "fz")):
         if given is None or name not in columns or not record.measured(name).all():
@@ -183,7 +183,7 @@ def _echo(record: Record, given: Array | None) -> int | None:
 
 
 def _correlated(a: Array, b: Array) -> Array:
-    """Correlation of ``a`` (n,) with each part of ``b`` (n + 2 FURTHEST,) that is as long, from the first on."""
+    """Correlation of ``a`` (n,) with each window of length n of ``b`` (n + 2 FURTHEST,), from the first on."""
     total = np.concatenate([[0.0], np.cumsum(b * b)])
     size = np.sqrt((a @ a) * (total[len(a) :] - total[: -len(a)]))
     product = correlate(b, a, mode="valid", method="fft")
@@ -191,7 +191,7 @@ def _correlated(a: Array, b: Array) -> Array:
 
 
 def _platform_lead(record: Record, found: Survey, scenario: Scenario) -> float | None:
-    """Rows by which the pose is earlier than one row after its command; negative: later; None where nothing can be said."""
+    """Rows by which the pose is earlier than one row after its command; negative: later; None if it cannot be determined."""
     if not follows_exactly(scenario):
         return None
     above = below = 0.0
@@ -205,7 +205,7 @@ def _platform_lead(record: Record, found: Survey, scenario: Scenario) -> float |
         if known.sum() < 50:
             continue
         turn, size = rate[known] - rate[known].mean(), command[known] - command[known].mean()
-        turn = turn - size * (turn @ size) / max(float(size @ size), 1e-300)  # of another speed, whatever the scale is
+        turn = turn - size * (turn @ size) / max(float(size @ size), 1e-300)  # removes a difference in scale
         behind = (command - reached)[known]
         square = float(turn @ turn)
         if square == 0.0:
@@ -218,4 +218,4 @@ def _platform_lead(record: Record, found: Survey, scenario: Scenario) -> float |
     if below < CLEAR**2:
         return None
     lead = 1.0 - above / below
-    return lead if abs(lead) > AHEAD + 5 / np.sqrt(below) else 0.0
+    return lead if abs(lead) > LEAD_LIMIT + 5 / np.sqrt(below) else 0.0

@@ -1,4 +1,4 @@
-"""Where and how fast a run begins, against gap, offset and approach velocity of its scenario."""
+"""Position and velocity at the start of a run, compared with gap, offset and approach velocity of its scenario."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from hiltestbed.measured.survey import Survey
 from hiltestbed.measured.units import likely_unit
 from hiltestbed.scenario import Scenario
 
-UNIT_FACTOR = 100.0  # off by more than this: another unit, even where only one of start and travel can be told from zero
-OTHER_UNIT = 2.2  # the same where both agree on it; the smallest factor between two units of length is 2.54
+UNIT_FACTOR = 100.0  # a larger ratio means another unit, even if only one of start and travel differs significantly from zero
+OTHER_UNIT = 2.2  # the same if both agree on it; the smallest factor between two units of length is 2.54
 AGREE = 1.3  # factor within which two ratios agree
-CLEAR = 50.0  # sigma, above which a start position or a travel is told from zero
-REVERSED = -0.3  # of what is expected, start and travel alike: the sign is the other way round
-REVERSED_ALONE = -0.7  # the same where only one of them can be told from zero
-OTHER_SPEED = 0.05  # of the scenario's speed, by which a command that begins at another one is not that of the scenario
-OTHER_PLACE = {"pose_cmd.pz": 0.05, "pose_act.pz": 0.5}  # of the gap, by which one that begins elsewhere is not; a platform lags and scales
-STAMPS = 2.5  # rows, by which a channel may be stamped early or late
-UNTOUCHED = 0.7  # of the way to the nominal first touch: a cone is met before it
+CLEAR = 50.0  # sigma, above which a start position or a travel differs significantly from zero
+REVERSED = -0.3  # ratio to the expected value, of start and travel, below which the sign is reversed
+REVERSED_ALONE = -0.7  # the same if only one of them differs significantly from zero
+OTHER_SPEED = 0.05  # relative deviation of the initial speed of a command from the scenario's, above which it is an error
+OTHER_PLACE = {"pose_cmd.pz": 0.05, "pose_act.pz": 0.5}  # the same for the initial position, per gap; a platform has lag and scale errors
+STAMPS = 2.5  # rows by which a channel may be stamped early or late
+UNTOUCHED = 0.7  # of the way to the nominal first touch: a cone is touched before that
 
 
 @dataclass(frozen=True)
@@ -33,9 +33,9 @@ class Start:
     """One translation of one run at its start.
 
     Attributes:
-        begin: [m], travel: [m] before the first touch. place, speed: ratios to what the scenario has, None where not told from zero.
+        begin: [m], travel: [m] before the first touch. place, speed: ratios to the scenario's values, None if not significant.
         expected_begin, expected_travel: [m]; velocity: [m/s], of the scenario. rate: [m/s] at the first row, by a parabola through the
-        free flight, since a force that is read where none acts bends it; rate_sd: [m/s] of it. gap: [m] of the scenario.
+        free flight, since a spurious force reading makes it accelerate; rate_sd: [m/s] of it. gap: [m] of the scenario.
     """
 
     begin: float
@@ -55,7 +55,7 @@ class Start:
 
     @property
     def unit(self) -> float | None:
-        """How many times larger than in metres the numbers are, or None when they are in metres as far as can be told."""
+        """Ratio of the numbers to those in metres; None if they appear to be in metres."""
         sizes = [abs(r) for r in self.ratios]
         if not sizes or any(size == 0.0 for size in sizes):
             return None
@@ -71,7 +71,7 @@ class Start:
 
 
 def start_of(record: Record, found: Survey, scenario: Scenario, name: str) -> Start | None:
-    """The start of the translation ``name``; None where too little of it was measured."""
+    """The start of the translation ``name``; None if too little of it was measured."""
     axis = "xyz".index(name[-1])
     begin_at = (*scenario.approach.offset, -scenario.approach.gap)[axis]
     velocity = scenario.approach.velocity[axis]
@@ -83,32 +83,32 @@ def start_of(record: Record, found: Survey, scenario: Scenario, name: str) -> St
         return None
     begin, end = float(np.median(values[known[:3]])), float(np.median(values[known[-3:]]))
     travel, expected = end - begin, velocity * float(record.t[known[-1]] - record.t[known[0]])
-    begin_at += velocity * float(record.t[known[0]])  # of a record that begins late
+    begin_at += velocity * float(record.t[known[0]])  # if the record begins late
 
     def ratio(measured: float, given: float) -> float | None:
         return measured / given if abs(given) > 1e-6 and max(abs(measured), abs(given)) > CLEAR * sigma else None
 
     places = ratio(begin, begin_at), ratio(travel, expected), begin_at, expected
-    free = scenario.mechanism.flat or found.contacts  # else what is met before the nominal touch is not known
+    free = scenario.mechanism.flat or found.contacts  # otherwise a touch before the nominal one is possible
     rate = _rate(record.t[known], values[known], sigma) if free else (velocity, math.inf)
     return Start(begin, travel, *places, velocity, *rate, scenario.approach.gap)
 
 
 def _rate(t: Array, values: Array, sigma: float) -> tuple[float, float]:
-    """Speed at the first of the rows (n,), and its standard deviation by the noise ``sigma`` of the places: least squares of a parabola."""
+    """Speed at the first of the rows (n,) and its standard deviation, for positions with noise ``sigma``: least-squares parabola."""
     basis = np.vander(t - t[0], 3, increasing=True)
     inverse = np.linalg.pinv(basis)
     return float(inverse[1] @ values), sigma * float(np.linalg.norm(inverse[1]))
 
 
 def _way_to_touch(scenario: Scenario) -> float:
-    """[s] until the nominal first touch; infinite where the scenario does not approach."""
+    """[s] until the nominal first touch; infinite if the scenario does not approach."""
     speed = scenario.approach.velocity[2]
     return scenario.approach.gap / speed if speed > 0 and scenario.approach.gap > 0 else math.inf
 
 
 def starts_at_fault(record: Record, found: Survey, scenario: Scenario) -> Iterator[Remark]:
-    """Errors for a translation in another unit, of the other sign, or of another run."""
+    """Errors for a translation with another unit, with a reversed sign, or from another run."""
     if scenario.mechanism.captured:
         return
     for group in ("pose_cmd", "pose_act"):
@@ -133,34 +133,34 @@ def _fault(record: Record, name: str, start: Start) -> Iterator[Remark]:
         fix = f"{scale_fix(name, likely_scale(size, 'm'))}; or set the approach of this run, if it was another: set: {{approach.gap: ...}}"
         yield Remark("error", record.run, name, text, fix, evidence, "unit")
     elif start.reversed:
-        yield Remark("error", record.run, name, f"{seen}: the sign is the other way round", scale_fix(name, -1.0), evidence, "sign")
+        yield Remark("error", record.run, name, f"{seen}: the sign is reversed", scale_fix(name, -1.0), evidence, "sign")
     elif name in OTHER_PLACE and start.velocity:
         yield from _another(record, name, start, evidence)
 
 
 def _another(record: Record, name: str, start: Start, evidence: dict[str, float]) -> Iterator[Remark]:
-    """Errors for a motion that is not that of the scenario's approach: a link would be blamed for it."""
+    """Errors for a motion that is not the scenario's approach: a diagnosis would attribute the difference to a link."""
     speed, place = start.velocity, start.expected_begin
     commanded = name == "pose_cmd.pz"
     if commanded and abs(start.rate - speed) > OTHER_SPEED * abs(speed) + CLEAR * start.rate_sd:
         text = f"begins at {start.rate:.4g} m/s; the scenario approaches at {speed:.4g} m/s"
-        fix = f"if the run was driven so, set in its entry: set: {{approach.velocity.2: {start.rate:.4g}}}"
+        fix = f"if this is right, set in the entry of the run: set: {{approach.velocity.2: {start.rate:.4g}}}"
         yield Remark("error", record.run, name, text, fix, evidence | {"speed": start.rate}, "start")
     elif abs(start.begin - place) > OTHER_PLACE[name] * start.gap + STAMPS * abs(speed) * float(record.t[1]):
         text = f"begins at {start.begin:.4g} m; by its approach the scenario is at {place:.4g} m then"
         gap, offset = start.gap + place - start.begin, place - start.begin
-        fix = f"if the numbers count from elsewhere, channels: {{{name}: {{offset: {offset:.4g}}}}}"
+        fix = f"if the numbers have another origin, channels: {{{name}: {{offset: {offset:.4g}}}}}"
         fix = f"set in the entry of the run: set: {{approach.gap: {gap:.4g}}}; or, {fix}" if gap > 0.0 and commanded else fix
         yield Remark("error", record.run, name, text, fix, evidence, "start")
 
 
 def scale_fix(channel: str, scale: float) -> str:
-    """The entry of the channel map that would put a channel right, beside any scale it has."""
+    """The entry of the channel map that would correct a channel, in addition to any scale that it has."""
     return f"if so, multiply its scale by {scale:.8g}: channels: {{{channel}: {{scale: {scale:.8g}}}}}"
 
 
 def factor_text(size: float, si: str) -> str:
-    """What numbers that are ``size`` times those in SI are taken for."""
+    """Text on numbers that are ``size`` times those in SI units: the unit that they are probably in."""
     unit = likely_unit(si, 1.0 / size, 0.03) or likely_unit(si, 1.0 / size, AGREE - 1.0)
     power = round(math.log10(size))
     about = f"{size:.3g}" if abs(math.log10(size) - power) > 0.05 else f"{10.0**power:g}"
@@ -168,7 +168,7 @@ def factor_text(size: float, si: str) -> str:
 
 
 def likely_scale(size: float, si: str) -> float:
-    """The factor that brings numbers which are ``size`` times those in SI back: that of a unit, of a power of ten, or 1/size."""
+    """The factor that converts numbers that are ``size`` times those in SI: that of a unit, a power of ten, or 1/size."""
     unit = likely_unit(si, 1.0 / size, 0.03)
     power = round(math.log10(size))
     if unit is not None:

@@ -1,4 +1,4 @@
-"""What a run holds: noise floor before the first touch, contacts, and what was excited."""
+"""Survey of a run: noise floor before the first touch, contacts, and excited axes."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from hiltestbed.measured.record import Record
 from hiltestbed.measured.remark import Remark
 from hiltestbed.scenario import Scenario
 
-ONSET = 8.0  # sigma over ONSET_TICKS in a row: the force has left its floor
+ONSET = 8.0  # sigma, for ONSET_TICKS successive ticks: the force has left its noise floor
 ONSET_TICKS = 4
 FORCES = ("wrench_meas.fz", "wrench_meas.fx", "wrench_meas.fy")
-MOVED = 10.0  # sigma: an axis that ranges further than this was excited
+MOVED = 10.0  # sigma: an axis with a larger range was excited
 
 
 @dataclass(frozen=True)
 class Contact:
-    """One contact: ticks ``start`` to ``end`` (not included), its peaks along z, and the most that it presses along any of the axes that
-    tell it; a figure without its channel is None."""
+    """One contact: ticks ``start`` to ``end`` (exclusive), its peaks along z, and the largest force along any of the axes that show it;
+    None for a figure without its channel."""
 
     start: int
     end: int
@@ -35,13 +35,13 @@ class Contact:
 
 @dataclass(frozen=True)
 class Survey:
-    """What one run holds.
+    """Survey of one run.
 
     Attributes:
         free: ticks before the first touch.
         noise: column to its noise.
-        contacts: in order; what a latch holds stays in contact to the end, though the force passes through zero.
-        excited: columns that range over more than MOVED sigma.
+        contacts: in order; a latched contact lasts to the end, even if the force passes through zero.
+        excited: columns with a range of more than MOVED sigma.
         phase: angular frequency of the nominal contact times the sensor's nominal delay [rad].
     """
 
@@ -52,7 +52,7 @@ class Survey:
     phase: float
 
     def touching(self, rows: int, late: int, least: float = 0.0) -> np.ndarray:
-        """``(rows,)`` bool: in a contact that bears ``least`` [N] or more, or a sensor that is ``late`` [ticks] still shows it."""
+        """``(rows,)`` bool: in a contact of at least ``least`` [N], or the sensor, ``late`` [ticks] behind, still shows it."""
         out = np.zeros(rows, dtype=bool)
         for c in self.contacts:
             if c.pressed is None or c.pressed >= least:
@@ -64,7 +64,7 @@ def look(record: Record, scenario: Scenario) -> Survey:
     """Noise, contacts and excitation of a record."""
     latched = scenario.mechanism.captured
     depth = penetration(record)
-    felt = FORCES[:1] if sides_of(scenario.mechanism).rigid else FORCES  # what swings on a side is pressed across, too
+    felt = FORCES[:1] if sides_of(scenario.mechanism).rigid else FORCES  # parts that swing are also pressed laterally
     free = 0 if latched else _free_ticks(record, depth, felt)
     noise = {n: noise_of(record.column(n), free, record.steps.get(n, 0.0), n.startswith("pose")) for n in record.columns()}
     flat = scenario.mechanism.flat
@@ -79,7 +79,7 @@ def look(record: Record, scenario: Scenario) -> Survey:
 
 
 def penetration(record: Record) -> Array | None:
-    """``(ticks,)`` measured pz [m] (commanded where the reached pose is absent), gaps NaN; None without either."""
+    """``(ticks,)`` measured pz [m] (commanded if the reached pose is absent), NaN in gaps; None without either."""
     for name in ("pose_act.pz", "pose_cmd.pz"):
         if name in record.columns():
             return record.column(name)
@@ -87,33 +87,33 @@ def penetration(record: Record) -> Array | None:
 
 
 def remarks_on(record: Record, found: Survey, scenario: Scenario) -> list[Remark]:
-    """Runs without contact, and contacts that pose and force do not agree on."""
+    """Remarks on runs without contact, and on contacts in which pose and force disagree."""
     run, depth, force = record.run, penetration(record), "wrench_meas.fz" in record.columns()
     if scenario.mechanism.captured or (depth is None and not force):
         return []
     if not found.contacts:
         deepest = "" if depth is None else f" (pz reaches {np.nanmax(depth):.4g} m)"
-        text = f"has no contact{deepest}; it says nothing of contact, sensor and compensation"
+        text = f"has no contact{deepest}; contact, sensor and compensation cannot be judged from it"
         return [Remark("loss", run, "", text, "", {} if depth is None else {"pz_max": float(np.nanmax(depth))})]
     if not force or depth is None:
         return []
     peak, floor = max(abs(c.peak_force or 0.0) for c in found.contacts), found.noise["wrench_meas.fz"].white
     if peak <= MOVED * floor:
         deepest = max(c.penetration or 0.0 for c in found.contacts)
-        text = f"stays within {peak:.3g} N (noise {floor:.3g} N) while the mechanisms are {1e3 * deepest:.3g} mm into each other"
+        text = f"stays within {peak:.3g} N (noise {floor:.3g} N) while the mechanisms penetrate by {1e3 * deepest:.3g} mm"
         return [Remark("note", run, "wrench_meas.fz", text, "check that the sensor was on and its column is the right one", {"peak": peak})]
     return []
 
 
 def baseline(record: Record, found: Survey, name: str) -> float:
-    """Median of a column before the first touch, 0 when there is too little of it."""
+    """Median of a column before the first touch; 0 if there are too few samples."""
     free = record.column(name)[: found.free]
     free = free[np.isfinite(free)]
     return float(np.median(free)) if len(free) >= FREE_MINIMUM else 0.0
 
 
 def _free_ticks(record: Record, depth: Array | None, felt: tuple[str, ...]) -> int:
-    """Ticks before the mechanisms meet, by the pose and by the forces ``felt``, whichever is earliest."""
+    """Ticks before the first touch, by the pose or by the forces ``felt``, whichever is earliest."""
     ends = [record.ticks]
     if depth is not None:
         ends += np.flatnonzero(depth > 0)[:1].tolist()
@@ -129,7 +129,7 @@ def _free_ticks(record: Record, depth: Array | None, felt: tuple[str, ...]) -> i
 
 
 def _still(force: Array) -> Array:
-    """The first rows; the quietest ones as long where those are so restless that a touch must lie within them."""
+    """The first rows; if they vary so much that they must contain a touch, the quietest stretch of the same length."""
     rows = 2 * FREE_MINIMUM
     first = force[:rows]
     if len(force) < 2 * rows:
@@ -140,7 +140,7 @@ def _still(force: Array) -> Array:
 
 
 def _first_run(flags: np.ndarray, length: int) -> list[int]:
-    """Where the first run of ``length`` True in a row begins, in a list; empty without one."""
+    """Start of the first run of ``length`` successive True values, in a list; empty if there is none."""
     if len(flags) < length:
         return []
     whole = np.lib.stride_tricks.sliding_window_view(flags, length).all(axis=1)
@@ -148,8 +148,8 @@ def _first_run(flags: np.ndarray, length: int) -> list[int]:
 
 
 def _spans(record: Record, depth: Array | None, noise: dict[str, Noise], felt: tuple[str, ...]) -> list[tuple[int, int]]:
-    """Start and end of each contact: pz > 0 where ``depth`` is given, one of the forces ``felt`` off its floor where it is not (a cone is
-    met early)."""
+    """Start and end of each contact: pz > 0 if ``depth`` is given, otherwise one of the forces ``felt`` above its noise floor (a cone is
+    touched early)."""
     if depth is not None:
         name = "pose_act.pz" if "pose_act.pz" in record.columns() else "pose_cmd.pz"
         return _above(_bridged(depth), 0.0, 5 * noise[name].white)
@@ -160,10 +160,10 @@ def _spans(record: Record, depth: Array | None, noise: dict[str, Noise], felt: t
 
 
 def _held(spans: list[tuple[int, int]], record: Record, depth: Array | None, scenario: Scenario) -> list[tuple[int, int]]:
-    """The spans, of which all that follow one another within the reach of a latch to the end of the record are one.
+    """The spans, with the final ones within the range of a latch, up to the end of the record, merged into one.
 
-    The reach is the depth at which it closes, and beyond it what its springs give: they hold A where they bear what the contact bore when
-    they closed, and swing about that.
+    The range is the depth at which the latch closes plus the deflection of its springs: they hold A in the equilibrium in which they carry
+    the load that the contact carried when they closed, and oscillate about it.
     """
     latch = scenario.mechanism.latch
     if latch is None or depth is None or not spans:
@@ -180,7 +180,7 @@ def _held(spans: list[tuple[int, int]], record: Record, depth: Array | None, sce
 
 
 def _above(values: Array, low: float, high: float) -> list[tuple[int, int]]:
-    """Stretches above ``low`` that somewhere exceed ``high``."""
+    """Stretches above ``low`` that exceed ``high`` at some point."""
     edges = np.flatnonzero(np.diff(np.r_[False, values > low, False]))
     return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True) if values[a:b].max() > high]
 
@@ -205,7 +205,7 @@ def _contact(record: Record, span: tuple[int, int], depth: Array | None, scenari
 
 
 def _bridged(values: Array) -> Array:
-    """``values`` with what is missing between two samples on a straight line: a log that is slower than the loop has most ticks missing."""
+    """``values`` with missing ones interpolated: in a log that is slower than the loop most ticks are missing."""
     known = np.isfinite(values)
     if known.all() or not known.any():
         return np.nan_to_num(values)

@@ -1,4 +1,4 @@
-"""TDMS through npTDMS: channel ``fz`` of group ``wrench_meas`` is ``wrench_meas.fz``, and ``fz`` alone where only one group has it."""
+"""TDMS through npTDMS: channel ``fz`` of group ``wrench_meas`` is ``wrench_meas.fz``, and also ``fz`` if only one group has it."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def read(path: Path, wanted: Set[str]) -> Columns:
         from nptdms.log import log_manager
     except ImportError as error:
         raise MissingExtra(f"{path}: TDMS", "tdms") from error
-    log_manager.set_level(logging.ERROR)  # its warnings quote the bytes they could not read
+    log_manager.set_level(logging.ERROR)  # its warnings quote the bytes that it cannot read
     try:
         with TdmsFile.open(path) as file:
             channels = {f"{group.name}.{channel.name}": channel for group in file.groups() for channel in group.channels()}

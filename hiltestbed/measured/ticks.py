@@ -1,7 +1,7 @@
-"""Rows that are the loop's own ticks, whatever their stamps say: stamps that jitter, and a clock that runs a little fast or slow.
+"""Rows that are the loop's ticks although their stamps deviate: stamps with jitter, or a clock that runs slightly fast or slow.
 
-A log of one row a tick is written by the loop, whose ticks are its time. Stamps that miss them by a part of a tick are another clock's,
-read late or rounded. Where samples really were taken between ticks, the motion is smoother on the stamps than on the ticks.
+A log with one row per tick was written by the loop, so the ticks are its true time. Stamps that deviate by a fraction of a tick come from
+another clock, read late or rounded. If samples were really taken between ticks, the motion is smoother over the stamps than over the ticks.
 """
 
 from __future__ import annotations
@@ -15,17 +15,17 @@ from hiltestbed.frames import Array
 from hiltestbed.measured.clock import ON_TICK, Clock
 from hiltestbed.measured.remark import Remark
 
-OFF_RATE = 2e-3  # part by which a clock may differ from the loop's
-UNEVEN = 0.45  # of an interval, that a stamp may miss its place by
-APART = 0.05  # of a tick, by which all rows may lie beside the ticks
-ROUGHER = 1.1  # what chance makes of two such figures at most
+OFF_RATE = 2e-3  # relative rate difference that a clock may have from the loop's
+UNEVEN = 0.45  # of an interval: largest deviation of a stamp
+APART = 0.05  # of a tick: largest common offset of all rows from the ticks
+ROUGHER = 1.1  # largest ratio of two roughnesses by chance
 NEIGHBOURS = (-2, -1, 1, 2)
 
 
 def as_ticks(run: int, clocks: Sequence[tuple[Clock, Mapping[str, Array]]], tick: float) -> tuple[dict[int, Clock], list[Remark]]:
-    """Clocks by the id of those given, with stamps on the loop's ticks where their rows are ticks, and a remark on each that was changed.
+    """Clocks by the id of those given, with stamps on the loop's ticks if their rows are ticks, and a remark on each changed clock.
 
-    clocks: with the columns (file rows) that they stamp.
+    clocks: each with the columns (file rows) that it stamps.
     """
     out, remarks = {}, []
     for clock, columns in clocks:
@@ -33,13 +33,13 @@ def as_ticks(run: int, clocks: Sequence[tuple[Clock, Mapping[str, Array]]], tick
         out[id(clock)] = found or clock
         if found is not None:
             off = float(np.abs(found.t - clock.t).max()) / tick
-            text = f"misses the loop's ticks by up to {off:.2g} of one; each row is taken for the tick that it is next to in order"
+            text = f"deviates from the loop's ticks by up to {off:.2g} of a tick; the rows are assigned to the ticks in order"
             remarks.append(Remark("note", run, "t", text, "", {"off": off}))
     return out, remarks
 
 
 def _on_ticks(clock: Clock, columns: Mapping[str, Array], tick: float) -> Clock | None:
-    """The clock with each row on its tick; None where the rows are no ticks, or stand on them already."""
+    """The clock with each row on its tick; None if the rows are not ticks, or are on them already."""
     t = clock.t
     if len(t) < 30 or abs(clock.interval / tick - 1.0) > UNEVEN:
         return None
@@ -57,9 +57,9 @@ def _on_ticks(clock: Clock, columns: Mapping[str, Array], tick: float) -> Clock 
 
 
 def _numbers(t: Array, interval: float) -> Array | None:
-    """``(n,)`` intervals from the first stamp, whole; None where stamps are not next to such places, one each.
+    """``(n,)`` whole intervals from the first stamp; None unless each stamp is near a different multiple of the interval.
 
-    First as if no row were lost: two neighbours that jitter to either side may seem two intervals apart.
+    It is first assumed that no row was lost: two neighbours with opposite jitter may appear to be two intervals apart.
     """
     for number in (np.arange(len(t), dtype=float), np.r_[0.0, np.cumsum(np.round(np.diff(t) / interval))]):
         slope, start = np.polyfit(number, t, 1)
@@ -69,7 +69,7 @@ def _numbers(t: Array, interval: float) -> Array | None:
 
 
 def _as_smooth(clock: Clock, columns: Mapping[str, Array], ticks: Array, tick: float) -> bool:
-    """Whether the place that moves most is about as smooth on the ticks as on the stamps."""
+    """Whether the position that moves most is about as smooth over the ticks as over the stamps."""
     places = {n: c[clock.rows] for n, c in columns.items() if n.startswith("pose") and n[-2:] in ("px", "py", "pz")}
     places = {n: c for n, c in places.items() if np.isfinite(c).all()}
     if not places:
@@ -79,7 +79,7 @@ def _as_smooth(clock: Clock, columns: Mapping[str, Array], ticks: Array, tick: f
 
 
 def _roughness(t: Array, values: Array) -> float:
-    """Median distance of a sample from the cubic through its four neighbours, at the times (n,) that it is thought to be of."""
+    """Median distance of a sample from the cubic through its four neighbours, for the assumed sample times (n,)."""
     total = np.zeros(len(t) - 4)
     for j in NEIGHBOURS:
         weight = np.ones(len(t) - 4)

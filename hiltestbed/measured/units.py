@@ -1,4 +1,4 @@
-"""Units that a column of measured data may be in, each with its factor to the SI unit of the trace."""
+"""Units that a column of measured data may have, each with its factor to the SI unit of the trace."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ SI_UNIT = {"t": "s"} | {column: unit for group in GROUPS.values() for column, un
 
 
 def factor(channel: str, unit: str | None) -> float:
-    """What a value in ``unit`` is multiplied by to be in the SI unit of ``channel``; no unit: 1."""
+    """Factor from ``unit`` to the SI unit of ``channel``; no unit: 1."""
     return 1.0 if unit is None else UNITS[SI_UNIT[channel]][unit]
 
 
 def unit_fault(channel: str, unit: str | None) -> str | None:
-    """Why ``unit`` cannot be the unit of ``channel``, or None when it can."""
+    """Why ``unit`` cannot be the unit of ``channel``, or None if it can."""
     si = SI_UNIT.get(channel)
     if unit is None or si is None:
         return None
@@ -38,7 +38,7 @@ def unit_fault(channel: str, unit: str | None) -> str | None:
 
 
 def likely_unit(si: str, size: float, tolerance: float) -> tuple[str, float] | None:
-    """The unit of quantity ``si`` whose factor to SI is ``size`` to within a part ``tolerance``, the nearest, with its factor; or None."""
+    """The unit of quantity ``si`` whose factor to SI is nearest to ``size`` within the relative ``tolerance``, with its factor; or None."""
     named = [(abs(factor / size - 1.0), name, factor) for name, factor in UNITS[si].items() if name != si]
     off, name, factor = min(named)
     return (name, factor) if off < tolerance else None

@@ -1,4 +1,4 @@
-"""The layout of a recording: the scene at the left, the signals of the contact at the right."""
+"""The layout of a recording: the scene on the left, the signals of the contact on the right."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ from hiltestbed.viewer.scales import ACROSS, readable
 
 Point = tuple[float, float, float]
 
-SIX_AXES: tuple[Point, Point] = (1.45, -2.75, 0.2), (0.0, 0.0, -0.45)  # eye and what it looks at
+SIX_AXES: tuple[Point, Point] = (1.45, -2.75, 0.2), (0.0, 0.0, -0.45)  # position of the camera, and the point that it looks at
 NINE_AXES: tuple[Point, Point] = (5.0, -2.8, 1.7), (0.0, 0.0, 0.75)
 BACKGROUND = (22, 26, 33)
 BEFORE, AFTER = 0.15, 0.35  # [s] shown around the first contact, at least
-LEAST = 0.02  # [s] shown by the plots on both sides of a contact, at least
-SHOWN = 10.0  # [s] that the window takes to play, in slow motion where it is shorter
+LEAST = 0.02  # [s] that the plots show before and after a contact, at least
+SHOWN = 10.0  # [s] playback time of the window, in slow motion if it is shorter
 
 
 @dataclass(frozen=True)
 class Facts:
-    """What of a run the layout depends on: ``force_scale`` [m/N] of the arrows."""
+    """The data of a run that the layout depends on: ``force_scale`` [m/N] of the arrows."""
 
     run: Run
     trace: RunTrace
@@ -37,7 +37,7 @@ class Facts:
 
     @property
     def window(self) -> tuple[float, float]:
-        """[s] around the first contact; the whole run where the ports do not touch."""
+        """[s] around the first contact; the whole run if the ports do not touch."""
         t, contact = self.trace.t, self.trace.contact
         if not contact.any():
             return float(t[0]), float(t[-1])
@@ -47,7 +47,7 @@ class Facts:
 
     @property
     def shown(self) -> tuple[float, float]:
-        """[s] that the plots show: the contact and a quarter of it to each side; the whole run where the ports do not touch."""
+        """[s] that the plots show: the contact and a quarter of its duration on each side; the whole run if the ports do not touch."""
         t, contact = self.trace.t, self.trace.contact
         if not contact.any():
             return float(t[0]), float(t[-1])
@@ -57,7 +57,7 @@ class Facts:
 
 
 def layout(facts: Facts) -> rrb.Blueprint:
-    """The layout as it opens: playing the contact in slow motion."""
+    """The initial layout, which plays the contact in slow motion."""
     start, end = facts.window
     return rrb.Blueprint(
         rrb.Horizontal(_scenes(facts), _signals(facts), column_shares=[1.0, 1.0]),
@@ -125,7 +125,7 @@ def _signals(facts: Facts) -> rrb.Tabs:
         _estimates(facts),
         rrb.Vertical(
             *(_plot(facts, path, title) for unit, path, title in JOINT_PLOTS if unit in facts.trace.joints),
-            _plot(facts, "platform/tracking_error_mm", "Tracking error: reached less desired [mm]"),
+            _plot(facts, "platform/tracking_error_mm", "Tracking error: reached minus desired [mm]"),
             name="Platform",
         ),
         rrb.TextDocumentView(name="Figures", origin="figures"),
@@ -134,7 +134,7 @@ def _signals(facts: Facts) -> rrb.Tabs:
 
 
 def _contact(facts: Facts) -> rrb.Vertical:
-    """The axis of insertion, beside it its stiffness and damping where these have a true value, else the forces across it."""
+    """The axis of insertion, and beside it its stiffness and damping if they have a true value, otherwise the lateral forces."""
     trace = facts.trace
     if facts.run.summary["identification"]["z"]["stiffness_true"] is not None:
         beside = [
@@ -150,7 +150,7 @@ def _contact(facts: Facts) -> rrb.Vertical:
     left = rrb.Vertical(
         _plot(facts, "position_mm/z", "Insertion, z [mm]", _range(facts, positions)),
         _plot(facts, "force/z", "Contact force, z [N]", _range(facts, _forces(trace, 2))),
-        _plot(facts, "force_error", "Measured less physical force [N]", _range(facts, less)),
+        _plot(facts, "force_error", "Measured minus physical force [N]", _range(facts, less)),
     )
     right = rrb.Vertical(*beside, _plot(facts, "energy_generated", "Energy made by the rig [J]", _range(facts, energy)))
     return rrb.Vertical(rrb.Horizontal(left, right), _phases(facts), row_shares=[8.0, 1.0], name="Contact")
@@ -169,7 +169,7 @@ def _six(facts: Facts, name: str, *quantities: tuple[str, str, str]) -> rrb.Hori
 
 
 def _estimates(facts: Facts) -> rrb.Horizontal:
-    """The axes that gave an estimate, or have a true value to be found."""
+    """The axes that have an estimate or a true value."""
     columns = []
     for path, title in (("stiffness", "Stiffness"), ("damping", "Damping")):
         known = np.any(np.isfinite(facts.trace[f"{path}_est"]), axis=0).tolist()
@@ -199,7 +199,7 @@ def _phases(facts: Facts) -> rrb.StateTimelineView:
 
 
 def _range(facts: Facts, values: Array) -> tuple[float, float] | None:
-    """Of values ``(ticks, ...)`` in the window; None where there is none, and the viewer then chooses."""
+    """Range of values ``(ticks, ...)`` in the window; None if there is none, and the viewer then chooses."""
     start, end = facts.shown
     shown = values[(facts.trace.t >= start) & (facts.trace.t <= end)]
     shown = shown[np.isfinite(shown)]
@@ -207,7 +207,7 @@ def _range(facts: Facts, values: Array) -> tuple[float, float] | None:
 
 
 def _estimate_range(facts: Facts, name: str) -> tuple[float, float] | None:
-    """From the later estimates and the truth: the first few estimates of a contact can be anything."""
+    """Range of the later estimates and the true value: the first few estimates of a contact may be far off."""
     values: Array = facts.trace[f"{name}_est"][:, 2]
     values = values[np.isfinite(values)]
     truth = facts.run.summary["identification"]["z"][f"{name}_true"]

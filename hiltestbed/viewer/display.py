@@ -24,7 +24,7 @@ def view(folder: str | Path) -> None:
     recording = path / RECORDING if path.is_dir() else path
     if not recording.is_file():
         raise InputError(
-            f"{folder}: holds no {RECORDING}; allowed is a folder that `hiltestbed run --out` wrote, or a .rrd file; "
+            f"{folder}: has no {RECORDING}; allowed is a folder that `hiltestbed run --out` wrote, or a .rrd file; "
             "run the scenario again without --no-rerun"
         )
     if not has_display():
@@ -34,7 +34,7 @@ def view(folder: str | Path) -> None:
         )
     status = subprocess.run([str(viewer_binary()), str(recording)], check=False).returncode
     if status != 0:
-        raise HiltestbedError(f"the rerun viewer ended with status {status}; to look from a browser: rerun {recording} --serve-web")
+        raise HiltestbedError(f"the rerun viewer ended with status {status}; to view it in a browser: rerun {recording} --serve-web")
 
 
 def has_display() -> bool:
@@ -43,7 +43,7 @@ def has_display() -> bool:
 
 
 def viewer_binary() -> Path:
-    """The viewer that comes with rerun-sdk: the `rerun` script would leave it running when it is ended."""
+    """The viewer binary of rerun-sdk. The `rerun` script is not used: if it is terminated, its viewer keeps running."""
     spec = find_spec("rerun_cli")
     binary = Path(spec.origin).with_name("rerun.exe" if sys.platform == "win32" else "rerun") if spec and spec.origin else None
     if binary is None or not binary.is_file():

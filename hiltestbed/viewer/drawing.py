@@ -1,4 +1,4 @@
-"""Shapes and poses of entities, as rerun takes them."""
+"""Shapes and poses of entities in the form that rerun expects."""
 
 from __future__ import annotations
 

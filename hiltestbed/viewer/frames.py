@@ -1,4 +1,4 @@
-"""Which rows of a trace are drawn."""
+"""Selection of the rows of a trace that are drawn."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from hiltestbed.signals import RunTrace
 
-FREE, CONTACT = 60.0, 240.0  # [Hz] frames apart from contact and in contact, which lasts a few hundredths of a second
+FREE, CONTACT = 60.0, 240.0  # [Hz] frame rates out of contact and in contact, which lasts a few hundredths of a second
 
 
 def frame_rows(trace: RunTrace, rate: float) -> NDArray[np.intp]:
@@ -25,5 +25,5 @@ def frame_rows(trace: RunTrace, rate: float) -> NDArray[np.intp]:
 
 
 def _every(ticks: int, step: float) -> NDArray[np.intp]:
-    """Every ``step``-th row, which need not be whole."""
+    """Every ``step``-th row; ``step`` need not be an integer."""
     return np.unique(np.round(np.arange(0.0, ticks, max(step, 1.0))).astype(np.intp).clip(max=ticks - 1))

@@ -1,6 +1,6 @@
-"""The signals of a run as plots: every tick, an entity for each axis of a quantity, its curves side by side.
+"""The signals of a run as plots: every tick, one entity per axis of a quantity, with all its curves.
 
-Lengths are in mm and angles in degrees here, for the eye; the trace is in SI.
+Lengths are in mm and angles in degrees here, for readability; the trace is in SI.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from hiltestbed.viewer.sureness import unsure
 
 ROOT = "signals"
 XYZ = "xyz"
-BROAD = (4.0, 1.5, 1.5)  # line widths: what the others are held against lies broad underneath
-JOINTS = (  # path, unit in the trace, name of a curve, what it is multiplied by
+LINE_WIDTHS = (4.0, 1.5, 1.5)  # line widths: the reference is a wide line beneath the others
+JOINTS = (  # path, unit in the trace, name of a curve, scale factor
     ("platform/slider_mm", "m", "slider {j} [mm]", 1e3),
     ("platform/joint_deg", "rad", "joint {j} [deg]", 180.0 / np.pi),
 )
@@ -44,7 +44,7 @@ class Plotter:
     def curves(
         self, path: str, names: Sequence[str], palette: Sequence[tuple[int, ...]], values: Array, widths: Sequence[float] = ()
     ) -> None:
-        """Curves ``values`` (ticks, curves) under one entity; a broad one under a narrow one stays in sight."""
+        """Curves ``values`` (ticks, curves) under one entity; a wide curve stays visible beneath a narrow one."""
         style = rr.SeriesLines(names=list(names), colors=list(palette), widths=list(widths) or [1.5] * len(names))
         self.rec.log(f"{ROOT}/{path}", style, static=True)
         columns = rr.Scalars.columns(scalars=np.ascontiguousarray(values))
@@ -68,22 +68,22 @@ def _poses(plotter: Plotter, trace: RunTrace) -> None:
     pair = np.stack([trace["pose_cmd"], trace["pose_act"]], axis=1)
     turn = np.degrees(rotation_vectors(pair[..., 3:]))
     for j, axis in enumerate(XYZ):
-        plotter.curves(f"position_mm/{axis}", [f"{n} [mm]" for n in names], palette, 1e3 * pair[..., j], BROAD[:2])
-        plotter.curves(f"attitude_deg/{axis}", [f"{n} [deg]" for n in names], palette, turn[..., j], BROAD[:2])
+        plotter.curves(f"position_mm/{axis}", [f"{n} [mm]" for n in names], palette, 1e3 * pair[..., j], LINE_WIDTHS[:2])
+        plotter.curves(f"attitude_deg/{axis}", [f"{n} [deg]" for n in names], palette, turn[..., j], LINE_WIDTHS[:2])
 
 
 def _wrenches(plotter: Plotter, trace: RunTrace) -> None:
     names, palette = ("physical", "measured", "used"), (colors.PHYSICAL, colors.MEASURED, colors.USED)
     triple = np.stack([trace[f"wrench_{kind}"] for kind in ("true", "meas", "comp")], axis=-1)
     for j, axis in enumerate(XYZ):
-        plotter.curves(f"force/{axis}", [f"{n} [N]" for n in names], palette, triple[:, j], BROAD)
-        plotter.curves(f"torque/{axis}", [f"{n} [N m]" for n in names], palette, triple[:, 3 + j], BROAD)
+        plotter.curves(f"force/{axis}", [f"{n} [N]" for n in names], palette, triple[:, j], LINE_WIDTHS)
+        plotter.curves(f"torque/{axis}", [f"{n} [N m]" for n in names], palette, triple[:, 3 + j], LINE_WIDTHS)
     less = trace["wrench_meas"][:, :3] - trace["wrench_true"][:, :3]
     plotter.curves("force_error", [f"{axis} [N]" for axis in XYZ], colors.SERIES[:3], less)
 
 
 def _estimates(plotter: Plotter, run: Run, trace: RunTrace) -> None:
-    """Identified stiffness and damping from the first estimate on, bright once settled, with their true values where there is one."""
+    """Identified stiffness and damping from the first estimate on, bright once settled, with their true values if known."""
     counted = trace.contact if trace.contact.any() else np.ones(len(trace.t), dtype=bool)
     for name, units in (("stiffness", ("N/m", "N m/rad")), ("damping", ("N s/m", "N m s/rad"))):
         for j, axis in enumerate(AXES):
@@ -107,14 +107,14 @@ def _platform(plotter: Plotter, trace: RunTrace) -> None:
         if which and "slider_act" in trace.data:
             shades = [colors.SERIES[j % len(colors.SERIES)] for j in range(len(which))]
             plotter.curves(path, [name.format(j=j) for j in which], shades, factor * trace["slider_act"][:, which])
-    behind = np.zeros((len(trace.t), 3))  # pose_cmd[k] is to be reached in row k + 1
+    behind = np.zeros((len(trace.t), 3))  # pose_cmd[k] is the target for row k + 1
     behind[1:] = 1e3 * (trace["pose_act"][1:, :3] - trace["pose_cmd"][:-1, :3])
     plotter.curves("platform/tracking_error_mm", [f"{a} [mm]" for a in XYZ], colors.SERIES[:3], behind)
 
 
 def contact_phases(trace: RunTrace, captured_at: float | None = None) -> list[str]:
-    """The phase of every tick: approach before the first touch, closing and opening in contact by the rate along z, then free; captured
-    from the time ``captured_at`` [s] at which the latches closed."""
+    """The phase of every tick: approach before the first touch, closing or opening in contact by the sign of the velocity along z, then
+    free; captured from the time ``captured_at`` [s] at which the latches closed."""
     touched = np.logical_or.accumulate(trace.contact)
     opening = trace["twist_act"][:, 2] < 0.0
     code = np.where(trace.contact, np.where(opening, 2, 1), np.where(touched, 3, 0))
@@ -125,7 +125,7 @@ def contact_phases(trace: RunTrace, captured_at: float | None = None) -> list[st
 
 
 def send_phases(rec: rr.RecordingStream, run: Run, trace: RunTrace) -> None:
-    """The contact phase as a state: a row where it changes."""
+    """The contact phase as a state: one row per change."""
     phases = np.array(contact_phases(trace, run.summary.get("captured_at")))
     rows = np.flatnonzero(np.concatenate([[True], phases[1:] != phases[:-1]]))
     labels, palette = zip(*PHASES.values(), strict=True)

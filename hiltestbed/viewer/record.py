@@ -27,17 +27,17 @@ FOOTER, FOOTER_SIZE = b"RRF2FOOT", 12
 def write_recording(path: Path, run: Run) -> None:
     """Write ``run`` as a recording with its layout.
 
-    Bodies and forces are drawn at some frames (:mod:`hiltestbed.viewer.frames`), signals are there for every tick.
+    Bodies and forces are drawn at selected frames (:mod:`hiltestbed.viewer.frames`); signals are included for every tick.
 
     Raises:
         ValueError: the run has no trace.
-        OSError: the file could not be written whole.
+        OSError: the file could not be written completely.
     """
     if run.trace is None:
         raise ValueError("a run without its trace cannot be recorded")
     try:
         _write(path, run, run.trace)
-    except RuntimeError as error:  # how rerun reports that its writer has failed
+    except RuntimeError as error:  # raised by rerun if its writer has failed
         raise OSError(errno.EIO, f"the recording could not be written ({error}); is the disk full?", str(path)) from error
     if not _whole(path):
         raise OSError(errno.EIO, "the recording could not be written whole; is the disk full?", str(path))
@@ -56,7 +56,7 @@ def _write(path: Path, run: Run, trace: RunTrace) -> None:
 
 
 def _whole(path: Path) -> bool:
-    """Whether the file ends as a finished recording does: rerun writes its footer last, and is silent when it cannot."""
+    """Whether the recording is complete: rerun writes its footer last, and reports no error if it fails to."""
     with path.open("rb") as file:
         file.seek(max(path.stat().st_size - FOOTER_SIZE, 0))
         return FOOTER in file.read()
@@ -85,10 +85,10 @@ def _peak(trace: RunTrace) -> float:
 
 
 def _felt(trace: RunTrace) -> NDArray[np.float64]:
-    """(rows, 6) the contact wrench; of a run against real devices, which do not show it, the sensor's."""
+    """(rows, 6) the contact wrench; in a run with real devices, which do not measure it, the sensor's."""
     return trace["wrench_meas"] if np.isnan(trace["wrench_true"]).all() else trace["wrench_true"]
 
 
 def _identity(run: Run) -> str:
-    """The same run is the same recording."""
+    """Recording id: the same for the same run."""
     return f"{run.summary['name']}-{run.summary['scenario_sha256'][:12]}"

@@ -1,8 +1,8 @@
 """The rig in 3-D: bodies drawn once, their poses at the frames.
 
-Coordinates are the rig's world W, whose origin is where P stands, at home on a rig with an upper platform, and whose z is the
-insertion. Each moving body is an entity with its pose in W; what is welded to it is drawn in its frame. What belongs to P, such as the
-contact force, stands under an entity with the pose of P.
+Coordinates are in the rig's world W: its origin is the position of P (with an upper platform, its home position), its z axis the
+insertion. Each moving body is an entity with its pose in W; bodies that are welded to it are drawn in its frame. Whatever belongs to P,
+such as the contact force, is below an entity with the pose of P.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ PORT_NAMES = (f"{ROOT}/platform/port_A/name", f"{AT_P}/port_P/name")
 UPPER = "upper_"  # prefix of the upper platform's names
 DRAWN_GROUPS = 3  # geom groups 0 to 2 are drawn, as in MuJoCo's own viewer; 3 is for collision
 TRIAD = 0.1  # [m] length of a port's axes
-GLASS = 0.25  # opacity of the passive mechanism: the force that it takes is drawn inside it
+GLASS = 0.25  # opacity of the passive mechanism: the force on it is drawn inside it
 
 
 class RigScene:
-    """The drawn model of a rig, and the joints that the poses of its ports need."""
+    """The drawn model of a rig, and the joint positions for given poses of its ports."""
 
     def __init__(self, scenario: Scenario) -> None:
         self.nine_axes = scenario.rig.upper.kind != "fixed"
@@ -57,7 +57,7 @@ class RigScene:
         return f"{ROOT}/{(self.model.body(root).name or f'body_{root}') if root > 0 else 'fixed'}/{name}"
 
     def draw(self, rec: rr.RecordingStream) -> None:
-        """Everything that never changes in its own frame."""
+        """Draws everything that is constant in its own frame."""
         rec.log(ROOT, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         for body in range(self.model.nbody):
             solids = self._body_solids(body)
@@ -105,7 +105,7 @@ class RigScene:
         return qpos
 
     def port_poses(self, scenario: Scenario, rows: NDArray[np.intp], pose_cmd: Array, pose: Array) -> Array:
-        """``(frames, 7)`` poses of P in W at the rows, where A stands at ``pose`` (frames, 7) in P."""
+        """``(frames, 7)`` poses of P in W at the rows, at which A has ``pose`` (frames, 7) in P."""
         if self._facility is not None:
             return self._facility.joints(pose)[1]
         return port_poses(scenario, rows, pose_cmd)
@@ -124,7 +124,7 @@ class RigScene:
         self._free_joint(f"{UPPER}platform", pose_P, self._home[free : free + 3], qpos)
 
     def _free_joint(self, name: str, pose: Array, offset: Array, qpos: Array) -> None:
-        """A body whose origin stands at ``offset`` (3,) from the port whose poses in W are ``pose`` (frames, 7)."""
+        """A body with its origin at ``offset`` (3,) from the port whose poses in W are ``pose`` (frames, 7)."""
         first = int(self.model.joint(name).qposadr[0])
         qpos[:, first : first + 3] = pose[:, :3] + rotation_matrix(pose[:, 3:]) @ offset
         qpos[:, first + 3 : first + 7] = quat_to_mujoco(pose[:, 3:])
@@ -138,12 +138,12 @@ class RigScene:
 
 
 def port_poses(scenario: Scenario, rows: NDArray[np.intp], pose_cmd: Array) -> Array:
-    """``(frames, 7)`` poses of P in W at the rows: home, or where the upper platform is planned to be for ``pose_cmd`` (ticks, 7)."""
+    """``(frames, 7)`` poses of P in W at the rows: home, or the planned pose of the upper platform for ``pose_cmd`` (ticks, 7)."""
     home = np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (len(rows), 1))
     if scenario.rig.upper.kind == "fixed":
         return home
     shape = Upper.load().shape
-    for out, x in zip(home, upper_coordinates(pose_cmd[np.maximum(rows - 1, 0)]), strict=True):  # commanded a tick before it is reached
+    for out, x in zip(home, upper_coordinates(pose_cmd[np.maximum(rows - 1, 0)]), strict=True):  # commanded one tick before it is reached
         place(shape, x, out)
     return home
 

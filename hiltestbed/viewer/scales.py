@@ -1,11 +1,11 @@
-"""Ranges of a plot's axes that show two labelled ticks at least: the viewer puts ticks at powers of ten alone."""
+"""Axis ranges that contain at least two labelled ticks: the viewer places ticks only at powers of ten."""
 
 from __future__ import annotations
 
 import math
 
-MARGIN = 0.06  # of the span, left free above and below
-UPWARD, ACROSS = 6.0, 4.5  # spans, in ticks of one power of ten, that a plot of the contact has room to label; beyond, the next is
+MARGIN = 0.06  # of the span, above and below
+UPWARD, ACROSS = 6.0, 4.5  # largest spans, in ticks of one power of ten, for which a contact plot labels them; beyond, the next power
 
 
 def readable(low: float, high: float, most: float = UPWARD) -> tuple[float, float]:

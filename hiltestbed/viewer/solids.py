@@ -1,4 +1,4 @@
-"""Triangle meshes of MuJoCo's geoms, with the edges of boxes and cylinders broken so that they catch the light."""
+"""Triangle meshes of MuJoCo's geoms; the edges of boxes and cylinders are bevelled so that they are visible."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from hiltestbed.frames import Array
 
 SEGMENTS = 48  # around an axis of revolution
 ARC = 10  # rings of a quarter circle
-BEVEL = 0.008  # [m] of an edge, at most a quarter of the smallest half size
-PLANE = 4.0  # [m] half side at which an infinite plane is drawn
+BEVEL = 0.008  # [m] bevel of an edge, at most a quarter of the smallest half size
+PLANE = 4.0  # [m] half side with which an infinite plane is drawn
 
 
 @dataclass(frozen=True)
@@ -26,12 +26,12 @@ class Solid:
     colors: NDArray[np.uint8]
 
     def moved(self, position: Array, rotation: Array) -> Solid:
-        """The same at ``position`` (3,), turned by ``rotation`` (3, 3)."""
+        """The same solid at ``position`` (3,), rotated by ``rotation`` (3, 3)."""
         return Solid(self.vertices @ rotation.T + position, self.normals @ rotation.T, self.triangles, self.colors)
 
     @staticmethod
     def joined(solids: list[Solid]) -> Solid:
-        """One mesh of several."""
+        """Several meshes merged into one."""
         first = np.cumsum([0] + [len(s.vertices) for s in solids[:-1]]).astype(np.uint32)
         return Solid(
             np.concatenate([s.vertices for s in solids]),
@@ -48,7 +48,7 @@ def solid(vertices: Array, normals: Array, triangles: NDArray[np.integer], rgba:
 
 
 def box(half: Array, rgba: Array) -> Solid:
-    """A box of half sizes ``half`` (3,) [m]; the normals run over its bevels from face to face."""
+    """A box with half sizes ``half`` (3,) [m]; the normals are interpolated over its bevels."""
     half = np.asarray(half, dtype=float)
     bevel = min(BEVEL, 0.25 * half.min())
     signs = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
@@ -62,7 +62,7 @@ def box(half: Array, rgba: Array) -> Solid:
 
 
 def _box_triangles() -> NDArray[np.integer]:
-    """Faces, edges and corners of the box with 24 vertices, turned either way."""
+    """Faces, edges and corners of the box with 24 vertices, in either orientation."""
     bits, triangles = (4, 2, 1), []
     for axis in range(3):
         b, c = bits[(axis + 1) % 3], bits[(axis + 2) % 3]
@@ -78,7 +78,7 @@ def _box_triangles() -> NDArray[np.integer]:
 
 
 def _outward(vertices: Array, triangles: NDArray[np.integer]) -> NDArray[np.integer]:
-    """Triangles of a convex body about the origin, each turned so that it faces out."""
+    """Triangles of a convex body around the origin, all oriented outward."""
     a, b, c = (vertices[triangles[:, i]] for i in range(3))
     inward = np.einsum("ij,ij->i", np.cross(b - a, c - a), a + b + c) < 0.0
     out = triangles.copy()
@@ -169,7 +169,7 @@ def geom_rgba(m: mujoco.MjModel, geom: int) -> Array:
 
 
 def _mesh(m: mujoco.MjModel, mesh: int, rgba: Array) -> Solid:
-    """A mesh asset, a vertex for each corner of a face: its normals may differ where faces meet."""
+    """A mesh asset with one vertex per corner of a face: the normals of adjacent faces may differ."""
     faces = slice(m.mesh_faceadr[mesh], m.mesh_faceadr[mesh] + m.mesh_facenum[mesh])
     vertices = m.mesh_vert[m.mesh_vertadr[mesh] + m.mesh_face[faces].ravel()]
     normals = m.mesh_normal[m.mesh_normaladr[mesh] + m.mesh_facenormal[faces].ravel()]

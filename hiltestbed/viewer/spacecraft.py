@@ -1,8 +1,8 @@
-"""The two spacecraft of the numerical model in 3-D: what the rig stands for.
+"""The two spacecraft of the numerical model in 3-D.
 
-Their poses are not in the trace; they are computed once more, a step a frame, under the mean of the wrench that drove the numerical
-model over the frame. The impulse is kept, so the velocities after a contact are those of the run; the chaser is then placed by the
-relative pose of the run, so that the two ports stand as they did.
+Their poses are not in the trace. They are recomputed with one step per frame, under the mean of the wrench that drove the numerical
+model during the frame. This preserves the impulse, so the velocities after a contact are those of the run. The chaser is then placed by
+the relative pose of the run, so that the relative pose of the two ports is exact.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ ROOT = "spacecraft"
 NAMES = {CHASER: "chaser", TARGET: "target"}
 BODY = {CHASER: (0.80, 0.64, 0.28, 1.0), TARGET: (0.72, 0.75, 0.80, 1.0)}
 PORT = {CHASER: (0.86, 0.20, 0.16, 1.0), TARGET: (0.10, 0.48, 0.62, 1.0)}
-GLASS = 0.3  # opacity of a body: the force on it is drawn inside
+GLASS = 0.3  # opacity of a body: the force on it is drawn inside it
 PANEL = (0.12, 0.20, 0.46, 1.0)
 
 
 def body_poses(scenario: Scenario, rows: NDArray[np.intp], pose_cmd: Array, wrench: Array) -> Array:
     """``(2, frames, 7)`` poses of chaser and target in the inertial frame, at the rows ``(frames,)`` of the run.
 
-    ``pose_cmd`` (ticks, 7) and ``wrench`` (ticks, 6), which drove the numerical model. Row k holds the state after the wrench of row k.
+    ``pose_cmd`` (ticks, 7) and the ``wrench`` (ticks, 6) that drove the numerical model: row k is the state after the wrench of row k.
     """
     model = NumericalModel([scenario])
     total = np.concatenate([np.zeros((1, 6)), np.cumsum(wrench, axis=0)])
@@ -50,7 +50,7 @@ def body_poses(scenario: Scenario, rows: NDArray[np.intp], pose_cmd: Array, wren
 
 @njit(cache=True)
 def _place_chaser(target, port, pose, out):
-    """``out`` (frames, 7): the chaser's poses from the target's, both ports in their bodies, and the poses of A in P."""
+    """``out`` (frames, 7): the chaser's poses, from the target's poses, the ports in their bodies, and the poses of A in P."""
     q_P, q_A, inverse, r, s = np.empty(4), np.empty(4), np.empty(4), np.empty(3), np.empty(3)
     inverse[:3] = -port[CHASER, 3:6]
     inverse[3] = port[CHASER, 6]
@@ -66,10 +66,10 @@ def _place_chaser(target, port, pose, out):
 
 
 def cuboid(body: Body) -> tuple[Array, Array]:
-    """Half sizes ``(3,)`` [m] and axes ``(3, 3)`` of the even cuboid with the body's mass and inertia."""
+    """Half sizes ``(3,)`` [m] and axes ``(3, 3)`` of the homogeneous cuboid with the body's mass and inertia."""
     moments, axes = np.linalg.eigh(inertia_matrix(body.inertia))
     order = [int(np.argmax(np.abs(axes[i]))) for i in range(3)]
-    if sorted(order) == [0, 1, 2]:  # principal axes named after the body axes next to them
+    if sorted(order) == [0, 1, 2]:  # each principal axis is assigned to the nearest body axis
         moments, axes = moments[order], axes[:, order]
     axes = axes * np.where(np.diag(axes) < 0.0, -1.0, 1.0)
     if np.linalg.det(axes) < 0.0:
@@ -78,14 +78,14 @@ def cuboid(body: Body) -> tuple[Array, Array]:
 
 
 def heights(scenario: Scenario) -> tuple[float, float]:
-    """[m] how far the target reaches up from its port, and the chaser down from its own."""
+    """[m] extent of the target upward from its port, and of the chaser downward from its port."""
     craft = scenario.spacecraft
     up, down = (float(np.linalg.norm(body.port.position) + cuboid(body)[0].max()) for body in (craft.target, craft.chaser))
     return up, down
 
 
 def draw(rec: rr.RecordingStream, scenario: Scenario) -> None:
-    """Both bodies as cuboids of their mass and inertia, with a port on a boom and a pair of panels."""
+    """Both bodies as cuboids with their mass and inertia, each with a port on a boom and a pair of panels."""
     rec.log(ROOT, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     for i, body in ((CHASER, scenario.spacecraft.chaser), (TARGET, scenario.spacecraft.target)):
         half, axes = cuboid(body)
@@ -102,7 +102,7 @@ def draw(rec: rr.RecordingStream, scenario: Scenario) -> None:
 
 
 def _tube(start: Array, end: Array, radius: float, rgba: Array) -> Solid:
-    """From point to point."""
+    """A tube from ``start`` to ``end``."""
     along = np.asarray(end) - start
     length = max(float(np.linalg.norm(along)), 1e-3)
     z = along / length if np.any(along) else np.array([0.0, 0.0, 1.0])

@@ -1,8 +1,8 @@
-"""Where a running estimate can be trusted, told from how it has moved.
+"""Whether a running estimate has settled, judged from its past changes.
 
-An estimate from n samples and that from the first n/2 of them differ with the variance of the estimate itself: nested efficient
-estimates have Var(a_(n/2) - a_n) = Var(a_(n/2)) - Var(a_n), which is Var(a_n) where the variance falls as 1/n. What it has moved over the
-second half of its samples is therefore as large as its error.
+The difference of the estimate from n samples and that from the first n/2 of them has the variance of the estimate itself: nested
+efficient estimates have Var(a_(n/2) - a_n) = Var(a_(n/2)) - Var(a_n), which is Var(a_n) if the variance falls as 1/n. The change of the
+estimate over the second half of its samples is therefore as large as its error.
 """
 
 from __future__ import annotations
@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 from hiltestbed.assessment import UNSURE
 from hiltestbed.frames import Array
 
-CHECKED = 300  # places at which an estimate is held against its past
+CHECKED = 300  # rows at which an estimate is compared with its past
 
 
 def unsure(values: Array, counted: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """``(rows,)`` where an estimate ``values`` ``(rows,)`` has moved by more than a tenth of itself over the second half of its samples.
+    """``(rows,)`` where an estimate ``values`` ``(rows,)`` has changed by more than a tenth over the second half of its samples.
 
-    ``counted`` ``(rows,)``: rows that gave a sample. Between them it stays as it was; rows without an estimate are unsure.
+    ``counted`` ``(rows,)``: rows that contributed a sample; between these rows the result is held. Rows without an estimate are unsure.
     """
     known = np.isfinite(values)
     rows = np.flatnonzero(counted & known)

@@ -1,4 +1,4 @@
-"""The figures of a run as a page of text beside the scene."""
+"""The figures of a run, as a text panel beside the scene."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from hiltestbed.result import Run
 
 
 def figures(run: Run) -> str:
-    """Markdown: what the run shows, its figures, what was identified."""
+    """Markdown: description of the run, its figures, and the identified values."""
     summary, scenario = run.summary, run.scenario
     lines = [f"# {summary['name']}", "", scenario.description or "", "", "| figure | value |", "|---|---:|"]
     rows: list[tuple[str, Any, str]] = [

@@ -156,7 +156,7 @@ FILL = "x = bytearray(1 << 44)"
 
 
 @pytest.mark.parametrize(
-    ("what", "said"), [(CRASH, "ends its reader \\(signal 11\\)"), (HANG, "is not read within 3 s"), (FILL, "more memory than")]
+    ("what", "said"), [(CRASH, "crashes its reader \\(signal 11\\)"), (HANG, "is not read within 3 s"), (FILL, "more memory than")]
 )
 def test_a_reader_that_fails_takes_nothing_with_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, what: str, said: str) -> None:
     """A parser of foreign formats that crashes, hangs or believes any size, in place of the one that is installed."""
