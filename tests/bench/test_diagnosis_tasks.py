@@ -92,7 +92,7 @@ def test_options_of_another_benchmark_are_refused(monkeypatch: pytest.MonkeyPatc
     with pytest.raises(SystemExit) as ended:
         main()
     assert ended.value.code == 2
-    assert "bench diagnosis alone" in capsys.readouterr().err
+    assert "bench diagnosis only" in capsys.readouterr().err
 
 
 def test_a_facility_that_divides_its_ticks_otherwise_keeps_its_clocks() -> None:
