@@ -1,4 +1,4 @@
-"""The part of the report that says how well the data hold the estimates: profiles, correlations, bounds that were met."""
+"""The section of the report on the uncertainty of the estimates: profiles, correlations, bounds that were met."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-RISE = 3.84  # of chi-square: 95 % of one parameter
-TOP = 5.0  # times RISE: a profile is drawn up to here
-STRONG = 0.95  # correlation from which one estimate cannot be read without the other
-ABREAST = 3  # profiles in a row
+CHI2_95 = 3.84  # derived: of chi-square, 95 % of one parameter
+PROFILE_TOP = 5.0  # times CHI2_95: up to which a profile is drawn
+STRONG_CORRELATION = 0.95  # from which one estimate means nothing without the other
+PROFILES_PER_ROW = 3  # in the figure
 
 
 def certainty_section(report: Report, certainties: Sequence[Certainty]) -> None:
-    """Nothing where no effect was fitted."""
+    """Add the section; nothing where no effect was fitted."""
     profiles = [p for c in certainties for p in c.profiles]
     if not profiles:
         return
@@ -59,12 +59,12 @@ def bounds_met(profiles: Sequence[Profile]) -> list[str]:
 
 
 def tied(certainties: Sequence[Certainty]) -> list[str]:
-    """A sentence for the pair of each link that hangs together most."""
+    """A sentence for the most correlated pair of estimates of each link."""
     out = []
     for c in certainties:
         if (pair := c.strongest()) is not None:
             a, b, size = pair
-            then = "only together are they known" if abs(size) >= STRONG else "each is known by itself"
+            then = "only together are they known" if abs(size) >= STRONG_CORRELATION else "each is known by itself"
             alike = f"Most alike on the link {LINK_NAMES.get(c.link, c.link)} are {a.label} and {b.label}"
             out.append(f"{alike}, with a correlation of {size:+.3f}: {then}.")
     return out
@@ -72,7 +72,7 @@ def tied(certainties: Sequence[Certainty]) -> list[str]:
 
 def profile_figure(profiles: Sequence[Profile]) -> Figure:
     """The cost against the value of each parameter."""
-    columns = min(ABREAST, len(profiles))
+    columns = min(PROFILES_PER_ROW, len(profiles))
     rows = -(-len(profiles) // columns)
     figure, grid = new_figure(3.2 * columns + 0.4, 2.5 * rows + 0.2, nrows=rows, ncols=columns, squeeze=False)
     for axes, profile in zip(grid.ravel(), profiles, strict=False):
@@ -86,7 +86,7 @@ def profile_figure(profiles: Sequence[Profile]) -> Figure:
 
 def _profile(axes: Axes, p: Profile) -> None:
     axes.axvspan(*p.ci95, color=EXTENDED, alpha=0.12, lw=0)
-    axes.axhline(RISE, color=FLOOR, lw=1, ls="--")
+    axes.axhline(CHI2_95, color=FLOOR, lw=1, ls="--")
     axes.plot(p.values, p.rise, "o-", ms=3.5, color=EXTENDED, lw=1.3)
     axes.plot([p.estimate], [0.0], "D", ms=6, color=NOMINAL)
     low, high = float(p.values[0]), float(p.values[-1])
@@ -95,7 +95,7 @@ def _profile(axes: Axes, p: Profile) -> None:
     for bound, beyond in ((p.bounds[0], low - margin), (p.bounds[1], high + margin)):
         if low - margin <= bound <= high + margin:
             axes.axvspan(min(bound, beyond), max(bound, beyond), facecolor="none", edgecolor=NOMINAL, hatch="////", lw=0)
-    axes.set_ylim(min(-0.05 * TOP * RISE, 1.1 * float(p.rise.min())), TOP * RISE)
+    axes.set_ylim(min(-0.05 * PROFILE_TOP * CHI2_95, 1.1 * float(p.rise.min())), PROFILE_TOP * CHI2_95)
     axes.set_title(p.label, fontsize=9)
     axes.set_xlabel(f"[{p.unit}]" if p.unit not in ("", "-") else "value", fontsize=8)
     axes.tick_params(labelsize=8)

@@ -1,6 +1,6 @@
-"""Which experiment tells two effects apart, laid out with a dataset's own numbers.
+"""Rules for the experiment that tells two effects apart, with a dataset's own numbers.
 
-Each rule is for a pair of effects, one of `first` and one of `second`, and says what is run and where the two differ in it. Confounded
+Each rule is for a pair of effects, one of `first` and one of `second`, and states the runs and how the two differ in them. Confounded
 pairs and what breaks them: Section 5 of the literature (standard set of experiments: free flight, sweep in air, known springs, ladder of
 speeds, offsets, press and hold); equations of the contact: k_app = k cos w tau + c w sin w tau, c_app = c cos w tau - (k/w) sin w tau.
 """
@@ -15,7 +15,7 @@ from typing import Any
 from hiltestbed.diagnosis.report.facts import Facts, rounded
 
 Plan = tuple[str, tuple[Mapping[str, Any], ...]]
-PHASE = 0.35  # [rad] w tau above which a lag and a delay part ways: the lag loses w^2 tau^2 = 12 % of the stiffness
+LAG_PHASE = 0.35  # chosen: [rad] w tau above which a lag and a delay differ: the lag loses w^2 tau^2 = 12 % of the stiffness
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ class Rule:
     plan: Callable[[Facts], Plan]
 
     def separates(self, effects: frozenset[str]) -> bool:
-        """Whether two different effects of the set are the two of this rule."""
+        """Whether the rule separates two different effects of the set."""
         return any(a != b for a in effects & self.first for b in effects & self.second)
 
 
@@ -46,13 +46,13 @@ def springs_for_delay(f: Facts) -> Plan:
 
 def fast_contact_for_lag(f: Facts) -> Plan:
     tau = f.estimate("sensor.lag", "time_constant", f.estimate("sensor.delay", "delay", f.tick))
-    stiff = rounded(f.mass * (PHASE / tau) ** 2)
-    light = rounded(f.stiffness * (tau / PHASE) ** 2)
+    stiff = rounded(f.mass * (LAG_PHASE / tau) ** 2)
+    light = rounded(f.stiffness * (tau / LAG_PHASE) ** 2)
     speed = rounded(min(f.fast, f.peak / math.sqrt(stiff * f.mass)))
     text = (
         f"A lag and a pure delay of {1e3 * tau:.3g} ms differ only where w tau > 0.3. Run a contact of that speed: a known spring of "
         f"k >= {stiff:g} N/m at {speed:g} m/s (peak force about {speed * math.sqrt(stiff * f.mass):.3g} N), or the present spring with "
-        f"masses that reduce to {light:g} kg. There the lag reads the force {100 * (1 - 1 / math.sqrt(1 + PHASE**2)):.0f} % low "
+        f"masses that reduce to {light:g} kg. There the lag reads the force {100 * (1 - 1 / math.sqrt(1 + LAG_PHASE**2)):.0f} % low "
         "and the delay does not. Without a contact: tap the sensor with a hammer and look at the edge: after a delay it is steep."
     )
     return text, ({"mechanism.contact.stiffness": stiff} | f.at_speed(speed),)

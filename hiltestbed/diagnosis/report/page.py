@@ -1,4 +1,4 @@
-"""report.html of a diagnosis: what is wrong, how that is known, what is gained, and what to run next, from the top down."""
+"""report.html of a diagnosis, from the top down: the verdict, the evidence, the gain, and the next experiment."""
 
 from __future__ import annotations
 
@@ -256,7 +256,7 @@ def _yes(value: bool | None) -> str:
 
 
 def _size(i: Isolable) -> str:
-    """Of a frequency, a limit or a stiffness the largest that is still found."""
+    """The smallest size that is found; of a frequency, a limit or a stiffness the largest."""
     if i.smallest is None:
         return "not shown"
     if not i.unit:

@@ -31,7 +31,7 @@ WHERE = {
 
 
 def verdict_sentence(diagnosis: Diagnosis) -> str:
-    """What was found, in a sentence or two that stand alone."""
+    """The verdict in one or two self-contained sentences."""
     finding = diagnosis.finding
     where = WHERE.get(finding.link or "", "the loop")
     if finding.verdict == "no_discrepancy":
@@ -67,7 +67,7 @@ def _link(cause: Cause) -> str:
 
 
 def named_cause(cause: Cause) -> str:
-    """`sensor.delay (delay 0.0033 (0.0031 to 0.0035) s)`, and what it cannot be told from."""
+    """`sensor.delay [delay 0.0033 (0.0031 to 0.0035) s]`, and its look-alikes."""
     idle = {name for name, field in EFFECTS[cause.effect].model_fields.items() if not field.is_required() and field.default == 0.0}
     words = ", ".join(f"{name} {in_words(p)}" for name, p in cause.parameters.items() if name not in idle or p.estimate)
     rivals = f", not to be told from {' or '.join(cause.indistinguishable_from)}" if cause.indistinguishable_from else ""
@@ -75,7 +75,7 @@ def named_cause(cause: Cause) -> str:
 
 
 def partial_sentence(causes: Sequence[Cause], gain: Heldout | None) -> str:
-    """How far the vocabulary goes where it does not reach the noise; empty where it goes nowhere."""
+    """The best extension where no effects leave only noise, and its gain; empty without one."""
     if not causes:
         return ""
     text = f"The best extension: {' and '.join(named_cause(c) for c in causes)}."
@@ -92,7 +92,7 @@ def partial_sentence(causes: Sequence[Cause], gain: Heldout | None) -> str:
 
 
 def learned_sentence(learned: Learned | None) -> str:
-    """The law that was learned, and what it is worth; empty without one."""
+    """The learned law and its gain; empty without one."""
     if learned is None:
         return ""
     gain = learned.heldout
