@@ -23,10 +23,10 @@ def describe(explanation: Explanation, name: str) -> str:
     phases, shape = _phases(residual, effects, column), _shape(residual, effects, column)
     worst = max(phases, key=lambda p: phases[p])
     figures = ", ".join(f"{phase} {value:.2g}" for phase, value in phases.items())
-    along = f"; it goes along with {shape}" if shape else "; it follows none of penetration, rate, their product, force or time"
+    along = f"; it correlates with {shape}" if shape else "; it correlates with none of penetration, rate, their product, force or time"
     words = " and ".join(explanation.chosen.kinds)
-    taken = f"with {words} taken out, " if words else ""
-    return f"{name}: {taken}most is left on {channel}, {worst} (times the noise: {figures}){along}"
+    taken = f"with {words} removed, " if words else ""
+    return f"{name}: {taken}the largest residual is on {channel}, {worst} (times the noise: {figures}){along}"
 
 
 def _phases(residual: Residual, effects: Effects, column: int) -> dict[str, float]:

@@ -110,7 +110,7 @@ def _left_out(findings: Findings) -> tuple[str, ...]:
         return ()
     told = [np.asarray(np.isfinite(run.sigma).any(axis=1))[r.touching(run.rows)] for r, run in zip(layout.runs, link.runs, strict=True)]
     left = 1.0 - float(np.mean(np.concatenate(told)))
-    why = "there the least of causes decides what the mechanism does"
+    why = "there the smallest difference decides how the mechanism moves"
     return (f"{left:.0%} of the rows in contact were left out: {why}",) if left >= 0.005 else ()
 
 
@@ -148,7 +148,7 @@ def _learned(
     name = max(open_, key=lambda n: (n == verdict.link, n == "wrench"))
     found = open_[name]
     if progress:
-        progress(f"{LINK_NAMES[name]}: a law without a name")
+        progress(f"{LINK_NAMES[name]}: learning a law")
     causes = [c for c in verdict.causes if c.link == name]
     known = [c.fit.effects()[c.index] for c in causes]
     result = learned_on(found, known)
@@ -252,7 +252,7 @@ def _ranking(name: str, e: Explanation) -> list[Ranked]:
 
 def _isolability(findings: Findings, progress: Progress | None) -> tuple[Isolable, ...]:
     if progress:
-        progress("what these data can tell apart")
+        progress("isolability")
     out: list[Isolable] = []
     for e in findings.explanations.values():
         if e.adequate:

@@ -157,7 +157,9 @@ def _investigate_wrench(layout: Layout, found: dict[str, Explanation], whole: di
     """
     path = _choose_path(layout, found, whole, progress)
     if (part := compared_share(layout, path)) < MIN_COMPARED:
-        return f"the least of causes decides what the mechanism does from the touch on: {part:.0%} of the rows in contact could be replayed"
+        return (
+            f"the smallest difference decides how the mechanism moves after the touch: {part:.0%} of the rows in contact could be replayed"
+        )
     link = choose_steps(choose_ring(choose_lever(make_wrench_link(layout, path, layout.rows, decimate="compensation" not in found))))
     scales = replace(layout.scales, lines=lines(link))
     unseen = ("platform",) if link.commands else ()  # its response then is in the path

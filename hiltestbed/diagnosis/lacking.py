@@ -18,7 +18,7 @@ MAX_UNKNOWN_SHARE = 0.9  # chosen: of the rows of every run, that depend on miss
 def lacking(runs: Sequence[MeasuredRun]) -> dict[str, str]:
     """Link to the reason why it is not judged."""
     if any(r.scenario.rig.platform.physical for r in runs):
-        free = "the bodies move by themselves: nothing is computed, and nothing is commanded"
+        free = "the bodies move freely: nothing is computed or commanded"
         return dict.fromkeys(("platform", "compensation", "dynamics"), free) | _lacking_of_wrench(runs)
     out = {}
     if not every_run_has(runs, "pose_cmd", "pose_act"):
@@ -33,14 +33,14 @@ def lacking(runs: Sequence[MeasuredRun]) -> dict[str, str]:
     if not every_run_has(runs, "wrench_comp", "pose_cmd"):
         out["dynamics"] = "needs wrench_comp and pose_cmd in every run"
     elif any(name in r.record.absent and not centred(r.scenario) for r in runs for name in GROUPS["wrench_comp"].columns):
-        out["dynamics"] = "needs all axes of wrench_comp: off the axis of insertion each of them moves all of pose_cmd"
+        out["dynamics"] = "needs all axes of wrench_comp: with motion off the axis of insertion each of them acts on all of pose_cmd"
     elif all(
         not only_short_gaps(r.record, "wrench_comp")
         and r.record.unknown("wrench_comp")[-1]
         and r.record.unknown("wrench_comp").mean() > MAX_UNKNOWN_SHARE
         for r in runs
     ):
-        out["dynamics"] = "needs wrench_comp without gaps: what a missing sample did to the motion stays in it"
+        out["dynamics"] = "needs wrench_comp without gaps: the effect of a missing sample on the motion is permanent"
     return out | _lacking_of_wrench(runs)
 
 
@@ -61,7 +61,7 @@ def _lacking_of_wrench(runs: Sequence[MeasuredRun]) -> dict[str, str]:
         )
     elif any(r.scenario.rig.upper.kind != "fixed" and r.scenario.mechanism.latch is not None for r in runs):
         out["wrench"] = (
-            "a latch closes while the upper platform moves: where it holds A hangs on motion within a tick, which is not on record"
+            "a latch closes while the upper platform moves: where it holds A depends on motion within a tick, which is not on record"
         )
     return out
 

@@ -20,15 +20,15 @@ from scipy.optimize import minimize
 from hiltestbed.frames import Array
 
 ORDERS = (1, 2, 3, 4, 5, 6, 8)
-CUTOFFS = (0.01, 0.02, 0.05, 0.12, 0.3)  # [1/row] at which a search starts
-MIN_CUTOFF, MAX_CUTOFF = 0.004, 0.45  # [1/row]
-MAX_STAMP_SHIFT_ROWS = 40.0  # [rows] by which stamps may be off as well
+CUTOFFS = (0.01, 0.02, 0.05, 0.12, 0.3)  # chosen: [1/row] at which a search starts
+MIN_CUTOFF, MAX_CUTOFF = 0.004, 0.45  # chosen: [1/row]
+MAX_STAMP_SHIFT_ROWS = 40.0  # chosen: [rows] by which stamps may be off as well
 MAX_ROUGHNESS_RATIO = 0.5  # chosen: of the variances of second differences, filtered over unfiltered, for a search to begin
 MAX_RMS_RATIO = 0.1  # chosen: of the rms difference, with the filter over without it: 1 % of the variance
 STARTS_PER_ORDER = 3  # chosen: starts of the search
 NELDER_MEAD_OPTIONS = {"xatol": 1e-3, "fatol": 1e-9, "maxiter": 150}
 RESPONSE_PERIODS = 2.0  # chosen: periods of the cut-off over which the filter responds to a jump
-END_ROWS = 20  # at both ends that depend on rows outside the record
+END_ROWS = 20  # chosen: at both ends that depend on rows outside the record
 
 
 @dataclass(frozen=True)
@@ -76,10 +76,10 @@ class LowPass:
 
     def words(self, rate: float) -> str:
         """The filter in a sentence; ``rate`` [Hz] of the rows."""
-        stamps = "with its delay taken off the stamps" if self.prompt else "stamped as late as it makes it"
+        stamps = "with its delay removed from the stamps" if self.prompt else "with its delay in the stamps"
         return (
-            f"the force went to the log through a low-pass of order {self.order} at {self.cutoff * rate:.3g} Hz that the loop did not "
-            f"have, {stamps}: what is held against it is filtered alike"
+            f"the force went to the log through a low-pass of order {self.order} at {self.cutoff * rate:.3g} Hz that the loop did "
+            f"not have, {stamps}: the predictions are filtered alike"
         )
 
     def missed(self, values: Array) -> Array:

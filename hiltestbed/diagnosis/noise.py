@@ -80,19 +80,21 @@ class ForceNoise:
         """The assumptions in sentences; none for white noise of one level."""
         out = []
         if self.colour > 1.0:
-            out.append(f"the noise of the force is coloured: smooth departures are judged by {self.colour:.2g} times its level")
+            out.append(f"the noise of the force is coloured: smooth departures are compared with {self.colour:.2g} times its level")
         if self.heavy:
-            out.append("the noise of the force has outliers: samples far out count by the logarithm of their distance")
+            out.append("the noise of the force has outliers: they count by the logarithm of their size")
         if self.baseline == 0 or any(o.any() for o in self.offset):
-            out.append("the force reads a different offset in each run: it is taken out run by run")
+            out.append("the force has a different offset in each run: it is subtracted run by run")
         if self.baseline > 0:
-            out.append("the baseline of the force wanders otherwise in each run: a cubic a run is taken out of what is left")
+            out.append("the baseline of the force wanders differently in each run: a cubic for each run is removed from the residual")
         if self.tones:
-            out.append("the force holds tones of another phase in each run, as of mains: they are taken out of what is left")
+            out.append("the force has tones whose phase differs from run to run, such as mains hum: they are removed from the residual")
         if self.share:
-            out.append(f"the noise of the force grows with the reading: {100.0 * self.share:.2g} % of it beside its level")
+            out.append(f"the noise of the force grows with the reading: {100.0 * self.share:.2g} % of it in addition to its level")
         if self.step:
-            out.append(f"the force is read in steps of {self.step:.3g} N, unstated in sensor.quantisation: they are taken for noise")
+            out.append(
+                f"the force is read in steps of {self.step:.3g} N, which sensor.quantisation does not state: they are treated as noise"
+            )
         return tuple(out)
 
 

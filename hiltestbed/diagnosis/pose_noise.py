@@ -17,7 +17,7 @@ from hiltestbed.signals import GROUPS
 
 TOUCH_MARGIN_ROWS = 2  # chosen: before the first touch, that are not counted as free
 MAX_FAR_CORRELATION = 0.3  # chosen: of the correlation of neighbours, that rows further apart may have by chance
-FAR_LAGS = (2, 3, 4)  # rows at which interpolated noise is no longer correlated, while a non-uniform motion is
+FAR_LAGS = (2, 3, 4)  # chosen: rows at which interpolated noise is no longer correlated, while a non-uniform motion is
 
 
 def smooth_levels(runs: Sequence[MeasuredRun]) -> dict[str, float]:

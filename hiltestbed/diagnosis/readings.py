@@ -20,7 +20,7 @@ from hiltestbed.diagnosis.residual import Residual, square
 from hiltestbed.diagnosis.search import Explanation
 from hiltestbed.diagnosis.settings import DETECTION, INTERPRETATION_PENALTY
 
-LEVERS = (0.5, 0.0, 1.0)  # that are tried first: the middle, the surface, the tip
+LEVERS = (0.5, 0.0, 1.0)  # chosen: that are tried first: the middle, the surface, the tip
 
 
 def wrench_link_of(residual: Residual) -> WrenchLink:

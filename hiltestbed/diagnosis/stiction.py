@@ -19,25 +19,25 @@ from hiltestbed.diagnosis.residual import Residual, square
 from hiltestbed.frames import Array
 from hiltestbed.platform.effects.tracking import PlatformFriction
 
-SCAN_POINTS = 400  # sticks, on the first jumps
-SCAN_TRAVEL = 20.0  # of the largest stick: travel of the command in the first scan
-MIN_SCAN_ROWS = 50  # rows of the first scan
-MAX_SCAN_ROWS = 4000  # rows of the last scan
-ROW_GROWTH = 1.5  # times as many rows in each next scan: the tolerance of a stick shrinks as the number of jumps grows
-MAX_SAMPLE_CHI2 = 25.0  # chi-square of a sample, so that a jump in the wrong row counts no more however far it goes
-SURVIVOR_MARGIN = 2.0 * MAX_SAMPLE_CHI2  # chi-square above the best, within which a stick is scanned again
+SCAN_POINTS = 400  # chosen: sticks, on the first jumps
+SCAN_TRAVEL = 20.0  # chosen: of the largest stick: travel of the command in the first scan
+MIN_SCAN_ROWS = 50  # chosen: rows of the first scan
+MAX_SCAN_ROWS = 4000  # chosen: rows of the last scan
+ROW_GROWTH = 1.5  # chosen: times as many rows in each next scan: the tolerance of a stick shrinks as the number of jumps grows
+MAX_SAMPLE_CHI2 = 25.0  # chosen: chi-square of a sample, so that a jump in the wrong row counts no more however far it goes
+SURVIVOR_MARGIN = 2.0 * MAX_SAMPLE_CHI2  # chosen: chi-square above the best, within which a stick is scanned again
 MAX_STRETCHES = 8  # intervals of such sticks for each number of instants
-STICKS_PER_SCAN = 160  # sticks in them
-MAX_CHI2_RATIO = 2.0  # times the least chi-square so far: numbers of instants that fit worse are dropped
-MAX_INSTANTS_KEPT = 24  # numbers of instants that are scanned again
-REFINEMENT = 15  # of the step, from one scan of all runs to the next
+STICKS_PER_SCAN = 160  # chosen: sticks in them
+MAX_CHI2_RATIO = 2.0  # chosen: times the least chi-square so far: numbers of instants that fit worse are dropped
+MAX_INSTANTS_KEPT = 24  # chosen: numbers of instants that are scanned again
+REFINEMENT = 15  # chosen: of the step, from one scan of all runs to the next
 STICKS_KEPT = 4  # of each scan
 INSTANTS = (*range(2, 41), *range(44, 81, 4), *range(88, 201, 8))  # a tick; later also those half way between two that fit
 MAX_INSTANTS_SEARCHED = 2  # numbers of instants, beside those of the believed physics, that are searched to the end
 FIRST_STEP = 1e-4  # of a stick: the accuracy of the scans before
 LAST_STEP = 1e-6  # of a stick
-DEPARTURE_SIGMA = 6.0  # times the noise: a departure that may be a stick
-MIN_MEAN_SQUARE = 1.5  # of the departures, over the noise's: a stick of s adds some (s/sigma)^2 / 3; the noise is known to a fifth
+DEPARTURE_SIGMA = 6.0  # chosen: times the noise: a departure that may be a stick
+MIN_MEAN_SQUARE = 1.5  # chosen: of the departures, over the noise's: a stick of s adds some (s/sigma)^2 / 3; the noise is known to a fifth
 
 
 Stretches = list[tuple[float, float, float]]  # least chi-square, and the sticks [m] that bound the interval

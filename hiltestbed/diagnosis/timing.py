@@ -30,14 +30,14 @@ Weigh = Callable[[Residual], Residual]
 
 MAX_STAMP_SHIFT_ROWS = 2.25  # derived: two channels, each stamped up to a row off; a record with more is refused
 MAX_UNNAMED_DELAY_ROWS = 1.05  # chosen: two instants, each up to half a tick off, and the error due to noise
-STARTS, STARTS_TOGETHER = (0.15, 0.4, 1.0, 1.6), (0.4, 1.0)  # rows: of one shift, and of several together
+STARTS, STARTS_TOGETHER = (0.15, 0.4, 1.0, 1.6), (0.4, 1.0)  # chosen: rows: of one shift, and of several together
 MAX_ROUNDS = 2  # chosen: explanations of a link, each under the timing found with the last
 MAX_BASES = 4  # chosen: sets of causes beside which the timing is fitted
 CONVERGED_ROWS = 0.02  # chosen: change of the timing below which a link is not explained again
 INTERPOLATED_LINKS = ("platform", "compensation")  # links whose output is interpolated between rows where their input lies there
 EARLY, EITHER, LATE = (-MAX_STAMP_SHIFT_ROWS, 0.0), (-MAX_STAMP_SHIFT_ROWS, MAX_STAMP_SHIFT_ROWS), (0.0, MAX_STAMP_SHIFT_ROWS)
 ENCODER, OBEYED = (-MAX_STAMP_SHIFT_ROWS, MAX_UNNAMED_DELAY_ROWS), (0.0, 0.5)  # rows, ticks; a longer delay is a platform.delay
-OLD_TWIST_RANGE = (0.0, 1.0)  # share of the old twist, instead of rows
+OLD_TWIST_RANGE = (0.0, 1.0)  # chosen: share of the old twist, instead of rows
 SHIFTS: Mapping[str, tuple[Mapping[str, tuple[float, float]], ...]] = {  # channels that are shifted together, each with its range [rows]
     "platform": ({"delay": ENCODER}, {"before": EITHER}, {"obeyed": OBEYED}, {"obeyed": OBEYED, "delay": ENCODER}),
     "wrench": ({"delay": EARLY}, {"before": (-MAX_STAMP_SHIFT_ROWS, MAX_UNNAMED_DELAY_ROWS)}),
@@ -268,15 +268,15 @@ def words(explanations: Mapping[str, Explanation]) -> tuple[str, ...]:
         if link.timing != NO_SHIFT:
             seconds = rows * link.runs[0].scenario.tick
             when = f"{abs(rows):.2g} rows ({abs(seconds):.3g} s) {'late' if rows > 0.0 else 'early'}"
-            out.append(f"{output} stands {when} against {given}: taken for how the facility samples and stamps, not for a cause")
+            out.append(f"{output} is {when} relative to {given}: attributed to the timing of the facility, not to a cause")
     for name, clocks in delays_not_causes(explanations).items():
         for kind, rows in clocks.items():
             output, given = LINK_CHANNELS[name]
             seconds = rows * explanations[name].residual.link.runs[0].scenario.tick
             if rows > 0.0:
                 out.append(
-                    f"{output} is {rows:.2g} rows ({seconds:.3g} s) later than {given} makes it ({kind}): taken for how the facility "
-                    "samples and stamps, not for a cause, since something else departs as well"
+                    f"{output} is {rows:.2g} rows ({seconds:.3g} s) later than {given} predicts ({kind}): attributed to the timing of "
+                    "the facility, not to a cause, since something else departs as well"
                 )
     return tuple(out)
 

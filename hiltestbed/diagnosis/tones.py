@@ -16,7 +16,7 @@ MAX_TONES = 6  # that are sought
 MIN_LINE_SIGMA = 10.0  # chosen: standard deviations of the mean power of the periodograms, by which a line must exceed its surroundings
 MIN_POWER_RATIO = 3.0  # chosen: times the power around it, in any case
 MIN_SHARED_POWER = 0.8  # chosen: share of the power that remains in the mean over the runs if they share a phase
-FREQUENCIES_TRIED = 41  # within a line's width
+FREQUENCIES_TRIED = 41  # chosen: within a line's width
 
 
 def tones_of(flat: Sequence[Array]) -> list[float]:

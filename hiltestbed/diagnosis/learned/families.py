@@ -22,7 +22,7 @@ from hiltestbed.platform.effects.learned import LearnedResponse
 from hiltestbed.sensor.effects.calibration import WRENCH_AXES
 from hiltestbed.sensor.effects.learned import SensorMap
 
-FINE_KNOTS, COARSE_KNOTS = 17, 9  # knots of a curve at most; of a slider's curve while its reach is sought
+FINE_KNOTS, COARSE_KNOTS = 17, 9  # chosen: knots of a curve at most; of a slider's curve while its reach is sought
 HELD_LEVELS, PUSHED_LEVELS = (3, 5, 9, 17), (2, 3, 5, 9, 17)
 DIFFERENCE_SHARE = 1e-4  # chosen: of the peak force: size of a finite difference
 BLOCKS_WITHOUT_SLIDER = 4  # of a contact force
@@ -30,7 +30,7 @@ REACH_RANGE = (0.02, 0.5)  # chosen: of the travel, over which a slider's reach 
 MEMORIES_TRIED = 9  # lengths of a platform's response
 MIN_MEMORY_TICKS = 2.0  # chosen: ticks, of such a response
 MAX_MEMORY_SHARE = 0.2  # chosen: of the shortest run, and one second at most
-IDENTITY_STEP = ((0.0, 1.0), (1.0, 1.0))  # the response of a platform that follows at once
+IDENTITY_STEP = ((0.0, 1.0), (1.0, 1.0))  # chosen: the response of a platform that follows at once
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from hiltestbed.effects.base import Effect
 from hiltestbed.frames import Array
 from hiltestbed.sensor.effects.calibration import WRENCH_AXES
 
-MAX_SAMPLES = 3000  # drawn under a curve
+MAX_SAMPLES = 3000  # chosen: drawn under a curve
 DIGITS = 6  # significant, of the numbers in a scenario
 
 

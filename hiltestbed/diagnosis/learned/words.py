@@ -15,7 +15,7 @@ from hiltestbed.diagnosis.settings import MAX_EQUATION_ERROR, MIN_RESEMBLANCE
 from hiltestbed.frames import Array
 from hiltestbed.piecewise import Pairs
 
-CURVE_POINTS = 200  # of a curve at which an equation is compared with it
+CURVE_POINTS = 200  # chosen: of a curve at which an equation is compared with it
 MAX_RESEMBLING = 3  # named effects that are listed
 RESEMBLING_LINKS = ("contact", "sensor", "platform")
 

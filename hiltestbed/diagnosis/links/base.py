@@ -21,7 +21,7 @@ from hiltestbed.scenario import Scenario
 
 Effects = Sequence[Effect]
 Lane = tuple[int, Effects]  # a run, and its effects
-REPLAY_BYTES = 64_000_000  # of the predictions that one replay makes
+REPLAY_BYTES = 64_000_000  # chosen: of the predictions that one replay makes
 
 
 class Timing(Effect):

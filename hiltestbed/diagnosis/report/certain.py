@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 CHI2_95 = 3.84  # derived: of chi-square, 95 % of one parameter
-PROFILE_TOP = 5.0  # times CHI2_95: up to which a profile is drawn
-STRONG_CORRELATION = 0.95  # from which one estimate means nothing without the other
+PROFILE_TOP = 5.0  # chosen: times CHI2_95: up to which a profile is drawn
+STRONG_CORRELATION = 0.95  # chosen: from which one estimate means nothing without the other
 PROFILES_PER_ROW = 3  # in the figure
 
 
@@ -27,21 +27,21 @@ def certainty_section(report: Report, certainties: Sequence[Certainty]) -> None:
     profiles = [p for c in certainties for p in c.profiles]
     if not profiles:
         return
-    report.heading("How well the data hold the estimates")
+    report.heading("Uncertainty of the estimates")
     for sentence in (*bounds_met(profiles), *tied(certainties)):
         report.text(sentence)
     report.figure(
         profile_figure(profiles),
-        "Cost of holding a parameter at another value, the other parameters of its link following: chi-square above its least, in units "
-        "of the misfit a sample. Dashed: 3.84, the 95 % of a model that is exact. Shaded: the 95 % interval, which is wider where the runs "
-        "contradict each other or the noise hangs together. Hatched: beyond the bounds of the search.",
+        "Cost of holding a parameter at another value while the other parameters of its link follow: chi-square above its minimum, in "
+        "units of the misfit per sample. Dashed: 3.84, the 95 % of an exact model. Shaded: the 95 % interval, which is wider where the "
+        "runs contradict each other or the noise is correlated. Hatched: beyond the bounds of the search.",
     )
     for c in certainties:
         if len(c.profiles) > 1:
             report.figure(
                 correlation_figure(c),
-                f"Correlation of the estimates on the link {LINK_NAMES.get(c.link, c.link)}: near 1 or -1 the data hold a combination of "
-                "the two, not each by itself.",
+                f"Correlation of the estimates on the link {LINK_NAMES.get(c.link, c.link)}: near 1 or -1 the data determine a combination "
+                "of the two, not each by itself.",
             )
 
 
@@ -52,10 +52,10 @@ def bounds_met(profiles: Sequence[Profile]) -> list[str]:
         if p.met is not None:
             at, unit = p.bounds[0 if p.met == "lowest" else 1], "" if p.unit == "-" else f" {p.unit}"
             out.append(
-                f"{p.label} stands at the {p.met} value that was searched, {at:.4g}{unit}: the data would have it further out, which means "
-                "another effect or another size than any that was thought possible. Its estimate is not to be relied on."
+                f"{p.label} is at the {p.met} value that was searched, {at:.4g}{unit}: the data favour a value beyond it, which means "
+                "another effect, or a size that was not thought possible. Its estimate is not reliable."
             )
-    return out or ["No estimate stands at a bound of its search."]
+    return out or ["No estimate is at a bound of its search."]
 
 
 def tied(certainties: Sequence[Certainty]) -> list[str]:
@@ -64,9 +64,9 @@ def tied(certainties: Sequence[Certainty]) -> list[str]:
     for c in certainties:
         if (pair := c.strongest()) is not None:
             a, b, size = pair
-            then = "only together are they known" if abs(size) >= STRONG_CORRELATION else "each is known by itself"
-            alike = f"Most alike on the link {LINK_NAMES.get(c.link, c.link)} are {a.label} and {b.label}"
-            out.append(f"{alike}, with a correlation of {size:+.3f}: {then}.")
+            then = "only a combination of them is determined" if abs(size) >= STRONG_CORRELATION else "each is determined by itself"
+            alike = f"The most correlated estimates on the link {LINK_NAMES.get(c.link, c.link)} are {a.label} and {b.label}"
+            out.append(f"{alike}, at {size:+.3f}: {then}.")
     return out
 
 
@@ -80,7 +80,7 @@ def profile_figure(profiles: Sequence[Profile]) -> Figure:
     for axes in grid.ravel()[len(profiles) :]:
         axes.set_visible(False)
     for axes in grid[:, 0]:
-        axes.set_ylabel("cost above its least")
+        axes.set_ylabel("cost above its minimum")
     return figure
 
 

@@ -23,7 +23,7 @@ from hiltestbed.scenario import Scenario, resolved, scenario_from
 from hiltestbed.signals import RunTrace
 from hiltestbed.simulation import simulate
 
-SPEED_WINDOW = 0.1  # [s] over which a speed is estimated, at most
+SPEED_WINDOW = 0.1  # chosen: [s] over which a speed is estimated, at most
 MIN_SAMPLES = 8  # of a speed
 QUIET_TIME = 0.03  # chosen: [s] from the end of a contact to the speed, longer than the tail of an unknown delay or lag
 SMOOTHING_PARTS = 15  # chosen: a contact is smoothed over this part of itself before it is differentiated

@@ -63,7 +63,7 @@ def known_weight(f: Facts) -> Plan:
     factor = f.estimate("sensor.gain", "factor", 1.05)
     text = (
         f"Set a known weight of {load:g} N ({load / 9.81:.2g} kg) on the sensor, no contact: a scale error of {factor:.4g} reads "
-        f"{load * factor:.4g} N, a different spring reads {load:g} N. The loop alone cannot tell them: momentum balances with "
+        f"{load * factor:.4g} N, a different spring reads {load:g} N. The loop alone cannot separate them: momentum balances with "
         "the force as "
         "it is measured. A known spring instead of the mechanism does the same."
     )
@@ -110,7 +110,7 @@ def speed_ladder(f: Facts) -> Plan:
     speeds = tuple(dict.fromkeys(rounded(v) for v in (0.25 * f.slow, f.slow, f.fast, 3.0 * f.fast)))
     listed = ", ".join(f"{v:g}" for v in speeds)
     text = (
-        f"Run a ladder of speeds on the present spring: {listed} m/s. The loop of force over penetration tells them: dry "
+        f"Run a ladder of speeds on the present spring: {listed} m/s. The loop of force over penetration separates them: dry "
         "friction keeps its "
         "width in newtons at every speed, a viscous damper's grows with the speed, a Hunt-Crossley damper's with the speed times the "
         "penetration, a relaxing branch's with neither at the slow end. A power law shows as a stiffness that grows with the peak force, "
@@ -123,7 +123,7 @@ def cycles(f: Facts) -> Plan:
     text = (
         f"Cycle the captured mechanism at 0.05, 0.2, 1 and 4 Hz with amplitudes of {1e3 * f.depth:.2g} and {250 * f.depth:.2g} "
         "mm, three cycles "
-        "each. The loop of force over displacement tells them: dry friction keeps its width in newtons at every rate and amplitude, a "
+        "each. The loop of force over displacement separates them: dry friction keeps its width in newtons at every rate and amplitude, a "
         "damper's grows with both, a relaxing branch's is widest at one rate, play shows as a flat stretch of one width at "
         "each reversal, a "
         "saturation of the sensor as a flat top at one force that a weight on the sensor shows too."
@@ -239,7 +239,7 @@ def off_centre(f: Facts) -> Plan:
 def long_after(f: Facts) -> Plan:
     tone = f.estimate("dynamics.appendage", "frequency", 0.3)
     text = (
-        f"Record {rounded(max(4 / tone, 2.0)):g} s of free flight after the contact. What hangs on a spring makes pose_cmd "
+        f"Record {rounded(max(4 / tone, 2.0)):g} s of free flight after the contact. An appendage on a spring makes pose_cmd "
         "oscillate at about "
         f"{tone:.2g} Hz without a force; a wrong mass leaves straight lines."
     )

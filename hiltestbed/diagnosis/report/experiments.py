@@ -58,7 +58,7 @@ def for_unknown(finding: Finding, facts: Facts) -> Experiment:
         plan = f"{ladder[0]}{'' if facts.captured else slow} {hold[0]}", ladder[1]
     else:
         plan = BY_LINK.get(finding.link or "", speed_ladder)(facts)
-    return Experiment(f"To see the shape of what is left: {plan[0][0].lower()}{plan[0][1:]}", (), plan[1])
+    return Experiment(f"To see the shape of the residual: {plan[0][0].lower()}{plan[0][1:]}", (), plan[1])
 
 
 def mass_of_either_body(finding: Finding, dataset: MeasuredDataset) -> str | None:
@@ -77,5 +77,5 @@ def mass_of_either_body(finding: Finding, dataset: MeasuredDataset) -> str | Non
                 factor = 1.0 / (rest * mass[other])
                 if not 1.0 / MAX_MASS_FACTOR < factor < MAX_MASS_FACTOR:  # a foundation is no candidate
                     return None
-                return f"the relative pose sees the reduced mass alone: a factor of {factor:.4g} on the {other}'s mass looks the same"
+                return f"the relative pose depends on the reduced mass only: a factor of {factor:.4g} on the {other}'s mass looks the same"
     return None

@@ -20,10 +20,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MEASURED, NOMINAL, EXTENDED, FLOOR, TOUCH = "#1b2530", "#d1495b", "#0b6e99", "#8a97a3", "#f6ead6"
-BAND_SIGMA = 2.0  # sigma
+BAND_SIGMA = 2.0  # chosen: sigma
 MAX_SHOWN = 3  # channels and runs in a figure
-CONTACT_MARGIN = 0.15  # of a contact, shown on both sides of it
-MIN_MISFIT_SHARE = 0.2  # of the worst channel's misfit, from which another channel is shown
+CONTACT_MARGIN = 0.15  # chosen: of a contact, shown on both sides of it
+MIN_MISFIT_SHARE = 0.2  # chosen: of the worst channel's misfit, from which another channel is shown
 
 
 def worst_channels(series: Sequence[Series]) -> list[str]:
@@ -135,7 +135,7 @@ def channels_overview(residuals: Sequence[ChannelResidual]) -> Figure:
     axes.axvline(1.0, color=FLOOR, lw=1)
     axes.set_xscale("log")
     axes.set_yticks(place, [r.channel for r in shown], fontsize=8)
-    axes.set_xlabel("rms of the residual over the noise floor (1: mere noise)")
+    axes.set_xlabel("rms of the residual over the noise floor (1: only noise)")
     axes.grid(axis="x", alpha=0.3)
     axes.legend(fontsize=8, frameon=False)
     return figure
@@ -154,7 +154,7 @@ def ranking_bars(ranking: Sequence[Ranked]) -> Figure:
         held = "" if r.heldout is None else f"  left-out runs: {r.heldout:.3g} x noise"
         axes.text(1.15 * (w + 1.0), p, f"+{w:.3g}{held}", va="center", fontsize=8)
     axes.set_xlim(0.8, max(1e3, (worse[-1] + 1.0) ** 1.8))
-    axes.set_xlabel("1 + what it is worse than the best by: chi-square, its parameters paid")
+    axes.set_xlabel("1 + score above the best: chi-square with the penalty for parameters")
     return figure
 
 
@@ -176,8 +176,8 @@ def learned_curves(learned: Learned) -> Figure:
     """The curves of a learned law with the samples to which each was fitted."""
     over = {
         "penetration": ("penetration", "force added"), "rate": ("rate", "force added"), "stretch": ("stretch of the slider", "force added"),
-        "spring": ("penetration", "part of the spring added"), "spring_rate": ("rate", "part of the spring added"),
-        "reading": ("felt", "shown"), "step": ("time since a step of the command", "part that is reached"),
+        "spring": ("penetration", "factor on the spring added"), "spring_rate": ("rate", "factor on the spring added"),
+        "reading": ("true value", "reading"), "step": ("time since a step of the command", "response"),
     }  # fmt: skip
     figure, grid = new_figure(3.3 * len(learned.curves) + 0.6, 3.2, nrows=1, ncols=len(learned.curves), squeeze=False)
     for axes, curve in zip(grid[0], learned.curves, strict=True):

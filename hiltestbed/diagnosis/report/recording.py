@@ -33,7 +33,7 @@ SIGNALS = {  # entity: group, part, factor to the unit shown, title
 }
 IN_VIEW = ("pose_cmd_z", "pose_act_z", "force_z")
 RESIDUAL = "residual"
-FRAME_RATE = 120.0  # [Hz] of the rig's poses
+FRAME_RATE = 120.0  # chosen: [Hz] of the rig's poses
 MEASURED_ENTITY = "data"  # the measured curve: entities are drawn in the order of their names, and this one lies broad underneath
 
 
@@ -68,7 +68,7 @@ def _words(diagnosis: Diagnosis) -> str:
     if rows:
         lines += ["## Causes", "", "| effect | parameter | estimate (95 %) | probability |", "|---|---|---|---:|", *rows, ""]
     lines += ["## Gain", "", gain_sentence(diagnosis.heldout, diagnosis.finding.names), ""]
-    return "\n".join([*lines, "## Next experiment", "", diagnosis.next_experiment or "Nothing is open that another run would settle."])
+    return "\n".join([*lines, "## Next experiment", "", diagnosis.next_experiment or "Nothing remains open that another run would settle."])
 
 
 def _first(diagnosis: Diagnosis, channels: list[str]) -> int:
@@ -149,7 +149,7 @@ def _layout(diagnosis: Diagnosis, channels: list[str]) -> rrb.Blueprint:
     """A tab for each run, open on the run that the nominal simulation predicts worst; beside it the rig in that run, and the verdict."""
     first = _first(diagnosis, channels)
     tabs = rrb.Tabs(*(_run_tab(i, run, channels) for i, run in enumerate(diagnosis.dataset.runs)), active_tab=first)
-    words = rrb.TextDocumentView(name="What was found", origin="verdict")
+    words = rrb.TextDocumentView(name="Verdict", origin="verdict")
     run = diagnosis.dataset.runs[first]
     pose, force = _motion(run)
     if pose is None:
