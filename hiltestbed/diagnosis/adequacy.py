@@ -36,7 +36,7 @@ class Leftover:
 
     @property
     def noise(self) -> bool:
-        """Whether it passes for noise."""
+        """Whether the residual passes for noise."""
         return self.variance <= self.variance_limit and self.block <= self.block_limit
 
     @property

@@ -22,7 +22,7 @@ def refit_on_all_rows(found: Explanation, link: WrenchLink) -> Explanation:
     chosen = found.chosen
     if not (found.departs and found.adequate and chosen.causes) or JITTER in chosen.kinds:
         return found
-    residual = Residual(link).wary(chosen.effects())
+    residual = Residual(link).downweighted(chosen.effects())
     pool = sorted((f for f in (*found.singles, *found.more) if len(f.causes) == len(chosen.causes)), key=lambda f: f.score)
     within = CLOSE_CHI2 * inflation(chosen) + DECIMATION_ERROR * (found.null.chi2 - chosen.chi2)
     near = [f for f in first_of_each(pool, "key") if f.score - chosen.score < within and JITTER not in f.kinds]

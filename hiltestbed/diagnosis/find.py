@@ -70,7 +70,7 @@ def judge(findings: Findings, progress: Progress | None = None) -> Judged:
 
 
 def find(findings: Findings, progress: Progress | None = None) -> Finding:
-    """What is wrong with the simulation of these data."""
+    """The finding on a dataset: verdict, causes with intervals, evidence."""
     judged = judge(findings, progress)
     findings, verdict, nearest, law = judged.findings, judged.verdict, judged.nearest, judged.law
     if progress:

@@ -87,11 +87,11 @@ def investigate(dataset: MeasuredDataset, progress: Progress | None = None) -> F
     if "platform" not in layout.missing:
         link = platform_link(layout, layout.rows)
         found["platform"] = _explain_platform(layout, link, _label(progress, "platform"))
-        whole["platform"] = platform_link(layout, layout.whole).stamped(found["platform"].residual.link.timing)
+        whole["platform"] = platform_link(layout, layout.whole).with_timing(found["platform"].residual.link.timing)
     if "compensation" not in layout.missing:
         candidates = _candidates(layout.scales, ("compensation", "log"))
         found["compensation"] = _explain_compensation(layout, compensation_link(layout, layout.rows), candidates, progress)
-        whole["compensation"] = compensation_link(layout, layout.whole).stamped(found["compensation"].residual.link.timing)
+        whole["compensation"] = compensation_link(layout, layout.whole).with_timing(found["compensation"].residual.link.timing)
     missing = dict(layout.missing)
     if "wrench" not in missing:
         if why := _investigate_wrench(layout, found, whole, progress):
@@ -105,7 +105,7 @@ def investigate(dataset: MeasuredDataset, progress: Progress | None = None) -> F
                 _candidates(layout.scales, ("dynamics",)), judges.of_dynamics(residual), (), _label(progress, "numerical model")
             )
             found["dynamics"] = explain_with_timing(residual, search)
-            whole["dynamics"] = dynamics_link(layout, layout.whole).stamped(found["dynamics"].residual.link.timing)
+            whole["dynamics"] = dynamics_link(layout, layout.whole).with_timing(found["dynamics"].residual.link.timing)
         else:
             found["dynamics"], whole["dynamics"] = _explain_axis(layout, _label(progress, "driven axis"))
     return Findings(layout, found, missing, whole)
@@ -147,7 +147,7 @@ def _explain_compensation(
     judge = judges.of_compensation(link, layout.noise)
     search = Search(tuple(candidates), judge, (), _label(progress, "compensation"))
     led = [link.noise_gain() * layout.noise.get(name.replace("comp", "meas"), 0.0) for name in link.channels]
-    return explain_with_timing(Residual(link), search, weigh=lambda residual: residual.doubted(np.array(led)))
+    return explain_with_timing(Residual(link), search, weigh=lambda residual: residual.with_noise(np.array(led)))
 
 
 def _investigate_wrench(layout: Layout, found: dict[str, Explanation], whole: dict[str, Link], progress: Progress | None) -> str | None:
@@ -220,8 +220,8 @@ def _stamped_elsewhere(layout: Layout, platform: Explanation, progress: Progress
     for effect in platform.chosen.effects():
         if part_of_a_tick(effect, tick):
             timing = timing.plus(Timing(delay=effect.parameters()["delay"]))
-    again = _explain_platform(layout, platform_link(layout, layout.rows).stamped(timing), _label(progress, "platform"))
-    return again, platform_link(layout, layout.whole).stamped(again.residual.link.timing)
+    again = _explain_platform(layout, platform_link(layout, layout.rows).with_timing(timing), _label(progress, "platform"))
+    return again, platform_link(layout, layout.whole).with_timing(again.residual.link.timing)
 
 
 def _stamped_late(layout: Layout, link: WrenchLink, compensation: Explanation | None) -> list[Fit]:
@@ -235,7 +235,7 @@ def _stamped_late(layout: Layout, link: WrenchLink, compensation: Explanation | 
     residual = Residual(link)
     candidates = _candidates(replace(layout.scales, late=skew), ("log",))
     fits = sorted((fit(residual, (c,), c.grid) for c in candidates), key=lambda f: f.chi2)
-    residual = residual.wary(fits[0].effects())
+    residual = residual.downweighted(fits[0].effects())
     fits = [refit(residual, f) for f in fits]
     borne_out = null_fit(residual).chi2 - fits[0].chi2 > DETECTION
     return fits if borne_out or compensation.chosen.chi2 < MAX_SKEW_RESIDUAL * compensation.null.chi2 else []
@@ -254,9 +254,9 @@ def _by_its_stamp(
     refuted = float(late.theta[-1]) < MIN_SKEW_SHARE * skew or told > null_fit(residual).chi2 + DETECTION
     if skew > MAX_STAMP_SHIFT_ROWS * layout.scales.tick or not refuted:
         return False
-    early = compensation_link(layout, layout.rows).stamped(Timing(delay=-skew))
+    early = compensation_link(layout, layout.rows).with_timing(Timing(delay=-skew))
     found["compensation"] = _explain_compensation(layout, early, _candidates(layout.scales, ("compensation",)), progress)
-    whole["compensation"] = compensation_link(layout, layout.whole).stamped(found["compensation"].residual.link.timing)
+    whole["compensation"] = compensation_link(layout, layout.whole).with_timing(found["compensation"].residual.link.timing)
     return True
 
 
@@ -293,7 +293,7 @@ def _settle_compensation(
     )  # as found on the contact
     candidates = (*_candidates(layout.scales, ("compensation",)), late_record)
     found["compensation"] = _explain_compensation(layout, links[0], candidates, progress)
-    whole["compensation"] = links[1].stamped(found["compensation"].residual.link.timing)
+    whole["compensation"] = links[1].with_timing(found["compensation"].residual.link.timing)
 
 
 def _settle_platform(layout: Layout, found: dict[str, Explanation], whole: dict[str, Link], progress: Progress | None) -> Layout:
@@ -317,7 +317,7 @@ def _settle_platform(layout: Layout, found: dict[str, Explanation], whole: dict[
     if again is None:
         return layout
     found["platform"] = _explain_platform(again, platform_link(again, again.rows), _label(progress, "platform under the force found"))
-    whole["platform"] = platform_link(again, again.whole).stamped(found["platform"].residual.link.timing)
+    whole["platform"] = platform_link(again, again.whole).with_timing(found["platform"].residual.link.timing)
     return again
 
 

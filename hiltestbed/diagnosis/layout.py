@@ -135,7 +135,7 @@ def _deflections(
 
 def platform_link(layout: Layout, rows: Sequence[int]) -> PlatformLink:
     """The platform on the first ``rows`` of each run."""
-    assert layout.deflection is not None  # else it is missing
+    assert layout.deflection is not None  # else the link is missing
     runs, commands, away = [], [], []
     for run, found, n in zip(layout.runs, layout.deflection, rows, strict=True):
         runs.append(_pose_run(run, layout.noise, found.doubt[:n], n))

@@ -83,7 +83,7 @@ def best_path(layout: Layout, platform: Explanation | None) -> BestPath:
     if measured is not None and path_noise is not None and not _replay_is_better(layout, measured, path_noise, explained):
         path, extra = measured, path_noise
     elif platform is not None and platform.adequate:
-        poses = platform_link(layout, layout.whole).stamped(platform.residual.link.timing).paths(platform.chosen.effects())
+        poses = platform_link(layout, layout.whole).with_timing(platform.residual.link.timing).paths(platform.chosen.effects())
         path = Path(poses, _central_rates(layout, poses), source="pose_cmd")
         extra = _command_noise(layout, path)
     else:
@@ -115,7 +115,7 @@ def path_without_delay(layout: Layout, platform: Explanation | None, best: BestP
     if len(effects) == len(platform.chosen.causes) and platform.residual.link.timing == NO_SHIFT:
         return None
     obeyed = Timing(obeyed=platform.residual.link.timing.obeyed)
-    poses = platform_link(layout, layout.whole).stamped(obeyed).paths(effects)
+    poses = platform_link(layout, layout.whole).with_timing(obeyed).paths(effects)
     path = Path(poses, _central_rates(layout, poses), source="pose_cmd")
     return BestPath(path, best.path_noise, _jumped(platform, path))
 
@@ -299,7 +299,7 @@ def _smooth_paths(layout: Layout, platform: Explanation | None) -> list[Array]:
     """(N, 7) of each run: the measured pose, smoothed about the best explanation of the platform where there is one."""
     near = None
     if platform is not None:
-        near = platform_link(layout, layout.whole).stamped(platform.residual.link.timing).paths(platform.chosen.effects())
+        near = platform_link(layout, layout.whole).with_timing(platform.residual.link.timing).paths(platform.chosen.effects())
     out = []
     for i, run in enumerate(layout.runs):
         if not run.record.has("pose_act"):  # the commanded pose one row later: ideal tracking

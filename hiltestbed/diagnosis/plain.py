@@ -54,7 +54,7 @@ def listed(parameters: Mapping[str, Any]) -> str:
     return ", ".join(f"{name} {text(v)}" for name, v in parameters.items() if v is not None)
 
 
-def told(parameter: Parameter) -> str:
+def estimate_text(parameter: Parameter) -> str:
     """An estimate with its interval, where it is one number."""
     estimate, interval = parameter.estimate, parameter.ci95
     if not isinstance(estimate, float) or not interval or isinstance(interval[0], tuple) or isinstance(interval[1], tuple):

@@ -30,7 +30,7 @@ class Residual:
         self.weight = tuple(weight)
         self._aside: dict[int, Aside] = {}
 
-    def wary(self, effects: Effects) -> Residual:
+    def downweighted(self, effects: Effects) -> Residual:
         """With less weight on samples that depend on how the facility divides its tick under ``effects``; itself where none does."""
         doubts = {i: self.link.doubt(i, effects) for i in self.runs}
         scaled = {i: d * self.weight[i] for i, d in doubts.items() if d is not None}
@@ -39,7 +39,7 @@ class Residual:
         weight = [w / np.sqrt(1.0 + scaled[i] ** 2) if i in scaled else w for i, w in enumerate(self.weight)]
         return Residual(self.link, self.runs, weight)
 
-    def doubted(self, noise: Array) -> Residual:
+    def with_noise(self, noise: Array) -> Residual:
         """With additional ``noise`` (C,) in every sample [units of the channels]."""
         return Residual(self.link, self.runs, [w / np.sqrt(1.0 + (w * noise) ** 2) for w in self.weight])
 

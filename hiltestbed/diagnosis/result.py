@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hiltestbed.diagnosis.learned_law import Learned
-from hiltestbed.diagnosis.plain import cause_json, finite, plain, told
+from hiltestbed.diagnosis.plain import cause_json, estimate_text, finite, plain
 from hiltestbed.errors import MissingExtra
 from hiltestbed.frames import Array
 
@@ -289,7 +289,7 @@ class Diagnosis:
         from hiltestbed.notebook import html_table
 
         rows = [
-            (cause.effect, name, told(p), p.unit, f"{cause.probability:.2f}")
+            (cause.effect, name, estimate_text(p), p.unit, f"{cause.probability:.2f}")
             for cause in self.causes
             for name, p in cause.parameters.items()
         ]
@@ -348,7 +348,7 @@ class Diagnosis:
         return self.experiment.text if self.experiment else None
 
     def to_json(self) -> dict[str, Any]:
-        """The contents of diagnosis.json; plain data without infinities."""
+        """The contents of diagnosis.json: plain data without infinities."""
         from hiltestbed.diagnosis.report.sentence import learned_sentence, partial_sentence, verdict_sentence
         from hiltestbed.versions import versions
 

@@ -108,14 +108,14 @@ class Search:
 
     def explain(self, residual: Residual, given: Fit | None = None) -> Explanation:
         """The explanation of a link; given: a fit with the cause that another link has shown, which then is one of its causes."""
-        residual = residual.wary(given.effects() if given else ())
+        residual = residual.downweighted(given.effects() if given else ())
         null = refit(residual, given) if given else null_fit(residual)
         before = self.judge(residual, null.effects())
         adequate_null = noise_alone(before)
         least = SELECTION if given and adequate_null else DETECTION  # threshold of a cause, in units of the misfit
         singles = self.extend(residual, null, worth=least if adequate_null else 0.0)
-        if singles and (wary := residual.wary(singles[0].effects())) is not residual:
-            residual = wary
+        if singles and (downweighted := residual.downweighted(singles[0].effects())) is not residual:
+            residual = downweighted
             null = refit(residual, null)
             singles = [again(residual, f) for f in first_of_each(singles, "kinds")[:BEAM_WIDTH]]
             before = self.judge(residual, null.effects())
@@ -153,8 +153,8 @@ class Search:
             found = first_of_each(sorted(found, key=lambda f: f.score), "key")
             if not found:
                 break
-            if (wary := residual.wary(found[0].effects())) is not residual:
-                residual = wary
+            if (downweighted := residual.downweighted(found[0].effects())) is not residual:
+                residual = downweighted
                 found = sorted([again(residual, f) for f in found[:MAX_PARTNERS]], key=lambda f: f.score)
                 chosen = again(residual, chosen)
             more = [*found, *more]
@@ -174,7 +174,7 @@ class Search:
         foreign = set(base.kinds) - set(best.kinds)
         if not foreign:
             return self
-        left = self.judge(residual.wary(best.effects()), best.effects())  # as when its turn comes
+        left = self.judge(residual.downweighted(best.effects()), best.effects())  # as when its turn comes
         if not noise_alone(left):
             return self
         return replace(self, candidates=tuple(c for c in self.candidates if c.kind in best.kinds))

@@ -83,7 +83,7 @@ def explain_with_timing(
             return found
         link = found.residual.link
         way = np.abs(_in_rows(place, link) - _in_rows(link.timing, link)).max()
-        found = explain(_without_ends(Residual(link.stamped(place))))
+        found = explain(_without_ends(Residual(link.with_timing(place))))
         if way < CONVERGED_ROWS:
             break
     return found
@@ -98,7 +98,7 @@ def _timing_alone(residual: Residual, search: Search, weigh: Weigh) -> Residual 
     named = [fit(weighed, (c,), c.grid) for c in search.candidates if c.kind in DELAY_EFFECTS and not c.variant]
     if cost(best) > min(f.score for f in (null, *named)) - DETECTION * inflation(best):
         return None
-    there = _without_ends(Residual(residual.link.stamped(residual.link.timing.plus(_fitted_timing(best)))))
+    there = _without_ends(Residual(residual.link.with_timing(residual.link.timing.plus(_fitted_timing(best)))))
     return there if noise_alone(search.judge(there, ())) else None
 
 
@@ -110,7 +110,7 @@ def timing_under(residual: Residual, best: Fit) -> Residual:
     if noise_alone(contact_leftovers(residual, best.effects())):
         return residual
     place = _better_timing(_without_ends(residual), best, [null_fit(residual), best])
-    return residual if place is None else _without_ends(Residual(residual.link.stamped(place)))
+    return residual if place is None else _without_ends(Residual(residual.link.with_timing(place)))
 
 
 def _fitted_timing(fit: Fit) -> Timing:

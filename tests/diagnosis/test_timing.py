@@ -89,7 +89,7 @@ def test_what_is_made_of_readings_between_rows_lies_between_its_own_rows() -> No
     given = CompensationLink([run], [noise], {}).shown(0)
     early = LinkRun(s, given, np.ones((300, 6)), np.ones(300, dtype=bool))
     link = CompensationLink([early], [moved(noise, -0.3)], {})
-    left = [np.abs(link.runs[0].measured - at.shown(0))[20:-20].max() for at in (link, link.stamped(Timing(before=0.3 * H)))]
+    left = [np.abs(link.runs[0].measured - at.shown(0))[20:-20].max() for at in (link, link.with_timing(Timing(before=0.3 * H)))]
     assert left[0] > 1.0
     assert left[1] < 1e-9
 
@@ -100,15 +100,17 @@ def test_an_old_twist_in_the_new_pose_lies_between_both_integrators() -> None:
     run = LinkRun(scenario(), np.zeros((200, 6)), np.ones((200, 6)), np.ones(200, dtype=bool))
     link = DynamicsLink([run], [wrench])
     implicit, explicit = link.shown(0), link.shown(0, [EFFECTS["dynamics.integrator"].hypothesis({}, scheme="explicit_euler")])
-    np.testing.assert_array_equal(link.stamped(Timing(old=1.0)).shown(0), explicit)
-    between = link.stamped(Timing(old=0.25)).shown(0)
+    np.testing.assert_array_equal(link.with_timing(Timing(old=1.0)).shown(0), explicit)
+    between = link.with_timing(Timing(old=0.25)).shown(0)
     np.testing.assert_allclose(between, 0.75 * implicit + 0.25 * explicit, rtol=0, atol=1e-9)
 
 
 def test_a_late_output_and_a_late_input_of_the_numerical_model_differ_by_the_approach() -> None:
     run = LinkRun(scenario(), np.zeros((100, 6)), np.ones((100, 6)), np.ones(100, dtype=bool))
     link = DynamicsLink([run], [np.zeros((100, 6))])
-    prompt, late, before = (at.shown(0)[:, 2] for at in (link, link.stamped(Timing(delay=0.4 * H)), link.stamped(Timing(before=0.4 * H))))
+    prompt, late, before = (
+        at.shown(0)[:, 2] for at in (link, link.with_timing(Timing(delay=0.4 * H)), link.with_timing(Timing(before=0.4 * H)))
+    )
     np.testing.assert_allclose(prompt - late, 0.03 * 0.4 * H, rtol=1e-6)
     np.testing.assert_array_equal(before, prompt)
 
@@ -135,7 +137,7 @@ def test_whole_ticks_are_causes_unless_another_link_takes_them_back() -> None:
     def found(rows: float, platform: float) -> dict[str, dict[str, float]]:
         dynamics = DynamicsLink([platform_link().runs[0]], [np.zeros((500, 6))])
         return timing.delays_not_causes({
-            "platform": explained(platform_link().stamped(Timing(delay=platform * H))),
+            "platform": explained(platform_link().with_timing(Timing(delay=platform * H))),
             "wrench": explained(contact_link(seed=None), ("contact.stiffness", {"factor": 0.8})),
             "dynamics": explained(dynamics, ("dynamics.step_delay", {"ticks": int(rows)})),
         })  # fmt: skip

@@ -30,7 +30,7 @@ REACH_RANGE = (0.02, 0.5)  # chosen: of the travel, over which a slider's reach 
 MEMORIES_TRIED = 9  # lengths of a platform's response
 MIN_MEMORY_TICKS = 2.0  # chosen: ticks, of such a response
 MAX_MEMORY_SHARE = 0.2  # chosen: of the shortest run, and one second at most
-IDENTITY_STEP = ((0.0, 1.0), (1.0, 1.0))  # chosen: the response of a platform that follows at once
+IDENTITY_STEP = ((0.0, 1.0), (1.0, 1.0))  # the response of a platform that follows at once
 
 
 @dataclass(frozen=True)

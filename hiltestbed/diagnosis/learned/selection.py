@@ -39,7 +39,7 @@ class Selected:
 
 
 def normal_equations(residuals: Sequence[Array], jacobians: Sequence[Array]) -> Normal:
-    """Of one array (M,) and (M, P) a run."""
+    """The normal equations of one residual (M,) and one Jacobian (M, P) a run."""
     return Normal(
         np.array([np.einsum("mi,mj->ij", j, j) for j in jacobians]),
         np.array([np.einsum("mi,m->i", j, r) for j, r in zip(jacobians, residuals, strict=True)]),
@@ -115,7 +115,7 @@ class _Search:
         return sum(s[c].shape[1] for s, c in zip(self._shapes, chosen, strict=True))
 
     def carried(self, chosen: Choices) -> float:
-        """See :func:`carried_by`."""
+        """`carried_by` of a choice, computed once."""
         if chosen not in self._known:
             basis = np.asarray(block_diag(*(s[c] for s, c in zip(self._shapes, chosen, strict=True))))
             self._known[chosen] = carried_by(self._normal, basis, self._rough)

@@ -96,13 +96,13 @@ class Link(ABC):
     witnesses: tuple[float, ...] = ()
     timing: Timing = NO_SHIFT
 
-    def stamped(self, place: Timing) -> Self:
+    def with_timing(self, place: Timing) -> Self:
         """The same link of a facility with the timing ``place``."""
         out = copy(self)
         out.timing = place
         return out
 
-    def placed(self, effects: Effects) -> Timing:
+    def timing_with(self, effects: Effects) -> Timing:
         """The timing of the link, plus that in ``effects``."""
         place = self.timing
         for effect in effects:
@@ -135,7 +135,7 @@ class Link(ABC):
 
     @abstractmethod
     def _replay(self, lanes: Sequence[Lane]) -> list[Array]:
-        """Predictions of a handful of lanes in one replay."""
+        """Predictions of some lanes in one replay."""
 
     def shown(self, i: int, effects: Effects = ()) -> Array:
         """(N, C) predicted output of run i."""

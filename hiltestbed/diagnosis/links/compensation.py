@@ -1,4 +1,4 @@
-"""wrench_meas to wrench_comp."""
+"""The link compensation: wrench_meas to wrench_comp."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class CompensationLink(Link):
 
     def on_used(self, used: Sequence[Array], runs: Sequence[LinkRun]) -> CompensationLink:
         """The same link with the wrench that the loop used, in place of a record that is stamped late."""
-        return CompensationLink(runs, self.wrenches, self._sources, used).stamped(self.timing)
+        return CompensationLink(runs, self.wrenches, self._sources, used).with_timing(self.timing)
 
     def _replay(self, lanes: Sequence[Lane]) -> list[Array]:
         run = np.arange(len(lanes))
@@ -48,7 +48,7 @@ class CompensationLink(Link):
         records = {name: values[[i for i, _ in lanes]] for name, values in self._records.items()}
         found = replay_compensation(scenarios, [InputParameters.of(effects) for _, effects in lanes], records, readings, run)
         shown = [wrench[: self.runs[i].rows] for wrench, (i, _) in zip(found, lanes, strict=True)]
-        return [self._between(i, wrench, self.placed(effects)) for wrench, (i, effects) in zip(shown, lanes, strict=True)]
+        return [self._between(i, wrench, self.timing_with(effects)) for wrench, (i, effects) in zip(shown, lanes, strict=True)]
 
     def _reading(self, i: int, effects: Effects) -> Array:
         """(N, 6) the wrench that the loop used: the record, or later rows of it where it is stamped late."""

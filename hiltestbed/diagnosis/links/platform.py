@@ -1,4 +1,4 @@
-"""pose_cmd to pose_act."""
+"""The link platform: pose_cmd to pose_act."""
 
 from __future__ import annotations
 
@@ -34,13 +34,13 @@ class PlatformLink(Link):
         run = np.array([i for i, _ in lanes])
         scenarios = [self.runs[i].scenario for i in run]
         parameters = [PlatformParameters.believed(s).with_effects(effects) for s, (_, effects) in zip(scenarios, lanes, strict=True)]
-        obeyed = np.array([self.placed(effects).obeyed for _, effects in lanes])
+        obeyed = np.array([self.timing_with(effects).obeyed for _, effects in lanes])
         places = replay_platform(scenarios, parameters, self._padded, run, obeyed)
         out = []
         for place, late, (i, effects) in zip(places, obeyed, lanes, strict=True):
             turned = moved(self._attitude[i], late / self.runs[i].scenario.tick)
             pose = np.concatenate([place[: self.runs[i].rows], turned], axis=1) + self.deflection[i]
-            out.append(self._between(i, pose, self.placed(effects)))
+            out.append(self._between(i, pose, self.timing_with(effects)))
         return out
 
     def doubt(self, i: int, effects: Effects) -> Array | None:
@@ -55,7 +55,7 @@ class PlatformLink(Link):
     def paths(self, effects: Effects) -> list[Array]:
         """(N, 7) poses that the platform reaches in each run, with the commanded attitude, as they are stamped."""
         timing = self.timing.model_copy(update={"delay": self.timing.delay + self.timing.before, "before": 0.0})
-        return [poses_of(shown) for shown in self.stamped(timing).predict([(i, effects) for i in range(len(self.runs))])]
+        return [poses_of(shown) for shown in self.with_timing(timing).predict([(i, effects) for i in range(len(self.runs))])]
 
 
 def poses_of(flat: Array) -> Array:

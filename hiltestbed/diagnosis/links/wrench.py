@@ -1,4 +1,4 @@
-"""The pose through contact and sensor to wrench_meas."""
+"""The link wrench: the pose through contact and sensor to wrench_meas."""
 
 from __future__ import annotations
 
@@ -115,7 +115,7 @@ class WrenchLink(Link):
     def as_interpreted(self, other: WrenchLink) -> WrenchLink:
         """The same link with the interpretation and timing of another one, which may have fewer rows."""
         grid = None if other.grid is None else max(1, round(other.grid * self.of_rows / other.of_rows))
-        return self.interpreted(other.lever, grid, other.blunt, other.exact, other.ring).stamped(other.timing)
+        return self.interpreted(other.lever, grid, other.blunt, other.exact, other.ring).with_timing(other.timing)
 
     @property
     def played(self) -> bool:
@@ -164,7 +164,7 @@ class WrenchLink(Link):
         parameters = [PlatformParameters.believed(s).with_effects(effects) for s, (_, effects) in zip(scenarios, lanes, strict=True)]
         places = replay_platform(scenarios, parameters, padded(self.commands or ()), np.array([i for i, _ in lanes]))
         paths = [np.concatenate([p[: r.rows], self.paths[i][:, 3:]], axis=1) for p, r, (i, _) in zip(places, runs, lanes, strict=True)]
-        link = WrenchLink(runs, paths).interpreted(self.lever, self.grid, self.blunt, ring=self.ring).stamped(self.timing)
+        link = WrenchLink(runs, paths).interpreted(self.lever, self.grid, self.blunt, ring=self.ring).with_timing(self.timing)
         return link.through(self.logged).predict(
             [(n, [e for e in effects if e.link != "platform"]) for n, (_, effects) in enumerate(lanes)]
         )
@@ -173,7 +173,7 @@ class WrenchLink(Link):
         felt = [self._lane(i, effects) for i, effects in lanes]
         found = replay_wrench(self._felt, felt, self.grid)
         early = [min(_lateness(lane), 0.0) / self.runs[i].scenario.tick for lane, (i, _) in zip(felt, lanes, strict=True)]
-        early = [e + self.placed(effects).before / self.runs[i].scenario.tick for e, (i, effects) in zip(early, lanes, strict=True)]
+        early = [e + self.timing_with(effects).before / self.runs[i].scenario.tick for e, (i, effects) in zip(early, lanes, strict=True)]
         shown = [moved(reading[: self.runs[i].rows], e) for reading, e, (i, _) in zip(found, early, lanes, strict=True)]
         if self._step_error is not None:
             shown = [reading + self._step_error[i] for reading, (i, _) in zip(shown, lanes, strict=True)]
@@ -185,7 +185,7 @@ class WrenchLink(Link):
             self.runs[i].scenario.mechanism,
             self._believed[i][0],
             self._believed[i][1],
-            self.placed(effects).delay,
+            self.timing_with(effects).delay,
         )
         if "contact" in links:
             contacts = [replace(c).with_effects(effects) for c in contacts]

@@ -46,7 +46,7 @@ def certainty_section(report: Report, certainties: Sequence[Certainty]) -> None:
 
 
 def bounds_met(profiles: Sequence[Profile]) -> list[str]:
-    """A sentence for each estimate that stands at a bound of the search."""
+    """A sentence for each estimate at a bound of the search."""
     out = []
     for p in profiles:
         if p.met is not None:

@@ -94,7 +94,7 @@ def closed_loop(dataset: MeasuredDataset, played: Sequence[Played]) -> ClosedLoo
 
 
 def measured_motion(run: MeasuredRun) -> Motion:
-    """Of a record."""
+    """The motion of a measured run."""
     record, spans = run.record, [(c.start, c.end) for c in run.survey.contacts]
     names = ("pose_cmd.pz", "pose_act.pz", "wrench_meas.fz")
     command, reached, force = (record.column(name) if name in record.columns() else None for name in names)
@@ -102,7 +102,7 @@ def measured_motion(run: MeasuredRun) -> Motion:
 
 
 def trace_motion(trace: RunTrace | None) -> Motion | None:
-    """Of a simulated run."""
+    """The motion of a simulated run."""
     if trace is None:
         return None
     edges = np.flatnonzero(np.diff(np.r_[False, trace.contact, False])).reshape(-1, 2)
@@ -117,7 +117,7 @@ def _first(spans: Sequence[tuple[int, int]], ticks: int) -> tuple[int, int, int]
 
 
 def figures(motion: Motion | None, scenario: Scenario) -> Figures:
-    """All None for a run without contact."""
+    """Figures of a run; all None for a run without contact."""
     if motion is None or motion.span is None:
         return Figures()
     stiffness, damping = identified(motion, scenario) if scenario.mechanism.flat else (None, None)

@@ -36,7 +36,7 @@ def link_series(link: Link, effects: Effects = ()) -> list[Series]:
 
 
 def unit_of(channel: str) -> str:
-    """Of a column of the trace."""
+    """The unit of a column of the trace."""
     return UNITS.get(channel.rpartition(".")[2][:1], "")
 
 

@@ -13,7 +13,7 @@ from hiltestbed.scenario import Scenario, dump_scenario, resolved, scenario_from
 
 
 def extended_scenario(nominal: Scenario, causes: Sequence[Cause | Learned]) -> Scenario:
-    """`nominal` with the causes among its effects; `nominal` itself where there are none.
+    """`nominal` with the causes added to its effects; `nominal` itself where there are none.
 
     Raises:
         InputError: an estimate lies outside what its effect allows.

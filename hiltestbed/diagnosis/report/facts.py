@@ -114,5 +114,5 @@ def _travel(dataset: MeasuredDataset) -> tuple[str, float]:
 
 
 def rounded(value: float, digits: int = 2) -> float:
-    """To significant digits: a number that can be set on a rig."""
+    """Rounded to significant digits, so that it can be set on a rig."""
     return float(f"{value:.{digits - 1}e}") if value else 0.0

@@ -27,7 +27,7 @@ MIN_MISFIT_SHARE = 0.2  # chosen: of the worst channel's misfit, from which anot
 
 
 def worst_channels(series: Sequence[Series]) -> list[str]:
-    """The channels that the nominal model misses most, in units of their noise."""
+    """The channels with the largest misfits of the nominal model, in units of their noise."""
     by_misfit = {channel: misfit(series, channel) for channel in dict.fromkeys(s.channel for s in series)}
     ordered = sorted(by_misfit, key=lambda c: -by_misfit[c])
     return [c for c in ordered[:MAX_SHOWN] if by_misfit[c] >= MIN_MISFIT_SHARE * by_misfit[ordered[0]]]
