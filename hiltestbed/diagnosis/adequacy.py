@@ -1,4 +1,4 @@
-"""Goodness of fit: whether the residual of a hypothesis is noise, channel by channel, in contact and outside it.
+"""Stage "select": goodness of fit: whether the residual of a hypothesis is noise, channel by channel, in contact and outside it.
 
 Two statistics a channel, both 1 for white noise at the floor: the variance ratio, and the same for means of blocks of samples, in which a
 smooth misfit far below the noise shows. The samples of a block count once, so that correlated residuals do not count as many samples.

@@ -1,4 +1,4 @@
-"""The explanation found on decimated rows, fitted again on all rows, so that estimates and rivals are those of the whole record.
+"""Stage "select": the explanation found on decimated rows is fitted again on all rows: estimates and rivals are those of the whole record.
 
 A mean over a block of rows blurs the instants at which a contact begins and ends, which tell a delayed sensor from a stamp delay, and
 a delay from a smooth response.

@@ -1,4 +1,4 @@
-"""Nuisance terms of each run: a baseline that wanders, mains hum of another phase. No misfit is judged by them.
+"""Stage "layout": nuisance terms of each run: baseline wander and hum whose phase differs between runs. No misfit is judged by them.
 
 Where free flight shows them beyond what its noise would do, cubics and tones of each run and channel are projected out of every misfit, of
 measured and predicted alike: their amplitudes are nuisance parameters, which linear least squares eliminates at no cost.

@@ -1,4 +1,4 @@
-"""Uncertainty due to what a log does not hold: lost samples, and ticks between its rows.
+"""Stage "layout": uncertainty due to what a log does not hold: lost samples, and ticks between its rows.
 
 A lost sample is interpolated; the error follows from second differences of its neighbours: for white noise the two have the same variance
 but for a factor of four. The numerical model integrates the error twice, so that it is replayed with such errors drawn at random.

@@ -1,4 +1,4 @@
-"""How well the data determine the estimates of a fit: correlation, cost around each estimate, and bounds that were met."""
+"""Stage "decide": how well the data determine the estimates of a fit: correlation, cost around each estimate, and bounds that were met."""
 
 from __future__ import annotations
 

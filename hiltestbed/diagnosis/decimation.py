@@ -1,4 +1,4 @@
-"""Decimation of a long record of a slow motion: block means of path and reading, as long as the departure is preserved.
+"""Stage "replay": decimation of a long record of a slow motion: block means of path and reading, as long as the departure is preserved.
 
 A damper that is moved at 1 Hz and recorded at 1 kHz tells no more with a thousand rows a second than with two hundred, and every row costs
 a step of every hypothesis. A block mean delays path and reading alike, and preserves a linear law between them.

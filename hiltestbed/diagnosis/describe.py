@@ -1,4 +1,4 @@
-"""A sentence on the residual of an explanation: on which channel, in which phase, and with which quantity it correlates."""
+"""Stage "decide": a sentence on the residual of an explanation: on which channel, in which phase, and with which quantity it correlates."""
 
 from __future__ import annotations
 

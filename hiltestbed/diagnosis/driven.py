@@ -1,4 +1,4 @@
-"""A driven axis: position and force on record, of a machine that started where it stood.
+"""Stage "select": a driven axis: position and force on record, of a machine that started where it stood.
 
 The link is that of the numerical model, but measured: the position carries an encoder's noise, the run does not begin in free flight at
 the scenario's approach, and the log decides whether a position belongs to the row before or after its force. So position and speed at the

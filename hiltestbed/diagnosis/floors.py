@@ -1,4 +1,4 @@
-"""The noise floor of every channel of a dataset."""
+"""Stage "layout": the noise floor of every channel of a dataset."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The gain on left-out runs: each run left out of the fit in turn, compared with a placebo of as many parameters."""
+"""Stage "decide": the gain on left-out runs: each run left out of the fit in turn, compared with a placebo of as many parameters."""
 
 from __future__ import annotations
 

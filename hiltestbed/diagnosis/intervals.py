@@ -1,4 +1,4 @@
-"""95 % intervals with valid coverage: the curvature of chi-square where it is smooth, widened by how much the runs disagree.
+"""Stage "decide": 95 % intervals with valid coverage: the curvature of chi-square where it is smooth, widened where the runs disagree.
 
 An interval by the Jacobian alone assumes that the model is exact. Here the covariance is the sandwich of the runs' gradients (each run,
 that is each contact, is one independent sample) where that is wider, and a lower limit allows for another sub-stepping of the same rig.

@@ -1,4 +1,4 @@
-"""Isolability: the smallest size of each effect that these data would detect, and which effects would look the same.
+"""Stage "decide": isolability: the smallest size of each effect that these data would detect, and which effects would look the same.
 
 The idea of structural fault isolation (E. Frisk, M. Krysander, fault isolability of over-determined systems), with sensitivities from
 replays of the links in place of structure: two effects with parallel residuals cannot be told apart at small size.

@@ -1,4 +1,4 @@
-"""Jitter, a delay that varies from sample to sample: noise in proportion to the rate of the reading, estimated by likelihood."""
+"""Stage "select": jitter, a delay that varies from sample to sample, as noise in proportion to the rate of the reading; by likelihood."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Adequacy of an explanation of a computed channel, which has no noise to compare the residual with."""
+"""Stage "select": adequacy of an explanation of a computed channel, which has no noise to compare the residual with."""
 
 from __future__ import annotations
 

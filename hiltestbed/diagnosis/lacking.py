@@ -1,4 +1,4 @@
-"""Which links are not judged, and why: channels that the data lack, or a rig that cannot be replayed."""
+"""Stage "layout": which links are not judged, and why: channels that the data lack, or a rig that cannot be replayed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Spectral lines in the residual of contact and sensor, as starts for a hum."""
+"""Stage "select": spectral lines in the residual of contact and sensor, as starts for a hum."""
 
 from __future__ import annotations
 

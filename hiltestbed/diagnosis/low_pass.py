@@ -1,4 +1,4 @@
-"""The low-pass filter that a logger puts before its converter, identified from the force that the loop computed with.
+"""Stage "layout": the low-pass filter that a logger puts before its converter, identified from the force that the loop computed with.
 
 Such a filter acts on the record alone: the loop used the unfiltered force. So a linear compensation of the recorded force gives what the
 loop computed, wrench_comp, passed once through that filter. A Butterworth filter is sought that maps the one to the other.

@@ -1,4 +1,4 @@
-"""Noise model of the recorded force, from free flight: colour, outliers, an offset of each run, noise in proportion to the reading.
+"""Stage "layout": noise model of the recorded force, from free flight: colour, outliers, offsets, noise in proportion to the reading.
 
 The noise is taken for white, of one level, unless free flight, where a sensor reads nothing else, contradicts that beyond chance. A hum,
 a drift and a bias that all runs share stay in the record: they are effects, not noise.

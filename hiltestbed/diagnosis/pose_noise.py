@@ -1,4 +1,4 @@
-"""Correlated noise of a measured pose, as of a logger that interpolates each row between two samples.
+"""Stage "layout": correlated noise of a measured pose, as of a logger that interpolates each row between two samples.
 
 Third differences, which separate the noise of a pose from its motion, show little of such noise. Free flight shows all of it.
 """

@@ -1,4 +1,4 @@
-"""Interpretations of a facility: how it computes its contact where its description leaves that open; the data decide.
+"""Stage "select": interpretations of a facility: how it computes its contact where its description leaves that open; the data decide.
 
 Open are where between tip and surface the force acts (the lever), whether a latch resists turning, whether a point or a ball meets a plane,
 and whether readings lie between the instants of the believed physics. None of it is a departure, but with a wrong interpretation a search

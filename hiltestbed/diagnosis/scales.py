@@ -1,4 +1,4 @@
-"""Orders of magnitude of the data (force, depth, speed, time), from which a search takes its starts and bounds."""
+"""Stage "layout": orders of magnitude of the data (force, depth, speed, time), from which a search takes its starts and bounds."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Starts for the fit of a platform with stiction.
+"""Stage "select": starts for the fit of a platform with stiction.
 
 Each jump begins where the last one ended, so that some hundred jumps in a row end in the right place only for a stick that is right to
 1e-5 and for the right number of instants a tick: chi-square is rugged. The first jumps determine the stick to a hundredth, whatever the

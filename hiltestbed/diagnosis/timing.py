@@ -1,4 +1,4 @@
-"""Timing within a tick or a row: when a facility samples, obeys and stamps. No definition states it, and none of it is a departure.
+"""Stage "select": timing within a tick or a row: when a facility samples, obeys and stamps. No definition states it; it is no departure.
 
 A channel that is stamped a fraction of a row late makes the link before it too late and the one after it too early, which no rig can be; a
 numerical model that steps with a part of its old twist is a fraction of a tick late. Where a link departs, a shift of its output and input

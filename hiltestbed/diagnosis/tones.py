@@ -1,4 +1,4 @@
-"""Tones in free flight: spectral lines above their surroundings, and those of them whose phase differs between runs.
+"""Stage "layout": tones in free flight: spectral lines above their surroundings, and those of them whose phase differs between runs.
 
 A hum whose phase is the same in all runs is an effect of the sensor. One from the mains, with which no run is synchronised, is noise.
 """

@@ -1,4 +1,4 @@
-"""Deflection of the believed rig from its command, under the measured force, and its uncertainty."""
+"""Stage "layout": deflection of the believed rig from its command, under the measured force, and its uncertainty."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The loop cut into links, each replayed alone on measured inputs, so that an error in one link cannot leak into another."""
+"""Stage "replay": the loop cut into links, each replayed alone on measured inputs, so that no error leaks from one link into another."""
 
 from hiltestbed.diagnosis.links.axis import AxisLink
 from hiltestbed.diagnosis.links.base import Link, LinkRun, Timing, flat_pose

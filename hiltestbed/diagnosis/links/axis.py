@@ -1,4 +1,4 @@
-"""wrench_comp.fz to pose_cmd.pz of a machine's axis: a force that drives a mass whose position was measured.
+"""Stage "replay": wrench_comp.fz to pose_cmd.pz of a machine's axis: a force that drives a mass whose position was measured.
 
 Nothing restores the mass, so that an error of the modelled force stays in the position for good: the misfit is a random walk. Least
 squares of positions would weigh the last rows by the accumulated error of all rows before, and bias mass and friction; least squares of

@@ -1,4 +1,4 @@
-"""The link compensation: wrench_meas to wrench_comp."""
+"""Stage "replay": the link compensation: wrench_meas to wrench_comp."""
 
 from __future__ import annotations
 

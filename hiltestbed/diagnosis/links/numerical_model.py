@@ -1,4 +1,4 @@
-"""The link dynamics: wrench_comp through the numerical model to pose_cmd."""
+"""Stage "replay": the link dynamics: wrench_comp through the numerical model to pose_cmd."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The link platform: pose_cmd to pose_act."""
+"""Stage "replay": the link platform: pose_cmd to pose_act."""
 
 from __future__ import annotations
 

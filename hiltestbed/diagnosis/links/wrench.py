@@ -1,4 +1,4 @@
-"""The link wrench: the pose through contact and sensor to wrench_meas."""
+"""Stage "replay": the link wrench: the pose through contact and sensor to wrench_meas."""
 
 from __future__ import annotations
 

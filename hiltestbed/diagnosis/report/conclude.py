@@ -1,4 +1,4 @@
-"""From a `Finding` to the `Diagnosis`: the extended model, both models in closed loop, the next experiment."""
+"""Stage "report": from a `Finding` to the `Diagnosis`: the extended model, both models in closed loop, the next experiment."""
 
 from __future__ import annotations
 
