@@ -1,7 +1,7 @@
-"""Whether what a hypothesis leaves over is noise: judged channel by channel, in contact samples alone where there is a contact.
+"""Stage "select": goodness of fit: whether the residual of a hypothesis is noise, channel by channel, in contact and outside it.
 
-Two figures a channel, both 1 for white noise at the floor: the variance ratio, and the same for means of blocks of samples, in which a
-smooth misfit far below the noise shows. Samples of one block count once, so that correlated leftovers are not taken for many.
+Two statistics a channel, both 1 for white noise at the floor: the variance ratio, and the same for means of blocks of samples, in which a
+smooth misfit far below the noise shows. The samples of a block count once, so that correlated residuals do not count as many samples.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from hiltestbed.diagnosis.links import Link, WrenchLink
 from hiltestbed.diagnosis.links.base import Effects
 from hiltestbed.diagnosis.noise import softened
 from hiltestbed.diagnosis.residual import Residual
-from hiltestbed.diagnosis.settings import BLOCK, FLOOR_ERROR, FLOOR_ROWS, FREE_ROWS, MODEL_ERROR, SPREAD
+from hiltestbed.diagnosis.settings import ADEQUACY_SIGMA, BLOCK_ROWS, FLOOR_ERROR, FLOOR_ROWS, MIN_FREE_ROWS, MODEL_ERROR
 from hiltestbed.effects.base import Effect
 from hiltestbed.frames import Array
 
@@ -26,7 +26,7 @@ JITTER = "sensor.jitter"
 
 @dataclass(frozen=True)
 class Leftover:
-    """What is left on one channel: variance ratio, block ratio, their limits, samples."""
+    """The residual of one channel: variance ratio, block ratio, their limits, number of samples."""
 
     variance: float
     block: float
@@ -36,48 +36,48 @@ class Leftover:
 
     @property
     def noise(self) -> bool:
-        """Whether it passes for noise."""
+        """Whether the residual passes for noise."""
         return self.variance <= self.variance_limit and self.block <= self.block_limit
 
     @property
     def excess(self) -> float:
-        """How far the worse figure lies above its limit: 1 is just there."""
+        """The worse statistic over its limit; above 1 it is not noise."""
         return max(self.variance / self.variance_limit, self.block / self.block_limit)
 
 
 def noise_alone(leftovers: Mapping[str, Leftover]) -> bool:
-    """Whether what is left passes for noise on every channel."""
+    """Whether the residual passes for noise on every channel."""
     return all(left.noise for left in leftovers.values())
 
 
 def leftover(residuals: list[Array], tail: float = 2.0, rows: int = FLOOR_ROWS) -> Leftover:
-    """Of one channel; residuals: one array a run (or contact), in units of the noise; tail: variance of the square of a sample of noise;
-    rows: from which the noise was read."""
+    """Of one channel; residuals: one array a run (or contact), in units of the noise; tail: variance of the square of a noise sample;
+    rows: from which the noise floor was estimated."""
     total, squares, sums, blocks = 0, 0.0, 0.0, 0
     level = FLOOR_ERROR * math.sqrt(tail / 2.0 * max(1.0, FLOOR_ROWS / max(rows, 1)))
     for r in residuals:
         total += len(r)
         squares += float(r @ r)
-        whole = len(r) // BLOCK
-        means = r[: whole * BLOCK].reshape(whole, BLOCK).sum(axis=1) / math.sqrt(BLOCK)
+        whole = len(r) // BLOCK_ROWS
+        means = r[: whole * BLOCK_ROWS].reshape(whole, BLOCK_ROWS).sum(axis=1) / math.sqrt(BLOCK_ROWS)
         sums += float(means @ means)
         blocks += whole
     return Leftover(
         squares / max(total, 1),
         sums / max(blocks, 1),
-        1.0 + level + SPREAD * math.sqrt(tail / max(total, 1)),
-        1.0 + level + SPREAD * math.sqrt((2.0 + (tail - 2.0) / BLOCK) / max(blocks, 1)) + (1.0 if blocks < 10 else 0.0),
+        1.0 + level + ADEQUACY_SIGMA * math.sqrt(tail / max(total, 1)),
+        1.0 + level + ADEQUACY_SIGMA * math.sqrt((2.0 + (tail - 2.0) / BLOCK_ROWS) / max(blocks, 1)) + (1.0 if blocks < 10 else 0.0),
         total,
     )
 
 
 def soften(sigma: Array, signal: Array) -> Array:
-    """The noise with a model error in proportion to the signal, both (N, C)."""
+    """The noise plus a model error in proportion to the signal, both (N, C)."""
     return np.sqrt(sigma**2 + (MODEL_ERROR * signal) ** 2)
 
 
 def shake(effects: Effects) -> float:
-    """Standard deviation [s] with which the delay varies under ``effects``."""
+    """Standard deviation [s] of the delay under ``effects``."""
     return math.sqrt(sum(_sigma(e) ** 2 for e in effects if e.kind == JITTER))
 
 
@@ -86,7 +86,7 @@ def _sigma(effect: Effect) -> float:
 
 
 def contact_leftovers(residual: Residual, effects: Effects) -> dict[str, Leftover]:
-    """Channel to leftover in contact, and over the free rest, of the worse of the two."""
+    """Channel to the leftover in contact or outside it, whichever is worse."""
     link = residual.link
     inside: list[list[Array]] = [[] for _ in link.channels]
     outside: list[list[Array]] = [[] for _ in link.channels]
@@ -113,6 +113,6 @@ def contact_leftovers(residual: Residual, effects: Effects) -> dict[str, Leftove
 
 
 def _read_from(link: Link) -> int:
-    """Rows from which the noise floor was read: those away from contacts, or all where there are too few."""
+    """Rows from which the noise floor was estimated: those away from contacts, or all where these are too few."""
     free = sum(int(np.count_nonzero(~run.touching)) for run in link.runs)
-    return free if free > FREE_ROWS * len(link.runs) else sum(run.rows for run in link.runs)
+    return free if free > MIN_FREE_ROWS * len(link.runs) else sum(run.rows for run in link.runs)

@@ -1,7 +1,7 @@
-"""What was found in fewer rows, on all rows: the estimates and what can be told apart are those of the whole record.
+"""Stage "select": the explanation found on decimated rows is fitted again on all rows: estimates and rivals are those of the whole record.
 
-A mean over a block of rows rounds off the instants at which a contact begins and ends, by which a late reading is told from one that was
-stamped late, and a late force from a smooth one.
+A mean over a block of rows blurs the instants at which a contact begins and ends, which tell a delayed sensor from a stamp delay, and
+a delay from a smooth response.
 """
 
 from __future__ import annotations
@@ -9,24 +9,24 @@ from __future__ import annotations
 from dataclasses import replace
 
 from hiltestbed.diagnosis.adequacy import JITTER, contact_leftovers, noise_alone
-from hiltestbed.diagnosis.fit import fit, inflation, nothing, refit
+from hiltestbed.diagnosis.fit import fit, inflation, null_fit, refit
 from hiltestbed.diagnosis.heldout import placebo_of
 from hiltestbed.diagnosis.links import WrenchLink
 from hiltestbed.diagnosis.residual import Residual
 from hiltestbed.diagnosis.search import Explanation, first_of_each, with_rivals
-from hiltestbed.diagnosis.settings import CLOSE_BY, PARTNERS, ROUNDED_OFF
+from hiltestbed.diagnosis.settings import CLOSE_CHI2, DECIMATION_ERROR, MAX_PARTNERS
 
 
-def on_all_rows(found: Explanation, link: WrenchLink) -> Explanation:
-    """``found`` and what came near it, fitted again on ``link``; itself where it does not explain all rows."""
+def refit_on_all_rows(found: Explanation, link: WrenchLink) -> Explanation:
+    """``found`` and the fits near it, fitted again on ``link``; ``found`` itself where it does not explain all rows."""
     chosen = found.chosen
     if not (found.departs and found.adequate and chosen.causes) or JITTER in chosen.kinds:
         return found
-    residual = Residual(link).wary(chosen.effects())
+    residual = Residual(link).downweighted(chosen.effects())
     pool = sorted((f for f in (*found.singles, *found.more) if len(f.causes) == len(chosen.causes)), key=lambda f: f.score)
-    within = CLOSE_BY * inflation(chosen) + ROUNDED_OFF * (found.null.chi2 - chosen.chi2)
+    within = CLOSE_CHI2 * inflation(chosen) + DECIMATION_ERROR * (found.null.chi2 - chosen.chi2)
     near = [f for f in first_of_each(pool, "key") if f.score - chosen.score < within and JITTER not in f.kinds]
-    fits = sorted((refit(residual, f) for f in near[:PARTNERS]), key=lambda f: f.score) or [refit(residual, chosen)]
+    fits = sorted((refit(residual, f) for f in near[:MAX_PARTNERS]), key=lambda f: f.score) or [refit(residual, chosen)]
     best = fits[0]
     leftovers = contact_leftovers(residual, best.effects())
     if not noise_alone(leftovers):
@@ -36,7 +36,7 @@ def on_all_rows(found: Explanation, link: WrenchLink) -> Explanation:
     result = replace(
         found,
         residual=residual,
-        null=nothing(residual),
+        null=null_fit(residual),
         chosen=best,
         leftovers=leftovers,
         before=contact_leftovers(residual, ()),

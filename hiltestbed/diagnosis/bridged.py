@@ -1,7 +1,7 @@
-"""What a log does not hold, samples that were lost and ticks between its rows, and how uncertain that makes what is computed from it.
+"""Stage "layout": uncertainty due to what a log does not hold: lost samples, and ticks between its rows.
 
-A lost sample is bridged, which misses it by what second differences of its neighbours show: of white noise the two have the same
-variance but for a factor of four. The numerical model integrates it twice, so that it is replayed with such misses drawn at random.
+A lost sample is interpolated; the error follows from second differences of its neighbours: for white noise the two have the same variance
+but for a factor of four. The numerical model integrates the error twice, so that it is replayed with such errors drawn at random.
 """
 
 from __future__ import annotations
@@ -13,69 +13,71 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 
 from hiltestbed.diagnosis.links import DynamicsLink, Link
-from hiltestbed.diagnosis.settings import SMOOTHING
+from hiltestbed.diagnosis.settings import SMOOTHING_ROWS
 from hiltestbed.frames import Array
 from hiltestbed.measured import MeasuredRun
 from hiltestbed.measured.record import Record
 
-LONGEST = 5  # rows in a row that are bridged: past them what was lost is no noise
-DRAWS = 12  # replays, from which a spread is read to a fifth
-SURE = 3.0  # standard deviations: what is lost in a run makes one departure, which is no noise that averages out
-NEIGHBOURS = 21  # rows about a lost one, whose second differences stand for its own
+MAX_GAP_ROWS = 5  # chosen: consecutive rows that are interpolated; a longer gap has no known error
+MONTE_CARLO_DRAWS = 12  # chosen: replays; they give a spread to a fifth
+GAP_SIGMA = 3.0  # chosen: standard deviations; the losses of a run make one departure, which does not average out
+NEIGHBOUR_ROWS = 21  # chosen: rows around a lost one whose second differences stand for its own
 
 
 def lost(record: Record, group: str) -> np.ndarray:
-    """``(ticks,)`` samples that are missing, which a log that is slower than the loop has none of."""
+    """``(ticks,)`` bool: missing samples; ticks between the rows of a log slower than the loop are not missing."""
     return record.unknown(group, 0.0)
 
 
-def bridges(record: Record, group: str) -> bool:
-    """Whether samples of a group are missing in short gaps alone."""
+def only_short_gaps(record: Record, group: str) -> bool:
+    """Whether a group is missing samples in short gaps only."""
     edges = np.flatnonzero(np.diff(np.r_[False, lost(record, group), False]))
-    return bool((edges[1::2] - edges[::2] <= LONGEST).all())
+    return bool((edges[1::2] - edges[::2] <= MAX_GAP_ROWS).all())
 
 
 def bridging_noise(
     link: DynamicsLink, wrenches: Sequence[Array], missing: Sequence[np.ndarray], between: Sequence[Array], level: Array
 ) -> list[Array]:
-    """``(N, 6)`` by how much the motion of each run may be off [m, rad].
+    """``(N, 6)`` uncertainty of the computed motion of each run [m, rad].
 
-    wrenches: (N, 6) bridged; missing: (N,) bool. between: (N, 6) not 0 on ticks that no row of the log stands on; level: (6,) the noise
-    there. A row apart from what two others say of it is off by ``sqrt(1 + 2/3)`` of the noise, the mean over the places between them.
+    wrenches: (N, 6) interpolated; missing: (N,) bool. between: (N, 6) not 0 on ticks without a row in the log; level: (6,) noise there.
+    An interpolated tick is off by ``sqrt(1 + 2/3)`` of the noise, averaged over the places between two rows.
     """
     rng, everything = np.random.default_rng(0), range(len(link.runs))
     squares = [np.zeros((run.rows, 6)) for run in link.runs]
-    spread = [np.hypot(_miss(w, m), math.sqrt(5.0 / 3.0) * level * (b != 0.0)) for w, m, b in zip(wrenches, missing, between, strict=True)]
+    spread = [
+        np.hypot(_gap_sigma(w, m), math.sqrt(5.0 / 3.0) * level * (b != 0.0)) for w, m, b in zip(wrenches, missing, between, strict=True)
+    ]
     if not any(s.any() for s in spread):
         return squares
     shown = link.predict([(i, ()) for i in everything])
-    for _ in range(DRAWS):
+    for _ in range(MONTE_CARLO_DRAWS):
         shaken = [w + s * rng.standard_normal(w.shape) for w, s in zip(wrenches, spread, strict=True)]
         found = DynamicsLink(link.runs, shaken).predict([(i, ()) for i in everything])
         for total, a, b in zip(squares, found, shown, strict=True):
-            total += (a - b) ** 2 / DRAWS
-    return [SURE * np.sqrt(np.maximum.accumulate(s, axis=0)) for s in squares]
+            total += (a - b) ** 2 / MONTE_CARLO_DRAWS
+    return [GAP_SIGMA * np.sqrt(np.maximum.accumulate(s, axis=0)) for s in squares]
 
 
-def bends_of(runs: Sequence[MeasuredRun], group: str, rows: Sequence[int]) -> list[Array]:
-    """``(N, parts)`` of each run, see :class:`Record`; 0 where all rows of the group are ticks."""
+def interpolation_errors(runs: Sequence[MeasuredRun], group: str, rows: Sequence[int]) -> list[Array]:
+    """``(N, parts)`` interpolation error of each run, see `bends` of :class:`Record`; 0 where all rows of the group are ticks."""
     return [r.record.bends.get(group, np.zeros(r.record.data[group].shape))[:n] for r, n in zip(runs, rows, strict=True)]
 
 
-def differences(link: Link, other: Link) -> list[Array]:
-    """``(N, channels)`` of each run by how much two links differ about each row, rms: what lies between the rows of a log may be either."""
+def rms_differences(link: Link, other: Link) -> list[Array]:
+    """``(N, channels)`` difference of two links in each run, rms about each row: between the rows of a log either may be right."""
     everything = [(i, ()) for i in range(len(link.runs))]
     pairs = zip(link.predict(everything), other.predict(everything), strict=True)
-    return [np.sqrt(np.maximum(uniform_filter1d((a - b) ** 2, SMOOTHING, axis=0), 0.0)) for a, b in pairs]
+    return [np.sqrt(np.maximum(uniform_filter1d((a - b) ** 2, SMOOTHING_ROWS, axis=0), 0.0)) for a, b in pairs]
 
 
-def _miss(wrench: Array, missing: np.ndarray) -> Array:
-    """(N, 6) standard deviation [N, N m] by which a bridge misses each lost sample."""
+def _gap_sigma(wrench: Array, missing: np.ndarray) -> Array:
+    """(N, 6) standard deviation of the interpolation error at each lost sample [N, N m]."""
     second = np.zeros_like(wrench)
     second[1:-1] = 0.25 * (wrench[2:] - 2.0 * wrench[1:-1] + wrench[:-2]) ** 2
     touched = missing | np.roll(missing, 1) | np.roll(missing, -1)
     known = np.where(touched, 0.0, 1.0)[:, None]
-    weight = uniform_filter1d(known, NEIGHBOURS, axis=0)
-    mean = uniform_filter1d(second * known, NEIGHBOURS, axis=0) / np.maximum(weight, 1.0 / NEIGHBOURS)
-    kinks = np.maximum(np.roll(second, 1, axis=0), np.roll(second, -1, axis=0))  # where the bridge meets what was measured: a touch
+    weight = uniform_filter1d(known, NEIGHBOUR_ROWS, axis=0)
+    mean = uniform_filter1d(second * known, NEIGHBOUR_ROWS, axis=0) / np.maximum(weight, 1.0 / NEIGHBOUR_ROWS)
+    kinks = np.maximum(np.roll(second, 1, axis=0), np.roll(second, -1, axis=0))  # where the interpolation meets measured samples: a touch
     return np.sqrt(np.maximum(mean, 4.0 * kinks)) * missing[:, None]

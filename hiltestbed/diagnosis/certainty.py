@@ -1,4 +1,4 @@
-"""How well the data hold the estimates of a fit: their correlation, the cost around each, and bounds of the search that were met."""
+"""Stage "decide": how well the data determine the estimates of a fit: correlation, cost around each estimate, and bounds that were met."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from hiltestbed.diagnosis.search import Explanation
 from hiltestbed.effects.search import Candidate
 from hiltestbed.frames import Array
 
-REACH = 2.0  # ends of the 95 % interval, as far as a profile goes to each side
-PLACES = 9  # of a profile
-AT_BOUND = 1e-3  # of a parameter's scale
+PROFILE_REACH = 2.0  # chosen: of a profile to each side, in half-widths of the 95 % interval
+PROFILE_POINTS = 9  # chosen: values of a profile
+BOUND_TOLERANCE = 1e-3  # chosen: of a parameter's scale
 
 
 @dataclass(frozen=True, eq=False)
 class Profile:
-    """The cost of holding one parameter at a value, to which the others of its fit follow along the valley of the fit.
+    """The cost of holding one parameter at a value while the others of its fit follow along the valley of chi-square.
 
     Attributes:
-        effect, parameter, unit: whose; an item of a vector is NAME.NUMBER. of: axis or body, where the effect has one.
+        effect, parameter, unit: of the parameter; a component of a vector is NAME.NUMBER. of: axis or body, where the effect has one.
         estimate: of it. ci95: its 95 % interval.
         bounds: of the search. met: `lowest` or `highest`, the bound at which the estimate stands, or None.
-        values: (n,) ascending. rise: (n,) of chi-square over that of the estimate, in units of the misfit a sample.
+        values: (n,) ascending. rise: (n,) of chi-square over that of the estimate, in units of the misfit per sample.
     """
 
     effect: str
@@ -53,7 +53,7 @@ class Profile:
 
 @dataclass(frozen=True, eq=False)
 class Certainty:
-    """Of the parameters that were fitted together on one link.
+    """The uncertainty of the parameters that were fitted together on one link.
 
     Attributes:
         link: of the loop. profiles: of each parameter. correlation: (P, P) of the estimates, in the order of the profiles.
@@ -66,7 +66,7 @@ class Certainty:
     ends: Array
 
     def strongest(self) -> tuple[Profile, Profile, float] | None:
-        """The pair of parameters whose estimates hang together most, and their correlation; None where there is no pair."""
+        """The two parameters with the most correlated estimates, and their correlation; None where there is no pair."""
         size = np.abs(np.nan_to_num(np.triu(self.correlation, 1)))
         if not size.any():
             return None
@@ -74,20 +74,20 @@ class Certainty:
         return self.profiles[i], self.profiles[j], float(self.correlation[i, j])
 
     def to_json(self) -> dict[str, Any]:
-        """Plain data: the names beside the rows of the correlation."""
+        """Plain data: the names of the rows of the correlation, and the profiles."""
         names = [p.label for p in self.profiles]
         return {"link": self.link, "parameters": names, "correlation": self.correlation, "profiles": [p.to_json() for p in self.profiles]}
 
 
 class Certainties:
-    """Of the fits of a diagnosis, each worked out once however many of its causes are named."""
+    """The certainty of each fit of a diagnosis, computed once however many of its causes are named."""
 
     def __init__(self, explanations: Mapping[str, Explanation]) -> None:
         self._explanations = explanations
         self._known: dict[Fit, Certainty] = {}
 
     def of(self, link: str, found: Fit) -> Certainty:
-        """Of a fit to the link."""
+        """The certainty of a fit to the link."""
         if found not in self._known:
             self._known[found] = certainty(link, self._explanations[link].residual, found)
         return self._known[found]
@@ -97,10 +97,10 @@ class Certainties:
 
 
 def certainty(link: str, residual: Residual, found: Fit) -> Certainty:
-    """Of a fit to the residual of a link."""
+    """The certainty of a fit to the residual of a link."""
     spread = intervals(residual, found)
     low, high, log = bounds_of(found.causes)
-    close = AT_BOUND * scales(found.theta, low, high, log) if len(found.theta) else np.zeros(0)
+    close = BOUND_TOLERANCE * scales(found.theta, low, high, log) if len(found.theta) else np.zeros(0)
     base = square(residual(found.effects()))
     profiles, names = [], [(c, name) for c in found.causes for name in c.names]
     for j, (c, name) in enumerate(names):
@@ -115,20 +115,20 @@ def certainty(link: str, residual: Residual, found: Fit) -> Certainty:
 
 
 def _unit(c: Candidate, name: str) -> str:
-    """The unit of a parameter; what is fitted beside those of the effect is how late the log stamps its rows."""
+    """The unit of a parameter; a parameter that is not the effect's is the log's stamp delay."""
     return c.effect.unit(name) if name in c.effect.model_fields else "s"
 
 
 def _profile(residual: Residual, found: Fit, spread: Spread, j: int) -> tuple[Array, Array]:
-    """Values of parameter j around its estimate, and chi-square there with the others where the curvature at the estimate sends them."""
+    """Values of parameter j around its estimate, and chi-square there, with the other parameters moved by linear regression on it."""
     low, high, log = bounds_of(found.causes)
     scale = scales(found.theta, low, high, log)
-    reach = np.linspace(-REACH, REACH, PLACES)
+    reach = np.linspace(-PROFILE_REACH, PROFILE_REACH, PROFILE_POINTS)
     side = np.where(reach < 0.0, found.theta[j] - spread.ends[j, 0], spread.ends[j, 1] - found.theta[j])
     values = np.unique(np.clip(found.theta[j] + reach * side, low[j], high[j]))
     thetas = np.tile(found.theta, (len(values), 1))
-    others = np.flatnonzero(spread.told & (np.arange(len(scale)) != j))
-    if len(others) and spread.told[j]:
+    others = np.flatnonzero(spread.determined & (np.arange(len(scale)) != j))
+    if len(others) and spread.determined[j]:
         follow = -np.linalg.lstsq(spread.normal[np.ix_(others, others)], spread.normal[others, j], rcond=None)[0]
         thetas[:, others] += (values - found.theta[j])[:, None] / scale[j] * follow * scale[others]
     thetas[:, j] = values

@@ -1,8 +1,7 @@
-"""A long record of a slow motion in fewer rows: means of blocks, of path and reading alike, as long as nothing to be explained is lost.
+"""Stage "replay": decimation of a long record of a slow motion: block means of path and reading, as long as the departure is preserved.
 
-A damper that is moved at 1 Hz and recorded at 1 kHz says no more in a thousand rows a second than in two hundred, and every row costs
-a step of every hypothesis. A mean of equal weight over the same rows of path and reading delays both alike, and a linear law holds
-between them as between the rows.
+A damper that is moved at 1 Hz and recorded at 1 kHz tells no more with a thousand rows a second than with two hundred, and every row costs
+a step of every hypothesis. A block mean delays path and reading alike, and preserves a linear law between them.
 """
 
 from __future__ import annotations
@@ -16,21 +15,21 @@ from hiltestbed.diagnosis.links import LinkRun, WrenchLink
 from hiltestbed.frames import Array
 from hiltestbed.scenario import resolved, scenario_from
 
-ENOUGH = 3000  # rows of all runs that are always kept
-LOST = 0.02  # of the departure from the nominal model that may lie between the blocks
+MIN_ROWS = 3000  # chosen: of all runs together, that are always kept
+MAX_LOSS = 0.02  # chosen: share of the departure from the nominal model that may lie between the blocks
 
 
 def decimated(link: WrenchLink) -> WrenchLink:
-    """The same link on means of 2, 4, ... rows; itself where that would lose something. The noise is left as it is: no gain is claimed.
+    """The same link on means of 2, 4, ... rows; itself where that would lose too much. The noise is not lowered.
 
-    What is played, or filtered, hangs on every tick. What lies between the blocks is signal and noise; of the noise, which is known, white
-    noise would leave as much there as it does.
+    Links that are played or filtered depend on every tick, and are not decimated. The signal lost between the blocks is estimated from the
+    whole residual there, less the known share of white noise.
     """
     rows = sum(len(p) for p in link.paths)
     count = 1
-    if rows >= 2 * ENOUGH and not link.played and link.logged is None:
+    if rows >= 2 * MIN_ROWS and not link.played and link.logged is None:
         rms = _rms(link, link.predict([(i, ()) for i in range(len(link.runs))]))
-        while rows >= 2 * count * ENOUGH and _lost(link, 2 * count) < LOST * rms:
+        while rows >= 2 * count * MIN_ROWS and _lost(link, 2 * count) < MAX_LOSS * rms:
             count *= 2
     if count == 1:
         return link
@@ -41,18 +40,18 @@ def decimated(link: WrenchLink) -> WrenchLink:
         link.rates and [_means(r, count) for r in link.rates],
     )
     out.of_rows = count
-    return out.reading(lever=link.lever, blunt=link.blunt, ring=link.ring)
+    return out.interpreted(lever=link.lever, blunt=link.blunt, ring=link.ring)
 
 
 def _rms(link: WrenchLink, modelled: list[Array]) -> float:
-    """Of the measured readings less `modelled`, in units of their noise, over all that was measured."""
+    """Rms of the measured readings less `modelled`, in units of their noise, over all that was measured."""
     counted = [np.isfinite(r.sigma) for r in link.runs]
     left = [((r.measured - m) / r.sigma)[c] for r, m, c in zip(link.runs, modelled, counted, strict=True)]
     return float(np.sqrt(np.mean(np.concatenate(left) ** 2)))
 
 
 def _lost(link: WrenchLink, count: int) -> float:
-    """Rms of the signal that lies between blocks of ``count`` rows, in units of the noise, whose own part is taken away."""
+    """Rms of the signal between blocks of ``count`` rows, in units of the noise, with the share of the noise subtracted."""
     between = _rms(link, [_between(r.measured, count) for r in link.runs])
     white = np.eye(8 * count)
     own = float(np.mean(np.sum((white - _between(white, count)) ** 2, axis=1)))
@@ -66,7 +65,7 @@ def _means(values: Array, count: int) -> Array:
 
 
 def _between(values: Array, count: int) -> Array:
-    """(N, C) straight lines between the means of blocks."""
+    """(N, C) linear interpolation between the means of blocks."""
     means = _means(values, count)
     centres = np.arange(len(means)) * count + 0.5 * (count - 1)
     rows = np.arange(len(values))

@@ -1,4 +1,4 @@
-"""What is left over, in words: on which channel, in which phase, and what it goes along with."""
+"""Stage "decide": a sentence on the residual of an explanation: on which channel, in which phase, and with which quantity it correlates."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from hiltestbed.diagnosis.residual import Residual
 from hiltestbed.diagnosis.search import Explanation
 from hiltestbed.frames import Array
 
-SMOOTHED = 9  # rows of the running mean in which a shape is sought
-CLEAR = 0.6  # correlation from which a shape is named
+SMOOTHING_ROWS = 9  # chosen: of the running mean before the correlation
+MIN_CORRELATION = 0.6  # chosen: from which a quantity is named
 
 
 def describe(explanation: Explanation, name: str) -> str:
-    """A sentence on what the chosen explanation leaves."""
+    """A sentence on the residual of the chosen explanation."""
     residual, effects = explanation.residual, explanation.chosen.effects()
     link = residual.link
     channel = max(explanation.leftovers, key=lambda c: explanation.leftovers[c].excess)
@@ -23,10 +23,10 @@ def describe(explanation: Explanation, name: str) -> str:
     phases, shape = _phases(residual, effects, column), _shape(residual, effects, column)
     worst = max(phases, key=lambda p: phases[p])
     figures = ", ".join(f"{phase} {value:.2g}" for phase, value in phases.items())
-    along = f"; it goes along with {shape}" if shape else "; it follows none of penetration, rate, their product, force or time"
+    along = f"; it correlates with {shape}" if shape else "; it correlates with none of penetration, rate, their product, force or time"
     words = " and ".join(explanation.chosen.kinds)
-    taken = f"with {words} taken out, " if words else ""
-    return f"{name}: {taken}most is left on {channel}, {worst} (times the noise: {figures}){along}"
+    taken = f"with {words} removed, " if words else ""
+    return f"{name}: {taken}the largest residual is on {channel}, {worst} (times the noise: {figures}){along}"
 
 
 def _phases(residual: Residual, effects: Effects, column: int) -> dict[str, float]:
@@ -52,7 +52,7 @@ def _shape(residual: Residual, effects: Effects, column: int) -> str:
     left, columns = [], []
     for i in residual.runs:
         run = link.runs[i]
-        z = np.convolve(residual.of_run(i, effects)[:, column], np.ones(SMOOTHED) / SMOOTHED, "same")
+        z = np.convolve(residual.of_run(i, effects)[:, column], np.ones(SMOOTHING_ROWS) / SMOOTHING_ROWS, "same")
         depth = paths[i][:, 2] if paths is not None else np.zeros(len(z))
         rate = np.gradient(depth, run.scenario.tick)
         force = link.shown(i, effects)[:, min(2, len(link.channels) - 1)]
@@ -71,4 +71,4 @@ def _shape(residual: Residual, effects: Effects, column: int) -> str:
     known = np.std(x, axis=0) > 0
     match = [abs(float(np.corrcoef(y, x[:, j])[0, 1])) if known[j] else 0.0 for j in range(len(names))]
     best = int(np.argmax(match))
-    return f"{names[best]} (correlation {match[best]:.2f})" if match[best] > CLEAR else ""
+    return f"{names[best]} (correlation {match[best]:.2f})" if match[best] > MIN_CORRELATION else ""

@@ -1,4 +1,14 @@
-"""Measured data against the simulation: what departs, why, the model extended, and the gain."""
+"""The diagnosis from top to bottom: a dataset of measured runs in, a :class:`Diagnosis` out.
+
+The stages, in order, with the module in which to read each:
+
+1. layout: which rows, noise floors and scales the links get (:mod:`hiltestbed.diagnosis.layout`);
+2. replay: each link of the loop predicts its output from measured inputs (:mod:`hiltestbed.diagnosis.links`, `residual`);
+3. fit: least squares of a hypothesis, a list of effects, on the residual of a link (:mod:`hiltestbed.diagnosis.fit`);
+4. select: which effects explain a link, down to the noise (:mod:`hiltestbed.diagnosis.search`, link by link in `investigate`);
+5. decide: from the explanations of the links to a verdict and its evidence (:mod:`hiltestbed.diagnosis.verdict`, `find`);
+6. report: both models in closed loop, the next experiment, the folder (:mod:`hiltestbed.diagnosis.report`).
+"""
 
 from __future__ import annotations
 
@@ -17,12 +27,9 @@ from hiltestbed.measured import MeasuredDataset, load_dataset
 
 
 def diagnose(dataset: str | Path | LoadedDataset | MeasuredDataset, progress: Progress | None = None) -> Diagnosis:
-    """The diagnosis of a dataset, or of the dataset in a file; `progress` is told what is being done.
+    """The diagnosis of a dataset, or of the dataset in a file; `progress` is called with a line on what is being done.
 
-    The stages, each of which leaves what it is given as it is: the data are laid out for the links of the loop; each link is replayed on
-    measured inputs, and what it leaves is explained by effects that are fitted and selected (:mod:`hiltestbed.diagnosis.investigate`);
-    the explanations become a verdict (:mod:`hiltestbed.diagnosis.verdict`), its evidence is gathered (:mod:`hiltestbed.diagnosis.find`)
-    and both models are played in closed loop for the report.
+    `investigate` runs the stages 1 to 4 of the list above, `find` the fifth and `conclude` the last. No stage changes its input.
 
     Raises:
         InputError: a file cannot be read, or its data contradict the physics.
@@ -33,7 +40,7 @@ def diagnose(dataset: str | Path | LoadedDataset | MeasuredDataset, progress: Pr
         if progress:
             progress("reading and checking the data")
         dataset = load_dataset(dataset)
-    with np.errstate(all="ignore"):  # candidates far from the truth may overflow: their misfit is bounded, and they are not chosen
+    with np.errstate(all="ignore"):  # hypotheses far from the truth may overflow; their misfit is clipped, and they are not selected
         finding = find(investigate(dataset, progress), progress)
     if progress:
         progress("nominal and extended runs in closed loop")

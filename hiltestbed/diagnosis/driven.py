@@ -1,9 +1,9 @@
-"""An axis that a force drives: position and force on record, of a machine that started where it stood.
+"""Stage "select": a driven axis: position and force on record, of a machine that started where it stood.
 
-The same link as the numerical model's, but measured: the position carries an encoder's noise, the run does not begin in free flight at
-the scenario's approach, and which row a position belongs to, the one before the force or after it, depends on the log. So place and speed
-at the start are read from the record, the stamp is fitted beside what is sought, and a regression of the force on the motion (the inverse
-model of robot identification: M. Gautier, P. Poignet, 2001) says where to start.
+The link is that of the numerical model, but measured: the position carries an encoder's noise, the run does not begin in free flight at
+the scenario's approach, and the log decides whether a position belongs to the row before or after its force. So position and speed at the
+start are estimated from the record, the stamp is fitted with the causes, and a regression of the force on the motion (the inverse model of
+robot identification: M. Gautier, P. Poignet, 2001) gives the start of the search.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from hiltestbed.diagnosis.fit import Fit, fit
 from hiltestbed.diagnosis.links import AxisLink, LinkRun
 from hiltestbed.diagnosis.residual import Residual
 from hiltestbed.diagnosis.search import Special
-from hiltestbed.diagnosis.settings import CORRELATED, DYNAMICS_FLOOR, NO_POSE_NOISE, SELECTION_INADEQUATE
+from hiltestbed.diagnosis.settings import CORRELATED_ROWS, DYNAMICS_FLOOR, MIN_POSE_NOISE, SELECTION_INADEQUATE
 from hiltestbed.effects.search import Candidate, DrivenAxis
 from hiltestbed.frames import Array
 from hiltestbed.measured import MeasuredRun
@@ -26,14 +26,14 @@ from hiltestbed.measured.driven import PLACE
 from hiltestbed.measured.noise import white_noise
 
 MASS, FORCE = "dynamics.mass", "dynamics.force"
-ALONG_AN_AXIS = (MASS, FORCE)  # the stamp stands for late steps
-WAY = 0.3  # [s] between the places whose way a fit looks at: 0.1 to 3 s give the same within a percent
-BEGINNINGS = (12, 17, 24, 34, 48, 68, 96)  # rows of a parabola from which place and speed at the start are read
-UNEVEN_START = 0.05  # of the speed that the acceleration brings over these rows: what a parabola misses of a drive that starts
-CUTOFF = 20.0  # [Hz] of the filter before the regression, or less where the log is slow
-SLOWEST = 0.03  # of the largest speed: slower rows are left out of the regression, where dry friction turns round
-STAMPS = 3.0  # sample periods to each side, within which the stamp of a position is sought
-HALF_STEP = 1.5  # ticks by which a position that was read with its force is older: a tick, and the half by which the step is early
+AXIS_EFFECTS = (MASS, FORCE)  # the stamp takes the place of delay effects
+DISPLACEMENT_SPAN = 0.3  # calibrated: [s] of the displacements that are fitted: 0.1 to 3 s give the same within a percent
+START_ROWS = (12, 17, 24, 34, 48, 68, 96)  # chosen: of a parabola that gives position and speed at the start
+MAX_START_ERROR = 0.05  # chosen: share of the speed gained over these rows: what a parabola misses of a drive that starts
+CUTOFF_FREQUENCY = 20.0  # chosen: [Hz] of the filter before the regression, or less where the log is slow
+MIN_SPEED_SHARE = 0.03  # chosen: of the largest speed: slower rows, where dry friction reverses, are left out of the regression
+MAX_STAMP_SHIFT = 3.0  # chosen: sample periods to each side, within which the stamp of a position is sought
+STAMP_START = 1.5  # derived: ticks by which a position read with its force is older: a tick, and half a tick of the integration step
 
 
 def _force(run: MeasuredRun) -> Array:
@@ -48,24 +48,24 @@ def axis_link(runs: Sequence[MeasuredRun]) -> AxisLink:
 
 def _link_run(run: MeasuredRun) -> LinkRun:
     place = run.record.column(PLACE)
-    noise = max(white_noise(place), run.record.steps.get(PLACE, 0.0) / math.sqrt(12.0), NO_POSE_NOISE)
-    sigma = np.where(np.isfinite(place), math.hypot(noise, DYNAMICS_FLOOR * math.sqrt(CORRELATED)), np.inf)
-    sigma[0] = np.inf  # the start stands for itself
+    noise = max(white_noise(place), run.record.steps.get(PLACE, 0.0) / math.sqrt(12.0), MIN_POSE_NOISE)
+    sigma = np.where(np.isfinite(place), math.hypot(noise, DYNAMICS_FLOOR * math.sqrt(CORRELATED_ROWS)), np.inf)
+    sigma[0] = np.inf  # the start is taken from it
     return LinkRun(run.scenario, np.nan_to_num(place)[:, None], sigma[:, None], np.zeros(len(place), dtype=bool))
 
 
 def _start(run: MeasuredRun) -> tuple[float, float]:
-    """Place [m] and speed [m/s] at row 0: of a parabola through as few of the first rows as the noise allows."""
+    """Position [m] and speed [m/s] at row 0: of a parabola through as few of the first rows as the noise allows."""
     place, tick = run.record.column(PLACE), run.scenario.tick
     known = np.flatnonzero(np.isfinite(place))
-    noise = max(white_noise(place), NO_POSE_NOISE)
+    noise = max(white_noise(place), MIN_POSE_NOISE)
     found = (float(place[known[0]]), 0.0)
-    for count in BEGINNINGS:
+    for count in START_ROWS:
         rows = known[:count]
         span = max(float(rows[-1] * tick), tick)
         c, b, a = np.polyfit(rows * tick, place[rows], 2)
         found = (float(a), float(b))
-        if noise * math.sqrt(192.0 / count) / span < UNEVEN_START * max(abs(2.0 * c) * span, abs(b)):  # error of b against what it misses
+        if noise * math.sqrt(192.0 / count) / span < MAX_START_ERROR * max(abs(2.0 * c) * span, abs(b)):  # error of b against the bias
             break
     return found
 
@@ -74,7 +74,7 @@ def regression(runs: Sequence[MeasuredRun]) -> DrivenAxis:
     """Mass, friction and offset by least squares of the filtered force on the filtered motion."""
     parts = [_filtered(run) for run in runs]
     fastest = max(float(np.abs(v).max()) for _, v, _ in parts)
-    rows = [np.abs(v) > SLOWEST * fastest for _, v, _ in parts]
+    rows = [np.abs(v) > MIN_SPEED_SHARE * fastest for _, v, _ in parts]
     a, v, f = (np.concatenate([part[j][keep] for part, keep in zip(parts, rows, strict=True)]) for j in range(3))
     basis = np.column_stack([a, v, np.sign(v), np.ones_like(v)])
     scale = np.maximum(np.linalg.norm(basis, axis=0), 1e-300)
@@ -86,28 +86,28 @@ def regression(runs: Sequence[MeasuredRun]) -> DrivenAxis:
         coulomb=max(float(coulomb), 0.0),
         offset=float(offset),
         fastest=max(fastest, 1e-9),
-        stamp=HALF_STEP * runs[0].scenario.tick,
-        stamps=STAMPS * period,
+        stamp=STAMP_START * runs[0].scenario.tick,
+        stamps=MAX_STAMP_SHIFT * period,
     )
 
 
 def _factor(run: MeasuredRun, mass: float) -> float:
-    """Of the chaser's mass, with which both bodies together have the inertia ``mass`` [kg] against each other; 1 where none has."""
+    """The factor on the chaser's mass that gives both bodies together the inertia ``mass`` [kg] along the axis; 1 where none does."""
     chaser, target = run.scenario.spacecraft.chaser.mass, run.scenario.spacecraft.target.mass
     return target * mass / (target - mass) / chaser if 0.0 < mass < 0.99 * target else 1.0
 
 
-def one_force(candidates: Sequence[Candidate]) -> tuple[Candidate, ...]:
-    """Without the forces that have more parameters, which are weighed by :func:`mass_and_force`."""
+def simplest_force(candidates: Sequence[Candidate]) -> tuple[Candidate, ...]:
+    """Without the force hypotheses of more parameters, which :func:`mass_and_force` compares."""
     least = min((len(c.names) for c in candidates if c.kind == FORCE), default=0)
     return tuple(c for c in candidates if c.kind != FORCE or len(c.names) == least)
 
 
 def mass_and_force(candidates: Sequence[Candidate]) -> Special:
-    """The hypotheses that the mass is another and a force resists it: neither alone comes near where both are.
+    """The combined hypotheses of a wrong mass and a force that resists it: where both hold, neither alone comes near.
 
-    Each further parameter has to lower the misfit by what the independent stretches of the record bear: ``n ln(chi-square ratio)``, the
-    scale unknown.
+    A further parameter must lower the misfit by more than chance does over the independent stretches of the record:
+    ``n ln(chi-square ratio)``, with the noise level unknown.
     """
     masses, forces = ([c for c in candidates if c.kind == kind] for kind in (MASS, FORCE))
     tried = [(*mass, force) for force in forces for mass in ((), *((m,) for m in masses))]
@@ -128,12 +128,12 @@ def mass_and_force(candidates: Sequence[Candidate]) -> Special:
 
 
 def _filtered(run: MeasuredRun) -> tuple[Array, Array, Array]:
-    """Acceleration, speed and the force that drives it, (N,) each, through one filter of no phase."""
+    """Acceleration, speed and driving force, (N,) each, through one zero-phase filter."""
     tick = run.scenario.tick
     rate = min(run.scenario.rate, run.record.sample_rate or run.scenario.rate)
-    b, a = butter(2, min(CUTOFF, 0.05 * rate) * 2.0 * tick)  # type: ignore[misc]
+    b, a = butter(2, min(CUTOFF_FREQUENCY, 0.05 * rate) * 2.0 * tick)  # type: ignore[misc]
     place, force = (np.asarray(filtfilt(b, a, x)) for x in (run.record.filled("pose_cmd")[:, 2], -_force(run)))
     speed = np.gradient(place, tick)
-    edge = min(len(speed) // 10, round(2.0 / (CUTOFF * tick)))
+    edge = min(len(speed) // 10, round(2.0 / (CUTOFF_FREQUENCY * tick)))
     inner = slice(edge, len(speed) - edge)
     return np.gradient(speed, tick)[inner], speed[inner], force[inner]

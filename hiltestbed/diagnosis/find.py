@@ -1,4 +1,8 @@
-"""From the findings on the links to a `Finding`: verdict, causes with intervals, gain on left-out runs, ranking, what can be told apart."""
+"""Stage "decide": from the explanations of the links (`Findings`) to a `Finding`.
+
+A `Finding` holds the verdict, the causes with their intervals, the gain on left-out runs, the ranking of hypotheses, and which effects the
+data can tell apart.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +18,7 @@ from hiltestbed.diagnosis.describe import describe
 from hiltestbed.diagnosis.fit import Fit
 from hiltestbed.diagnosis.grow import far_off, grow
 from hiltestbed.diagnosis.heldout import heldout, placebo_of
-from hiltestbed.diagnosis.in_part import borne_out, explained, holding
+from hiltestbed.diagnosis.in_part import confirmed, explained, holding
 from hiltestbed.diagnosis.intervals import intervals
 from hiltestbed.diagnosis.investigate import Findings
 from hiltestbed.diagnosis.isolability import isolability
@@ -25,24 +29,25 @@ from hiltestbed.diagnosis.plain import LINK_NAMES, listed, plain
 from hiltestbed.diagnosis.report.evidence import link_series
 from hiltestbed.diagnosis.result import Cause, Finding, Heldout, Interval, Isolable, Parameter, Ranked
 from hiltestbed.diagnosis.search import Explanation, Progress, Search
-from hiltestbed.diagnosis.settings import WORTH
+from hiltestbed.diagnosis.settings import MIN_HELDOUT_GAIN
 from hiltestbed.diagnosis.verdict import Named, Verdict, decide
 from hiltestbed.effects.base import Effect
 from hiltestbed.effects.table import EFFECTS
 
-RANKED = 6  # hypotheses of a link that are listed
-CHECKED = 3  # of them, scored on left-out runs
-MEASURED = ("platform", "wrench")  # links whose output is measured: what they leave is judged by its noise
+MAX_RANKED = 6  # hypotheses of a link that are listed
+MAX_RANKED_HELDOUT = 3  # of them, scored on left-out runs
+MEASURED_LINKS = ("platform", "wrench")  # links whose output is measured: their residual is compared with its noise
 
 
 @dataclass(frozen=True)
 class Judged:
-    """What is said of a set, before intervals and pictures.
+    """The verdict on a dataset, before intervals and series are added.
 
     Attributes:
-        findings: with the explanation that grew, where one did. verdict: with its causes. nearest: the effects that come nearest where the
-            worst link departs without a name. share: of the departure that those named in part carry. learned: the law that was learned
-            beside the causes, if any. law: the effect that extends the model by it.
+        findings: the explanations, with the one to which causes were added, if any. verdict: with its causes.
+        nearest: the effects that come nearest where the worst link departs and nothing is named.
+        share: of the departure, explained by the causes that are named in part. learned: the law learned beside the causes, if any.
+        law: the effect by which that law extends the model.
     """
 
     findings: Findings
@@ -54,10 +59,10 @@ class Judged:
 
 
 def judge(findings: Findings, progress: Progress | None = None) -> Judged:
-    """The verdict, with the causes that were found where no few together explain a link."""
+    """The verdict; where few effects together do not explain a link, with those causes that hold all the same, or a learned law."""
     verdict = decide(findings)
     findings, nearest = _nearest(findings, verdict, progress)
-    if verdict.verdict == "unknown" and not nearest:  # more causes than were searched together do explain it
+    if verdict.verdict == "unknown" and not nearest:  # more causes than were searched together explain it
         verdict = decide(findings)
     verdict, share = _in_part(findings, verdict, nearest)
     verdict, share, learned, law = _learned(findings, verdict, share, progress)
@@ -65,16 +70,16 @@ def judge(findings: Findings, progress: Progress | None = None) -> Judged:
 
 
 def find(findings: Findings, progress: Progress | None = None) -> Finding:
-    """What is wrong with the simulation of these data."""
+    """The finding on a dataset: verdict, causes with intervals, evidence."""
     judged = judge(findings, progress)
     findings, verdict, nearest, law = judged.findings, judged.verdict, judged.nearest, judged.law
     if progress:
         progress("intervals and left-out runs")
     certain = Certainties(findings.explanations)
     causes = tuple(cause_of(findings, c, certain, verdict.causes) for c in verdict.causes)
-    once = {c.effect: c for c in [*nearest, *verdict.causes]}  # a record stamped late shows on two links
+    once = {c.effect: c for c in [*nearest, *verdict.causes]}  # a stamp delay shows on two links
     once = {c.effect: c for c in verdict.causes} if law else once
-    effects = [*(c.fit.effects()[c.index] for c in once.values()), *law]  # as the links take them, variants included
+    effects = [*(c.fit.effects()[c.index] for c in once.values()), *law]  # as the links take them, with their variants
     series = [s for link in findings.whole.values() for s in link_series(link, effects)]
     departed = {name: e for name, e in findings.explanations.items() if e.departs}
     left = "; ".join(describe(e, LINK_NAMES[n]) for n, e in departed.items() if not e.adequate)
@@ -99,20 +104,20 @@ def find(findings: Findings, progress: Progress | None = None) -> Finding:
 
 
 def _left_out(findings: Findings) -> tuple[str, ...]:
-    """In a sentence, what part of a mechanism's motion was not compared."""
+    """A sentence on the share of a mechanism's motion that was not compared; none where all of it was."""
     link, layout = findings.whole.get("wrench"), findings.layout
     if not isinstance(link, WrenchLink) or not link.played:
         return ()
     told = [np.asarray(np.isfinite(run.sigma).any(axis=1))[r.touching(run.rows)] for r, run in zip(layout.runs, link.runs, strict=True)]
     left = 1.0 - float(np.mean(np.concatenate(told)))
-    why = "there the least of causes decides what the mechanism does"
+    why = "there the smallest difference decides how the mechanism moves"
     return (f"{left:.0%} of the rows in contact were left out: {why}",) if left >= 0.005 else ()
 
 
 def _nearest(findings: Findings, verdict: Verdict, progress: Progress | None) -> tuple[Findings, tuple[Named, ...]]:
-    """Where a link departs without a name: the effects that come nearest on the link that is worst, as many as pay.
+    """Where a link departs and nothing is named: the effects that come nearest on the worst link, as many as lower its misfit enough.
 
-    None where these leave noise alone, and each of them is borne out: the findings have them for the explanation of that link then.
+    No effects are returned if these leave only noise and each is confirmed; the findings then hold them as the explanation of that link.
     """
     if verdict.verdict != "unknown":
         return findings, ()
@@ -120,9 +125,9 @@ def _nearest(findings: Findings, verdict: Verdict, progress: Progress | None) ->
     if not open_:
         return findings, ()
     name = max(open_, key=lambda n: open_[n].worst)
-    if name in MEASURED and far_off(open_[name]):
+    if name in MEASURED_LINKS and far_off(open_[name]):
         grown = _grown(open_[name], progress)
-        whole = borne_out(replace(grown, adequate=noise_alone(grown.leftovers)))
+        whole = confirmed(replace(grown, adequate=noise_alone(grown.leftovers)))
         findings = replace(findings, explanations={**findings.explanations, name: whole or grown})
         if whole:
             return findings, ()
@@ -133,17 +138,17 @@ def _nearest(findings: Findings, verdict: Verdict, progress: Progress | None) ->
 def _learned(
     findings: Findings, verdict: Verdict, share: float | None, progress: Progress | None
 ) -> tuple[Verdict, float | None, Learned | None, tuple[Effect, ...]]:
-    """The law learned on a link that departs otherwise than by the causes that hold, and the effect that extends the model.
+    """The law learned on a link that departs beyond its confirmed causes, and the effect that extends the model.
 
-    A cause that was named in part falls if curves do without it what they do beside it, with fewer numbers: it was a part of them.
+    A cause named in part is dropped if curves alone do as well as curves beside it, with fewer numbers: it was a part of them.
     """
-    open_ = {n: e for n, e in findings.explanations.items() if n in MEASURED and e.departs and not e.adequate}
+    open_ = {n: e for n, e in findings.explanations.items() if n in MEASURED_LINKS and e.departs and not e.adequate}
     if verdict.verdict not in ("unknown", "named_in_part") or not open_:
         return verdict, share, None, ()
     name = max(open_, key=lambda n: (n == verdict.link, n == "wrench"))
     found = open_[name]
     if progress:
-        progress(f"{LINK_NAMES[name]}: a law without a name")
+        progress(f"{LINK_NAMES[name]}: learning a law")
     causes = [c for c in verdict.causes if c.link == name]
     known = [c.fit.effects()[c.index] for c in causes]
     result = learned_on(found, known)
@@ -158,17 +163,17 @@ def _learned(
 
 
 def needless(beside: Learned, alone: Learned, named: int) -> bool:
-    """Whether curves alone do what they do beside ``named`` parameters, with fewer numbers."""
-    as_good = alone.heldout.rms_after < beside.heldout.rms_after / (1.0 - WORTH)
+    """Whether curves alone do as well as curves beside ``named`` parameters of causes, with fewer numbers."""
+    as_good = alone.heldout.rms_after < beside.heldout.rms_after / (1.0 - MIN_HELDOUT_GAIN)
     return alone.carries_over and as_good and alone.numbers < beside.numbers + named
 
 
 def _in_part(findings: Findings, verdict: Verdict, nearest: tuple[Named, ...]) -> tuple[Verdict, float | None]:
-    """The verdict with those of the nearest causes that hold, and the share of the departure that is carried; itself where none does."""
+    """The verdict with those of the nearest causes that hold, and the share of the departure that they explain; unchanged if none holds."""
     if not nearest:
         return verdict, None
     e = findings.explanations[nearest[0].link]
-    parts_of_ticks = timing.no_causes(findings.explanations).get(nearest[0].link, {})
+    parts_of_ticks = timing.delays_not_causes(findings.explanations).get(nearest[0].link, {})
     kept = [i for i in holding(e) if nearest[i].effect not in parts_of_ticks]
     if not kept:
         return verdict, None
@@ -178,15 +183,15 @@ def _in_part(findings: Findings, verdict: Verdict, nearest: tuple[Named, ...]) -
 
 
 def _grown(e: Explanation, progress: Progress | None) -> Explanation:
-    """The explanation of a link with the best that several effects do."""
+    """The explanation of a link with the best fit of several effects."""
     best = grow(e, Search(e.candidates, progress=progress))
     return replace(e, chosen=best, leftovers=contact_leftovers(e.residual, best.effects()))
 
 
 def cause_of(findings: Findings, c: Named, certain: Certainties | None = None, beside: tuple[Named, ...] = ()) -> Cause:
-    """A cause with the 95 % intervals of its parameters; `certain` keeps what was worked out of its fit.
+    """A cause with the 95 % intervals of its parameters; `certain` caches the intervals of each fit.
 
-    beside: all that is named, for the explanations that have a rival in place of this cause.
+    beside: all named causes, for the complete explanations that have a rival in place of this one.
     """
     ends = certain.of(c.link, c.fit).ends if certain else intervals(findings.explanations[c.link].residual, c.fit).ends
     start = sum(len(x.names) for x in c.fit.causes[: c.index])
@@ -195,7 +200,7 @@ def cause_of(findings: Findings, c: Named, certain: Certainties | None = None, b
     found: dict[str, Parameter] = {}
     for name, value in effect.parameters().items():
         unit = effect.unit(name)
-        if value is None:  # left out: it follows from another
+        if value is None:  # omitted: it follows from another
             continue
         if isinstance(value, str):
             found[name] = Parameter(value, None, "")
@@ -222,7 +227,7 @@ def _interval(ends: Any, names: tuple[str, ...], start: int, name: str, value: f
 
 
 def gain_of(findings: Findings, causes: tuple[Named, ...]) -> Heldout | None:
-    """The gain of the strongest cause's link on left-out runs; None without a cause."""
+    """The gain on left-out runs, on the link of the strongest cause; None without a cause."""
     if not causes:
         return None
     strongest = causes[0]
@@ -235,10 +240,10 @@ def _ranking(name: str, e: Explanation) -> list[Ranked]:
     seen, out = set(), []
     for f in [e.chosen, *pool]:
         key = tuple(sorted(f.kinds))
-        if not key or key in seen or len(out) >= RANKED:
+        if not key or key in seen or len(out) >= MAX_RANKED:
             continue
         seen.add(key)
-        gain = heldout(e.residual, f, None) if len(out) < CHECKED else None
+        gain = heldout(e.residual, f, None) if len(out) < MAX_RANKED_HELDOUT else None
         words = "; ".join(listed(effect.parameters()) for effect in f.effects())
         after, adequate = gain.rms_after if gain else None, e.adequate if f is e.chosen else None
         out.append(Ranked(f.kinds, f.score - e.chosen.score, name, words, after, adequate))
@@ -247,7 +252,7 @@ def _ranking(name: str, e: Explanation) -> list[Ranked]:
 
 def _isolability(findings: Findings, progress: Progress | None) -> tuple[Isolable, ...]:
     if progress:
-        progress("what these data can tell apart")
+        progress("isolability")
     out: list[Isolable] = []
     for e in findings.explanations.values():
         if e.adequate:

@@ -1,7 +1,8 @@
-"""Bounded least squares for a handful of parameters: grid first, then Levenberg-Marquardt from the best starts.
+"""Stage "fit": bounded least squares of a hypothesis with few parameters: grid first, then Levenberg-Marquardt from the best starts.
 
-A trial is a replay of all runs; the trials of a Jacobian, of a grid and of a scan are made together, in one replay. That is why the
-descent is written here: :func:`scipy.optimize.least_squares` asks for one point at a time, and takes three times as long.
+Takes a `Residual`, the causes as `Candidate` and their starts; gives a `Fit`. A trial is a replay of all runs; the trials of a Jacobian, of
+a grid and of a scan share one replay. That is why the descent is written here: :func:`scipy.optimize.least_squares` asks for one point at
+a time and takes three times as long.
 """
 
 from __future__ import annotations
@@ -18,15 +19,15 @@ from hiltestbed.effects.base import Effect
 from hiltestbed.effects.search import Candidate
 from hiltestbed.frames import Array
 
-STEP = 1e-4  # of a parameter's scale, for differences: the root of what a replay carries of round-off
-ITERATIONS = 25
-SETTLED = 1e-4  # change of chi-square below which a fit has settled
-SCANNED = 21  # places within a tenth of a parameter in which chi-square has jumps
-FINEST = 1e-3  # of such a parameter: the last step of the search for the lowest jump
-DAMPINGS = 4  # of the descent, tried together
-AT_BOUND = 1e-3  # of the range of a search
-HOPE = 10.0  # times what a descent would still gain if its gains went on shrinking as the last did: with less it is given up
-PATIENCE = 4  # steps of a descent, after which it is given up where steps like the last two would not bring it to the best that is known
+DIFFERENCE_STEP = 1e-4  # derived: of a parameter's scale, for differences: about the root of a replay's round-off
+MAX_ITERATIONS = 25
+CONVERGED_CHI2 = 1e-4  # chosen: change of chi-square below which a fit has converged
+SCAN_POINTS = 21  # chosen: within a tenth of a parameter in which chi-square has jumps
+MIN_SCAN_STEP = 1e-3  # chosen: of such a parameter, at which its search ends
+DAMPINGS_AT_ONCE = 4  # chosen: of the descent, tried in one replay
+BOUND_TOLERANCE = 1e-3  # chosen: of the range of a search
+EXTRAPOLATION_MARGIN = 10.0  # chosen: times the remaining gain by geometric extrapolation; a descent that cannot reach `known` stops
+MIN_STEPS = 4  # chosen: of a descent; then it also stops if the last two gains, repeated, would not reach `known`
 
 Run = Callable[[Sequence[Array] | Array], Array]  # thetas to residuals (H, M)
 
@@ -36,8 +37,8 @@ class Fit:
     """A hypothesis fitted to a link.
 
     Attributes:
-        causes: the candidates. theta: their parameters, one after the other. chi2: sum of squares in units of the noise.
-        residual: (M,). jacobian: (M, P) of the residual in scaled parameters.
+        causes: the candidates. theta: their parameters, concatenated. chi2: sum of squares in units of the noise.
+        residual: (M,). jacobian: (M, P) of the residual by the scaled parameters.
     """
 
     causes: tuple[Candidate, ...]
@@ -48,7 +49,7 @@ class Fit:
 
     @property
     def penalty(self) -> float:
-        """Cost of the parameters and of the choices made, in chi-square."""
+        """Penalty for the parameters and for the choice among variants, in chi-square."""
         return sum(len(c.names) * PENALTY + 2.0 * float(np.log(c.choices)) + (len(c.names) == 0) for c in self.causes)
 
     @property
@@ -85,23 +86,23 @@ def effects_at(causes: Sequence[Candidate], theta: Array) -> list[Effect]:
     return out
 
 
-def nothing(residual: Residual) -> Fit:
-    """Nothing departs."""
+def null_fit(residual: Residual) -> Fit:
+    """The null hypothesis: nothing departs."""
     r = residual(())
     return Fit((), np.zeros(0), square(r), r, np.zeros((len(r), 0)))
 
 
 def bounds_of(causes: Sequence[Candidate]) -> tuple[Array, Array, np.ndarray]:
-    """Low, high and whether by ratio, of all parameters one after the other."""
+    """Lower and upper bounds, and whether the scale is logarithmic, of all parameters, concatenated."""
     if not causes:
         return np.zeros(0), np.zeros(0), np.zeros(0, bool)
     return np.concatenate([c.low for c in causes]), np.concatenate([c.high for c in causes]), np.concatenate([c.log for c in causes])
 
 
 def at_bound(cause: Candidate, theta: Array) -> bool:
-    """Whether a parameter ends where its search does."""
+    """Whether a parameter stands at a bound of its search."""
     width = np.where(np.isfinite(cause.high - cause.low), cause.high - cause.low, np.inf)
-    near = AT_BOUND * np.where(cause.log, np.abs(theta), width)
+    near = BOUND_TOLERANCE * np.where(cause.log, np.abs(theta), width)
     near = np.where(np.isfinite(near), near, 0.0)
     return bool(np.any((theta <= cause.low + near) | (theta >= cause.high - near)))
 
@@ -109,9 +110,9 @@ def at_bound(cause: Candidate, theta: Array) -> bool:
 def fit(
     residual: Residual, causes: Sequence[Candidate], starts: Sequence[Sequence[float] | Array], tries: int = 2, known: float = np.inf
 ) -> Fit:
-    """The best of several descents from the best of `starts` (each for all causes, one after the other).
+    """The best of several descents from the best of `starts` (each for all causes, concatenated).
 
-    known: chi-square that another hypothesis reaches already; a descent that will not come near it is not finished.
+    known: chi-square that another hypothesis has reached; a descent that will not come near it is stopped.
     """
     causes = tuple(causes)
     low, high, log = bounds_of(causes)
@@ -133,18 +134,18 @@ def fit(
 
 
 def refit(residual: Residual, found: Fit) -> Fit:
-    """The same hypothesis again, from where it was, under other weights or on other runs."""
-    return fit(residual, found.causes, [found.theta], tries=1) if found.causes else nothing(residual)
+    """The same hypothesis fitted again from its last estimate, with other weights or runs."""
+    return fit(residual, found.causes, [found.theta], tries=1) if found.causes else null_fit(residual)
 
 
 def scales(theta: Array, low: Array, high: Array, log: np.ndarray) -> Array:
-    """d theta / d scaled parameter: theta itself where searched by ratio, else a hundredth of the range or the value itself."""
+    """d theta / d scaled parameter: theta itself on a logarithmic scale, else the larger of theta and a hundredth of the range."""
     width = np.where(np.isfinite(high - low), high - low, 1.0)
     return np.where(log, np.abs(theta), np.maximum(np.abs(theta), 0.01 * width))
 
 
-def differences(run: Run, theta: Array, r: Array, scale: Array, low: Array, high: Array, step: float = STEP) -> Array:
-    """(M, P) derivative of the residual by the scaled parameters; a step that would leave the bounds goes the other way."""
+def differences(run: Run, theta: Array, r: Array, scale: Array, low: Array, high: Array, step: float = DIFFERENCE_STEP) -> Array:
+    """(M, P) derivative of the residual by the scaled parameters; a step that would leave the bounds is reversed."""
     if len(theta) == 0:
         return np.zeros((len(r), 0))
     moved, widths = [], []
@@ -161,7 +162,7 @@ def differences(run: Run, theta: Array, r: Array, scale: Array, low: Array, high
 def _descend(run: Run, causes: tuple[Candidate, ...], theta: Array, r: Array, chi2: float, low: Array, high: Array,
              log: np.ndarray, known: float) -> Fit:  # fmt: skip
     damping, jacobian, before = 1e-3, np.zeros((len(r), len(theta))), np.inf
-    for step in range(ITERATIONS):
+    for step in range(MAX_ITERATIONS):
         scale = scales(theta, low, high, log)
         jacobian = differences(run, theta, r, scale, low, high)
         gradient, normal = np.einsum("mi,m->i", jacobian, r), np.einsum("mi,mj->ij", jacobian, jacobian)
@@ -169,11 +170,11 @@ def _descend(run: Run, causes: tuple[Candidate, ...], theta: Array, r: Array, ch
         if better is None:
             break
         gain, theta, r, chi2, damping = chi2 - better[2], *better
-        if gain < SETTLED * max(1.0, chi2 / len(r)) or gain < 1e-7 * chi2:
+        if gain < CONVERGED_CHI2 * max(1.0, chi2 / len(r)) or gain < 1e-7 * chi2:
             break
-        if step >= PATIENCE and chi2 - max(gain, before) * (ITERATIONS - step) > known:
+        if step >= MIN_STEPS and chi2 - max(gain, before) * (MAX_ITERATIONS - step) > known:
             break
-        if gain < before < np.inf and chi2 - HOPE * gain * gain / (before - gain) > known:
+        if gain < before < np.inf and chi2 - EXTRAPOLATION_MARGIN * gain * gain / (before - gain) > known:
             break
         before = gain
     return Fit(causes, theta, chi2, r, jacobian)
@@ -181,10 +182,10 @@ def _descend(run: Run, causes: tuple[Candidate, ...], theta: Array, r: Array, ch
 
 def _step(run: Run, theta: Array, chi2: float, damping: float, gradient: Array, normal: Array, scale: Array, low: Array, high: Array,
           log: np.ndarray) -> tuple[Array, Array, float, float] | None:  # fmt: skip
-    """The first of ever more damped steps that lowers chi-square: theta, residual, chi-square, next damping; None where none does."""
+    """The first of increasingly damped steps that lowers chi-square: theta, residual, chi-square, next damping; None where none does."""
     for attempt in range(3):
         tried, dampings = [], []
-        for _ in range(1 if attempt == 0 else DAMPINGS):
+        for _ in range(1 if attempt == 0 else DAMPINGS_AT_ONCE):
             step = -np.linalg.solve(normal + damping * np.diag(np.diag(normal) + 1e-12), gradient)
             step = np.clip(step, -1.0, 1.0)
             tried.append(np.clip(np.where(log, theta * np.exp(step), theta + step * scale), low, high))
@@ -203,14 +204,14 @@ def _polish(run: Run, found: Fit, low: Array, high: Array) -> Fit:
     theta, chi2, r = found.theta, found.chi2, found.residual
     for j in np.flatnonzero(jumpy):
         step = 0.1
-        parts = list(np.linspace(-step, step, SCANNED))  # a valley between two jumps may be narrower than a step
-        while step > FINEST:
+        parts = list(np.linspace(-step, step, SCAN_POINTS))  # a valley between two jumps may be narrower than a step
+        while step > MIN_SCAN_STEP:
             tried = np.tile(theta, (len(parts), 1))
             tried[:, j] = np.clip(theta[j] * (1.0 + np.array(parts)), low[j], high[j])
             results = run(tried)
             costs = [square(row) for row in results]
             best = int(np.argmin(costs))
-            if costs[best] < chi2 - SETTLED:
+            if costs[best] < chi2 - CONVERGED_CHI2:
                 theta, r, chi2 = tried[best], results[best], costs[best]
             else:
                 step *= 0.4
@@ -219,10 +220,10 @@ def _polish(run: Run, found: Fit, low: Array, high: Array) -> Fit:
 
 
 def inflation(found: Fit) -> float:
-    """Misfit of the best hypothesis in units of the noise: differences of chi-square count by it."""
+    """Chi-square per sample of a hypothesis, at least 1: thresholds on differences of chi-square scale with it."""
     return max(1.0, square(found.residual) / max(1, np.count_nonzero(found.residual)))
 
 
 def predicted(residual: Residual, effects: Effects) -> list[Array]:
-    """(N, C) of each run of the residual what it should have shown."""
+    """(N, C) prediction of each run of the residual."""
     return residual.link.predict([(i, effects) for i in residual.runs])

@@ -1,4 +1,4 @@
-"""The noise floor of every channel of a dataset."""
+"""Stage "layout": the noise floor of every channel of a dataset."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hiltestbed.diagnosis.noise import in_steps
+from hiltestbed.diagnosis.noise import undithered
 from hiltestbed.diagnosis.pose_noise import smooth_levels
-from hiltestbed.diagnosis.settings import ENOUGH_FREE, FREE_ROWS, UNEVEN, WHITE_KNOWN
+from hiltestbed.diagnosis.settings import MAX_AXIS_NOISE_RATIO, MIN_FREE_ROWS, MIN_NOISE_ROWS, WHITE_NOISE_ERROR
 from hiltestbed.frames import Array
 from hiltestbed.measured import MeasuredRun
 from hiltestbed.measured.noise import white_noise
 
 
 def floors(runs: Sequence[MeasuredRun]) -> dict[str, float]:
-    """Channel to noise floor: third differences away from contacts, pooled; readings that stand still there tell nothing."""
+    """Channel to noise floor: third differences away from contacts, pooled; a channel that is constant there is estimated otherwise."""
     out, smooth = {}, smooth_levels(runs)
     for name in dict.fromkeys(c for r in runs for c in r.record.columns()):
         found, still = [], 0
@@ -25,7 +25,7 @@ def floors(runs: Sequence[MeasuredRun]) -> dict[str, float]:
                 continue
             values = r.record.column(name)
             outside = values[~r.touching(len(values))] if name.startswith("wrench") and r.survey.contacts else values
-            outside = outside if len(outside) > FREE_ROWS else values  # a latched mechanism is never free
+            outside = outside if len(outside) > MIN_FREE_ROWS else values  # a latched mechanism is never free
             still += int(len(outside) > 10 and np.median(np.abs(np.diff(outside))) == 0.0)
             found.append(max(white_outside(outside, values), r.record.steps.get(name, 0.0) / math.sqrt(12.0)))
         level = float(np.sqrt(np.mean(np.square(found)))) if found else 0.0
@@ -34,17 +34,17 @@ def floors(runs: Sequence[MeasuredRun]) -> dict[str, float]:
             inside = [white_noise(r.record.column(name)[r.touching(r.record.ticks)]) for r in runs if r.survey.contacts]
             level = believed or (float(np.median(inside)) if inside else 0.0)
             steps = [r.record.steps.get(name, 0.0) for r in runs]
-            level = math.hypot(level, max(steps) / math.sqrt(12.0)) if any(in_steps(r, name) for r in runs) else level
-        sampled = [r.record.sampled.get(name, 0.0) for r in runs] if name.startswith("pose_act") else []  # a force's colour tells it
+            level = math.hypot(level, max(steps) / math.sqrt(12.0)) if any(undithered(r, name) for r in runs) else level
+        sampled = [r.record.sampled.get(name, 0.0) for r in runs] if name.startswith("pose_act") else []  # of a force: in its colour
         out[name] = max(level, smooth.get(name, 0.0), *sampled)
     places = [n for n in ("pose_act.px", "pose_act.py", "pose_act.pz") if out.get(n)]
-    for name in places:  # a platform that moves in jumps looks noisy on the axis that moves most
-        out[name] = min(out[name], UNEVEN * min(out[n] for n in places))
+    for name in places:  # stick-slip looks like noise on the axis that moves most
+        out[name] = min(out[name], MAX_AXIS_NOISE_RATIO * min(out[n] for n in places))
     return out | {f"pose_act.r{axis}": 2.0 * out[f"pose_act.q{axis}"] for axis in "xyz" if f"pose_act.q{axis}" in out}
 
 
 def white_outside(outside: Array, values: Array) -> float:
-    """White noise of the rows ``outside`` of contacts; where they are few, that of all ``values`` if these do not tell the two apart."""
+    """White noise of the rows ``outside`` contacts; where these are few and agree with it, that of all ``values``."""
     found, everywhere = white_noise(outside), white_noise(values)
-    few = len(outside) < ENOUGH_FREE and abs(everywhere - found) < 2.0 * WHITE_KNOWN / math.sqrt(max(1, len(outside))) * everywhere
+    few = len(outside) < MIN_NOISE_ROWS and abs(everywhere - found) < 2.0 * WHITE_NOISE_ERROR / math.sqrt(max(1, len(outside))) * everywhere
     return everywhere if few else found

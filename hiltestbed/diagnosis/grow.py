@@ -1,7 +1,7 @@
-"""Where no few effects come near the noise: how far the vocabulary goes, cause by cause.
+"""Stage "select", where few effects leave more than noise: how much of a departure the vocabulary explains, one cause at a time.
 
-It says how much of a departure known physics carries, and what that leaves. A further cause has to pay in chi-square and on runs that were
-left out, where what is fitted to leftovers does not carry over.
+It gives the share of a departure that known physics explains, and what that leaves. A further cause must lower chi-square, and the residual
+on left-out runs, where a fit to mere leftovers does not carry over.
 """
 
 from __future__ import annotations
@@ -15,46 +15,46 @@ from hiltestbed.diagnosis.fit import Fit, fit, inflation
 from hiltestbed.diagnosis.heldout import left_out
 from hiltestbed.diagnosis.residual import Residual
 from hiltestbed.diagnosis.search import Explanation, Search
-from hiltestbed.diagnosis.settings import FAR_OFF, MOST_CAUSES_IN_PART, SELECTION_INADEQUATE, WORTH
+from hiltestbed.diagnosis.settings import MAX_CAUSES_IN_PART, MIN_EXCESS_TO_GROW, MIN_HELDOUT_GAIN, SELECTION_INADEQUATE
 
-TRIED = 3  # further causes that are fitted beside those found
+MAX_FURTHER = 3  # chosen: further causes that are fitted beside those found
 
 
 def far_off(found: Explanation) -> bool:
-    """Whether the best that was found leaves so much more than noise that there is something to grow into."""
-    return not found.adequate and found.worst > FAR_OFF
+    """Whether the best fit leaves so much more than noise that further causes can be fitted."""
+    return not found.adequate and found.worst > MIN_EXCESS_TO_GROW
 
 
 def grow(found: Explanation, search: Search) -> Fit:
-    """The best that several causes do, beside the best that was found: as many as pay, and no more once they leave noise alone."""
+    """The best fit of several causes, beginning with the best so far: as many as exceed the thresholds, until only noise is left."""
     residual = found.residual
     best = min([found.chosen, *found.singles, *found.more], key=lambda f: f.score)
-    if JITTER in best.kinds:  # noise, beside which nothing is weighed
+    if JITTER in best.kinds:  # its likelihood is no sum of squares: no further cause can be compared
         return best
-    before = carried(residual, best)
-    while len(best.causes) < MOST_CAUSES_IN_PART and not noise_alone(search.judge(residual, best.effects())):
-        for more in search.extend(residual, best, TRIED):
-            after = carried(residual, more) if _pays(more, best) else math.inf
-            if after < before + math.log(1.0 - WORTH):
+    before = log_heldout_rms(residual, best)
+    while len(best.causes) < MAX_CAUSES_IN_PART and not noise_alone(search.judge(residual, best.effects())):
+        for more in search.extend(residual, best, MAX_FURTHER):
+            after = log_heldout_rms(residual, more) if _exceeds_threshold(more, best) else math.inf
+            if after < before + math.log(1.0 - MIN_HELDOUT_GAIN):
                 best, before = more, after
                 break
         else:
             break
-    return _needed(residual, best)
+    return _pruned(residual, best)
 
 
-def _pays(more: Fit, fewer: Fit) -> bool:
+def _exceeds_threshold(more: Fit, fewer: Fit) -> bool:
     return fewer.score - more.score > SELECTION_INADEQUATE * inflation(more)
 
 
-def carried(residual: Residual, found: Fit) -> float:
-    """Logarithm of the rms on left-out runs, mean over the runs; of the fit itself where there is one run alone."""
+def log_heldout_rms(residual: Residual, found: Fit) -> float:
+    """Logarithm of the rms on left-out runs, mean over the runs; of the fit itself if there is only one run."""
     if len(residual.runs) < 2:
         return 0.5 * math.log(max(found.chi2, 1e-300))
     return float(np.mean([0.5 * math.log(max(left_out(residual, i, found), 1e-300)) for i in residual.runs]))
 
 
-def _needed(residual: Residual, found: Fit) -> Fit:
+def _pruned(residual: Residual, found: Fit) -> Fit:
     """Without the causes that the others have made needless."""
     for c in found.causes:
         index = next((i for i, other in enumerate(found.causes) if other is c), None)
@@ -62,6 +62,6 @@ def _needed(residual: Residual, found: Fit) -> Fit:
             continue
         causes, theta = found.without(index)
         fewer = fit(residual, causes, [theta], tries=1)
-        if not _pays(found, fewer) or carried(residual, fewer) < carried(residual, found):
+        if not _exceeds_threshold(found, fewer) or log_heldout_rms(residual, fewer) < log_heldout_rms(residual, found):
             found = fewer
     return found

@@ -1,4 +1,4 @@
-"""The gain on runs that were not fitted: each run left out in turn, against a placebo of as many parameters."""
+"""Stage "decide": the gain on left-out runs: each run left out of the fit in turn, compared with a placebo of as many parameters."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from hiltestbed.diagnosis.settings import RESAMPLES
 
 
 def heldout(residual: Residual, found: Fit, placebo: Fit | None, seed: int = 0) -> Heldout | None:
-    """The residual of a link, rms in units of the noise in contact, with nothing and with `found` fitted to the other runs."""
+    """The residual of a link, rms in units of the noise in contact: with no effects, and with `found` fitted to the other runs."""
     runs = residual.runs
     if len(runs) < 2 or not found.causes:
         return None
@@ -30,7 +30,7 @@ def heldout(residual: Residual, found: Fit, placebo: Fit | None, seed: int = 0) 
 def resampled(
     runs: Sequence[int], before: Mapping[int, float], after: Mapping[int, float], wrong: Mapping[int, float], seed: int = 0
 ) -> Heldout:
-    """The gain from the mean square of each run before, after, and after a placebo; its interval by drawing runs."""
+    """The gain from the mean square of each run before, after, and after a placebo; its interval by bootstrap over runs."""
     a, b, w = (np.array([x[i] for i in runs]) for x in (before, after, wrong))
     draws = np.random.default_rng(seed).integers(0, len(runs), (RESAMPLES, len(runs)))
     gains = 1.0 - np.sqrt(b[draws].sum(axis=1) / a[draws].sum(axis=1))
@@ -46,10 +46,10 @@ def _rms(squares: np.ndarray) -> float:
 
 
 def left_out(residual: Residual, i: int, found: Fit, judged: Residual | None = None) -> float:
-    """Mean square on run i, in units of the noise, of what was fitted to the others; as it is ``judged``, or in the form of the fit."""
+    """Mean square on run i, in units of the noise, of `found` fitted to the other runs; as ``judged``, else in the form that was fitted."""
     judged = judged or residual
     others = residual.on([j for j in residual.runs if j != i])
-    smooth = [c for c in found.causes if c.kind != JITTER]  # the spread of a delay moves no mean
+    smooth = [c for c in found.causes if c.kind != JITTER]  # jitter changes the variance, not the mean
     theta = found.theta[: sum(len(c.names) for c in smooth)]
     if not smooth:
         return mean_square(judged, i, ())
@@ -57,7 +57,7 @@ def left_out(residual: Residual, i: int, found: Fit, judged: Residual | None = N
 
 
 def mean_square(residual: Residual, i: int, effects: Effects) -> float:
-    """Mean square of run i in units of the noise, where it counts: in contact, where there is one."""
+    """Mean square of run i in units of the noise: in contact, where there is one."""
     z = residual.of_run(i, effects)
     counts = residual.weight[i] > 0
     inside = counts & residual.link.runs[i].touching[:, None]
@@ -66,7 +66,7 @@ def mean_square(residual: Residual, i: int, effects: Effects) -> float:
 
 
 def placebo_of(fits: Sequence[Fit], found: Fit) -> Fit | None:
-    """A wrong effect with as many parameters, as nearly as there is one: the worst that was fitted, not the next best."""
+    """A wrong effect with as nearly as many parameters as possible: the worst that was fitted, not the next best."""
     own = set(found.kinds)
     count = sum(len(c.names) for c in found.causes)
     wrong = [f for f in fits if f.causes and not own & set(f.kinds) and JITTER not in f.kinds and math.isfinite(f.score)]

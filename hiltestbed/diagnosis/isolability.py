@@ -1,7 +1,7 @@
-"""What these data could show of each effect: the smallest size that would be detected, and which effects would look the same.
+"""Stage "decide": isolability: the smallest size of each effect that these data would detect, and which effects would look the same.
 
-The idea of structural fault isolation (E. Frisk, M. Krysander, fault isolability of over-determined systems) with sensitivities from
-replaying the links in place of structure: two effects whose residuals point the same way cannot be told apart at small size.
+The idea of structural fault isolation (E. Frisk, M. Krysander, fault isolability of over-determined systems), with sensitivities from
+replays of the links in place of structure: two effects with parallel residuals cannot be told apart at small size.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from hiltestbed.diagnosis.settings import DETECTION, PENALTY
 from hiltestbed.effects.search import Candidate
 from hiltestbed.frames import Array
 
-ALIKE = 0.97  # cosine of two residuals, from which they look the same: a tenth of the smaller one's energy is its own
-HALVINGS = 12
+LOOK_ALIKE_COSINE = 0.97  # chosen: of two residuals, above which effects are look-alikes: a tenth of the smaller one's energy is its own
+BISECTIONS = 12
 
 
 def isolability(residual: Residual, candidates: Sequence[Candidate]) -> tuple[Isolable, ...]:
-    """One entry for each effect among the candidates; the first form of each."""
+    """One entry for each effect among the candidates, for its first hypothesis."""
     first = {c.kind: c for c in reversed(candidates)}
     found = {kind: (c, *smallest) for (kind, c), smallest in zip(first.items(), _smallest(residual, list(first.values())), strict=True)}
     out = []
@@ -33,16 +33,16 @@ def isolability(residual: Residual, candidates: Sequence[Candidate]) -> tuple[Is
             for other, (_, _, d) in found.items()
             if other != kind and direction is not None and d is not None
         }
-        same = tuple(o for o, v in sorted(likeness.items(), key=lambda item: -item[1]) if v > ALIKE)
+        same = tuple(o for o, v in sorted(likeness.items(), key=lambda item: -item[1]) if v > LOOK_ALIKE_COSINE)
         unit = c.effect.unit(name.partition(".")[0]) if name else ""
         out.append(Isolable(kind, name, unit, size, same, max(likeness.values(), default=0.0)))
     return tuple(out)
 
 
 def _smallest(residual: Residual, candidates: Sequence[Candidate]) -> list[tuple[float | None, Array | None]]:
-    """The smallest size of each whose residual would be detected beyond its penalty, and the residual's direction there.
+    """The smallest size of each candidate that would be detected beyond its penalty, and the direction of the residual there.
 
-    All candidates are halved at a time: a trial of each is one replay.
+    The bisections of all candidates go on together: each step is one replay.
     """
     null = residual(())
     need = [DETECTION + PENALTY * max(1, len(c.names)) for c in candidates]
@@ -52,7 +52,7 @@ def _smallest(residual: Residual, candidates: Sequence[Candidate]) -> list[tuple
         best[i] = d if square(d) > need[i] else None
         high[i] = 1.0 if c.names else 0.0
     open_ = [i for i, c in enumerate(candidates) if c.names and best[i] is not None]
-    for _ in range(HALVINGS):
+    for _ in range(BISECTIONS):
         middle = 0.5 * (low + high)
         for i, d in zip(open_, _changes(residual, null, [candidates[i] for i in open_], middle[open_]), strict=True):
             if square(d) > need[i]:
@@ -72,7 +72,7 @@ def _smallest(residual: Residual, candidates: Sequence[Candidate]) -> list[tuple
 
 
 def _changes(residual: Residual, null: Array, candidates: Sequence[Candidate], sizes: Array) -> list[Array]:
-    """(M,) of each candidate at its size, from 0 (next to nothing) to 1 (the most that is searched): what it does to the residual."""
+    """(M,) change of the residual by each candidate at its size, from 0 (next to nothing) to 1 (the largest that is searched)."""
     effects = []
     for c, size in zip(candidates, sizes, strict=True):
         theta = np.array(c.grid[len(c.grid) // 2], dtype=float)
@@ -84,7 +84,7 @@ def _changes(residual: Residual, null: Array, candidates: Sequence[Candidate], s
 
 
 def _value(c: Candidate, size: float) -> float:
-    """The leading parameter for a size from 0 (next to nothing) to 1 (the most that is searched)."""
+    """The leading parameter for a size from 0 (next to nothing) to 1 (the largest that is searched)."""
     a, b = float(c.low[0]), float(c.high[0])
     if c.names[0] == "factor":
         return 1.0 + (min(b, 1.5) - 1.0) * 10.0 ** (-5.0 * (1.0 - size))

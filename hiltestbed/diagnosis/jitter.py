@@ -1,4 +1,4 @@
-"""A delay that varies from sample to sample: noise in proportion to the rate of the reading, found by likelihood."""
+"""Stage "select": jitter, a delay that varies from sample to sample, as noise in proportion to the rate of the reading; by likelihood."""
 
 from __future__ import annotations
 
@@ -10,22 +10,22 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from hiltestbed.diagnosis.adequacy import JITTER
-from hiltestbed.diagnosis.fit import Fit, inflation, nothing, refit
+from hiltestbed.diagnosis.fit import Fit, inflation, null_fit, refit
 from hiltestbed.diagnosis.links import WrenchLink
 from hiltestbed.diagnosis.links.base import Effects
 from hiltestbed.diagnosis.residual import Residual, square
-from hiltestbed.diagnosis.settings import SAME_AGAIN, SHAKEN, WORTH_A_FIT
+from hiltestbed.diagnosis.settings import MAX_JITTER_CORRELATION, MIN_JITTER_SPREAD, MIN_LINEAR_GAIN
 from hiltestbed.effects.search import Candidate
 from hiltestbed.effects.table import EFFECTS
 from hiltestbed.frames import Array
 
-LONGEST = 0.02  # [s] standard deviation that is searched
-SIGMAS = 40
-REFINED = (0.92, 1.0, 1.08)  # of the first estimate, which takes the spread for small
+MAX_SIGMA = 0.02  # chosen: [s] largest standard deviation that is searched
+SIGMAS_TRIED = 40
+REFINEMENT_FACTORS = (0.92, 1.0, 1.08)  # chosen: on the first estimate, which treats the noise of a delay as small
 
 
 def jitter_beside(residual: Residual, base: Fit) -> Fit | None:
-    """A varying delay beside `base`; None where the data show none."""
+    """Jitter beside `base`; None where the data show none."""
     link, effects = residual.link, base.effects()
     if not isinstance(link, WrenchLink) or JITTER in base.kinds:
         return None
@@ -36,35 +36,35 @@ def jitter_beside(residual: Residual, base: Fit) -> Fit | None:
         s2 = 1.0 + (sigma * worth) ** 2
         return float(np.sum(base.residual**2 / s2 + np.log(s2)))
 
-    sigmas = np.geomspace(1e-6, LONGEST, SIGMAS)
+    sigmas = np.geomspace(1e-6, MAX_SIGMA, SIGMAS_TRIED)
     costs = [cost(s) for s in sigmas]
     at = int(np.argmin(costs))
-    ends = (sigmas[max(at - 1, 0)], sigmas[min(at + 1, SIGMAS - 1)])
+    ends = (sigmas[max(at - 1, 0)], sigmas[min(at + 1, SIGMAS_TRIED - 1)])
     found: Any = minimize_scalar(cost, bounds=ends, method="bounded", options={"xatol": 1e-9})
-    if found.fun > base.chi2 - WORTH_A_FIT:
+    if found.fun > base.chi2 - MIN_LINEAR_GAIN:
         return None
     best = float(found.x)
     spread = np.sqrt(1.0 + (best * worth) ** 2)
     z = base.residual / spread
-    if not _independent(z, spread > SHAKEN, len(link.channels)) or not _centred(z, worth / spread, spread > SHAKEN):
+    if not _independent(z, spread > MIN_JITTER_SPREAD, len(link.channels)) or not _centred(z, worth / spread, spread > MIN_JITTER_SPREAD):
         return None
-    tried = [(best * f, *_likelihood(link, residual, effects, best * f)) for f in REFINED]
+    tried = [(best * f, *_likelihood(link, residual, effects, best * f)) for f in REFINEMENT_FACTORS]
     sigma, chi2, r = min(tried, key=lambda item: item[1])
-    cause = Candidate(EFFECTS[JITTER], ("sigma",), np.array([0.0]), np.array([LONGEST]), np.array([False]), ((0.0,),))
+    cause = Candidate(EFFECTS[JITTER], ("sigma",), np.array([0.0]), np.array([MAX_SIGMA]), np.array([False]), ((0.0,),))
     return Fit((*base.causes, cause), np.append(base.theta, sigma), chi2, r, np.column_stack([base.jacobian, np.zeros(len(r))]))
 
 
 def again(residual: Residual, found: Fit) -> Fit:
-    """The same hypothesis under other weights."""
+    """The same hypothesis fitted again under other weights."""
     if not found.causes or found.kinds[-1] != JITTER:
         return refit(residual, found)
     rest = replace(found, causes=found.causes[:-1], theta=found.theta[:-1])
-    base = refit(residual, rest) if rest.causes else nothing(residual)
+    base = refit(residual, rest) if rest.causes else null_fit(residual)
     return jitter_beside(residual, base) or found
 
 
 def _likelihood(link: WrenchLink, residual: Residual, effects: Effects, sigma: float) -> tuple[float, Array]:
-    """Chi-square with the cost of the spread, and the residual in units of noise and spread, for a delay that varies by sigma."""
+    """Minus twice the log-likelihood, and the residual in units of noise and spread, for a delay with standard deviation sigma."""
     total, parts = 0.0, []
     for i in residual.runs:
         mean, spread = link.shaken(i, effects, sigma)
@@ -76,17 +76,17 @@ def _likelihood(link: WrenchLink, residual: Residual, effects: Effects, sigma: f
 
 
 def _independent(z: Array, where: np.ndarray, channels: int) -> bool:
-    """Whether neighbouring samples differ as if drawn anew, as a delay that varies from sample to sample makes them."""
+    """Whether neighbouring samples are independent, as jitter makes them."""
     z, where = z.reshape(-1, channels), where.reshape(-1, channels)
     pairs = where[1:] & where[:-1]
     products, squares = float(np.sum((z[1:] * z[:-1])[pairs])), float(np.sum((z[1:] ** 2)[pairs]))
-    return squares > 0 and abs(products) < SAME_AGAIN * squares
+    return squares > 0 and abs(products) < MAX_JITTER_CORRELATION * squares
 
 
 def _centred(z: Array, worth: Array, where: np.ndarray) -> bool:
-    """Whether the delay varies about the one believed: what is late throughout goes along with the rate of the reading, `worth`."""
+    """Whether the delay varies about the believed one: a constant delay would correlate with the rate of the reading, `worth`."""
     z, worth = z[where], worth[where]
-    return abs(float(np.sum(z * worth))) < SAME_AGAIN * math.sqrt(square(z) * square(worth))
+    return abs(float(np.sum(z * worth))) < MAX_JITTER_CORRELATION * math.sqrt(square(z) * square(worth))
 
 
 __all__ = ["again", "inflation", "jitter_beside"]

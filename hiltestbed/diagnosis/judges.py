@@ -1,4 +1,4 @@
-"""Whether an explanation of a computed channel leaves nothing that counts: there is no noise to compare it with."""
+"""Stage "select": adequacy of an explanation of a computed channel, which has no noise to compare the residual with."""
 
 from __future__ import annotations
 
@@ -9,16 +9,24 @@ import numpy as np
 
 from hiltestbed.diagnosis.adequacy import Leftover
 from hiltestbed.diagnosis.links import AxisLink, CompensationLink
-from hiltestbed.diagnosis.links.base import PROMPT, Effects
+from hiltestbed.diagnosis.links.base import NO_SHIFT, Effects
 from hiltestbed.diagnosis.residual import Residual
 from hiltestbed.diagnosis.search import Judge
-from hiltestbed.diagnosis.settings import COMPUTED_LEFT, CORRELATED, DYNAMICS_BETWEEN, DYNAMICS_FLOOR, LED_NOISE, SIGNIFICANT, SMOOTHING
+from hiltestbed.diagnosis.settings import (
+    CORRELATED_ROWS,
+    DYNAMICS_FLOOR,
+    DYNAMICS_INTERPOLATION,
+    MAX_COMPUTED_RESIDUAL,
+    MAX_PROPAGATED_NOISE,
+    SIGNIFICANCE_SIGMA,
+    SMOOTHING_ROWS,
+)
 
-LEAST_LIMIT = 1.3  # of the ratio of led noise in contact to that out of it, however many rows there are
+MIN_VARIANCE_LIMIT = 1.3  # chosen: of the ratio of propagated noise in contact to that outside it, however many rows there are
 
 
 def of_compensation(link: CompensationLink, noise: Mapping[str, float]) -> Judge:
-    """Computed, not measured: the residual is nothing, or led noise of the record, no larger in contact than out of it."""
+    """Computed, not measured: the residual is zero, or propagated noise of the record that is no larger in contact than outside it."""
     gain = link.noise_gain()
 
     def judge(residual: Residual, effects: Effects) -> dict[str, Leftover]:
@@ -33,34 +41,34 @@ def of_compensation(link: CompensationLink, noise: Mapping[str, float]) -> Judge
             outside = np.concatenate([r[~residual.link.runs[i].touching, c] for i, r in zip(residual.runs, left, strict=True)])
             rms_in, rms_out = (float(np.sqrt(np.mean(x * x))) * level if len(x) else 0.0 for x in (inside, outside))
             led = gain * noise.get(name.replace("comp", "meas"), 0.0)
-            apart = rms_out if len(outside) > SMOOTHING else rms_in  # a latched mechanism is never free
-            if late:  # what the loop read is known from a late record but for its noise
+            apart = rms_out if len(outside) > SMOOTHING_ROWS else rms_in  # a latched mechanism is never free
+            if late:  # from a late record the loop's readings are known up to its noise
                 apart = led
-            floor = max(level / math.sqrt(CORRELATED), min(apart, LED_NOISE * led))
-            out[name] = Leftover((max(rms_in, rms_out) / floor) ** 2, 0.0, max(LEAST_LIMIT, _chance(residual, c)), 1.0, len(inside))
+            floor = max(level / math.sqrt(CORRELATED_ROWS), min(apart, MAX_PROPAGATED_NOISE * led))
+            out[name] = Leftover((max(rms_in, rms_out) / floor) ** 2, 0.0, max(MIN_VARIANCE_LIMIT, _chance(residual, c)), 1.0, len(inside))
         return out
 
     return judge
 
 
 def _chance(residual: Residual, channel: int) -> float:
-    """The largest ratio that chance makes of the variances in contact and out of it, sqrt(2/n) of each, of the rows that were measured."""
+    """The largest ratio of the variances in contact and outside it by chance: each has an error of sqrt(2/n) of its measured rows."""
     runs = [residual.link.runs[i] for i in residual.runs]
     measured = [(np.isfinite(r.sigma[:, channel]), r.touching) for r in runs]
     inside = sum(int((known & touching).sum()) for known, touching in measured)
     outside = sum(int((known & ~touching).sum()) for known, touching in measured)
-    return 1.0 + SIGNIFICANT * math.sqrt(2.0 / max(inside, 1) + 2.0 / max(outside, 1))
+    return 1.0 + SIGNIFICANCE_SIGMA * math.sqrt(2.0 / max(inside, 1) + 2.0 / max(outside, 1))
 
 
 def of_dynamics(residual: Residual) -> Judge:
-    """Computed: nothing but what integrators may differ by, or a hundredth of the departure that was explained."""
+    """Computed: no more than integrators may differ by, or a hundredth of the departure that was explained."""
     departures = _rms(residual, ())
 
     def judge(of: Residual, effects: Effects) -> dict[str, Leftover]:
         out = {}
         for name, rms, departure in zip(residual.link.channels, _rms(of, effects), departures, strict=True):
-            floor = DYNAMICS_FLOOR + (0.0 if of.link.timing == PROMPT else DYNAMICS_BETWEEN)
-            allowed = max(floor, COMPUTED_LEFT * departure if effects else 0.0)
+            floor = DYNAMICS_FLOOR + (0.0 if of.link.timing == NO_SHIFT else DYNAMICS_INTERPOLATION)
+            allowed = max(floor, MAX_COMPUTED_RESIDUAL * departure if effects else 0.0)
             out[name] = Leftover((rms / allowed) ** 2, 0.0, 1.0, 1.0, len(residual.runs))
         return out
 
@@ -68,10 +76,10 @@ def of_dynamics(residual: Residual) -> Judge:
 
 
 def of_axis(link: AxisLink) -> Judge:
-    """Measured, and integrated twice: the noise, or a part of the motion; what a law leaves of a motion says how much it misses."""
+    """Measured, and integrated twice: no more than the noise, or than a hundredth of the motion."""
     motion = float(np.sqrt(np.mean(np.concatenate([(r.measured - r.measured.mean(axis=0)) ** 2 for r in link.runs]))))
     noise = min(float(r.sigma.min()) for r in link.runs)
-    allowed = max(noise, COMPUTED_LEFT * motion)
+    allowed = max(noise, MAX_COMPUTED_RESIDUAL * motion)
 
     def judge(of: Residual, effects: Effects) -> dict[str, Leftover]:
         placed = of.as_judged()
@@ -83,4 +91,4 @@ def of_axis(link: AxisLink) -> Judge:
 
 def _rms(residual: Residual, effects: Effects) -> list[float]:
     z = np.concatenate(residual.by_run([effects])[0])
-    return [float(v) * DYNAMICS_FLOOR * math.sqrt(CORRELATED) for v in np.sqrt(np.mean(z * z, axis=0))]
+    return [float(v) * DYNAMICS_FLOOR * math.sqrt(CORRELATED_ROWS) for v in np.sqrt(np.mean(z * z, axis=0))]

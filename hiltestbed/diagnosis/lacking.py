@@ -1,52 +1,54 @@
-"""What the data of a link lack, or what of its rig cannot be replayed: why it is not judged."""
+"""Stage "layout": which links are not judged, and why: channels that the data lack, or a rig that cannot be replayed."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 from hiltestbed.contact.sides import sides_of
-from hiltestbed.diagnosis.bridged import bridges
+from hiltestbed.diagnosis.bridged import only_short_gaps
 from hiltestbed.measured import MeasuredRun
 from hiltestbed.measured.momentum import centred
 from hiltestbed.replay import can_carry
 from hiltestbed.replay.compensation import needs
 from hiltestbed.signals import GROUPS
 
-MOSTLY = 0.9  # part of the rows of every run, which hang on samples that are missing
+MAX_UNKNOWN_SHARE = 0.9  # chosen: of the rows of every run, that depend on missing samples
 
 
 def lacking(runs: Sequence[MeasuredRun]) -> dict[str, str]:
-    """Link to the groups that it needs and that some run lacks."""
+    """Link to the reason why it is not judged."""
     if any(r.scenario.rig.platform.physical for r in runs):
-        free = "the bodies move by themselves: nothing is computed, and nothing is commanded"
+        free = "the bodies move freely: nothing is computed or commanded"
         return dict.fromkeys(("platform", "compensation", "dynamics"), free) | _lacking_of_wrench(runs)
     out = {}
-    if not every(runs, "pose_cmd", "pose_act"):
+    if not every_run_has(runs, "pose_cmd", "pose_act"):
         out["platform"] = "needs pose_cmd and pose_act in every run"
-    if not every(runs, "wrench_meas", "wrench_comp"):
+    if not every_run_has(runs, "wrench_meas", "wrench_comp"):
         out["compensation"] = "needs wrench_meas and wrench_comp in every run"
     else:
         groups = sorted({g for r in runs for g in needs(r.scenario)} - {"wrench_meas"})
-        if not every(runs, *groups):
+        if not every_run_has(runs, *groups):
             kinds = ", ".join(sorted({r.scenario.compensation.force.kind for r in runs}))
             out["compensation"] = f"needs {' and '.join(groups)} in every run for compensation.force {kinds}"
-    if not every(runs, "wrench_comp", "pose_cmd"):
+    if not every_run_has(runs, "wrench_comp", "pose_cmd"):
         out["dynamics"] = "needs wrench_comp and pose_cmd in every run"
     elif any(name in r.record.absent and not centred(r.scenario) for r in runs for name in GROUPS["wrench_comp"].columns):
-        out["dynamics"] = "needs all axes of wrench_comp: off the axis of insertion each of them moves all of pose_cmd"
+        out["dynamics"] = "needs all axes of wrench_comp: with motion off the axis of insertion each of them acts on all of pose_cmd"
     elif all(
-        not bridges(r.record, "wrench_comp") and r.record.unknown("wrench_comp")[-1] and r.record.unknown("wrench_comp").mean() > MOSTLY
+        not only_short_gaps(r.record, "wrench_comp")
+        and r.record.unknown("wrench_comp")[-1]
+        and r.record.unknown("wrench_comp").mean() > MAX_UNKNOWN_SHARE
         for r in runs
     ):
-        out["dynamics"] = "needs wrench_comp without gaps: what a missing sample did to the motion stays in it"
+        out["dynamics"] = "needs wrench_comp without gaps: the effect of a missing sample on the motion is permanent"
     return out | _lacking_of_wrench(runs)
 
 
 def _lacking_of_wrench(runs: Sequence[MeasuredRun]) -> dict[str, str]:
     out = {}
-    if not every(runs, "wrench_meas"):
+    if not every_run_has(runs, "wrench_meas"):
         out["wrench"] = "needs wrench_meas in every run"
-    elif not every(runs, "wrench_meas.fz"):
+    elif not every_run_has(runs, "wrench_meas.fz"):
         out["wrench"] = "needs wrench_meas.fz in every run"
     elif not all(r.record.has("pose_act") or r.record.has("pose_cmd") for r in runs):
         out["wrench"] = "needs pose_act or pose_cmd in every run"
@@ -59,11 +61,11 @@ def _lacking_of_wrench(runs: Sequence[MeasuredRun]) -> dict[str, str]:
         )
     elif any(r.scenario.rig.upper.kind != "fixed" and r.scenario.mechanism.latch is not None for r in runs):
         out["wrench"] = (
-            "a latch closes while the upper platform moves: where it holds A hangs on motion within a tick, which is not on record"
+            "a latch closes while the upper platform moves: where it holds A depends on motion within a tick, which is not on record"
         )
     return out
 
 
-def every(runs: Sequence[MeasuredRun], *groups: str) -> bool:
-    """Whether every run holds all of the groups, or columns."""
+def every_run_has(runs: Sequence[MeasuredRun], *groups: str) -> bool:
+    """Whether every run holds all of the groups or columns."""
     return all(r.record.has(g) for r in runs for g in groups)

@@ -1,4 +1,7 @@
-"""A measured dataset laid out for the links: what each was driven with, what it showed, and its noise floor."""
+"""Stage "layout": a measured dataset as the links need it: inputs and outputs of each link, rows and noise floors.
+
+Takes a `MeasuredDataset`, gives a `Layout`; `platform_link`, `wrench_link`, `compensation_link` and `dynamics_link` make the links of it.
+"""
 
 from __future__ import annotations
 
@@ -8,22 +11,22 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hiltestbed.diagnosis.bridged import bends_of, bridges, bridging_noise, differences, lost
+from hiltestbed.diagnosis.bridged import bridging_noise, interpolation_errors, lost, only_short_gaps, rms_differences
 from hiltestbed.diagnosis.driven import regression
 from hiltestbed.diagnosis.floors import floors
-from hiltestbed.diagnosis.lacking import every, lacking
+from hiltestbed.diagnosis.lacking import every_run_has, lacking
 from hiltestbed.diagnosis.links import CompensationLink, DynamicsLink, LinkRun, PlatformLink, WrenchLink, flat_pose
 from hiltestbed.diagnosis.low_pass import LowPass, low_pass_between
-from hiltestbed.diagnosis.noise import ForceNoise, few_numbers, force_noise, in_steps
+from hiltestbed.diagnosis.noise import ForceNoise, few_levels, force_noise, undithered
 from hiltestbed.diagnosis.scales import scales_of
 from hiltestbed.diagnosis.settings import (
-    ARM_UNKNOWN,
     COMPENSATION_FLOOR,
-    CORRELATED,
+    CORRELATED_ROWS,
     DYNAMICS_FLOOR,
-    NO_FORCE_NOISE,
-    NO_POSE_NOISE,
-    TAIL,
+    FORCE_ARM_ERROR,
+    MIN_FORCE_NOISE,
+    MIN_POSE_NOISE,
+    TAIL_TIME,
 )
 from hiltestbed.diagnosis.yielding import Deflection, deflection, engagement
 from hiltestbed.effects.search import Scales
@@ -34,9 +37,9 @@ from hiltestbed.replay import Engaged
 from hiltestbed.replay.compensation import needs
 from hiltestbed.signals import GROUPS
 
-MEMORY = 0.05  # [s] for which platform, contact and compensation are taken to remember a sample that is missing
-OFF_RECORD = 3  # rows at each end whose command may not be on record: loggers stamp each channel up to two rows early or late
-COMPUTED_ROUNDED = math.sqrt(CORRELATED)  # as computed channels are counted
+GAP_MEMORY = 0.05  # chosen: [s] for which a missing sample is taken to affect platform, contact and compensation
+UNUSED_END_ROWS = 3  # rows at each end whose command may not be on record: loggers stamp each channel up to two rows early or late
+CORRELATION_FACTOR = math.sqrt(CORRELATED_ROWS)  # on errors of a computed channel, whose rows are correlated
 ROTATIONS = ("rx", "ry", "rz")
 
 
@@ -45,12 +48,12 @@ class Layout:
     """One dataset as the links see it.
 
     Attributes:
-        runs: as measured. rows: of each run that the search looks at. scales: what the data hold. noise: channel to its floor.
-        force: what free flight says of the noise of the force beside its floor.
-        engaged: what the contact of each run does along its pose, where that takes playing it, see :func:`engagement`.
-        deflection: of each run how the believed rig departs from its command; None where it cannot be replayed.
-        missing: link to why it cannot be replayed.
-        logged: the filter that the force went through on its way to the log, while the loop had it without; None: none.
+        runs: as measured. rows: of each run, that the search uses. scales: orders of magnitude of the data. noise: channel to its floor.
+        force: the noise model of the force, from free flight.
+        engaged: the contact's action along the pose of each run, where only playing the mechanism gives it, see :func:`engagement`.
+        deflection: of each run, departure of the believed rig from its command; None where it cannot be replayed.
+        missing: link to the reason why it cannot be replayed.
+        logged: the filter through which the force went to the log but not to the loop; None: there is none.
     """
 
     runs: tuple[MeasuredRun, ...]
@@ -64,13 +67,13 @@ class Layout:
     logged: LowPass | None = None
 
     def assumed(self) -> tuple[str, ...]:
-        """What was assumed of the force on record, in sentences."""
+        """The assumptions on the recorded force, in sentences."""
         return (*self.force.words(), *([self.logged.words(1.0 / self.scales.tick)] if self.logged else []))
 
     @property
     def least_force(self) -> float:
-        """[N] below which no noise of a force is believed."""
-        return NO_FORCE_NOISE * self.scales.force
+        """[N] the least noise floor of a force."""
+        return MIN_FORCE_NOISE * self.scales.force
 
     @property
     def whole(self) -> tuple[int, ...]:
@@ -79,7 +82,7 @@ class Layout:
 
 
 def lay_out(dataset: MeasuredDataset) -> Layout:
-    """Rows, noise floors and scales of a dataset, and what of it can be replayed."""
+    """Rows, noise floors and scales of a dataset, and which links can be replayed."""
     runs = dataset.runs
     force = force_noise(runs)
     noise = floors(runs) | force.levels()
@@ -96,23 +99,23 @@ def lay_out(dataset: MeasuredDataset) -> Layout:
     if "compensation" in missing:
         return layout
     link = compensation_link(layout, layout.whole)
-    logged = _filter_between(link)
+    logged = _logger_filter(link)
     if logged is None:
         return layout
-    force, white = force_noise(runs, logged), link.noise_gain() * logged.colour  # differences of filtered noise tell nothing of it
+    force, white = force_noise(runs, logged), link.noise_gain() * logged.colour  # third differences underestimate filtered noise
     led = {c.replace("comp", "meas"): noise[c] / white for c in link.channels if noise.get(c)}
     return replace(layout, force=force, noise=noise | led | force.levels(), logged=logged)
 
 
-def _filter_between(link: CompensationLink) -> LowPass | None:
-    """The filter through which a log's forces went, while the loop had them without; None where wrench_comp shows none."""
+def _logger_filter(link: CompensationLink) -> LowPass | None:
+    """The filter through which the force went to the log but not to the loop; None where wrench_comp shows none."""
     behind = link.predict([(i, ()) for i in range(len(link.runs))])
     known = [np.asarray(np.isfinite(run.sigma).all(axis=1)) for run in link.runs]
     return low_pass_between([run.measured for run in link.runs], behind, known)
 
 
-def under(layout: Layout, readings: Sequence[Array]) -> Layout | None:
-    """The same where the believed sensors would have shown ``readings`` (N, 6) of each run; None where the rig cannot follow then."""
+def with_readings(layout: Layout, readings: Sequence[Array]) -> Layout | None:
+    """The same if the believed sensor had shown ``readings`` (N, 6) in each run; None where the rig then cannot follow its command."""
     given, lost = _deflections(layout.runs, layout.noise, layout.engaged, readings)
     return replace(layout, deflection=given) if lost is None else None
 
@@ -120,7 +123,7 @@ def under(layout: Layout, readings: Sequence[Array]) -> Layout | None:
 def _deflections(
     runs: Sequence[MeasuredRun], noise: Mapping[str, float], engaged: Sequence[Engaged | None], readings: Sequence[Array] | None = None
 ) -> tuple[tuple[Deflection, ...] | None, MeasuredRun | None]:
-    """Of each run how the believed rig departs from its command, or the first run in which it cannot follow that."""
+    """The believed rig's departure from its command in each run, or the first run in which it cannot follow the command."""
     found = []
     for i, run in enumerate(runs):
         one = deflection(run, noise.get("wrench_meas.fz", 0.0), readings[i] if readings is not None else None, engaged[i])
@@ -132,7 +135,7 @@ def _deflections(
 
 def platform_link(layout: Layout, rows: Sequence[int]) -> PlatformLink:
     """The platform on the first ``rows`` of each run."""
-    assert layout.deflection is not None  # else it is missing
+    assert layout.deflection is not None  # else the link is missing
     runs, commands, away = [], [], []
     for run, found, n in zip(layout.runs, layout.deflection, rows, strict=True):
         runs.append(_pose_run(run, layout.noise, found.doubt[:n], n))
@@ -143,55 +146,55 @@ def platform_link(layout: Layout, rows: Sequence[int]) -> PlatformLink:
 
 def compensation_link(layout: Layout, rows: Sequence[int]) -> CompensationLink:
     """The compensation on the first ``rows`` of each run."""
-    level = COMPENSATION_FLOOR * max(layout.noise.get("wrench_meas.fz", 0.0), 1e-6) * math.sqrt(CORRELATED)
+    level = COMPENSATION_FLOOR * max(layout.noise.get("wrench_meas.fz", 0.0), 1e-6) * math.sqrt(CORRELATED_ROWS)
     groups = {g for r in layout.runs for g in needs(r.scenario)} - {"wrench_meas"}
-    twists = {g.replace("pose", "twist") for g in groups if every(layout.runs, g.replace("pose", "twist"))}
+    twists = {g.replace("pose", "twist") for g in groups if every_run_has(layout.runs, g.replace("pose", "twist"))}
     pairs = list(zip(layout.runs, rows, strict=True))
     records = {g: [np.ascontiguousarray(r.record.filled(g)[:n]) for r, n in pairs] for g in groups | twists}
-    runs = [_computed_run(r, r.record.data["wrench_comp"], level, n, "wrench_meas", MEMORY) for r, n in pairs]
+    runs = [_computed_run(r, r.record.data["wrench_comp"], level, n, "wrench_meas", GAP_MEMORY) for r, n in pairs]
     wrenches = [np.ascontiguousarray(r.record.filled("wrench_meas")[:n]) for r, n in pairs]
     link = CompensationLink(runs, wrenches, records)
-    memory, gain = link.memory() or MEMORY, link.noise_gain()
+    memory, gain = link.memory() or GAP_MEMORY, link.noise_gain()
     runs = [_computed_run(r, r.record.data["wrench_comp"], level, n, "wrench_meas", memory) for r, n in pairs]
     written = [np.hypot(r.record.rounding("wrench_comp"), gain * r.record.rounding("wrench_meas"))[:n] for r, n in pairs]
-    runs = [replace(run, sigma=np.hypot(run.sigma, COMPUTED_ROUNDED * w)) for run, w in zip(runs, written, strict=True)]
-    bends = bends_of(layout.runs, "wrench_meas", rows)
+    runs = [replace(run, sigma=np.hypot(run.sigma, CORRELATION_FACTOR * w)) for run, w in zip(runs, written, strict=True)]
+    bends = interpolation_errors(layout.runs, "wrench_meas", rows)
     if any(b.any() for b in bends):
         straight = [w - b for w, b in zip(wrenches, bends, strict=True)]
-        missed = differences(CompensationLink(runs, wrenches, records), CompensationLink(runs, straight, records))
-        out = [np.hypot(m, b) for m, b in zip(missed, bends_of(layout.runs, "wrench_comp", rows), strict=True)]
-        runs = [replace(run, sigma=np.hypot(run.sigma, COMPUTED_ROUNDED * m)) for run, m in zip(runs, out, strict=True)]
+        missed = rms_differences(CompensationLink(runs, wrenches, records), CompensationLink(runs, straight, records))
+        out = [np.hypot(m, b) for m, b in zip(missed, interpolation_errors(layout.runs, "wrench_comp", rows), strict=True)]
+        runs = [replace(run, sigma=np.hypot(run.sigma, CORRELATION_FACTOR * m)) for run, m in zip(runs, out, strict=True)]
     if layout.logged:
         runs = [_filtered(run, layout.logged) for run in runs]
     return CompensationLink(runs, wrenches, records)
 
 
 def _filtered(run: LinkRun, logged: LowPass) -> LinkRun:
-    """What is computed of a force that was filtered: what the loop computed, filtered alike."""
-    sigma = np.hypot(run.sigma, COMPUTED_ROUNDED * logged.missed(run.measured))
+    """The computed force filtered like the recorded one it is compared with."""
+    sigma = np.hypot(run.sigma, CORRELATION_FACTOR * logged.missed(run.measured))
     return replace(run, measured=logged(run.measured), sigma=sigma)
 
 
 def dynamics_link(layout: Layout, rows: Sequence[int]) -> DynamicsLink:
     """The numerical model on the first ``rows`` of each run."""
-    level = DYNAMICS_FLOOR * math.sqrt(CORRELATED)
+    level = DYNAMICS_FLOOR * math.sqrt(CORRELATED_ROWS)
     pairs = list(zip(layout.runs, rows, strict=True))
-    gone = {True: 0.0, False: None}  # [s] after which a lost sample is forgotten: never, unless its bridge is known
-    bridged = [bridges(r.record, "wrench_comp") for r in layout.runs]
+    gone = {True: 0.0, False: None}  # [s] for which a lost sample matters: to the end of the run, unless its bridge has a known error
+    bridged = [only_short_gaps(r.record, "wrench_comp") for r in layout.runs]
     runs = [
         _computed_run(r, flat_pose(r.record.data["pose_cmd"]), level, n, "wrench_comp", gone[b])
         for (r, n), b in zip(pairs, bridged, strict=True)
     ]
     wrenches = [np.ascontiguousarray(r.record.filled("wrench_comp")[:n]) for r, n in pairs]
     missing = [lost(r.record, "wrench_comp")[:n] & b for (r, n), b in zip(pairs, bridged, strict=True)]
-    bends = bends_of(layout.runs, "wrench_comp", rows)
+    bends = interpolation_errors(layout.runs, "wrench_comp", rows)
     floors = np.array([layout.noise.get(name, 0.0) for name in GROUPS["wrench_comp"].columns])
     noise = bridging_noise(DynamicsLink(runs, wrenches), wrenches, missing, bends, floors)
-    runs = [replace(run, sigma=np.hypot(run.sigma, COMPUTED_ROUNDED * s)) for run, s in zip(runs, noise, strict=True)]
+    runs = [replace(run, sigma=np.hypot(run.sigma, CORRELATION_FACTOR * s)) for run, s in zip(runs, noise, strict=True)]
     if any(b.any() for b in bends):
-        coherent = [w + np.abs(b) for w, b in zip(wrenches, bends, strict=True)]  # what is missed of a motion may add up
-        missed = differences(DynamicsLink(runs, wrenches), DynamicsLink(runs, coherent))
-        lasting = [math.sqrt(len(m)) * np.maximum.accumulate(m, axis=0) for m in missed]  # one departure a run, however many rows show it
+        coherent = [w + np.abs(b) for w, b in zip(wrenches, bends, strict=True)]  # interpolation errors may add up in the motion
+        missed = rms_differences(DynamicsLink(runs, wrenches), DynamicsLink(runs, coherent))
+        lasting = [math.sqrt(len(m)) * np.maximum.accumulate(m, axis=0) for m in missed]  # one error a run, in however many rows
         runs = [replace(run, sigma=np.hypot(run.sigma, s)) for run, s in zip(runs, lasting, strict=True)]
     return DynamicsLink(runs, wrenches)
 
@@ -204,11 +207,11 @@ def wrench_link(
     rates: Sequence[Array] | None = None,
     extra: Sequence[Array] | None = None,
 ) -> WrenchLink:
-    """Contact and sensor on the paths (N, 7) that A took in each run; jumps: (N,) [m] of it within a tick.
+    """Contact and sensor on the paths (N, 7) of A in each run; jumps: (N,) [m] of A within a tick.
 
-    rates: (N, 6) twist at t_k, None: the slope of the tick. extra: (N, 6) noise that the path itself brings to the reading [N, N m].
+    rates: (N, 6) twist at t_k, None: the slope of the tick. extra: (N, 6) noise of the reading caused by the path's own noise [N, N m].
     """
-    least = layout.scales.force * np.array([NO_FORCE_NOISE] * 3 + [ARM_UNKNOWN] * 3)
+    least = layout.scales.force * np.array([MIN_FORCE_NOISE] * 3 + [FORCE_ARM_ERROR] * 3)
     runs = []
     for i, (run, n) in enumerate(zip(layout.runs, rows, strict=True)):
         link_run = _force_run(run, layout, i, n, least)
@@ -224,30 +227,30 @@ def _rows(run: MeasuredRun) -> int:
     if not run.survey.contacts:
         return run.record.ticks
     end = max(c.end for c in run.survey.contacts)
-    return min(run.record.ticks, end + round((TAIL + run.scenario.sensor.delay) * run.scenario.rate))
+    return min(run.record.ticks, end + round((TAIL_TIME + run.scenario.sensor.delay) * run.scenario.rate))
 
 
 def _force_run(run: MeasuredRun, layout: Layout, i: int, rows: int, least: Array) -> LinkRun:
-    """A measured force less the offset that it has in this run alone, with the noise of its colour and of its size."""
+    """A measured force less the offset of this run, with a noise level that includes its colour and its share of the reading."""
     level = np.maximum([layout.noise.get(name, 0.0) for name in GROUPS["wrench_meas"].columns], least) * layout.force.colour
     reading = np.nan_to_num(run.record.data["wrench_meas"][:rows]) - layout.force.offset[i]
     level = np.hypot(np.hypot(level, layout.force.share * reading), run.record.rounding("wrench_meas")[:rows])
-    level = level * _as_one(run, "wrench_meas", rows)
+    level = level * _repetition_factor(run, "wrench_meas", rows)
     sigma = np.where(run.record.valid["wrench_meas"][:rows], level, np.inf)
-    sigma[:, [few_numbers(run, name) for name in GROUPS["wrench_meas"].columns]] = np.inf
+    sigma[:, [few_levels(run, name) for name in GROUPS["wrench_meas"].columns]] = np.inf
     path = next((g for g in ("pose_act", "pose_cmd") if run.record.has(g)), None)
     if path is not None:
-        sigma[run.record.unknown(path, MEMORY + run.scenario.sensor.delay)[:rows]] = np.inf
+        sigma[run.record.unknown(path, GAP_MEMORY + run.scenario.sensor.delay)[:rows]] = np.inf
     measured = np.where(run.record.valid["wrench_meas"][:rows], reading, 0.0)
     force = layout.force
     return LinkRun(run.scenario, measured, sigma, run.touching(rows), force.heavy, force.tail, force.baseline, force.tones)
 
 
-def _as_one(run: MeasuredRun, group: str, rows: int) -> Array:
-    """(rows, parts) root of how many equal readings in a row tell no more than one, of a channel in steps that its noise does not fill."""
+def _repetition_factor(run: MeasuredRun, group: str, rows: int) -> Array:
+    """(rows, parts) root of the length of each run of equal readings in a quantised channel without dither; they count as one."""
     out = np.ones((rows, len(GROUPS[group].columns)))
     for j, name in enumerate(GROUPS[group].columns):
-        if run.record.has(name) and (in_steps(run, name) or name in run.record.digits):
+        if run.record.has(name) and (undithered(run, name) or name in run.record.digits):
             values = run.record.column(name)[:rows]
             starts = np.flatnonzero(np.r_[True, values[1:] != values[:-1]])
             lengths = np.diff(np.r_[starts, rows])
@@ -258,20 +261,20 @@ def _as_one(run: MeasuredRun, group: str, rows: int) -> Array:
 def _pose_run(run: MeasuredRun, noise: Mapping[str, float], doubt: Array, rows: int) -> LinkRun:
     """A measured pose as position and small rotation vector; an attitude counts where all of it was measured."""
     valid = run.record.valid["pose_act"][:rows]
-    level = np.maximum([noise.get(f"pose_act.{part}", 0.0) for part in ("px", "py", "pz", *ROTATIONS)], NO_POSE_NOISE)
+    level = np.maximum([noise.get(f"pose_act.{part}", 0.0) for part in ("px", "py", "pz", *ROTATIONS)], MIN_POSE_NOISE)
     counted = np.concatenate([valid[:, :3], np.repeat(np.all(valid[:, 3:], axis=1)[:, None], 3, axis=1)], axis=1)
-    rounding, as_one = run.record.rounding("pose_act")[:rows], _as_one(run, "pose_act", rows)
+    rounding, as_one = run.record.rounding("pose_act")[:rows], _repetition_factor(run, "pose_act", rows)
     level = np.hypot(level, np.column_stack([rounding[:, :3], 2.0 * rounding[:, 3:6]])) * as_one[:, :6]
     sigma = np.where(counted, np.hypot(level, doubt), np.inf)
-    sigma[run.record.unknown("pose_cmd", MEMORY)[:rows]] = np.inf
-    sigma[:OFF_RECORD] = sigma[run.record.ticks - OFF_RECORD :] = np.inf  # row 0 is the start, and stamps may be rows off
+    sigma[run.record.unknown("pose_cmd", GAP_MEMORY)[:rows]] = np.inf
+    sigma[:UNUSED_END_ROWS] = sigma[run.record.ticks - UNUSED_END_ROWS :] = np.inf  # row 0 is the start, and stamps may be off by rows
     return LinkRun(run.scenario, np.nan_to_num(flat_pose(run.record.data["pose_act"][:rows])), sigma, run.touching(rows))
 
 
 def _computed_run(run: MeasuredRun, values: Array, level: float, rows: int, given: str, memory: float | None) -> LinkRun:
-    """given: the group that the values are computed from; memory: [s], see `Record.unknown`."""
+    """The run of a computed channel; given: the group from which it is computed; memory: [s], see `Record.unknown`."""
     sigma = np.where(np.isfinite(values[:rows]), level, np.inf)
     sigma[run.record.unknown(given, memory)[:rows]] = np.inf
-    if given == "wrench_meas":  # axis by axis: nothing comes of an axis that was not measured
+    if given == "wrench_meas":  # axis by axis: an axis that was not measured gives nothing
         sigma[:, [name in run.record.absent for name in GROUPS[given].columns]] = np.inf
     return LinkRun(run.scenario, np.nan_to_num(values[:rows]), sigma, run.touching(rows))

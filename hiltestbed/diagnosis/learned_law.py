@@ -1,4 +1,4 @@
-"""A law that was learned, as plain records: what a diagnosis says of it."""
+"""A learned law as plain records, for the report."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class LearnedCurve:
-    """One curve of a learned law, and what the data leave for it where everything else is taken out.
+    """One curve of a learned law, and the data for it with all other terms subtracted.
 
     Attributes:
-        over: what it is a curve of, a parameter of the effect. knots: (K, 2). data: (M, 2) samples, thinned. units: of both axes.
+        over: its abscissa, a parameter of the effect. knots: (K, 2). data: (M, 2) samples, thinned. units: of both axes.
     """
 
     over: str
@@ -32,9 +32,9 @@ class Learned:
 
     Attributes:
         effect: id. parameters: as in a scenario. link: that it acts on. numbers: how many were fitted.
-        heldout: its gain on runs that were left out, beside the causes that were named. explained: share of the departure there.
+        heldout: its gain on left-out runs, beside the named causes. explained: share of the departure there.
         carries_over: whether the same law holds in all runs, so that the model is extended with it.
-        equation: in short, or None where none fits. resembles: named effects that take away much the same.
+        equation: a short one, or None where none fits. resembles: named effects that remove much the same from the residual.
     """
 
     effect: str
@@ -53,7 +53,7 @@ class Learned:
         return {"kind": self.effect, **self.parameters}
 
     def to_json(self) -> dict[str, Any]:
-        """As it stands in diagnosis.json; `gain` is the part by which the residual of left-out runs falls."""
+        """As it stands in diagnosis.json; `gain` is the relative reduction of the residual on left-out runs."""
         return {
             "effect": self.effect, "gain": self.heldout.reduction, "resembles": list(self.resembles), "equation": self.equation,
             "parameters": dict(self.parameters), "numbers": self.numbers, "explained": self.explained, "carries_over": self.carries_over,

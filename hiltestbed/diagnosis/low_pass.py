@@ -1,7 +1,7 @@
-"""The filter that a logger puts before its converter, as the force that the loop computed with tells it.
+"""Stage "layout": the low-pass filter that a logger puts before its converter, identified from the force that the loop computed with.
 
-Such a filter is on record alone: the loop had what it held back. A linear compensation makes of the force on record what the loop computed,
-wrench_comp, once through that filter: a Butterworth filter is sought that makes the one of the other.
+Such a filter acts on the record alone: the loop used the unfiltered force. So a linear compensation of the recorded force gives what the
+loop computed, wrench_comp, passed once through that filter. A Butterworth filter is sought that maps the one to the other.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ from scipy.optimize import minimize
 from hiltestbed.frames import Array
 
 ORDERS = (1, 2, 3, 4, 5, 6, 8)
-CUTOFFS = (0.01, 0.02, 0.05, 0.12, 0.3)  # [1/row], where a search starts
-LEAST, MOST = 0.004, 0.45  # [1/row] of a cut-off
-LATEST = 40.0  # [rows] that stamps may be off beside
-HELD_BACK = 0.5  # of the variance of second differences, which the filter has to take for a search to begin
-EXPLAINS = 0.1  # of the rms by which both sides differ, that may be left: 1 % of the variance
-TRIED = 3  # starts of an order
-SEARCH = {"xatol": 1e-3, "fatol": 1e-9, "maxiter": 150}
-LASTS = 2.0  # periods of the cut-off, over which the filter answers to a jump
-ENDS = 20  # rows at both ends that hang on what was before and after
+CUTOFFS = (0.01, 0.02, 0.05, 0.12, 0.3)  # chosen: [1/row] at which a search starts
+MIN_CUTOFF, MAX_CUTOFF = 0.004, 0.45  # chosen: [1/row]
+MAX_STAMP_SHIFT_ROWS = 40.0  # chosen: [rows] by which stamps may be off as well
+MAX_ROUGHNESS_RATIO = 0.5  # chosen: of the variances of second differences, filtered over unfiltered, for a search to begin
+MAX_RMS_RATIO = 0.1  # chosen: of the rms difference, with the filter over without it: 1 % of the variance
+STARTS_PER_ORDER = 3  # chosen: starts of the search
+NELDER_MEAD_OPTIONS = {"xatol": 1e-3, "fatol": 1e-9, "maxiter": 150}
+RESPONSE_PERIODS = 2.0  # chosen: periods of the cut-off over which the filter responds to a jump
+END_ROWS = 20  # chosen: at both ends that depend on rows outside the record
 
 
 @dataclass(frozen=True)
@@ -36,8 +36,8 @@ class LowPass:
     """A Butterworth filter.
 
     Attributes:
-        order: of it. cutoff: [1/row]. prompt: whether its delay at low frequency was taken off the stamps. part: [rows] by which they are
-            later beside, less than one.
+        order: of it. cutoff: [1/row]. prompt: whether the stamps are corrected for its delay at low frequency. part: [rows] of further
+            delay, less than one.
     """
 
     order: int
@@ -46,7 +46,7 @@ class LowPass:
     part: float = 0.0
 
     def __call__(self, values: Array) -> Array:
-        """``values`` (N, C) through it."""
+        """``values`` (N, C), filtered."""
         sections, early = signal.butter(self.order, self.cutoff, fs=1.0, output="sos"), (self.delay if self.prompt else 0.0) - self.part
         ahead = math.ceil(max(early, 0.0)) + 1
         held = np.concatenate([values, np.repeat(values[-1:], ahead, axis=0)])
@@ -58,34 +58,34 @@ class LowPass:
 
     @property
     def delay(self) -> float:
-        """[rows] of slow changes: half the sum of 1/Q of its poles over the tangent of half its cut-off."""
+        """[rows] at low frequency: half the sum of 1/Q of its poles over the tangent of half its cut-off."""
         angles = math.pi * (2.0 * np.arange(self.order) + 1.0) / (2.0 * self.order)
         return float(np.sum(np.sin(angles))) / (2.0 * math.tan(math.pi * self.cutoff))
 
     @property
     def colour(self) -> float:
-        """Root of the density at low frequency of white noise behind it, over that of white noise of the same variance."""
+        """Root of the spectral density at low frequency of filtered white noise, over that of white noise of the same variance."""
         frequency = np.linspace(0.0, 0.5, 4096, endpoint=False)
         power = 1.0 / (1.0 + (np.tan(math.pi * frequency) / math.tan(math.pi * self.cutoff)) ** (2 * self.order))
         return 1.0 / math.sqrt(float(np.mean(power)))
 
     @property
     def stride(self) -> int:
-        """Rows after which noise behind it is another."""
+        """Rows after which filtered noise is independent."""
         return max(1, round(0.5 / self.cutoff))
 
     def words(self, rate: float) -> str:
-        """What was found, in a sentence; ``rate`` [Hz] of the rows."""
-        stamps = "with its delay taken off the stamps" if self.prompt else "stamped as late as it makes it"
+        """The filter in a sentence; ``rate`` [Hz] of the rows."""
+        stamps = "with its delay removed from the stamps" if self.prompt else "with its delay in the stamps"
         return (
-            f"the force went to the log through a low-pass of order {self.order} at {self.cutoff * rate:.3g} Hz that the loop did not "
-            f"have, {stamps}: what is held against it is filtered alike"
+            f"the force went to the log through a low-pass of order {self.order} at {self.cutoff * rate:.3g} Hz that the loop did "
+            f"not have, {stamps}: the predictions are filtered alike"
         )
 
     def missed(self, values: Array) -> Array:
-        """(N, C) by how much what it takes from ``values`` (N, C) may be off: what one of the next order takes otherwise, rms over as long
-        as it answers. Infinite at the end, where what comes after it is on record."""
-        width, other = round(LASTS / self.cutoff) | 1, replace(self, order=self.order + 1)
+        """(N, C) uncertainty of the filtered ``values`` (N, C): the difference to a filter of the next order, rms over its response time.
+        Infinite at the end, where the record would have to go on."""
+        width, other = round(RESPONSE_PERIODS / self.cutoff) | 1, replace(self, order=self.order + 1)
         out = np.sqrt(np.maximum(uniform_filter1d((other(values) - self(values)) ** 2, width, axis=0), 0.0))
         if self.prompt:
             out[len(out) - math.ceil(self.delay) :] = np.inf
@@ -93,11 +93,11 @@ class LowPass:
 
 
 def low_pass_between(before: Sequence[Array], behind: Sequence[Array], known: Sequence[np.ndarray]) -> LowPass | None:
-    """The filter that makes of ``before`` (N, C) what is ``behind`` (N, C) in each run, on rows that are ``known`` (N,).
+    """The filter that turns ``before`` (N, C) into ``behind`` (N, C) in each run, on rows that are ``known`` (N,).
 
-    None where no Butterworth filter does it: what the two differ by hangs on something else.
+    None where no Butterworth filter does: the difference has another origin.
     """
-    counted = [k & (np.arange(len(k)) >= ENDS) & (np.arange(len(k)) < len(k) - ENDS) for k in known]
+    counted = [k & (np.arange(len(k)) >= END_ROWS) & (np.arange(len(k)) < len(k) - END_ROWS) for k in known]
     if not any(k.any() for k in counted):
         return None
     size = np.sqrt(np.mean(np.concatenate([b[k] for b, k in zip(before, counted, strict=True)]) ** 2, axis=0))
@@ -106,27 +106,31 @@ def low_pass_between(before: Sequence[Array], behind: Sequence[Array], known: Se
     before = [(b / np.where(size > 0.0, size, np.inf)) for b in before]
     behind = [(b / np.where(size > 0.0, size, np.inf)) for b in behind]
     rough = [np.concatenate([np.diff(x, 2, axis=0)[k[2:]] for x, k in zip(xs, counted, strict=True)]) for xs in (before, behind)]
-    if np.sum(rough[1] ** 2) > HELD_BACK * np.sum(rough[0] ** 2):
+    if np.sum(rough[1] ** 2) > MAX_ROUGHNESS_RATIO * np.sum(rough[0] ** 2):
         return None
 
     def left(filtered: Sequence[Array]) -> float:
         return float(sum(np.sum((b - f)[k] ** 2) for b, f, k in zip(behind, filtered, counted, strict=True)))
 
     def misfit(order: int, x: Array) -> float:
-        one = LowPass(order, float(np.clip(math.exp(x[0]), LEAST, MOST)), part=float(np.clip(x[1], -LATEST, LATEST)))
+        one = LowPass(
+            order,
+            float(np.clip(math.exp(x[0]), MIN_CUTOFF, MAX_CUTOFF)),
+            part=float(np.clip(x[1], -MAX_STAMP_SHIFT_ROWS, MAX_STAMP_SHIFT_ROWS)),
+        )
         return left([one(b) for b in before])
 
     found: tuple[float, int, Array] = (math.inf, 0, np.zeros(2))
     for order in ORDERS:
         cost = partial(misfit, order)
         starts = [np.array([math.log(c), late]) for c in CUTOFFS for late in (0.0, LowPass(order, c).delay)]
-        for start in sorted(starts, key=cost)[:TRIED]:
-            best: Any = minimize(cost, start, method="Nelder-Mead", options=SEARCH)
+        for start in sorted(starts, key=cost)[:STARTS_PER_ORDER]:
+            best: Any = minimize(cost, start, method="Nelder-Mead", options=NELDER_MEAD_OPTIONS)
             if best.fun < found[0]:
                 found = (float(best.fun), order, best.x)
     least, order, x = found
-    if least > EXPLAINS**2 * left(before):
+    if least > MAX_RMS_RATIO**2 * left(before):
         return None
-    one = LowPass(order, float(np.clip(math.exp(x[0]), LEAST, MOST)))
+    one = LowPass(order, float(np.clip(math.exp(x[0]), MIN_CUTOFF, MAX_CUTOFF)))
     late = min((float(x[1]), float(x[1]) - one.delay), key=abs)
-    return replace(one, prompt=late == float(x[1]), part=late if abs(late) < 1.0 else 0.0)  # a record that is later than that is skewed
+    return replace(one, prompt=late == float(x[1]), part=late if abs(late) < 1.0 else 0.0)  # a larger shift is a stamp delay (log.skew)

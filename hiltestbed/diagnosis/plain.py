@@ -26,7 +26,7 @@ def cause_json(cause: Cause) -> dict[str, Any]:
 
 
 def finite(value: Any) -> Any:
-    """Plain data for JSON: tuples and arrays as lists, numbers of NumPy as Python's, what is not finite as None."""
+    """Plain data for JSON: tuples and arrays as lists, NumPy numbers as Python's, non-finite numbers as None."""
     if isinstance(value, Mapping):
         return {str(k): finite(v) for k, v in value.items()}
     if isinstance(value, (list, tuple, np.ndarray)):
@@ -44,7 +44,7 @@ def plain(value: Any) -> Any:
 
 
 def listed(parameters: Mapping[str, Any]) -> str:
-    """Parameters of an effect by name, numbers to four digits; what is left out follows from another."""
+    """Parameters of an effect by name, numbers to four digits, without omitted ones."""
 
     def text(v: Any) -> str:
         if isinstance(v, float):
@@ -54,7 +54,7 @@ def listed(parameters: Mapping[str, Any]) -> str:
     return ", ".join(f"{name} {text(v)}" for name, v in parameters.items() if v is not None)
 
 
-def told(parameter: Parameter) -> str:
+def estimate_text(parameter: Parameter) -> str:
     """An estimate with its interval, where it is one number."""
     estimate, interval = parameter.estimate, parameter.ci95
     if not isinstance(estimate, float) or not interval or isinstance(interval[0], tuple) or isinstance(interval[1], tuple):

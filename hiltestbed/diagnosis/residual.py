@@ -1,4 +1,4 @@
-"""The residual of a link, in units of its noise, as a function of what departs."""
+"""Stage "replay": the residual of a link, in units of its noise, as a function of a hypothesis (a list of effects)."""
 
 from __future__ import annotations
 
@@ -10,15 +10,16 @@ from hiltestbed.diagnosis.aside import Aside
 from hiltestbed.diagnosis.links import Link
 from hiltestbed.diagnosis.links.base import Effects
 from hiltestbed.diagnosis.noise import softened
-from hiltestbed.diagnosis.settings import FAR
+from hiltestbed.diagnosis.settings import MAX_RESIDUAL
 from hiltestbed.frames import Array
 
 
 class Residual:
-    """Measured less predicted, over the noise. It does not change: what changes the weights or the runs gives another one.
+    """Measured less predicted, over the noise. It is immutable: other weights or runs give another `Residual`.
 
     Attributes:
-        link: whose. runs: numbers of those that count. weight: of each run of the link (N, C), one over the noise, 0 where not measured.
+        link: that is replayed. runs: indices of the runs that count.
+        weight: (N, C) of each run of the link, one over the noise, 0 where not measured.
     """
 
     def __init__(self, link: Link, runs: Sequence[int] | None = None, weight: Sequence[Array] | None = None) -> None:
@@ -29,8 +30,8 @@ class Residual:
         self.weight = tuple(weight)
         self._aside: dict[int, Aside] = {}
 
-    def wary(self, effects: Effects) -> Residual:
-        """With less weight on samples that hang on how finely the facility divides its time under ``effects``; itself where none does."""
+    def downweighted(self, effects: Effects) -> Residual:
+        """With less weight on samples that depend on how the facility divides its tick under ``effects``; itself where none does."""
         doubts = {i: self.link.doubt(i, effects) for i in self.runs}
         scaled = {i: d * self.weight[i] for i, d in doubts.items() if d is not None}
         if not any(np.any(u > 1.0) for u in scaled.values()):
@@ -38,37 +39,37 @@ class Residual:
         weight = [w / np.sqrt(1.0 + scaled[i] ** 2) if i in scaled else w for i, w in enumerate(self.weight)]
         return Residual(self.link, self.runs, weight)
 
-    def doubted(self, noise: Array) -> Residual:
-        """With more ``noise`` (C,) in every sample [units of the channels]."""
+    def with_noise(self, noise: Array) -> Residual:
+        """With additional ``noise`` (C,) in every sample [units of the channels]."""
         return Residual(self.link, self.runs, [w / np.sqrt(1.0 + (w * noise) ** 2) for w in self.weight])
 
     def on(self, runs: Sequence[int]) -> Residual:
-        """On fewer runs."""
+        """On a subset of the runs."""
         return Residual(self.link, runs, self.weight)
 
     def through(self, link: Link) -> Residual:
-        """Of another reading of the link, under the same weights."""
+        """Of another interpretation of the link, with the same weights."""
         return Residual(link, self.runs, self.weight)
 
     def as_judged(self) -> Residual:
-        """Of the link as it is judged, where it was fitted in another form."""
+        """Of the form of the link on which adequacy is judged, if another one was fitted."""
         return self if self.link.whole is self.link else Residual(self.link.whole, self.runs)
 
     def by_run(self, hypotheses: Sequence[Effects]) -> list[list[Array]]:
-        """Of each hypothesis and run (N, C); FAR where a prediction has left the finite numbers, so that misfits can be put in order."""
+        """(N, C) for each hypothesis and run; clipped to MAX_RESIDUAL where a prediction is not finite, so that misfits can be sorted."""
         shown = self.link.predict([(i, effects) for effects in hypotheses for i in self.runs])
         out, at = [], 0
         for _ in hypotheses:
             rows = []
             for i in self.runs:
                 r = softened(self.left(i, shown[at]) * self.weight[i], self.link.runs[i].heavy)
-                rows.append(r if np.isfinite(r).all() else np.clip(np.nan_to_num(r, nan=FAR), -FAR, FAR))
+                rows.append(r if np.isfinite(r).all() else np.clip(np.nan_to_num(r, nan=MAX_RESIDUAL), -MAX_RESIDUAL, MAX_RESIDUAL))
                 at += 1
             out.append(rows)
         return out
 
     def left(self, i: int, shown: Array) -> Array:
-        """(N, C) of run i what was measured less what is ``shown`` (N, C), without what differs from run to run."""
+        """(N, C) of run i: measured less ``shown`` (N, C), without the nuisance terms of the run (baseline, tones)."""
         run = self.link.runs[i]
         left = run.measured - shown
         if run.baseline < 0 and not run.tones:

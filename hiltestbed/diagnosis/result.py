@@ -1,6 +1,6 @@
-"""What a diagnosis says: the contents of diagnosis.json, as plain records.
+"""The result of a diagnosis: the contents of diagnosis.json, as plain records.
 
-`Finding` is what the naming of causes hands over; `Diagnosis` is that with everything that follows from it.
+`Finding` is what the stage "decide" gives; `Diagnosis` is that with everything that the report derives from it.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hiltestbed.diagnosis.learned_law import Learned
-from hiltestbed.diagnosis.plain import cause_json, finite, plain, told
+from hiltestbed.diagnosis.plain import cause_json, estimate_text, finite, plain
 from hiltestbed.errors import MissingExtra
 from hiltestbed.frames import Array
 
@@ -32,7 +32,7 @@ Interval = tuple[float | None, float | None]
 
 @dataclass(frozen=True)
 class Parameter:
-    """An estimate with its 95 % interval, in `unit`; a vector has one of each an item, a choice (an axis, a body) has no interval."""
+    """An estimate with its 95 % interval, in `unit`; a vector has an interval for each item, a choice (an axis, a body) has none."""
 
     estimate: float | str | tuple[float, ...]
     ci95: Interval | tuple[Interval, ...] | None
@@ -46,8 +46,8 @@ class Cause:
     Attributes:
         effect: id in the vocabulary. parameters: all of them, so that the effect can go into a scenario.
         probability: that it is this effect and not one of `indistinguishable_from`.
-        alternatives: for each of these the whole explanation with it in place of this effect, as under `effects:` in a scenario: the
-            numbers of the other causes may differ in it.
+        alternatives: for each of these the whole explanation with it in place of this effect, as under `effects:` in a scenario; the
+            parameters of the other causes may differ in it.
     """
 
     effect: str
@@ -63,11 +63,11 @@ class Cause:
 
 @dataclass(frozen=True)
 class ChannelResidual:
-    """What a replayed link leaves on one channel, in the channel's unit.
+    """The residual of a replayed link on one channel, in the channel's unit.
 
     Attributes:
-        rms, rms_free, rms_contact, rms_after: of measured less nominal: over all, before the first touch, in contact, after it.
-        noise_floor: rms of the noise alone. white: what the nominal model leaves passes for noise at the floor.
+        rms, rms_free, rms_contact, rms_after: of measured less nominal: overall, before the first touch, in contact, after it.
+        noise_floor: rms of the noise alone. white: whether the residual of the nominal model passes for white noise at the floor.
         rms_extended, white_extended: the same with the named effects; None where nothing was named.
     """
 
@@ -85,7 +85,7 @@ class ChannelResidual:
 
 @dataclass(frozen=True)
 class Heldout:
-    """The gain on runs that were not fitted.
+    """The gain on left-out runs.
 
     Attributes:
         runs: their numbers. rms_before, rms_after: residual of the departing link in units of its noise floor (which is 1).
@@ -104,7 +104,7 @@ class Heldout:
 
     @property
     def significant(self) -> bool:
-        """The interval excludes no gain, and the gain is more than the placebo's."""
+        """Whether the interval excludes zero gain, and the gain exceeds the placebo's."""
         return self.ci95[0] > 0.0 and self.reduction > self.placebo_reduction
 
     def to_json(self) -> dict[str, Any]:
@@ -115,7 +115,7 @@ class Heldout:
 
 @dataclass(frozen=True)
 class Figures:
-    """What a run shows along z, by one rule for measured and simulated runs; None where it cannot be told.
+    """Figures of a run along z, by the same rule for measured and simulated runs; None where one cannot be estimated.
 
     Attributes:
         cor: rebound speed / approach speed. peak_force [N]: largest reading along z.
@@ -149,7 +149,7 @@ class ClosedLoop:
 
 @dataclass(frozen=True)
 class Experiment:
-    """A run that would settle what is open: in words, what it separates, and the keys to set in each of its runs."""
+    """A run that would settle what is open: in words, the effects it separates, and the keys to set in each of its runs."""
 
     text: str
     separates: tuple[str, ...] = ()
@@ -158,9 +158,9 @@ class Experiment:
 
 @dataclass(frozen=True)
 class Ranked:
-    """A hypothesis that was weighed: effects, their parameters in words, misfit with its penalty (smaller is better), and on left-out runs.
+    """A hypothesis that was compared: effects, their parameters in words, score (chi-square and penalty; smaller is better), link.
 
-    heldout: rms in units of the noise floor, or None. adequate: it leaves noise.
+    heldout: rms on left-out runs in units of the noise floor, or None. adequate: whether it leaves only noise.
     """
 
     effects: tuple[str, ...]
@@ -173,7 +173,7 @@ class Ranked:
 
 @dataclass(frozen=True)
 class Isolable:
-    """What these data can show of an effect: the smallest size that raises the alarm, and which effects look the same at that size.
+    """What these data can show of an effect: the smallest size that would be detected, and its look-alikes at that size.
 
     smallest: of `parameter` in `unit`; None where the data do not show it at all.
     """
@@ -188,7 +188,7 @@ class Isolable:
 
 @dataclass(frozen=True)
 class Series:
-    """One channel of one run: measured, replayed by the nominal and by the extended link on measured inputs; all (N,).
+    """One channel of one run: measured, and predicted by the nominal and by the extended link from measured inputs; all (N,).
 
     sigma: noise, infinite where not counted. touching: in contact, or the sensor still shows it.
     """
@@ -206,18 +206,17 @@ class Series:
 
 @dataclass
 class Finding:
-    """What the naming of causes hands over.
+    """The result of the stage "decide".
 
     Attributes:
         link: that departs most, or None. causes: strongest first.
-        candidates: the effects among which it stays open (verdict `ambiguous`, or the rivals of a named cause); may be empty.
         series: every channel of every link and run. noise: channel to its floor.
-        left: what the best extension leaves, in a sentence (verdict `unknown`): link, phase and shape.
-        not_judged: link to why it could not be judged.
-        partial: the effects of the vocabulary that come nearest where none leaves noise; partial_gain: theirs on left-out runs.
-        certainty: of each fit that gave a cause, how well the data hold its estimates.
+        left: residual of the best extension in a sentence (verdict `unknown`): link, phase and shape.
+        not_judged: link to the reason why it could not be judged.
+        partial: the effects of the vocabulary that come nearest where none leaves only noise; partial_gain: their gain on left-out runs.
+        certainty: the uncertainty of the estimates of each fit that gave a cause.
         learned: the law learned on a link where the vocabulary leaves more than noise.
-        assumed: what was assumed of the noise, in sentences. explained: verdict `named_in_part`: share of the departure on left-out runs.
+        assumed: assumptions on the noise, in sentences. explained: verdict `named_in_part`: share of the departure on left-out runs.
     """
 
     verdict: str
@@ -239,7 +238,7 @@ class Finding:
 
     @property
     def names(self) -> bool:
-        """Whether causes extend the model: something is named, and the gain on left-out runs is significant where it was measured."""
+        """Whether causes extend the model: something is named, and its gain on left-out runs is significant, if it was measured."""
         named = self.verdict in ("named", "ambiguous", "named_in_part") and bool(self.causes)
         return named and (self.heldout is None or self.heldout.significant)
 
@@ -255,7 +254,7 @@ class Finding:
 
     @property
     def extension(self) -> tuple[Cause | Learned, ...]:
-        """What the model is extended with: what was named, beside which a law was learned, and that law."""
+        """The causes and the learned law that extend the model."""
         if self.learned is not None and self.learns:
             return (*self.causes, self.learned)
         return self.causes if self.names else ()
@@ -263,7 +262,7 @@ class Finding:
 
 @dataclass(repr=False)
 class Diagnosis:
-    """The result of `diagnose`: what the folder holds, and what its pictures are drawn from.
+    """The result of `diagnose`: what the folder holds, and the data of its figures.
 
     Attributes:
         finding: verdict, link, causes, evidence. residuals, closed_loop, experiment: what follows from it.
@@ -290,7 +289,7 @@ class Diagnosis:
         from hiltestbed.notebook import html_table
 
         rows = [
-            (cause.effect, name, told(p), p.unit, f"{cause.probability:.2f}")
+            (cause.effect, name, estimate_text(p), p.unit, f"{cause.probability:.2f}")
             for cause in self.causes
             for name, p in cause.parameters.items()
         ]
@@ -311,10 +310,10 @@ class Diagnosis:
         return pd.DataFrame(rows, columns=["cause", "parameter", "estimate", "ci95", "unit", "probability"])
 
     def plot(self, channel: str | None = None, axes: Axes | None = None) -> Axes:
-        """A channel as it was measured and as its link makes it, nominal and extended, in the run that the nominal model misses most.
+        """A channel as measured and as predicted by its link, nominal and extended, in the run with the largest nominal misfit.
 
         Args:
-            channel: left out, the one that is missed most.
+            channel: by default the one with the largest misfit.
 
         Raises:
             InputError: no such channel, or no link could be judged.
@@ -341,7 +340,7 @@ class Diagnosis:
 
     @property
     def compared(self) -> str:
-        """What the `extended` of the series is: the extended model, the best explanation that is not good enough, or nothing."""
+        """Name of the `extended` prediction of the series: the extended model, the best explanation that is not adequate, or none."""
         return "extended" if self.finding.extends else "best explanation" if self.finding.partial else ""
 
     @property
@@ -349,7 +348,7 @@ class Diagnosis:
         return self.experiment.text if self.experiment else None
 
     def to_json(self) -> dict[str, Any]:
-        """The contents of diagnosis.json; plain data without infinities."""
+        """The contents of diagnosis.json: plain data without infinities."""
         from hiltestbed.diagnosis.report.sentence import learned_sentence, partial_sentence, verdict_sentence
         from hiltestbed.versions import versions
 

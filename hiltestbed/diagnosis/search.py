@@ -1,4 +1,7 @@
-"""The explanation of one link: first each cause alone, then further ones beside the best, as long as each of them pays."""
+"""Stage "select": the effects that explain one link: first each alone, then further ones beside the best, while each exceeds its threshold.
+
+Takes a `Residual` and the candidates; gives an `Explanation`.
+"""
 
 from __future__ import annotations
 
@@ -9,32 +12,32 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hiltestbed.diagnosis.adequacy import JITTER, Leftover, contact_leftovers, noise_alone
-from hiltestbed.diagnosis.fit import Fit, bounds_of, differences, effects_at, fit, inflation, nothing, refit, scales
+from hiltestbed.diagnosis.fit import Fit, bounds_of, differences, effects_at, fit, inflation, null_fit, refit, scales
 from hiltestbed.diagnosis.jitter import again
 from hiltestbed.diagnosis.links.base import Effects
 from hiltestbed.diagnosis.residual import Residual, square
 from hiltestbed.diagnosis.settings import (
     AMBIGUITY,
-    BEAM,
-    CLOSE_BY,
+    BEAM_WIDTH,
+    CLOSE_CHI2,
     DETECTION,
-    MOST_CAUSES,
-    NEAR_AN_END,
-    PARTNERS,
+    LINEAR_GAIN_MARGIN,
+    MAX_CAUSES,
+    MAX_FITS_PER_EFFECT,
+    MAX_PARTNERS,
+    MAX_SINGLES,
+    MIN_LINEAR_GAIN,
+    MIN_VARIANT_GAIN,
+    NEAR_BOUND,
     SELECTION,
     SELECTION_INADEQUATE,
-    SIMILAR,
-    SINGLES,
-    UNDERRATED,
-    VARIANT,
-    WORTH_A_FIT,
 )
 from hiltestbed.effects.search import Candidate
 from hiltestbed.frames import Array
 
 Judge = Callable[[Residual, Effects], dict[str, Leftover]]
-Special = Callable[[Residual, Fit], Fit | None]  # a hypothesis that is made from what a fit leaves
-Reread = Callable[[Residual, Fit], Residual]  # the reading of a link that a fit bears out; the residual itself where it is that one
+Special = Callable[[Residual, Fit], Fit | None]  # a hypothesis derived from the residual of a fit
+Reread = Callable[[Residual, Fit], Residual]  # the interpretation of a link that fits better; the residual itself where none does
 Progress = Callable[[str], None]
 
 
@@ -46,11 +49,11 @@ class Explanation:
     """What a search found on one link.
 
     Attributes:
-        residual: under the weights of the search. candidates: that were weighed.
-        null: nothing departs. singles, more: fits of one cause and of several, best first; with a given cause, it and one more are singles.
-        chosen: the best that pays. adequate: it leaves noise. departs: whether something departs at all.
+        residual: under the weights of the search. candidates: that were compared.
+        null: the null hypothesis. singles, more: fits of one cause and of several, best first; singles contain a given cause beside theirs.
+        chosen: the best fit above the thresholds. adequate: whether it leaves only noise. departs: whether anything departs at all.
         leftovers: channel to what the chosen fit leaves. before: channel to what the null leaves.
-        rivals: for each cause of the chosen fit the fits that differ from it in that cause alone and cannot be told from it.
+        rivals: for each cause of the chosen fit, the fits that differ in that cause only and cannot be told from it.
     """
 
     residual: Residual
@@ -67,14 +70,14 @@ class Explanation:
 
     @property
     def worst(self) -> float:
-        """How far the worst channel lies above what passes for noise."""
+        """The worst channel's residual over the limit of what passes for noise."""
         return max((left.excess for left in self.leftovers.values()), default=0.0)
 
     def with_the_other_clock(self, judge: Judge) -> Explanation:
-        """A late sensor and a record that is stamped late as rivals of each other, where both are hypotheses.
+        """With a late sensor and a late stamp as rivals of each other, where both are hypotheses.
 
-        They are so where nothing shows what became of the force: only how a facility reads between its rows could tell them apart, and
-        that is not known.
+        They are rivals where no channel shows what the loop made of the force: only the facility's interpolation between rows, which is not
+        known, could tell them apart.
         """
         clocks = [c for c in self.candidates if c.kind in CLOCKS and not c.variant]
         if self.chosen.causes == () or {c.kind for c in clocks} != CLOCKS:
@@ -94,32 +97,32 @@ class Explanation:
 
 @dataclass(frozen=True)
 class Search:
-    """How a link is searched: the hypotheses, what judges whether noise is left, and hypotheses that are made from what is left."""
+    """How a link is searched: the candidates, the test whether only noise is left, and hypotheses derived from the residual."""
 
     candidates: tuple[Candidate, ...]
     judge: Judge = contact_leftovers
     special: tuple[Special, ...] = ()
     progress: Progress | None = None
-    reread: Reread | None = None  # asked with the best cause alone, before further ones are sought beside it
-    beside: float = SELECTION  # what a further cause must take off chi-square where those found leave noise; infinite: none is sought
+    reread: Reread | None = None  # called with the best cause alone, before further ones are sought
+    beside: float = SELECTION  # threshold of a further cause where those found leave only noise; infinite: none is sought
 
     def explain(self, residual: Residual, given: Fit | None = None) -> Explanation:
-        """The explanation of a link; given: a fit with the cause that another link has shown, which is one of its causes."""
-        residual = residual.wary(given.effects() if given else ())
-        null = refit(residual, given) if given else nothing(residual)
+        """The explanation of a link; given: a fit with the cause that another link has shown, which then is one of its causes."""
+        residual = residual.downweighted(given.effects() if given else ())
+        null = refit(residual, given) if given else null_fit(residual)
         before = self.judge(residual, null.effects())
         adequate_null = noise_alone(before)
-        least = SELECTION if given and adequate_null else DETECTION  # that a cause has to take off, in units of the misfit
+        least = SELECTION if given and adequate_null else DETECTION  # threshold of a cause, in units of the misfit
         singles = self.extend(residual, null, worth=least if adequate_null else 0.0)
-        if singles and (wary := residual.wary(singles[0].effects())) is not residual:
-            residual = wary
+        if singles and (downweighted := residual.downweighted(singles[0].effects())) is not residual:
+            residual = downweighted
             null = refit(residual, null)
-            singles = [again(residual, f) for f in first_of_each(singles, "kinds")[:BEAM]]
+            singles = [again(residual, f) for f in first_of_each(singles, "kinds")[:BEAM_WIDTH]]
             before = self.judge(residual, null.effects())
         counts = singles and (not adequate_null or null.score - singles[0].score > least * inflation(singles[0]))
         if counts and not given and self.reread and (other := self.reread(residual, singles[0])) is not residual:
             return replace(self, reread=None).explain(other)
-        singles += [f for make in self.special if (f := make(residual, null)) is not None]  # under the weights that a better mean has left
+        singles += [f for make in self.special if (f := make(residual, null)) is not None]  # under the weights of the best mean model
         singles.sort(key=_order)
         best = singles[0] if singles else null
         need = least * inflation(best)
@@ -127,7 +130,7 @@ class Search:
         known = (null,) if given else ()
         if not departs:
             return Explanation(
-                residual, self.candidates, nothing(residual), null, True, given is not None, before, before, (*singles, *known)
+                residual, self.candidates, null_fit(residual), null, True, given is not None, before, before, (*singles, *known)
             )
         chosen = best if null.score - best.score > need else null
         return self._several(residual, chosen, singles, before, known, given is not None)
@@ -135,24 +138,24 @@ class Search:
     def _several(
         self, residual: Residual, chosen: Fit, singles: list[Fit], before: dict[str, Leftover], known: tuple[Fit, ...], given: bool
     ) -> Explanation:
-        """Further causes beside the best so far, until none pays."""
+        """Further causes beside the best so far, until none exceeds its threshold."""
         leftovers = self.judge(residual, chosen.effects())
         adequate = noise_alone(leftovers)
         more: list[Fit] = []
         level = first_of_each(singles, "kinds")
-        for count in range(1, 1 if given else MOST_CAUSES):
-            if adequate and (count > 1 or math.isinf(self.beside)):  # a third cause beside two that leave noise would have to hide in it
+        for count in range(1, 1 if given else MAX_CAUSES):
+            if adequate and (count > 1 or math.isinf(self.beside)):  # a third cause would hide in the noise
                 break
             found: list[Fit] = []
-            for base in level[: 1 if adequate else BEAM]:
+            for base in level[: 1 if adequate else BEAM_WIDTH]:
                 search = self._near(residual, base, found) if count > 1 else self
-                found += search.extend(residual, base, PARTNERS, self.special, found)
+                found += search.extend(residual, base, MAX_PARTNERS, self.special, found)
             found = first_of_each(sorted(found, key=lambda f: f.score), "key")
             if not found:
                 break
-            if (wary := residual.wary(found[0].effects())) is not residual:
-                residual = wary
-                found = sorted([again(residual, f) for f in found[:PARTNERS]], key=lambda f: f.score)
+            if (downweighted := residual.downweighted(found[0].effects())) is not residual:
+                residual = downweighted
+                found = sorted([again(residual, f) for f in found[:MAX_PARTNERS]], key=lambda f: f.score)
                 chosen = again(residual, chosen)
             more = [*found, *more]
             need = (self.beside if adequate else SELECTION_INADEQUATE) * inflation(found[0])
@@ -161,42 +164,42 @@ class Search:
             chosen, level = found[0], found
             leftovers = self.judge(residual, chosen.effects())
             adequate = noise_alone(leftovers)
-        null = nothing(residual)
+        null = null_fit(residual)
         result = Explanation(residual, self.candidates, null, chosen, adequate, True, leftovers, before, (*singles, *known), tuple(more))
         return result if not (adequate and chosen.causes) else with_rivals(result, self.judge)
 
     def _near(self, residual: Residual, base: Fit, found: Sequence[Fit]) -> Search:
-        """The same search; where the best that was found leaves noise, for causes that make a rival of it out of ``base``."""
+        """The same search; where the best fit so far leaves only noise, only for causes that make a rival of it out of ``base``."""
         best = min(found, key=lambda f: f.score, default=base)
         foreign = set(base.kinds) - set(best.kinds)
         if not foreign:
             return self
-        left = self.judge(residual.wary(best.effects()), best.effects())  # as it is judged when its turn comes
+        left = self.judge(residual.downweighted(best.effects()), best.effects())  # as when its turn comes
         if not noise_alone(left):
             return self
         return replace(self, candidates=tuple(c for c in self.candidates if c.kind in best.kinds))
 
     def extend(
-        self, residual: Residual, base: Fit, most: int = SINGLES, special: Sequence[Special] = (), beside: Sequence[Fit] = (),
+        self, residual: Residual, base: Fit, most: int = MAX_SINGLES, special: Sequence[Special] = (), beside: Sequence[Fit] = (),
         worth: float = 0.0,
     ) -> list[Fit]:  # fmt: skip
         """Fits of ``base`` with one more cause, best first.
 
-        A descent that will not come near the best of ``beside``, or that will not take off ``worth`` of chi-square, is not finished.
+        A descent that will not come near the best of ``beside``, or not lower chi-square by ``worth``, is stopped.
         """
-        if JITTER in base.kinds:  # its likelihood is not a sum of squares: it is added to others, not they to it
+        if JITTER in base.kinds:  # its likelihood is no sum of squares: it is added to others, not they to it
             return []
         rated = sorted(self._rate(residual, base), key=lambda item: -item[0])
         fits: list[Fit] = []
         count: dict[str, int] = {}
         for gain, c, starts in rated:
             count[c.kind] = count.get(c.kind, 0) + 1
-            if count[c.kind] > SIMILAR or len(fits) >= most or _beaten(c, base, fits):
+            if count[c.kind] > MAX_FITS_PER_EFFECT or len(fits) >= most or _beaten(c, base, fits):
                 continue
             best = min((*fits, *beside), key=lambda f: f.chi2, default=base)
-            near = min(best.chi2 + CLOSE_BY * inflation(best), base.chi2 - worth)
-            enough = len({f.causes[-1].kind for f in fits}) >= BEAM or inflation(best) == 1.0  # beside what leaves noise no beam is needed
-            if fits and enough and base.chi2 - UNDERRATED * gain > near:
+            near = min(best.chi2 + CLOSE_CHI2 * inflation(best), base.chi2 - worth)
+            enough = len({f.causes[-1].kind for f in fits}) >= BEAM_WIDTH or inflation(best) == 1.0  # no beam beside an adequate fit
+            if fits and enough and base.chi2 - LINEAR_GAIN_MARGIN * gain > near:
                 break
             if self.progress:
                 self.progress(" + ".join([*base.kinds, c.kind]))
@@ -206,7 +209,7 @@ class Search:
         return sorted(fits, key=_order)
 
     def _rate(self, residual: Residual, base: Fit) -> list[tuple[float, Candidate, list[Array]]]:
-        """What each candidate could at most take off chi-square beside `base`, linearised at each start, and the starts worth a descent."""
+        """The largest reduction of chi-square by each candidate beside `base`, linearised at each start, and the starts worth a descent."""
         taken = {c.kind for c in base.causes}
         wanted = [c for c in self.candidates if c.kind not in taken]
         starts = [[np.clip(np.array(s, dtype=float), c.low, c.high) for s in c.grid] for c in wanted]
@@ -222,20 +225,20 @@ class Search:
             order = list(dict.fromkeys([int(gains.argmax()), *np.argsort(lefts)[:3].tolist()]))
             if c.vector or (len(grid) == 1 and len(c.names)):
                 best = max(best, _by_slopes(residual, known, basis, r, c, grid[int(lefts.argmin())]))
-            if best > WORTH_A_FIT * inflation(base) * 0.5:
+            if best > MIN_LINEAR_GAIN * inflation(base) * 0.5:
                 out.append((best, c, [grid[i] for i in order]))
         return out
 
 
 def _beaten(c: Candidate, base: Fit, fits: Sequence[Fit]) -> bool:
-    """Whether another variant of a hypothesis takes so little off chi-square, beside the best, that this one need not be tried."""
+    """Whether another variant of a hypothesis gains so little, compared with the best, that this one need not be tried."""
     best = max((base.chi2 - f.chi2 for f in fits), default=0.0)
     twins = [f for f in fits if f.causes[-1].kind == c.kind and f.causes[-1].fixed == c.fixed]
-    return any(base.chi2 - f.chi2 < VARIANT * best for f in twins)
+    return any(base.chi2 - f.chi2 < MIN_VARIANT_GAIN * best for f in twins)
 
 
 def _scored(residual: Residual, base: Fit, basis: Array, tried: Sequence[Effects]) -> Array:
-    """``(H, 2)`` of each trial: what it could take off chi-square beside ``base``, by its size or along its direction; what it leaves."""
+    """``(H, 2)`` of each trial: reduction of chi-square beside ``base``, by its size or along its direction; chi-square it leaves."""
     out = np.empty((len(tried), 2))
     r = _without(basis, base.residual)
     chunk = max(1, 40_000_000 // (8 * max(1, len(base.residual))))
@@ -250,7 +253,7 @@ def _scored(residual: Residual, base: Fit, basis: Array, tried: Sequence[Effects
 
 
 def _by_slopes(residual: Residual, known: Effects, basis: Array, r: Array, c: Candidate, theta: Array) -> float:
-    """What all parameters of `c` together could take off chi-square, by the slopes of the residual at theta."""
+    """Reduction of chi-square by all parameters of `c` together, from the slopes of the residual at theta."""
     low, high, log = bounds_of([c])
 
     def run(thetas: Sequence[Array] | Array) -> Array:
@@ -262,7 +265,7 @@ def _by_slopes(residual: Residual, known: Effects, basis: Array, r: Array, c: Ca
 
 
 def _orthonormal(columns: Array) -> Array:
-    """An orthonormal basis of what the columns (M, P) span; columns that the others span already are left out."""
+    """An orthonormal basis of the span of the columns (M, P), without dependent ones."""
     if columns.shape[1] == 0:
         return columns
     length = np.sqrt(np.einsum("mi,mi->i", columns, columns))
@@ -271,7 +274,7 @@ def _orthonormal(columns: Array) -> Array:
 
 
 def _without(basis: Array, r: Array) -> Array:
-    """r less its part in the span of the basis (M, Q); by einsum, since threads of a BLAS wait for each other on a busy machine."""
+    """r less its projection on the basis (M, Q); by einsum, since BLAS threads wait for each other on a busy machine."""
     return r - np.einsum("mi,i->m", basis, np.einsum("mi,m->i", basis, r)) if basis.shape[1] else r
 
 
@@ -280,12 +283,12 @@ def _order(f: Fit) -> tuple[float, float]:
 
 
 def _boldness(f: Fit) -> float:
-    """How far factors lie from one: of two that fit alike (a mass of either body) the one nearer to what is believed goes first."""
+    """Distance of the factors from one: of two equal fits (the mass of either body) the one nearer to the believed model goes first."""
     return sum(abs(math.log(max(e.parameters()["factor"], 1e-9))) for e in f.effects() if "factor" in e.parameters())
 
 
 def first_of_each(fits: Sequence[Fit], by: str) -> list[Fit]:
-    """The first of each set of causes; ``by``: whether sets of the same ``kinds``, or of the same hypotheses (``key``), are one."""
+    """The first fit of each set of causes; ``by``: whether sets with the same ``kinds``, or with the same hypotheses (``key``), are one."""
     seen, out = set(), []
     for f in fits:
         causes = tuple(sorted(f.kinds)) if by == "kinds" else tuple(sorted(map(str, (c.key for c in f.causes))))
@@ -296,16 +299,16 @@ def first_of_each(fits: Sequence[Fit], by: str) -> list[Fit]:
 
 
 def _limit_of(residual: Residual, chosen: Fit, index: int, other: Fit) -> bool:
-    """Whether ``other`` has, in place of a cause, one of more parameters at the end of its range, where it is nothing but that cause.
+    """Whether ``other`` has, in place of a cause, one of more parameters at a bound of its range, where it reduces to that cause.
 
-    An estimate that the noise has moved off the end is at the end all the same: held there, the others fit as well.
+    An estimate that noise has moved off the bound counts as at the bound, if the fit with the parameter held there is as good.
     """
     own = next(i for i, kind in enumerate(other.kinds) if kind not in chosen.kinds)
     richer, theta = other.causes[own], other.part(own)
     if len(richer.names) <= len(chosen.causes[index].names) or richer.vector:
         return False
     ends = np.where(theta - richer.low < richer.high - theta, richer.low, richer.high)
-    close = np.flatnonzero(np.abs(theta - ends) < NEAR_AN_END * (richer.high - richer.low))
+    close = np.flatnonzero(np.abs(theta - ends) < NEAR_BOUND * (richer.high - richer.low))
     for j in close:
         rest = np.delete(np.arange(len(theta)), j)
         causes = (*other.causes[:own], richer.held(int(j), float(ends[j])), *other.causes[own + 1 :])
@@ -316,7 +319,7 @@ def _limit_of(residual: Residual, chosen: Fit, index: int, other: Fit) -> bool:
 
 
 def with_rivals(found: Explanation, judge: Judge) -> Explanation:
-    """With the fits that differ from the chosen one in one cause and cannot be told from it."""
+    """The explanation with its rivals: the fits that differ from the chosen one in one cause and cannot be told from it."""
     chosen = found.chosen
     pool = [f for f in (*found.singles, *found.more) if len(f.causes) == len(chosen.causes)]
     close = [f for f in pool if f is not chosen and f.score - chosen.score < AMBIGUITY * inflation(chosen)]

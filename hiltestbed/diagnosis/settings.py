@@ -1,102 +1,103 @@
-"""Every number of the diagnosis that is chosen, with where it comes from.
+"""The tuning constants that several stages of the diagnosis share, each with its unit and where it comes from.
 
-A *derived* number follows from an equation that is named. A *calibrated* one was set on sets of the independent rig
-(``hiltestbed bench diagnosis``) and must be set again when what it is compared with changes. Chi-square is in units of the noise.
+A *derived* number follows from the equation that is named. A *calibrated* one was set on data sets of the independent rig
+(``hiltestbed bench diagnosis``) and must be set again when the figure that it is compared with changes. A *chosen* one is neither.
+Chi-square is in units of the noise. Constants that a single module uses stand in that module.
 """
 
 from __future__ import annotations
 
 import math
 
-# Detection: is there a departure at all?
-DETECTION = 30.0  # calibrated: what one effect must take off chi-square, its penalty paid; the best wrong one took 3.6 in 460 healthy rigs
-SELECTION = 100.0  # calibrated: what a further cause must take off where the causes so far leave noise already
-SELECTION_INADEQUATE = 10.0  # calibrated: and where they do not; a factor of 150 in likelihood
-AMBIGUITY = 12.0  # derived: a likelihood ratio of 1 : 400, below which two hypotheses of one size cannot be told apart
-PENALTY = math.log(1000.0)  # derived: Bayesian information criterion of some thousand independent samples, a parameter
-MOST_CAUSES = 3  # on one link: a fourth was never found right on a link of the benchmark
-MOST_CAUSES_IN_PART = 5  # that are tried where the ones found leave more than noise
-MOST_RIVALS = 2  # that are listed beside a cause: a set of more does not name anything
+# Detection and selection: thresholds on the reduction of chi-square
+DETECTION = 30.0  # calibrated: detection threshold of one effect, beyond its penalty; the best wrong one reached 3.6 on 460 healthy rigs
+SELECTION = 100.0  # calibrated: selection threshold of a further cause where the causes so far already leave only noise
+SELECTION_INADEQUATE = 10.0  # calibrated: the same where they leave more than noise; a factor of 150 in likelihood
+AMBIGUITY = 12.0  # derived: ambiguity threshold: a likelihood ratio of 1 : 400; within it hypotheses of as many parameters look the same
+PENALTY = math.log(1000.0)  # derived: for each parameter, by the Bayesian information criterion for some thousand independent samples
+MAX_CAUSES = 3  # chosen: on one link; a fourth was never right on a link of the benchmark
+MAX_CAUSES_IN_PART = 5  # chosen: that are tried where those found leave more than noise
+MAX_RIVALS = 2  # chosen: that are listed for a cause; a larger set identifies nothing
 
 # Search
-WORTH_A_FIT = 8.0  # derived: chi-square of one parameter at 99.5 %: a linearised gain below it is noise
-BEAM = 5  # first causes that a second one is sought for
-PARTNERS = 6  # second causes that are fitted beside each
-SIMILAR = 3  # hypotheses of one effect (axes, variants) that are fitted
-SINGLES = 40  # first causes that are fitted
-UNDERRATED = 10.0  # times its linearised gain, that a hypothesis may take off: the most was 3.5, of 553 fits on 18 sets of the rig
-VARIANT = 0.3  # of what the best takes off chi-square: where one reading of an effect takes less, the others are not fitted
-CLOSE_BY = 60.0  # of chi-square: hypotheses this near to the best are fitted to the end, others as long as they may come so near
-NEAR_AN_END = 0.1  # of the range of a parameter: nearer to its end it is tried whether the end itself does as well
-ROUNDED_OFF = 1e-4  # of what the causes take off chi-square: what blocks of rows may shift it by; ten times what was seen (1.2e-5)
-FAR = 1e6  # sigma: a prediction that left the finite numbers
+MIN_LINEAR_GAIN = 8.0  # derived: chi-square of one parameter at 99.5 %; a smaller reduction by linearisation is noise
+BEAM_WIDTH = 5  # chosen: first causes for which a second one is sought
+MAX_PARTNERS = 6  # chosen: second causes that are fitted with each first one
+MAX_FITS_PER_EFFECT = 3  # chosen: hypotheses of one effect (axes, variants) that are fitted
+MAX_SINGLES = 40  # chosen: single causes that are fitted
+LINEAR_GAIN_MARGIN = 10.0  # calibrated: most that a fit may gain over its linearised gain; 3.5 was the most of 553 fits on 18 rig sets
+MIN_VARIANT_GAIN = 0.3  # chosen: share of the best gain in chi-square; a variant of an effect that gains less rules out its other variants
+CLOSE_CHI2 = 60.0  # chosen: chi-square from the best, within which hypotheses are fitted to convergence; others while they may reach it
+NEAR_BOUND = 0.1  # chosen: share of a parameter's range; a value closer to a bound is compared with the bound itself
+DECIMATION_ERROR = 1e-4  # calibrated: share of the reduction in chi-square that decimation may change; ten times the largest seen (1.2e-5)
+MAX_RESIDUAL = 1e6  # chosen: [sigma] stands for a prediction that is not finite
 
 # Noise
-FREE_ROWS = 30  # from which a noise floor is read
-UNEVEN = 3.0  # the most that the noise of one axis of translation exceeds another's: a platform that moves in jumps looks noisy
-NO_POSE_NOISE = 1e-9  # [m, rad] floor of a pose that carries no noise: round-off of the file
-NO_FORCE_NOISE = 1e-6  # of the peak force: floor of a force that carries no noise
-ARM_UNKNOWN = 2e-6  # [m] arm of the peak force that makes the floor of a torque: where in the overlap the force acts is known to that
-DYNAMICS_FLOOR = 2e-6  # [m, rad] what integrators of one step size differ by, practice rig against this one
-DYNAMICS_BETWEEN = 2e-6  # [m, rad] derived: a h^2/8 that a line between rows misses, at both ends; 8 m/s^2: 0.1 m/s, contacts of 40 ms
-COMPENSATION_FLOOR = 0.05  # of the force noise: what two realisations of one filter may differ by
-CORRELATED = 50  # rows of a computed channel that count as one: its errors are smooth
-TAIL = 0.15  # [s] after the last contact that a search looks at: where leaks and rings show
+MIN_FREE_ROWS = 30  # chosen: rows away from contacts from which a noise floor is estimated
+MAX_AXIS_NOISE_RATIO = 3.0  # chosen: noise of one axis of translation over another's; stick-slip motion looks like noise
+MIN_POSE_NOISE = 1e-9  # chosen: [m, rad] floor of a pose without noise: round-off of the file
+MIN_FORCE_NOISE = 1e-6  # chosen: share of the peak force: floor of a force without noise
+FORCE_ARM_ERROR = 2e-6  # chosen: [m] uncertainty of the point of application; times the peak force it is the floor of a torque
+DYNAMICS_FLOOR = 2e-6  # calibrated: [m, rad] difference between integrators of one step size, practice rig and this one
+DYNAMICS_INTERPOLATION = 2e-6  # derived: [m, rad] a h^2/8 of linear interpolation, at both ends; a = 8 m/s^2: 0.1 m/s, contacts of 40 ms
+COMPENSATION_FLOOR = 0.05  # chosen: share of the force noise: difference between two implementations of one filter
+CORRELATED_ROWS = 50  # chosen: rows of a computed channel that count as one sample, since its errors are smooth
+TAIL_TIME = 0.15  # chosen: [s] after the last contact that the search includes, where charge leakage and ringing show
 
 # Noise of the force, from free flight
-ENOUGH_FREE = 150  # rows of all runs: six channels of as many know a correlation to 0.03
-WHITE_KNOWN = 1.5  # simulated: white noise by third differences of n rows is known to this over the root of n
-SIGNIFICANT = 4.0  # derived: standard deviations of chance; one of 15,000 white records is taken for more
-BY_CHANCE = 3e-5  # derived: the same as a probability, where what is compared is a sum of a few squares
-HEAVY = 3  # samples beyond four standard deviations, more than normal ones have
-KNEE = 3.0  # [sigma] from which a sample of noise with outliers counts by its logarithm
-SHARE_SHOWS = 0.3  # of the noise's variance, that a share of the reading has to add at its largest readings
+MIN_NOISE_ROWS = 150  # derived: rows over all runs: with six channels a correlation is then known to 0.03
+WHITE_NOISE_ERROR = 1.5  # simulated: relative error of white noise estimated by third differences of n rows, times the root of n
+SIGNIFICANCE_SIGMA = 4.0  # derived: standard deviations; one of 15,000 white records exceeds it by chance
+SIGNIFICANCE_LEVEL = 3e-5  # derived: the same as a probability, for sums of a few squares
+MIN_OUTLIERS = 3  # chosen: samples beyond four standard deviations, in excess of those of normal noise
+OUTLIER_KNEE = 3.0  # chosen: [sigma] beyond which a sample of noise with outliers counts by its logarithm
+MIN_SHARE_VARIANCE = 0.3  # chosen: share of the noise variance that noise in proportion to the reading must add at the largest readings
 
-# Adequacy: is what is left noise?
-BLOCK = 8  # samples whose mean is judged, too: a smooth misfit far below the noise shows there
-SPREAD = 4.5  # standard deviations that a figure may lie off: of some 30 figures, one in 5000 sets does
-FLOOR_ERROR = 0.08  # derived: of a variance by the median of third differences, 2.3 of which count as one, of FLOOR_ROWS
+# Adequacy: goodness of fit
+BLOCK_ROWS = 8  # chosen: samples whose mean is tested as well: a smooth misfit far below the noise shows in it
+ADEQUACY_SIGMA = 4.5  # derived: standard deviations allowed for a statistic; of some 30 statistics one exceeds it in 5000 sets
+FLOOR_ERROR = 0.08  # derived: of a variance by the median of third differences of FLOOR_ROWS rows, 2.3 of which count as one
 FLOOR_ROWS = 1500
-MODEL_ERROR = 1e-3  # of the signal: another sub-stepping, another interpolation
-COMPUTED_LEFT = 0.01  # of the departure of a computed channel that an explanation may leave
-LED_NOISE = 1.7  # times the led noise, up to which a residual of the compensation may be noise of the record
-RECORD_LEFT = 0.2  # of what a late record does to the compensation, that its interpolation between rows may leave
+MODEL_ERROR = 1e-3  # chosen: share of the signal: another sub-stepping, another interpolation
+MAX_COMPUTED_RESIDUAL = 0.01  # chosen: share of the departure of a computed channel that an explanation may leave
+MAX_PROPAGATED_NOISE = 1.7  # chosen: times the propagated noise of the record, up to which a residual of the compensation may be that noise
+MAX_SKEW_RESIDUAL = 0.2  # chosen: share of a stamp delay's chi-square in the compensation, which interpolation between rows may leave
 
 # A delay that varies from sample to sample
-SHAKEN = 1.2  # times the noise: where it shows
-SAME_AGAIN = 0.3  # correlation of neighbouring samples, or with the rate of the reading, above which it is something else
+MIN_JITTER_SPREAD = 1.2  # chosen: times the noise: spread from which the jitter of a sample shows
+MAX_JITTER_CORRELATION = 0.3  # chosen: with the next sample or the rate of the reading, above which it is not jitter
 
 # The path on which contact and sensor are replayed
-CLEAN_PATH = 0.1  # derived: of the force noise, that a measured pose may bring: it adds half a percent to the noise
-LEVER_ARM = 0.1  # [m] by which the noise of an attitude becomes one of the place of touch: what tips and rods measure
-SHAKEN_PATHS = 4  # copies of a path from which the noise that it brings is read: a spread to a third, before it is smoothed over rows
-SMOOTHING = 31  # rows of the Savitzky-Golay filter, order 3, where only a noisy pose is left to go by
+MAX_PATH_NOISE = 0.1  # derived: share of the force noise that a measured path may add: half a percent of the noise
+LEVER_ARM = 0.1  # chosen: [m] converts attitude noise to noise of the contact point: size of tips and rods
+PERTURBED_COPIES = 4  # chosen: copies of a path for its noise: the spread to a third, before it is smoothed over rows
+SMOOTHING_ROWS = 31  # chosen: window of the Savitzky-Golay filter, order 3, where only a noisy pose is available
 
-# Copies of a path that differ by next to nothing, on which what slides or swings on a side of its own should do the same
-BARELY = 2e-3  # chosen: of what a rate, or a slope of the pose, changes by in a tick: what copies differ by
-APART = 0.3  # of the force's noise, by which copies part; derived: what is less adds 4 % to it
-PARTED = 0.25  # [s] chosen: for which copies that parted are not believed
-LEAST_COMPARED = 0.05  # chosen: of the rows in contact, that copies have to agree on
+# Perturbed copies of a path, on which sliding or swinging parts of a mechanism should move alike
+COPY_PERTURBATION = 2e-3  # chosen: share of the change of a rate, or of a pose's slope, in a tick: perturbation of the copies
+DIVERGENCE_THRESHOLD = 0.3  # derived: of the force noise, above which copies have diverged; less adds 4 % to the noise
+DIVERGED_TIME = 0.25  # chosen: [s] for which copies are not used after they have diverged
+MIN_COMPARED = 0.05  # chosen: share of the rows in contact on which the copies have to agree
 
 # Gain on left-out runs
-RESAMPLES = 2000
-WORTH = 0.02  # of the residual on left-out runs, geometric mean over them, by which a further cause has to lower it
-FAR_OFF = 10.0  # times the limit of what passes for noise: nearer to it a further cause would explain the noise floor's error
+RESAMPLES = 2000  # chosen: draws of the bootstrap over runs
+MIN_HELDOUT_GAIN = 0.02  # chosen: share of the residual on left-out runs (geometric mean) by which a further cause has to lower it
+MIN_EXCESS_TO_GROW = 10.0  # chosen: times the limit of adequacy: below it a further cause would fit the error of the noise floor
 
 # Parts of an explanation that hold
-CARRIED = 0.3  # of the departure on left-out runs: of less no part is named
-WORTH_IN_PART = 0.05  # of the residual on left-out runs, by which a cause has to lower it beside the others
-INVARIANT = 0.15  # of its size, by which a cause may differ from run to run where something else is at work
-MOST_RUNS = 0.8  # of the runs that have to agree
-AS_GOOD = 0.1  # of what a cause takes off chi-square: another effect this near to it is a rival
+MIN_EXPLAINED = 0.3  # chosen: share of the departure on left-out runs, below which no part is named
+MIN_HELDOUT_GAIN_IN_PART = 0.05  # chosen: share of the residual on left-out runs by which each named cause has to lower it
+MAX_SIZE_SPREAD = 0.15  # chosen: share of a cause's size by which it may differ from run to run where something else acts as well
+MIN_RUN_SHARE = 0.8  # chosen: share of the runs that have to agree
+RIVAL_MARGIN = 0.1  # chosen: share of a cause's gain in chi-square, within which another effect is a rival
 
-# Two readings of one facility
-ONE_OF_TWO = 2.0 * math.log(2.0)  # derived: of chi-square, the price of one of two equal readings
-MOST_NOISE = 4.0  # standard deviations within which a difference is taken for noise
+# Two interpretations of one facility
+INTERPRETATION_PENALTY = 2.0 * math.log(2.0)  # derived: chi-square: choice between two equally likely interpretations
+MAX_NOISE_SIGMA = 4.0  # chosen: standard deviations within which a difference is taken for noise
 
 # Laws learned where no effect has a name for what departs
-SMOOTH_KNOTS = 1e-4  # of the mean square of a knot's response: what a squared second difference costs, for knots without data
-STRETCHES = 7  # of a slider, that are tried first: from a fiftieth of the travel to half of it
-REFINEMENTS = 5  # steps by which the reach of a slider is refined
-AS_AN_EQUATION = 0.05  # of a curve's rms, that an equation may leave
-RESEMBLES = 0.9  # derived: cosine from which a named effect takes away four fifths of the square of what a law takes
+KNOT_SMOOTHING = 1e-4  # chosen: weight of a squared second difference, of the mean square response of a knot; for knots without data
+REACHES_TRIED = 7  # chosen: reaches of a slider that are tried first, from a fiftieth of the travel to half of it
+REACH_REFINEMENTS = 5  # chosen: refinements of that reach
+MAX_EQUATION_ERROR = 0.05  # chosen: share of a curve's rms that an equation may leave
+MIN_RESEMBLANCE = 0.9  # derived: cosine above which a named effect removes four fifths of the square of what a law removes

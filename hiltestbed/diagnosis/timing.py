@@ -1,8 +1,9 @@
-"""When a facility samples, obeys and stamps, within a tick or a row: no definition says it, and none of it is a departure.
+"""Stage "select": timing within a tick or a row: when a facility samples, obeys and stamps. No definition states it; it is no departure.
 
-A channel that is stamped a part of a row late makes the link before it too late and the one after it too early, which no rig can be; a
-numerical model that steps with a part of its old twist is a part of a tick late. Where a link departs, it is asked whether its output
-stands elsewhere in the record than its input says; and a delay of less than :data:`PARTS` rows is a cause only where nothing else departs.
+A channel that is stamped a fraction of a row late makes the link before it too late and the one after it too early, which no rig can be; a
+numerical model that steps with a part of its old twist is a fraction of a tick late. Where a link departs, a shift of its output and input
+in the record is therefore fitted beside the causes; and a delay of less than :data:`MAX_UNNAMED_DELAY_ROWS` rows is a cause only where
+nothing else departs.
 """
 
 from __future__ import annotations
@@ -14,12 +15,12 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from hiltestbed.diagnosis.adequacy import JITTER, contact_leftovers, noise_alone
-from hiltestbed.diagnosis.fit import Fit, fit, inflation, nothing, refit
-from hiltestbed.diagnosis.links import Later, Link
-from hiltestbed.diagnosis.links.base import PROMPT
+from hiltestbed.diagnosis.fit import Fit, fit, inflation, null_fit, refit
+from hiltestbed.diagnosis.links import Link, Timing
+from hiltestbed.diagnosis.links.base import NO_SHIFT
 from hiltestbed.diagnosis.residual import Residual
 from hiltestbed.diagnosis.search import Explanation, Search, first_of_each
-from hiltestbed.diagnosis.settings import AMBIGUITY, DETECTION, ONE_OF_TWO
+from hiltestbed.diagnosis.settings import AMBIGUITY, DETECTION, INTERPRETATION_PENALTY
 from hiltestbed.effects.base import Effect
 from hiltestbed.effects.search import Candidate
 from hiltestbed.frames import Array
@@ -27,27 +28,32 @@ from hiltestbed.frames import Array
 Explain = Callable[[Residual], Explanation]
 Weigh = Callable[[Residual], Residual]
 
-FARTHEST = 2.25  # rows: two channels, each stamped up to a row off; beyond that a record is refused
-PARTS = 1.05  # rows: two instants, each up to half a tick off, and what noise leaves of them
-STARTS, FEWER = (0.15, 0.4, 1.0, 1.6), (0.4, 1.0)  # rows: of one number, and of several together
-AGAIN = 2  # times that a link is explained anew under the place that was found
-NEAREST = 4  # causes beside which a place is sought
-FINE = 0.02  # rows, by which a place may move without the link being explained anew
-BETWEEN = ("platform", "compensation")  # links whose output is read between rows where their input lies there
-EARLY, EITHER, LATE = (-FARTHEST, 0.0), (-FARTHEST, FARTHEST), (0.0, FARTHEST)
-ENCODER, OBEYED = (-FARTHEST, PARTS), (0.0, 0.5)  # what is later than that is a platform.delay
-PART = (0.0, 1.0)  # of the old twist, in place of rows
-WAYS: Mapping[str, tuple[Mapping[str, tuple[float, float]], ...]] = {  # in which channels may stand elsewhere, each with its range [rows]
+MAX_STAMP_SHIFT_ROWS = 2.25  # derived: two channels, each stamped up to a row off; a record with more is refused
+MAX_UNNAMED_DELAY_ROWS = 1.05  # chosen: two instants, each up to half a tick off, and the error due to noise
+STARTS, STARTS_TOGETHER = (0.15, 0.4, 1.0, 1.6), (0.4, 1.0)  # chosen: rows: of one shift, and of several together
+MAX_ROUNDS = 2  # chosen: explanations of a link, each under the timing found with the last
+MAX_BASES = 4  # chosen: sets of causes beside which the timing is fitted
+CONVERGED_ROWS = 0.02  # chosen: change of the timing below which a link is not explained again
+INTERPOLATED_LINKS = ("platform", "compensation")  # links whose output is interpolated between rows where their input lies there
+EARLY, EITHER, LATE = (-MAX_STAMP_SHIFT_ROWS, 0.0), (-MAX_STAMP_SHIFT_ROWS, MAX_STAMP_SHIFT_ROWS), (0.0, MAX_STAMP_SHIFT_ROWS)
+ENCODER, OBEYED = (-MAX_STAMP_SHIFT_ROWS, MAX_UNNAMED_DELAY_ROWS), (0.0, 0.5)  # rows, ticks; a longer delay is a platform.delay
+OLD_TWIST_RANGE = (0.0, 1.0)  # chosen: share of the old twist, instead of rows
+SHIFTS: Mapping[str, tuple[Mapping[str, tuple[float, float]], ...]] = {  # channels that are shifted together, each with its range [rows]
     "platform": ({"delay": ENCODER}, {"before": EITHER}, {"obeyed": OBEYED}, {"obeyed": OBEYED, "delay": ENCODER}),
-    "wrench": ({"delay": EARLY}, {"before": (-FARTHEST, PARTS)}),
+    "wrench": ({"delay": EARLY}, {"before": (-MAX_STAMP_SHIFT_ROWS, MAX_UNNAMED_DELAY_ROWS)}),
     "compensation": ({"delay": LATE}, {"before": LATE}),
-    "dynamics": ({"delay": EITHER}, {"before": EITHER}, {"old": PART}, {"delay": EITHER, "before": EITHER, "old": PART}),
+    "dynamics": (
+        {"delay": EITHER},
+        {"before": EITHER},
+        {"old": OLD_TWIST_RANGE},
+        {"delay": EITHER, "before": EITHER, "old": OLD_TWIST_RANGE},
+    ),
 }
-SETTLED = ("platform", "compensation", "dynamics")  # links on which one cause that leaves noise is not for a place to replace
-WHOLE_TICKS = "dynamics.step_delay"
-CLOCKS = ("platform.delay", "sensor.delay", "log.skew", WHOLE_TICKS, "dynamics.integrator")
-OF_TICKS = {WHOLE_TICKS, "dynamics.integrator"}  # explicit Euler acts as one tick
-CHANNELS = {
+ONE_CAUSE_LINKS = ("platform", "compensation", "dynamics")  # on which a single cause that leaves only noise is not replaced by a shift
+STEP_DELAY = "dynamics.step_delay"
+DELAY_EFFECTS = ("platform.delay", "sensor.delay", "log.skew", STEP_DELAY, "dynamics.integrator")
+TICK_EFFECTS = {STEP_DELAY, "dynamics.integrator"}  # delays in whole ticks: explicit Euler acts as one
+LINK_CHANNELS = {
     "platform": ("pose_act", "pose_cmd"),
     "wrench": ("wrench_meas", "pose_act"),
     "compensation": ("wrench_comp", "wrench_meas"),
@@ -55,157 +61,157 @@ CHANNELS = {
 }  # output and input of a link
 
 
-def in_its_place(
+def explain_with_timing(
     residual: Residual, search: Search, explain: Explain | None = None, off: bool = True, weigh: Weigh = lambda r: r
 ) -> Explanation:
-    """The explanation of a link with its channels where they stand in the record, where that explains more than where they should.
+    """The explanation of a link with the timing under which it explains most; with the believed timing where that is no worse.
 
     Args:
-        search: of the link. explain: what it is asked; itself by default.
-        off: whether something says that the facility's clocks are off; else the channels stand where they should.
-        weigh: weights under which a place is sought, of a computed channel: rows that are read between others do not share their noise.
+        search: of the link. explain: called in place of ``search.explain``, if given.
+        off: whether anything shows that the facility's clocks are off; if not, the believed timing is kept.
+        weigh: weights under which the timing of a computed channel is fitted: rows interpolated between others do not have their noise.
     """
     explain = explain or search.explain
     if not off:
         return explain(residual)
-    if not noise_alone(search.judge(residual, ())) and (alone := _alone(residual, search, weigh)):
+    if not noise_alone(search.judge(residual, ())) and (alone := _timing_alone(residual, search, weigh)):
         residual = alone
     found = explain(residual)
-    for _ in range(AGAIN):
-        place = _place(found, weigh)
+    for _ in range(MAX_ROUNDS):
+        place = _timing_of_explanation(found, weigh)
         if place is None:
             return found
         link = found.residual.link
-        way = np.abs(_numbers(place, link) - _numbers(link.timing, link)).max()
-        found = explain(_without_ends(Residual(link.stamped(place))))
-        if way < FINE:
+        way = np.abs(_in_rows(place, link) - _in_rows(link.timing, link)).max()
+        found = explain(_without_ends(Residual(link.with_timing(place))))
+        if way < CONVERGED_ROWS:
             break
     return found
 
 
-def _alone(residual: Residual, search: Search, weigh: Weigh) -> Residual | None:
-    """The link in the place that leaves noise without any cause; None where there is none, or a delay with a name does as well."""
+def _timing_alone(residual: Residual, search: Search, weigh: Weigh) -> Residual | None:
+    """The link with the timing that leaves only noise without any cause; None where there is none, or a named delay does as well."""
     weighed = weigh(_without_ends(residual))
-    null = nothing(weighed)
-    cost = _cost_on(residual.link)
-    best = min((_beside(weighed, null, place) for place in _places(residual.link)), key=cost)
-    named = [fit(weighed, (c,), c.grid) for c in search.candidates if c.kind in CLOCKS and not c.variant]
+    null = null_fit(weighed)
+    cost = _comparable_score(residual.link)
+    best = min((_fit_with_timing(weighed, null, place) for place in _timing_candidates(residual.link)), key=cost)
+    named = [fit(weighed, (c,), c.grid) for c in search.candidates if c.kind in DELAY_EFFECTS and not c.variant]
     if cost(best) > min(f.score for f in (null, *named)) - DETECTION * inflation(best):
         return None
-    there = _without_ends(Residual(residual.link.stamped(residual.link.timing.plus(_later(best)))))
+    there = _without_ends(Residual(residual.link.with_timing(residual.link.timing.plus(_fitted_timing(best)))))
     return there if noise_alone(search.judge(there, ())) else None
 
 
-def place_under(residual: Residual, best: Fit) -> Residual:
-    """With the channels where the ``best`` cause alone has them, if it leaves more than noise and less there; itself where it does not.
+def timing_under(residual: Residual, best: Fit) -> Residual:
+    """The residual with the timing that fits best beside the ``best`` cause, if that cause leaves more than noise; else itself.
 
-    Further causes are sought there: without it they would stand in for what a place does.
+    Further causes are sought under that timing: otherwise they would stand in for a shift.
     """
     if noise_alone(contact_leftovers(residual, best.effects())):
         return residual
-    place = _better_place(_without_ends(residual), best, [nothing(residual), best])
-    return residual if place is None else _without_ends(Residual(residual.link.stamped(place)))
+    place = _better_timing(_without_ends(residual), best, [null_fit(residual), best])
+    return residual if place is None else _without_ends(Residual(residual.link.with_timing(place)))
 
 
-def _later(fit: Fit) -> Later:
-    """The place of a fit, its last hypothesis."""
+def _fitted_timing(fit: Fit) -> Timing:
+    """The timing in a fit, which is its last hypothesis."""
     last = fit.effects()[-1]
-    assert isinstance(last, Later)
+    assert isinstance(last, Timing)
     return last
 
 
-def _place(found: Explanation, weigh: Weigh) -> Later | None:
-    """When the facility samples, stamps and steps, under the causes that then explain most; None where that is no better."""
+def _timing_of_explanation(found: Explanation, weigh: Weigh) -> Timing | None:
+    """The timing beside the causes that then explain most; None where that is no better."""
     chosen = found.chosen
-    settled = found.adequate and found.residual.link.name in SETTLED and len(chosen.causes) < 2
+    settled = found.adequate and found.residual.link.name in ONE_CAUSE_LINKS and len(chosen.causes) < 2
     if not found.departs or settled:
         return None
-    return _better_place(weigh(_without_ends(found.residual)), chosen, _bases(found), fewer=True)
+    return _better_timing(weigh(_without_ends(found.residual)), chosen, _bases(found), fewer=True)
 
 
-def _better_place(residual: Residual, chosen: Fit, bases: Sequence[Fit], fewer: bool = False) -> Later | None:
-    """The place that explains most beside one of the ``bases``; None where ``chosen`` does as well where the link is.
+def _better_timing(residual: Residual, chosen: Fit, bases: Sequence[Fit], fewer: bool = False) -> Timing | None:
+    """The timing that explains most beside one of the ``bases``; None where ``chosen`` does as well with the link's own timing.
 
-    fewer: a place does where more causes would do as well, since it needs no fault; but a delay alone has a name.
+    fewer: a shift is preferred to more causes that do as well, since it needs no fault; but a delay alone has a name.
     """
     link = residual.link
     here = chosen if JITTER in chosen.kinds else refit(residual, chosen)
-    fits = [_beside(residual, base, place) for base in bases for place in _places(link)]
-    cost = _cost_on(link)
+    fits = [_fit_with_timing(residual, base, place) for base in bases for place in _timing_candidates(link)]
+    cost = _comparable_score(link)
     best = min(fits, key=cost)
     need = DETECTION * inflation(best)
     if fewer:
         least = cost(best) + need
         best = min((f for f in fits if cost(f) < least), key=lambda f: (len(f.causes), cost(f)))
-    if fewer and len(best.causes) - 1 < len(chosen.causes) and not set(chosen.kinds) <= set(CLOCKS):
+    if fewer and len(best.causes) - 1 < len(chosen.causes) and not set(chosen.kinds) <= set(DELAY_EFFECTS):
         need = -AMBIGUITY * inflation(best)
-    return link.timing.plus(_later(best)) if cost(best) < cost(here) - need else None
+    return link.timing.plus(_fitted_timing(best)) if cost(best) < cost(here) - need else None
 
 
-def _cost_on(link: Link) -> Callable[[Fit], float]:
-    """The score of a fit on ``link``; where outputs are read between rows, which takes noise away, as if it did not."""
+def _comparable_score(link: Link) -> Callable[[Fit], float]:
+    """The score of a fit on ``link``, corrected for the noise that interpolation between rows removes."""
 
     def cost(f: Fit) -> float:
         last = f.effects()[-1:]
-        timing = link.timing.plus(last[0]) if last and isinstance(last[0], Later) else link.timing
-        part = timing.before / link.runs[0].scenario.tick % 1.0 if link.name in BETWEEN else 0.0
+        timing = link.timing.plus(last[0]) if last and isinstance(last[0], Timing) else link.timing
+        part = timing.before / link.runs[0].scenario.tick % 1.0 if link.name in INTERPOLATED_LINKS else 0.0
         return f.chi2 / (part * part + (1.0 - part) ** 2) + f.penalty
 
     return cost
 
 
-def _numbers(place: Later, link: Link) -> Array:
+def _in_rows(place: Timing, link: Link) -> Array:
     tick = link.runs[0].scenario.tick
     return np.array([place.delay / tick, place.before / tick, place.obeyed / tick, place.old])
 
 
-def _places(link: Link) -> list[Candidate]:
-    """The places that are tried, as hypotheses."""
+def _timing_candidates(link: Link) -> list[Candidate]:
+    """The timings that are tried, as hypotheses."""
     tick, now, out = link.runs[0].scenario.tick, link.timing.parameters(), []
-    for way in WAYS[link.name]:
+    for way in SHIFTS[link.name]:
         names, ends = tuple(way), tuple(way.values())
         units = np.array([1.0 if name == "old" else tick for name in names])
         here = np.array([now[name] for name in names])
-        sizes = STARTS if len(names) == 1 else FEWER
+        sizes = STARTS if len(names) == 1 else STARTS_TOGETHER
         starts = [[s for s in (*(-s for s in sizes), *sizes) if low <= s <= high] for low, high in ends]
         grid = tuple(tuple(np.array(start) * units - here) for start in itertools.product(*starts))
         low, high = (np.array(end) * units - here for end in zip(*ends, strict=True))
-        out.append(Candidate(Later, names, low, high, np.zeros(len(names), bool), grid))
+        out.append(Candidate(Timing, names, low, high, np.zeros(len(names), bool), grid))
     return out
 
 
 def _bases(found: Explanation) -> list[Fit]:
-    """What the place is sought beside: nothing, what was chosen, and what comes nearest alone."""
-    no_clock = next((f for f in found.singles if not set(f.kinds) & {*CLOCKS, JITTER}), None)
-    near = (found.chosen, *first_of_each(found.singles, "kinds")[:NEAREST], *found.more[:1], *([no_clock] if no_clock else []))
+    """The fits beside which the timing is sought: none, the chosen one, and the best single causes."""
+    no_clock = next((f for f in found.singles if not set(f.kinds) & {*DELAY_EFFECTS, JITTER}), None)
+    near = (found.chosen, *first_of_each(found.singles, "kinds")[:MAX_BASES], *found.more[:1], *([no_clock] if no_clock else []))
     once = {tuple(c.key for c in f.causes): f for f in near if f.causes and JITTER not in f.kinds}
-    return [nothing(found.residual), *once.values()]
+    return [null_fit(found.residual), *once.values()]
 
 
-def _beside(residual: Residual, base: Fit, later: Candidate) -> Fit:
-    """``base`` with the output elsewhere."""
+def _fit_with_timing(residual: Residual, base: Fit, later: Candidate) -> Fit:
+    """``base`` with the timing ``later`` fitted as well."""
     return fit(residual, (*base.causes, later), [np.concatenate([base.theta, s]) for s in later.grid], tries=2)
 
 
 def _without_ends(residual: Residual) -> Residual:
-    """Without the first and the last rows, for which a channel that is moved has nothing."""
-    ends = math.ceil(FARTHEST)
+    """Without the first and the last rows, for which a shifted channel has no data."""
+    ends = math.ceil(MAX_STAMP_SHIFT_ROWS)
     weight = [w.copy() for w in residual.weight]
     for w in weight:
         w[:ends], w[len(w) - ends :] = 0.0, 0.0
     return Residual(residual.link, residual.runs, weight)
 
 
-def rows_of(explanation: Explanation) -> float:
-    """Rows by which the output of a link was found to be stamped late."""
-    return float(_numbers(explanation.residual.link.timing, explanation.residual.link).sum())
+def output_shift_rows(explanation: Explanation) -> float:
+    """Rows by which the output of a link was found to be late."""
+    return float(_in_rows(explanation.residual.link.timing, explanation.residual.link).sum())
 
 
-def no_causes(explanations: Mapping[str, Explanation]) -> dict[str, dict[str, float]]:
-    """Link to the clocks among its causes that are none, with their rows: parts of a tick where something else departs as well, and what
-    another link takes back, as it does of a channel that is stamped late."""
+def delays_not_causes(explanations: Mapping[str, Explanation]) -> dict[str, dict[str, float]]:
+    """Link to those of its delays that are no causes, with their rows: fractions of a tick where something else departs as well, and delays
+    that the opposite shift of another link compensates, as for a channel that is stamped late."""
     departing = {name: e for name, e in explanations.items() if e.departs}
-    places = [rows_of(e) for e in explanations.values()]
+    places = [output_shift_rows(e) for e in explanations.values()]
     departures = sum(max(len(e.chosen.causes), int(not e.adequate)) for e in departing.values()) + sum(rows != 0.0 for rows in places)
     if departures < 2:
         return {}
@@ -213,72 +219,72 @@ def no_causes(explanations: Mapping[str, Explanation]) -> dict[str, dict[str, fl
     out: dict[str, dict[str, float]] = {}
     for name, e in departing.items():
         for effect in e.chosen.effects():
-            rows = _rows(effect, e.residual.link.runs[0].scenario.tick)
-            parts = 0.0 if effect.kind in OF_TICKS else PARTS
+            rows = _delay_rows(effect, e.residual.link.runs[0].scenario.tick)
+            parts = 0.0 if effect.kind in TICK_EFFECTS else MAX_UNNAMED_DELAY_ROWS
             if rows is not None and rows <= max(parts, taken_back + 0.5 if taken_back else 0.0):
                 out.setdefault(name, {})[effect.kind] = rows
     return out
 
 
 def part_of_a_tick(effect: Effect, tick: float) -> bool:
-    """Whether an effect is a delay that a facility's instants may be worth."""
-    rows = _rows(effect, tick)
-    return effect.kind not in OF_TICKS and rows is not None and 0.0 < rows <= PARTS
+    """Whether an effect is a delay that the timing of a facility can explain."""
+    rows = _delay_rows(effect, tick)
+    return effect.kind not in TICK_EFFECTS and rows is not None and 0.0 < rows <= MAX_UNNAMED_DELAY_ROWS
 
 
-def stands_best(links: Sequence[Link], candidates: Sequence[Candidate]) -> int:
-    """Which one leaves least wherever its output stands in the record, while no cause is known: the first where none is clearly so.
+def best_placed(links: Sequence[Link], candidates: Sequence[Candidate]) -> int:
+    """The index of the link that leaves least under its best timing, with no other cause known: 0 unless another is clearly better.
 
-    candidates: causes that an input which stands elsewhere resembles. One that needs such a cause itself explains no more than the first
-    does with another size of it.
+    candidates: causes that look like a shifted input. A link that needs one of them explains no more than the first link does with another
+    size of it.
     """
 
     def best(link: Link) -> Fit:
         residual = _without_ends(Residual(link))
-        null = nothing(residual)
-        placed = [_beside(residual, null, place) for place in _places(link)]
+        null = null_fit(residual)
+        placed = [_fit_with_timing(residual, null, place) for place in _timing_candidates(link)]
         return min((null, *placed, *(fit(residual, (c,), c.grid) for c in candidates)), key=lambda f: f.score)
 
     kinds, fits = {c.kind for c in candidates}, [best(link) for link in links]
     costs = [f.score for f in fits]
     least = int(np.argmin(costs))
-    return least if costs[least] < costs[0] - ONE_OF_TWO and not kinds & set(fits[least].kinds) else 0
+    return least if costs[least] < costs[0] - INTERPRETATION_PENALTY and not kinds & set(fits[least].kinds) else 0
 
 
-def _rows(effect: Effect, tick: float) -> float | None:
-    """Rows by which an effect makes its link late; None for one that is no clock."""
-    if effect.kind not in CLOCKS:
+def _delay_rows(effect: Effect, tick: float) -> float | None:
+    """Rows by which an effect delays its link; None for an effect that is no delay."""
+    if effect.kind not in DELAY_EFFECTS:
         return None
     given = effect.parameters()
-    return float(given.get("ticks", 1.0)) if effect.kind in OF_TICKS else float(given["delay"]) / tick
+    return float(given.get("ticks", 1.0)) if effect.kind in TICK_EFFECTS else float(given["delay"]) / tick
 
 
 def words(explanations: Mapping[str, Explanation]) -> tuple[str, ...]:
-    """What was assumed of when the facility samples and stamps, in sentences."""
+    """The assumptions on the timing of the facility, in sentences."""
     out = []
     for name, e in explanations.items():
-        rows, link = rows_of(e), e.residual.link
-        output, given = CHANNELS[name]
-        if link.timing != PROMPT:
+        rows, link = output_shift_rows(e), e.residual.link
+        output, given = LINK_CHANNELS[name]
+        if link.timing != NO_SHIFT:
             seconds = rows * link.runs[0].scenario.tick
             when = f"{abs(rows):.2g} rows ({abs(seconds):.3g} s) {'late' if rows > 0.0 else 'early'}"
-            out.append(f"{output} stands {when} against {given}: taken for how the facility samples and stamps, not for a cause")
-    for name, clocks in no_causes(explanations).items():
+            out.append(f"{output} is {when} relative to {given}: attributed to the timing of the facility, not to a cause")
+    for name, clocks in delays_not_causes(explanations).items():
         for kind, rows in clocks.items():
-            output, given = CHANNELS[name]
+            output, given = LINK_CHANNELS[name]
             seconds = rows * explanations[name].residual.link.runs[0].scenario.tick
             if rows > 0.0:
                 out.append(
-                    f"{output} is {rows:.2g} rows ({seconds:.3g} s) later than {given} makes it ({kind}): taken for how the facility "
-                    "samples and stamps, not for a cause, since something else departs as well"
+                    f"{output} is {rows:.2g} rows ({seconds:.3g} s) later than {given} predicts ({kind}): attributed to the timing of "
+                    "the facility, not to a cause, since something else departs as well"
                 )
     return tuple(out)
 
 
-def clocks_off(explanations: Mapping[str, Explanation]) -> bool:
-    """Whether a link shows that channels are stamped, or instants lie, parts of a row otherwise than believed."""
+def timing_departs(explanations: Mapping[str, Explanation]) -> bool:
+    """Whether a link shows that channels are stamped, or instants lie, fractions of a row from where they are believed to be."""
     return any(
-        e.residual.link.timing != PROMPT or any(part_of_a_tick(c, e.residual.link.runs[0].scenario.tick) for c in e.chosen.effects())
+        e.residual.link.timing != NO_SHIFT or any(part_of_a_tick(c, e.residual.link.runs[0].scenario.tick) for c in e.chosen.effects())
         for e in explanations.values()
-        if e.departs or e.residual.link.timing != PROMPT
+        if e.departs or e.residual.link.timing != NO_SHIFT
     )

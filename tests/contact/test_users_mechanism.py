@@ -203,7 +203,7 @@ def test_a_diagnosis_does_not_judge_what_hangs_on_motion_within_a_tick(folder: P
 
 
 def test_where_copies_agree_on_too_little_contact_and_sensor_are_not_judged(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(investigate, "LEAST_COMPARED", 1.01)  # more than there is, in place of a mechanism that does what it likes
+    monkeypatch.setattr(investigate, "MIN_COMPARED", 1.01)  # more than there is, in place of a mechanism that does what it likes
     found = diagnose(recorded(folder, **{"rig.platform.tracking": "servo"})).finding
     assert found.verdict == "inconclusive"
-    assert any("the least of causes decides" in why for why in found.not_judged.values())
+    assert any("the smallest difference decides" in why for why in found.not_judged.values())

@@ -15,7 +15,7 @@ import pytest
 import hiltestbed
 from hiltestbed.diagnosis.diagnose import diagnose
 from hiltestbed.diagnosis.driven import axis_link
-from hiltestbed.diagnosis.intervals import LEAST
+from hiltestbed.diagnosis.intervals import MIN_RELATIVE_WIDTH
 from hiltestbed.diagnosis.layout import lay_out
 from hiltestbed.diagnosis.result import Diagnosis
 from hiltestbed.effects import EFFECTS
@@ -112,7 +112,7 @@ def test_what_the_law_does_not_hold_widens_the_intervals_and_takes_nothing_from_
         estimate, (low, high) = got[f"dynamics.force {name}"]
         assert estimate == pytest.approx(value, rel=0.01), name
         assert low < value < high, name
-        assert high - low > 3.0 * 2.0 * LEAST * value, name
+        assert high - low > 3.0 * 2.0 * MIN_RELATIVE_WIDTH * value, name
 
 
 def test_friction_that_differs_by_direction_is_told_from_friction_that_does_not(tmp_path: Path) -> None:

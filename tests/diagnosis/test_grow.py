@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hiltestbed.diagnosis.adequacy import contact_leftovers
-from hiltestbed.diagnosis.fit import fit, nothing
+from hiltestbed.diagnosis.fit import fit, null_fit
 from hiltestbed.diagnosis.grow import far_off, grow
 from hiltestbed.diagnosis.links import LinkRun, PlatformLink
 from hiltestbed.diagnosis.residual import Residual
@@ -55,7 +55,7 @@ def one_of_three() -> Explanation:
     lag = next(c for c in candidates if c.kind == "platform.lag")
     one = fit(residual, (lag,), lag.grid)
     before, left = (contact_leftovers(residual, effects) for effects in ((), one.effects()))
-    return Explanation(residual, candidates, nothing(residual), one, False, True, left, before, (one,))
+    return Explanation(residual, candidates, null_fit(residual), one, False, True, left, before, (one,))
 
 
 def test_three_causes_are_found_from_one() -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hiltestbed.diagnosis.adequacy import contact_leftovers
-from hiltestbed.diagnosis.fit import fit, nothing
+from hiltestbed.diagnosis.fit import fit, null_fit
 from hiltestbed.diagnosis.in_part import at_bound, explained, holding, in_each_run, same_in_each
 from hiltestbed.diagnosis.report.page import TITLES
 from hiltestbed.diagnosis.residual import Residual
@@ -79,7 +79,7 @@ def test_a_size_that_the_runs_do_not_bear_on_is_the_same_in_none() -> None:
     chosen = fit(residual, (stiffness, zone, bias), [[1.1, 5.0, 0.0, -3.0, 0.0, 0.0, 0.0, 0.0]], tries=1)
     assert chosen.part(2)[1] == -3.0
     none = contact_leftovers(residual, chosen.effects())
-    found = Explanation(residual, chosen.causes, nothing(residual), chosen, True, True, none, none, (chosen,))
+    found = Explanation(residual, chosen.causes, null_fit(residual), chosen, True, True, none, none, (chosen,))
     assert [same_in_each(chosen, in_each_run(found), i, 3) for i in range(3)] == [True, False, False]
 
 
@@ -91,7 +91,7 @@ def test_what_fits_all_runs_is_among_what_fits_each_that_it_fits_as_well() -> No
     chosen = fit(Residual(link), (stiffness,), stiffness.grid)
     residual = Residual(reread(link, changed))
     none = contact_leftovers(residual, chosen.effects())
-    found = Explanation(residual, chosen.causes, nothing(residual), chosen, True, True, none, none, (chosen,))
+    found = Explanation(residual, chosen.causes, null_fit(residual), chosen, True, True, none, none, (chosen,))
     assert [any((f.theta == chosen.theta).all() for f in fits) for fits in in_each_run(found)] == [False] + [True] * (len(SPEEDS) - 1)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hiltestbed.bench.independent_rig import draw_set, write_set
-from hiltestbed.diagnosis.fit import nothing
+from hiltestbed.diagnosis.fit import null_fit
 from hiltestbed.diagnosis.layout import lay_out
 from hiltestbed.diagnosis.learned import learn
 from hiltestbed.diagnosis.learned.finding import learned_on
@@ -49,7 +49,7 @@ def test_a_foreign_law_of_an_independent_rig_is_worth_nearly_what_the_truth_is(n
 def test_the_extended_scenario_runs_with_the_law_and_rebounds_as_the_rig_did(tmp_path: Path) -> None:
     dataset = load_dataset(recorded(tmp_path, [LOSS]))
     residual = residual_of(dataset)
-    null = nothing(residual)
+    null = null_fit(residual)
     result = learned_on(Explanation(residual, (), null, null, False, True, {}, {}), ())
     assert result is not None
     learned, effect = result

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hiltestbed.diagnosis.fit import Fit, fit, nothing
+from hiltestbed.diagnosis.fit import Fit, fit, null_fit
 from hiltestbed.diagnosis.links import LinkRun, WrenchLink
-from hiltestbed.diagnosis.readings import another_lever, choose_lever, choose_ring, choose_steps, lever_under, ring_under, wrench_link_of
+from hiltestbed.diagnosis.readings import choose_lever, choose_ring, choose_steps, lever_under, other_lever, ring_under, wrench_link_of
 from hiltestbed.diagnosis.residual import Residual
 from hiltestbed.diagnosis.search import Explanation, Search
 from hiltestbed.effects import EFFECTS
@@ -33,8 +33,8 @@ def sliding(lever: float) -> WrenchLink:
     path[:, 0] = 0.02 * np.sin(7.0 * H * np.arange(len(path)))
     sigma = np.tile([NOISE] * 3 + [TORQUE_NOISE] * 3, (len(path), 1))
     link = WrenchLink([LinkRun(s, np.zeros((len(path), 6)), sigma, path[:, 2] > 0.0)], [path])
-    shown = link.reading(ACTS_AT).shown(0, [effect("sensor.delay", delay=LATE)])
-    return reread(link, [shown + sigma * np.random.default_rng(3).standard_normal(shown.shape)]).reading(lever)
+    shown = link.interpreted(ACTS_AT).shown(0, [effect("sensor.delay", delay=LATE)])
+    return reread(link, [shown + sigma * np.random.default_rng(3).standard_normal(shown.shape)]).interpreted(lever)
 
 
 def candidates(*kinds: str) -> tuple[Candidate, ...]:
@@ -74,8 +74,8 @@ def test_a_cause_that_pays_for_its_lever_alone_is_found_at_the_end_too() -> None
     residual = Residual(sliding(1.0))
     pair = (*candidates("sensor.delay"), next(c for c in candidates("contact.surface_friction") if c.variant.get("lever") == ACTS_AT))
     both = fit(residual, pair, [(LATE, FRICTION)])
-    explanation = Explanation(residual, pair, nothing(residual), both, True, True, {}, {})
-    other = another_lever(explanation)
+    explanation = Explanation(residual, pair, null_fit(residual), both, True, True, {}, {})
+    other = other_lever(explanation)
     assert other is not None
     assert other.lever == ACTS_AT
 
@@ -83,10 +83,10 @@ def test_a_cause_that_pays_for_its_lever_alone_is_found_at_the_end_too() -> None
 def test_a_friction_that_departs_is_not_taken_for_a_lever() -> None:
     link = sliding(1.0)
     more = effect("contact.surface_friction", {"lever": ACTS_AT}, coefficient=2.0 * FRICTION)
-    residual = Residual(reread(link, [link.shown(0, [more])]).reading(1.0))
+    residual = Residual(reread(link, [link.shown(0, [more])]).interpreted(1.0))
     (c,) = [c for c in candidates("contact.surface_friction") if c.variant.get("lever") == ACTS_AT]
     found = fit(residual, (c,), c.grid)
-    assert another_lever(Explanation(residual, (c,), nothing(residual), found, True, True, {}, {})) is None
+    assert other_lever(Explanation(residual, (c,), null_fit(residual), found, True, True, {}, {})) is None
 
 
 def test_without_friction_there_is_no_lever_to_choose() -> None:
@@ -104,10 +104,10 @@ def test_whether_a_latch_resists_turning_is_what_the_torques_bear_out(ring: floa
     path[:, 3], path[:, 6] = 1e-4 * np.sin(7.0 * H * np.arange(len(path))), 1.0
     sigma = np.tile([NOISE] * 3 + [TORQUE_NOISE] * 3, (len(path), 1))
     link = WrenchLink([LinkRun(scenario_from(told), np.zeros((len(path), 6)), sigma, np.ones(len(path), dtype=bool))], [path])
-    shown = link.reading(ring=ring).shown(0)
+    shown = link.interpreted(ring=ring).shown(0)
     data = reread(link, [shown + sigma * np.random.default_rng(3).standard_normal(shown.shape)])
     assert choose_ring(data).ring == ring
-    wrong = Residual(data.reading(ring=1.0 - ring))
+    wrong = Residual(data.interpreted(ring=1.0 - ring))
     assert wrench_link_of(ring_under(wrong, alone(wrong, "sensor.delay"))).ring == ring
 
 
@@ -126,7 +126,7 @@ def test_a_mount_is_right_whatever_its_steps_where_the_data_bear_that_out() -> N
     """Steps of first order miss half a step of the swing; extrapolated, what is left is of second order, and of the touch."""
     link, true = mounted(4), mounted(256).shown(0)
     missed = np.abs(link.shown(0) - true).max()
-    assert np.abs(link.reading(exact=()).shown(0) - true).max() < 0.15 * missed
+    assert np.abs(link.interpreted(exact=()).shown(0) - true).max() < 0.15 * missed
     assert choose_steps(reread(link, [true])).exact == ()
     assert choose_steps(reread(link, [link.shown(0)])).exact is None
     assert choose_steps(contact_link()).exact is None

@@ -12,8 +12,8 @@ import pytest
 from scipy.optimize import brentq
 
 from hiltestbed.diagnosis import search
-from hiltestbed.diagnosis.fit import fit, nothing
-from hiltestbed.diagnosis.investigate import _as_read
+from hiltestbed.diagnosis.fit import fit, null_fit
+from hiltestbed.diagnosis.investigate import _used_readings
 from hiltestbed.diagnosis.jitter import jitter_beside
 from hiltestbed.diagnosis.lines import hum_beside, lines
 from hiltestbed.diagnosis.links import Link, LinkRun, PlatformLink
@@ -21,7 +21,7 @@ from hiltestbed.diagnosis.links.base import Lane
 from hiltestbed.diagnosis.residual import Residual, square
 from hiltestbed.diagnosis.search import Search
 from hiltestbed.diagnosis.settings import DETECTION
-from hiltestbed.diagnosis.stiction import finest_sticks, stick_starts
+from hiltestbed.diagnosis.stiction import refined_sticks, stick_starts
 from hiltestbed.effects import EFFECTS
 from hiltestbed.effects.search import Scales, candidate
 from hiltestbed.frames import Array
@@ -53,7 +53,7 @@ def test_a_vector_is_found_in_whichever_direction_it_points(direction: tuple[int
     residual = Residual(Along(measured))
     starts = [(0, 0, 0), (0.05, 0.05, 0.05)]
     c = candidate(EFFECTS["dynamics.port_offset"], {f"offset.{j}": [0.0] for j in range(3)}, starts=starts, body="chaser")
-    found = Search((c,)).extend(residual, nothing(residual))  # weighed first: at a start it may make things worse
+    found = Search((c,)).extend(residual, null_fit(residual))  # weighed first: at a start it may make things worse
     assert len(found) == 1
     assert found[0].theta == pytest.approx(0.02 * np.array(direction), abs=1e-8)
 
@@ -74,7 +74,7 @@ def test_a_stick_is_found_to_where_the_last_jump_ends() -> None:
     left = square(residual([effect("platform.friction", {"instants": 20}, stick=starts[0])]))
     count = np.count_nonzero(residual(()))
     assert left < count + 4.0 * math.sqrt(2.0 * count)  # of chi-square with as many degrees of freedom
-    assert finest_sticks(residual, [2e-3], 1e-3, 4) == [2e-3]  # no better than none at all: left as it is
+    assert refined_sticks(residual, [2e-3], 1e-3, 4) == [2e-3]  # no better than none at all: left as it is
 
 
 AMONG_OTHERS = pytest.mark.xfail(reason="few jumps at one speed: other numbers of instants fit the scanned rows nearly as well")
@@ -163,14 +163,14 @@ def test_responses_that_are_integrated_step_by_step_look_no_further_than_the_com
 
 def test_a_reading_that_is_late_throughout_is_no_varying_delay() -> None:
     late = Residual(contact_link([effect("sensor.delay", delay=0.3e-3)]))
-    assert jitter_beside(late, nothing(late)) is None
+    assert jitter_beside(late, null_fit(late)) is None
 
 
 def test_a_delay_that_varies_is_found_with_its_size() -> None:
     sigma, link, rng = 0.4e-3, contact_link(), np.random.default_rng(3)
     slope = link.slopes(())[0]
     residual = Residual(reread(link, [link.runs[0].measured - slope * sigma * rng.standard_normal((len(slope), 1))]))
-    found = jitter_beside(residual, nothing(residual))
+    found = jitter_beside(residual, null_fit(residual))
     assert found is not None
     # Some 300 rows in contact: 1/sqrt(2 x 300) is a relative error of 0.04 of the deviation; three of them, and the edges.
     assert found.theta[-1] == pytest.approx(sigma, rel=0.15)
@@ -220,7 +220,7 @@ def test_what_the_loop_read_is_had_from_a_late_record_across_a_touch() -> None:
     noise = NOISE * np.random.default_rng(4).standard_normal((500, 6))
     in_time, late = link.shown(0), link.shown(0, [skew])
     run = replace(link.runs[0], measured=late + np.concatenate([np.zeros((3, 6)), noise[:-3]]))
-    used = _as_read(run, late, in_time, 3)
+    used = _used_readings(run, late, in_time, 3)
     assert used[:-3] == pytest.approx((in_time + noise)[:-3], abs=4.0 * NOISE)  # beyond which nothing is taken for noise
     kept = np.abs(noise[:-3]) < 4.0 * NOISE
     assert used[:-3][kept] == pytest.approx((in_time + noise)[:-3][kept], abs=1e-9)
@@ -230,7 +230,7 @@ def test_where_a_reading_lies_on_the_steps_of_the_facility_the_data_bear_it_out(
     """A damper's force jumps from tick to tick: between two instants a reading is on neither side of the jump, or on the line across."""
     delay, grid = 2.7 * H, 2  # in the first half of a tick, whose start the line crosses
     exact = contact_link(seed=None)
-    stepped = exact.reading(grid=grid)
+    stepped = exact.interpreted(grid=grid)
     c = candidate(EFFECTS["sensor.delay"], {"delay": [2.0 * H, 2.8 * H]})
     for own, other in ((exact, stepped), (stepped, exact)):
         measured = [own.shown(0, [effect("sensor.delay", delay=delay)])]
@@ -244,10 +244,10 @@ def test_what_cannot_come_near_the_best_is_not_fitted(monkeypatch: pytest.Monkey
     candidates = tuple(c for e in EFFECTS.values() if e.link in ("contact", "sensor") for c in e.candidates(SCALES))
     fitted: list[list[str]] = []
     best = []
-    for margin in (math.inf, search.UNDERRATED):
-        monkeypatch.setattr(search, "UNDERRATED", margin)
+    for margin in (math.inf, search.LINEAR_GAIN_MARGIN):
+        monkeypatch.setattr(search, "LINEAR_GAIN_MARGIN", margin)
         fitted.append([])
-        found = Search(candidates, progress=fitted[-1].append).extend(residual, nothing(residual))
+        found = Search(candidates, progress=fitted[-1].append).extend(residual, null_fit(residual))
         best.append(found[0])
         assert found[0].kinds == ("contact.stiffness",)
     assert best[1].theta == pytest.approx([1.3], rel=1e-3)
@@ -261,7 +261,7 @@ def test_a_descent_that_will_not_count_is_not_finished(factor: float, counts: bo
     """Fewer replays, and what counts is found where it was. Of 1.5e-4 of the stiffness, a chi-square of some 20 shows."""
     residual = Residual(contact_link([effect("contact.stiffness", factor=factor)]))
     candidates = tuple(c for e in EFFECTS.values() if e.link in ("contact", "sensor") for c in e.candidates(SCALES))
-    null, replays, found = nothing(residual), [0, 0], []
+    null, replays, found = null_fit(residual), [0, 0], []
     many = Residual.many
     for i, worth in enumerate((0.0, DETECTION)):
         monkeypatch.setattr(Residual, "many", lambda self, tried, i=i: replays.__setitem__(i, replays[i] + len(tried)) or many(self, tried))

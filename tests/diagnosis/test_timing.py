@@ -12,9 +12,9 @@ import pytest
 from hiltestbed.bench.independent_rig import Nuisances, draw_set, write_set
 from hiltestbed.diagnosis import timing
 from hiltestbed.diagnosis.find import Judged, judge
-from hiltestbed.diagnosis.fit import Fit, nothing
+from hiltestbed.diagnosis.fit import Fit, null_fit
 from hiltestbed.diagnosis.investigate import investigate
-from hiltestbed.diagnosis.links import CompensationLink, DynamicsLink, Later, LinkRun
+from hiltestbed.diagnosis.links import CompensationLink, DynamicsLink, LinkRun, Timing
 from hiltestbed.diagnosis.links.base import Link, moved
 from hiltestbed.diagnosis.pose_noise import smooth_levels
 from hiltestbed.diagnosis.residual import Residual
@@ -51,7 +51,7 @@ def test_a_channel_that_is_stamped_rows_off_is_no_departure(
     found, _ = judged(tmp_path, seed, Nuisances(stamps={channel: rows}))
     assert found.verdict.verdict == "no_discrepancy"
     for link, expected in links.items():
-        assert timing.rows_of(found.findings.explanations[link]) == pytest.approx(expected, abs=0.03)
+        assert timing.output_shift_rows(found.findings.explanations[link]) == pytest.approx(expected, abs=0.03)
     assert timing.words(found.findings.explanations)
 
 
@@ -59,7 +59,7 @@ def test_a_channel_that_is_stamped_rows_off_is_no_departure(
 def test_instants_within_a_tick_and_a_stamp_of_the_encoder_are_no_departures(tmp_path: Path) -> None:
     found, _ = judged(tmp_path, 810016, Nuisances(read=0.3, move=0.2, encoder=0.4, step=0.25))
     assert found.verdict.verdict == "no_discrepancy"
-    assert timing.rows_of(found.findings.explanations["dynamics"]) == pytest.approx(0.25, abs=0.01)
+    assert timing.output_shift_rows(found.findings.explanations["dynamics"]) == pytest.approx(0.25, abs=0.01)
 
 
 def test_a_late_sensor_is_found_on_the_path_as_it_was_measured(tmp_path: Path) -> None:
@@ -89,7 +89,7 @@ def test_what_is_made_of_readings_between_rows_lies_between_its_own_rows() -> No
     given = CompensationLink([run], [noise], {}).shown(0)
     early = LinkRun(s, given, np.ones((300, 6)), np.ones(300, dtype=bool))
     link = CompensationLink([early], [moved(noise, -0.3)], {})
-    left = [np.abs(link.runs[0].measured - at.shown(0))[20:-20].max() for at in (link, link.stamped(Later(before=0.3 * H)))]
+    left = [np.abs(link.runs[0].measured - at.shown(0))[20:-20].max() for at in (link, link.with_timing(Timing(before=0.3 * H)))]
     assert left[0] > 1.0
     assert left[1] < 1e-9
 
@@ -100,15 +100,17 @@ def test_an_old_twist_in_the_new_pose_lies_between_both_integrators() -> None:
     run = LinkRun(scenario(), np.zeros((200, 6)), np.ones((200, 6)), np.ones(200, dtype=bool))
     link = DynamicsLink([run], [wrench])
     implicit, explicit = link.shown(0), link.shown(0, [EFFECTS["dynamics.integrator"].hypothesis({}, scheme="explicit_euler")])
-    np.testing.assert_array_equal(link.stamped(Later(old=1.0)).shown(0), explicit)
-    between = link.stamped(Later(old=0.25)).shown(0)
+    np.testing.assert_array_equal(link.with_timing(Timing(old=1.0)).shown(0), explicit)
+    between = link.with_timing(Timing(old=0.25)).shown(0)
     np.testing.assert_allclose(between, 0.75 * implicit + 0.25 * explicit, rtol=0, atol=1e-9)
 
 
 def test_a_late_output_and_a_late_input_of_the_numerical_model_differ_by_the_approach() -> None:
     run = LinkRun(scenario(), np.zeros((100, 6)), np.ones((100, 6)), np.ones(100, dtype=bool))
     link = DynamicsLink([run], [np.zeros((100, 6))])
-    prompt, late, before = (at.shown(0)[:, 2] for at in (link, link.stamped(Later(delay=0.4 * H)), link.stamped(Later(before=0.4 * H))))
+    prompt, late, before = (
+        at.shown(0)[:, 2] for at in (link, link.with_timing(Timing(delay=0.4 * H)), link.with_timing(Timing(before=0.4 * H)))
+    )
     np.testing.assert_allclose(prompt - late, 0.03 * 0.4 * H, rtol=1e-6)
     np.testing.assert_array_equal(before, prompt)
 
@@ -116,7 +118,7 @@ def test_a_late_output_and_a_late_input_of_the_numerical_model_differ_by_the_app
 def explained(link: Link, *effects: tuple[str, dict[str, Any]], adequate: bool = True) -> Explanation:
     """An explanation with these causes."""
     causes = tuple(Candidate(EFFECTS[kind], (), np.zeros(0), np.zeros(0), np.zeros(0, bool), ((),), given) for kind, given in effects)
-    null = nothing(Residual(link))
+    null = null_fit(Residual(link))
     chosen = Fit(causes, np.zeros(0), null.chi2, null.residual, null.jacobian)
     return Explanation(Residual(link), (), null, chosen, adequate, bool(effects), {}, {})
 
@@ -125,17 +127,17 @@ def test_a_part_of_a_tick_is_a_cause_alone_and_none_beside_others() -> None:
     late = ("platform.delay", {"delay": 0.6 * H})
     contact = contact_link(seed=None)
     alone = {"platform": explained(platform_link(), late), "wrench": explained(contact)}
-    assert timing.no_causes(alone) == {}
+    assert timing.delays_not_causes(alone) == {}
     beside = alone | {"wrench": explained(contact, ("contact.stiffness", {"factor": 0.8}))}
-    assert timing.no_causes(beside) == {"platform": {"platform.delay": pytest.approx(0.6)}}
+    assert timing.delays_not_causes(beside) == {"platform": {"platform.delay": pytest.approx(0.6)}}
     assert "platform.delay" in timing.words(beside)[0]
 
 
 def test_whole_ticks_are_causes_unless_another_link_takes_them_back() -> None:
     def found(rows: float, platform: float) -> dict[str, dict[str, float]]:
         dynamics = DynamicsLink([platform_link().runs[0]], [np.zeros((500, 6))])
-        return timing.no_causes({
-            "platform": explained(platform_link().stamped(Later(delay=platform * H))),
+        return timing.delays_not_causes({
+            "platform": explained(platform_link().with_timing(Timing(delay=platform * H))),
             "wrench": explained(contact_link(seed=None), ("contact.stiffness", {"factor": 0.8})),
             "dynamics": explained(dynamics, ("dynamics.step_delay", {"ticks": int(rows)})),
         })  # fmt: skip
@@ -150,7 +152,7 @@ def test_a_whole_tick_of_delay_stays_a_cause_beside_others() -> None:
         "platform": explained(platform_link(), ("platform.delay", {"delay": 2.0 * H})),
         "wrench": explained(contact_link(seed=None), ("contact.stiffness", {"factor": 0.8})),
     }
-    assert timing.no_causes(found) == {}
+    assert timing.delays_not_causes(found) == {}
 
 
 def test_the_noise_of_poses_between_two_samples_is_judged_by_that_of_the_samples(tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from hiltestbed.diagnosis.fit import nothing
+from hiltestbed.diagnosis.fit import null_fit
 from hiltestbed.diagnosis.intervals import intervals
 from hiltestbed.diagnosis.residual import Residual, square
 from hiltestbed.diagnosis.search import Search
@@ -58,7 +58,7 @@ def test_gain_and_crosstalk_are_those_of_the_turned_axes_wherever_the_turn_stand
 def _found(hidden: Effect) -> tuple[Residual, list]:
     residual = Residual(contact_link([hidden]))
     candidates = [c for kind in ("sensor.rotation", "sensor.crosstalk", "sensor.gain") for c in EFFECTS[kind].candidates(SCALES)]
-    return residual, Search(tuple(candidates)).extend(residual, nothing(residual))
+    return residual, Search(tuple(candidates)).extend(residual, null_fit(residual))
 
 
 def test_a_turn_about_a_lateral_axis_is_found_and_none_is_made_up_about_the_axis_of_the_load() -> None:

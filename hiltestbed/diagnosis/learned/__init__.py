@@ -1,4 +1,4 @@
-"""Laws learned from data on the link that departs, where the effects with a name leave more than noise."""
+"""Stage "decide": laws learned from data on a link that departs, where the named effects leave more than noise."""
 
 from hiltestbed.diagnosis.learned.learn import learn
 

@@ -1,4 +1,4 @@
-"""Curves of few knots out of the finest that a law may have: hats on every second knot are sums of hats on all."""
+"""Piecewise-linear curves with few knots among the finest a law may have: a hat on every second knot is a sum of hats on all knots."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from scipy.linalg import block_diag
 
 from hiltestbed.frames import Array
 
-LEVEL = 3.0  # of a squared second difference: what a squared first one of a part costs
-LITTLE = 1e-6  # of a squared second difference: what a square costs, so that nothing is left open
+SLOPE_COST = 3.0  # chosen: of a squared first difference of a part, relative to a squared second one
+VALUE_COST = 1e-6  # chosen: of a squared value, relative to a squared second difference, so that every value is determined
 
 
 @dataclass(frozen=True)
@@ -20,9 +20,9 @@ class Block:
 
     Attributes:
         name: the parameter of the effect.
-        places: (K,), as far on one side of 0 as on the other, or on one side alone. zero: whether the curve is 0 at 0 whatever it is.
-        part: whether it is a part of another force, which is constant where there are no data, and not a force, whose slope is.
-        levels: numbers of knots, K at most, each one more than a part of K - 1; uneven on two sides of 0.
+        places: (K,) abscissae, symmetric about 0 or on one side of it. zero: whether the curve must be 0 at 0.
+        part: whether it is a factor on another force, which is extrapolated as a constant, and not a force, extrapolated with its slope.
+        levels: numbers of knots, K at most, each one more than a divisor of K - 1; odd if the knots lie on both sides of 0.
     """
 
     name: str
@@ -33,31 +33,31 @@ class Block:
 
     @property
     def two_sided(self) -> bool:
-        """Whether the places lie on both sides of 0, as far on either."""
+        """Whether the abscissae lie on both sides of 0."""
         return bool(self.places[0] < 0.0 < self.places[-1])
 
 
 @dataclass(frozen=True)
 class Choice:
-    """Which of the curves that a block allows: on so many knots, 1 for a constant; odd: as large on either side of 0, and 0 there."""
+    """The form of a block's curve: its number of knots, 1 for a constant; odd: whether it is antisymmetric about 0."""
 
     knots: int
     odd: bool
 
     def every(self, finest: int) -> int:
-        """From one of its knots to the next, in those of the ``finest``."""
+        """Step from one of its knots to the next, in those of the ``finest``."""
         return (finest - 1) // max(1, self.knots - 1)
 
 
 def choices(block: Block) -> list[Choice]:
-    """All that a block allows, with the fewest numbers first."""
+    """All forms that a block allows, those with the fewest numbers first."""
     odds = (True, False) if not block.part else (False,)
     out = [Choice(n, odd) for n in block.levels for odd in odds if odd or block.part or block.two_sided or not block.zero]
     return sorted(out, key=lambda c: (shape_of(block, c).shape[1], c.knots))
 
 
 def shape_of(block: Block, choice: Choice | None) -> Array:
-    """``(K, Q)`` what each of the numbers of a choice adds to the finest knots; no column for None, a block that is left out."""
+    """``(K, Q)`` basis of a form: its Q numbers to values on the finest knots; no column for None, a block that is left out."""
     fine = len(block.places)
     if choice is None:
         return np.zeros((fine, 0))
@@ -75,10 +75,10 @@ def shape_of(block: Block, choice: Choice | None) -> Array:
 
 
 def roughness(blocks: Sequence[Block]) -> Array:
-    """``(P, P)`` sum of squared second differences of all curves, and a little of their squares: for knots where there are no data."""
+    """``(P, P)`` regularisation: squared second differences of all curves and a little of their squares, for knots without data."""
     parts = []
     for b in blocks:
         second = np.diff(np.eye(len(b.places)), 2, axis=0)
         first = np.diff(np.eye(len(b.places)), axis=0) if b.part else np.zeros_like(second)
-        parts.append(second.T @ second + LEVEL * first.T @ first + LITTLE * np.eye(len(b.places)))
+        parts.append(second.T @ second + SLOPE_COST * first.T @ first + VALUE_COST * np.eye(len(b.places)))
     return np.asarray(block_diag(*parts))

@@ -1,4 +1,4 @@
-"""Laws that may be learned: a force of the contact, a curve of an axis of the sensor, and the platform's answer to a step."""
+"""The families of laws that can be learned: a contact force, a curve of a sensor axis, the step response of the platform."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from hiltestbed.diagnosis.learned.selection import Choices
 from hiltestbed.diagnosis.links import PlatformLink, WrenchLink
 from hiltestbed.diagnosis.links.base import Effects
 from hiltestbed.diagnosis.residual import Residual
-from hiltestbed.diagnosis.settings import STRETCHES
+from hiltestbed.diagnosis.settings import REACHES_TRIED
 from hiltestbed.effects.base import Effect
 from hiltestbed.frames import Array
 from hiltestbed.piecewise import Pairs
@@ -22,20 +22,20 @@ from hiltestbed.platform.effects.learned import LearnedResponse
 from hiltestbed.sensor.effects.calibration import WRENCH_AXES
 from hiltestbed.sensor.effects.learned import SensorMap
 
-FINE, COARSE = 17, 9  # knots of a curve at most; of a slider's while its reach is sought
+FINE_KNOTS, COARSE_KNOTS = 17, 9  # chosen: knots of a curve at most; of a slider's curve while its reach is sought
 HELD_LEVELS, PUSHED_LEVELS = (3, 5, 9, 17), (2, 3, 5, 9, 17)
-SMALL = 1e-4  # of the peak force: the size of a difference
-PLAIN = 4  # blocks without a slider
-REACHES = (0.02, 0.5)  # of the travel, that a slider's stretch is tried over
-MEMORIES = 9  # of a platform's response, that are tried
-SHORTEST = 2.0  # ticks, of such a memory
-LONGEST = 0.2  # of the shortest run, and one second at most
-AT_ONCE = ((0.0, 1.0), (1.0, 1.0))  # a step that is followed by itself
+DIFFERENCE_SHARE = 1e-4  # chosen: of the peak force: size of a finite difference
+BLOCKS_WITHOUT_SLIDER = 4  # of a contact force
+REACH_RANGE = (0.02, 0.5)  # chosen: of the travel, over which a slider's reach is tried
+MEMORIES_TRIED = 9  # lengths of a platform's response
+MIN_MEMORY_TICKS = 2.0  # chosen: ticks, of such a response
+MAX_MEMORY_SHARE = 0.2  # chosen: of the shortest run, and one second at most
+IDENTITY_STEP = ((0.0, 1.0), (1.0, 1.0))  # the response of a platform that follows at once
 
 
 @dataclass(frozen=True)
 class Family(ABC):
-    """A law as curves whose values on all knots, one block after the other, are its numbers.
+    """A law as a set of curves; its numbers are their values on all knots, one block after the other.
 
     Attributes:
         blocks: its curves. peak: the largest force [N].
@@ -46,10 +46,10 @@ class Family(ABC):
 
     @abstractmethod
     def effect(self, values: Array, choices: Choices | None = None) -> Effect:
-        """The effect with the ``values`` (P,); on the knots that were chosen alone, where they are given."""
+        """The effect with the ``values`` (P,); with ``choices``, on the chosen knots only."""
 
     def curves(self, values: Array, choices: Choices | None = None) -> list[Pairs]:
-        """The pairs of each block."""
+        """The (abscissa, value) pairs of each block."""
         out, at = [], 0
         for i, b in enumerate(self.blocks):
             part = values[at : at + len(b.places)]
@@ -61,24 +61,24 @@ class Family(ABC):
                     out.append(())
                     continue
                 every = choice.every(len(b.places))
-            unit = self.peak if b.part else 1.0  # its values are forces at the peak, as large as the others
+            unit = self.peak if b.part else 1.0  # its values are forces at the peak, of the size of the others
             out.append(tuple((float(x), float(y / unit)) for x, y in zip(b.places[::every], part[::every], strict=True)))
         return out
 
     @property
     def size(self) -> float:
-        """A value [N] that is small beside those to be found, for differences."""
-        return SMALL * self.peak
+        """Step of finite differences [N], small beside the values to be found."""
+        return DIFFERENCE_SHARE * self.peak
 
     @property
     def count(self) -> int:
-        """P."""
+        """P, the number of values."""
         return sum(len(b.places) for b in self.blocks)
 
 
 @dataclass(frozen=True)
 class ContactForce(Family):
-    """Curves over penetration and rate, of a force and of a part of the spring, and over the stretch of a slider in a last block."""
+    """Curves over penetration and rate, as a force and as a factor on the spring; a last block over the stretch of a slider."""
 
     def effect(self, values: Array, choices: Choices | None = None) -> Effect:
         return ContactMap.hypothesis({}, **{b.name: c for b, c in zip(self.blocks, self.curves(values, choices), strict=True)})
@@ -86,17 +86,17 @@ class ContactForce(Family):
     @property
     def slides(self) -> bool:
         """Whether it has a slider."""
-        return len(self.blocks) > PLAIN
+        return len(self.blocks) > BLOCKS_WITHOUT_SLIDER
 
     @property
     def plain(self) -> ContactForce:
         """Without its slider."""
-        return replace(self, blocks=self.blocks[:PLAIN])
+        return replace(self, blocks=self.blocks[:BLOCKS_WITHOUT_SLIDER])
 
 
 @dataclass(frozen=True)
 class SensorCurve(Family):
-    """What an axis shows beside what it feels; the effect is the whole curve."""
+    """What a sensor axis shows beyond what it feels; the effect is the whole curve."""
 
     axis: str
 
@@ -106,13 +106,13 @@ class SensorCurve(Family):
 
 @dataclass(frozen=True)
 class PlatformStep(Family):
-    """What a platform has reached of a step of its command, over the time since; its values are that less the whole step.
+    """The step response of a platform over the time since the step; the values are the response less 1.
 
-    The places of the block count back from the end of its memory, so that an odd curve is one that ends at the whole step.
+    The abscissae count back from the end of the response, so that an odd curve ends at 1.
     """
 
     def effect(self, values: Array, choices: Choices | None = None) -> Effect:
-        return LearnedResponse.hypothesis({}, step=self.curves(values, choices)[0] or AT_ONCE)
+        return LearnedResponse.hypothesis({}, step=self.curves(values, choices)[0] or IDENTITY_STEP)
 
     def curves(self, values: Array, choices: Choices | None = None) -> list[Pairs]:
         memory = float(self.blocks[0].places[-1])
@@ -120,19 +120,19 @@ class PlatformStep(Family):
 
 
 def platform_families(residual: Residual) -> Iterator[PlatformStep]:
-    """One of each memory, its knots closer where the step is fresh."""
+    """One for each length of response, with knots closer just after the step."""
     link = residual.link
     if not isinstance(link, PlatformLink):
         raise TypeError(f"a platform's response is learned on its link (got {link.name}); allowed is a PlatformLink")
     tick = link.runs[0].scenario.tick
-    longest = max(min(1.0, LONGEST * tick * min(link.runs[i].rows for i in residual.runs)), 2.0 * SHORTEST * tick)
-    since = np.linspace(1.0, 0.0, FINE) ** 2
-    for memory in np.geomspace(SHORTEST * tick, longest, MEMORIES):
+    longest = max(min(1.0, MAX_MEMORY_SHARE * tick * min(link.runs[i].rows for i in residual.runs)), 2.0 * MIN_MEMORY_TICKS * tick)
+    since = np.linspace(1.0, 0.0, FINE_KNOTS) ** 2
+    for memory in np.geomspace(MIN_MEMORY_TICKS * tick, longest, MEMORIES_TRIED):
         yield PlatformStep((Block("step", memory * (1.0 - since), False, PUSHED_LEVELS),), 1.0)
 
 
 def contact_families(residual: Residual) -> tuple[ContactForce, list[ContactForce]]:
-    """Without a slider, and with one of each reach."""
+    """The contact force without a slider, and with a slider of each reach."""
     link, held = _wrench(residual), _wrench(residual).runs[0].scenario.mechanism.captured
     places, rates = zip(*(reached(link, i) for i in residual.runs), strict=True)
     depth = max(float(np.max(np.abs(x), initial=0.0)) for x in places)
@@ -140,26 +140,26 @@ def contact_families(residual: Residual) -> tuple[ContactForce, list[ContactForc
     peak = _peak(residual)
     if depth <= 0.0 or speed <= 0.0:
         return ContactForce((), peak), []
-    over = Block("penetration", np.linspace(-depth if held else 0.0, depth, FINE), False, HELD_LEVELS if held else PUSHED_LEVELS)
-    u = np.linspace(-1.0, 1.0, FINE)
-    rates_at = speed * u * np.abs(u)  # closer about 0, where a force may turn with the motion
+    over = Block("penetration", np.linspace(-depth if held else 0.0, depth, FINE_KNOTS), False, HELD_LEVELS if held else PUSHED_LEVELS)
+    u = np.linspace(-1.0, 1.0, FINE_KNOTS)
+    rates_at = speed * u * np.abs(u)  # closer about 0, where a force may change sign with the motion
     blocks = (
         over, Block("rate", rates_at, True, HELD_LEVELS), Block("spring", over.places, False, (1, *over.levels), part=True),
         Block("spring_rate", rates_at, True, HELD_LEVELS, part=True),
     )  # fmt: skip
     plain = ContactForce(blocks, peak)
     travel = max(float(np.ptp(np.append(x, 0.0))) for x in places)
-    return plain, [with_slider(plain, travel * part) for part in np.geomspace(*REACHES, STRETCHES)]
+    return plain, [with_slider(plain, travel * part) for part in np.geomspace(*REACH_RANGE, REACHES_TRIED)]
 
 
-def with_slider(plain: ContactForce, reach: float, knots: int = COARSE) -> ContactForce:
+def with_slider(plain: ContactForce, reach: float, knots: int = COARSE_KNOTS) -> ContactForce:
     """The same law with a slider whose stretch stays within ``reach`` [m]."""
     levels = tuple(n for n in HELD_LEVELS if n <= knots)
-    return replace(plain, blocks=(*plain.blocks[:PLAIN], Block("stretch", np.linspace(-reach, reach, knots), True, levels)))
+    return replace(plain, blocks=(*plain.blocks[:BLOCKS_WITHOUT_SLIDER], Block("stretch", np.linspace(-reach, reach, knots), True, levels)))
 
 
 def sensor_families(residual: Residual, known: Effects) -> Iterator[SensorCurve]:
-    """Of the axis of force and of that of torque on which most is left."""
+    """One for the force axis and one for the torque axis with the largest residual."""
     link = _wrench(residual)
     left = np.sum([np.sum(residual.of_run(i, known)[link.runs[i].touching] ** 2, axis=0) for i in residual.runs], axis=0)
     for j in (int(np.argmax(left[:3])), 3 + int(np.argmax(left[3:]))):
@@ -173,11 +173,11 @@ def sensor_families(residual: Residual, known: Effects) -> Iterator[SensorCurve]
             sign = 1.0 if highest >= 0.1 * most else -1.0
             ends = (-most, most) if both else (0.0, most) if sign > 0.0 else (-most, 0.0)
             levels = HELD_LEVELS if both else PUSHED_LEVELS
-            yield SensorCurve((Block("reading", np.linspace(*ends, FINE), True, levels),), most, WRENCH_AXES[j])
+            yield SensorCurve((Block("reading", np.linspace(*ends, FINE_KNOTS), True, levels),), most, WRENCH_AXES[j])
 
 
 def reached(link: WrenchLink, i: int) -> tuple[Array, Array]:
-    """Penetration [m] and its rate [m/s] in the rows of run i in which something touches, or is held."""
+    """Penetration [m] and its rate [m/s] in the rows of run i with contact, or while latched."""
     depth = link.penetration(i)
     rate = np.gradient(depth, link.runs[i].scenario.tick)
     inside = link.runs[i].touching & (np.isfinite(depth) if link.runs[i].scenario.mechanism.captured else depth > 0.0)

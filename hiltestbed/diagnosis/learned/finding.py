@@ -1,4 +1,4 @@
-"""What is said of a learned law: its curves with the data under them, its gain, its equation, what it resembles."""
+"""A learned law for the report: its curves with the data, its gain, its equation, and the named effects it resembles."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from hiltestbed.diagnosis.links import WrenchLink
 from hiltestbed.diagnosis.residual import Residual
 from hiltestbed.diagnosis.result import Heldout
 from hiltestbed.diagnosis.search import Explanation
-from hiltestbed.diagnosis.settings import CARRIED
+from hiltestbed.diagnosis.settings import MIN_EXPLAINED
 from hiltestbed.effects.base import Effect
 from hiltestbed.frames import Array
 from hiltestbed.sensor.effects.calibration import WRENCH_AXES
 
-SHOWN = 3000  # samples under a curve, at most
+MAX_SAMPLES = 3000  # chosen: drawn under a curve
 DIGITS = 6  # significant, of the numbers in a scenario
 
 
 def learned_on(found: Explanation, known: Sequence[Effect]) -> tuple[Learned, Effect] | None:
-    """The law learned on a link that leaves more than noise, beside ``known`` effects, and the effect as links take it; None without."""
+    """The law learned on a link that leaves more than noise, beside ``known`` effects, and its effect as links take it, or None."""
     result = learn(found.residual, known)
     if result is None:
         return None
@@ -33,14 +33,14 @@ def learned_on(found: Explanation, known: Sequence[Effect]) -> tuple[Learned, Ef
     effect = law.effect
     given = {name: _rounded(value) for name, value in effect.parameters().items() if value}
     learned = Learned(
-        effect.kind, given, effect.link, law.numbers, gain, share, carries_over(gain) and share >= CARRIED, equation(law),
+        effect.kind, given, effect.link, law.numbers, gain, share, carries_over(gain) and share >= MIN_EXPLAINED, equation(law),
         resembling(found.residual, law, found.singles, found.null), tuple(_curves(found.residual, law)),
     )  # fmt: skip
     return learned, effect
 
 
 def _share(gain: Heldout) -> float:
-    """Of the departure, in mean square beyond the noise."""
+    """Share of the departure that is explained, in mean square beyond the noise."""
     before, after = gain.rms_before**2 - 1.0, max(gain.rms_after**2 - 1.0, 0.0)
     return 1.0 - after / before if before > 0.0 else 0.0
 
@@ -52,7 +52,7 @@ def _rounded(value: object) -> object:
 
 
 def _curves(residual: Residual, law: Law) -> list[LearnedCurve]:
-    """Each with its own value and what the whole law leaves, sample by sample."""
+    """Each curve, with samples of its own value plus the residual of the whole law."""
     link = residual.link
     if not isinstance(link, WrenchLink):
         first, second = type(law.effect).unit("step").split(", ")
@@ -74,20 +74,20 @@ def _curves(residual: Residual, law: Law) -> list[LearnedCurve]:
         for name, found in places.items():
             found.append(link.shown(i, law.known)[rows, axis] if name == "reading" else series[name][late])
     remains = np.concatenate(left)
-    step = max(1, len(remains) // SHOWN)
+    step = max(1, len(remains) // MAX_SAMPLES)
     out = []
     for name, curve in pairs.items():
         x = np.concatenate(places[name])
         first, second = type(law.effect).unit(name).split(", ")
         inside = np.interp(x, curve[:, 0], curve[:, 1]) + remains
-        if name.startswith("spring"):  # a part of a force that vanishes cannot be read
+        if name.startswith("spring"):  # a factor on a vanishing force cannot be determined
             inside = np.full(len(x), np.nan)
         out.append(LearnedCurve(name, curve, np.column_stack([x, inside])[::step], (first, second)))
     return out
 
 
 def stretches(depth: Array, low: float, high: float, held: bool) -> Array:
-    """``(N,)`` stretch [m] of a slider that follows where it would leave ``low`` to ``high``, along penetrations (N,)."""
+    """``(N,)`` stretch [m] of a slider along penetrations (N,): the slider moves where the stretch would leave ``low`` to ``high``."""
     out, slider = np.zeros(len(depth)), 0.0
     for k, x in enumerate(depth):
         if x <= 0.0 and not held:

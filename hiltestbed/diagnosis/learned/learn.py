@@ -1,4 +1,4 @@
-"""The law that takes most off what a link leaves, as small as left-out runs allow, and its gain on them."""
+"""The law that lowers the residual of a link most, with as few numbers as left-out runs allow, and its gain on them."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import numpy as np
 from hiltestbed.diagnosis.heldout import mean_square, resampled
 from hiltestbed.diagnosis.learned.curves import roughness
 from hiltestbed.diagnosis.learned.families import (
-    COARSE,
-    FINE,
+    COARSE_KNOTS,
+    FINE_KNOTS,
     ContactForce,
     Family,
     contact_families,
@@ -24,13 +24,13 @@ from hiltestbed.diagnosis.links import PlatformLink, WrenchLink
 from hiltestbed.diagnosis.links.base import Effects
 from hiltestbed.diagnosis.residual import Residual
 from hiltestbed.diagnosis.result import Heldout
-from hiltestbed.diagnosis.settings import MOST_RUNS, REFINEMENTS, WORTH, WORTH_IN_PART
+from hiltestbed.diagnosis.settings import MIN_HELDOUT_GAIN, MIN_HELDOUT_GAIN_IN_PART, MIN_RUN_SHARE, REACH_REFINEMENTS
 from hiltestbed.effects.base import Effect
 from hiltestbed.frames import Array
 
-LEAST_RUNS = 2
-STEP = 1.2  # by which a slider's reach is first changed
-ROUNDS = 2  # of the linearisation: a pushing contact is clipped where its force would pull
+MIN_RUNS = 2
+REACH_STEP = 1.2  # chosen: factor by which a slider's reach is first changed
+LINEARISATIONS = 2  # chosen: a pushing contact is clipped where its force would pull
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Law:
     """A law on its link.
 
     Attributes:
-        family: its curves. choices: which knots each has. values: (P,) on the finest knots. known: effects beside which it was learned.
+        family: its curves. choices: the knots of each. values: (P,) on the finest knots. known: effects beside which it was learned.
     """
 
     family: Family
@@ -53,14 +53,14 @@ class Law:
 
     @property
     def numbers(self) -> int:
-        """How many were fitted, the reach of a slider among them."""
+        """How many numbers were fitted, the reach of a slider among them."""
         slides = isinstance(self.family, ContactForce) and self.family.slides and self.choices[-1] is not None
         return shape(self.family.blocks, self.choices).shape[1] + int(slides)
 
 
 @dataclass(frozen=True)
 class Linear:
-    """A family linearised about a law: residual and Jacobian of each run, in the rows where it touches."""
+    """A family linearised about a law: residual and Jacobian of each run, in the rows in contact."""
 
     residuals: list[Array]
     jacobians: list[Array]
@@ -71,14 +71,14 @@ class Linear:
 
 
 def learn(residual: Residual, known: Effects = ()) -> tuple[Law, Heldout] | None:
-    """The best law of a link beside ``known`` effects, and its gain; None where none carries over to left-out runs."""
-    if not isinstance(residual.link, (WrenchLink, PlatformLink)) or len(residual.runs) < LEAST_RUNS:
+    """The best law of a link beside ``known`` effects, and its gain; None where no law carries over to left-out runs."""
+    if not isinstance(residual.link, (WrenchLink, PlatformLink)) or len(residual.runs) < MIN_RUNS:
         return None
     found, first = _candidates(residual, known)
     if not found:
         return None
     lowest = min(s.carried for _, s in found)
-    near = [(f, s) for f, s in found if s.carried < lowest - math.log(1.0 - WORTH)]
+    near = [(f, s) for f, s in found if s.carried < lowest - math.log(1.0 - MIN_HELDOUT_GAIN)]
     family, selected = min(near, key=lambda item: (Law(item[0], item[1].choices, np.zeros(0), ()).numbers, item[1].carried))
     if isinstance(family, ContactForce) and family.slides and selected.choices[-1] is not None:
         family, selected = _refined(residual, known, family, selected, first)
@@ -86,17 +86,17 @@ def learn(residual: Residual, known: Effects = ()) -> tuple[Law, Heldout] | None
         return None
     law, linear = _settled(residual, Law(family, selected.choices, np.zeros(family.count), tuple(known)))
     gain = _gain(residual, law, linear)
-    return (law, gain) if gain.reduction > 1.0 - math.exp(-WORTH_IN_PART) else None
+    return (law, gain) if gain.reduction > 1.0 - math.exp(-MIN_HELDOUT_GAIN_IN_PART) else None
 
 
 def carries_over(gain: Heldout) -> bool:
-    """Whether the same law holds in all runs: it helps in most of those that it was not fitted to, beyond chance and beyond a placebo."""
-    helped = [b < (1.0 - WORTH) * a for a, b in gain.per_run.values()]
-    return gain.significant and sum(helped) >= MOST_RUNS * len(helped)
+    """Whether the same law holds in all runs: it improves most of those it was not fitted to, beyond chance and beyond a placebo."""
+    helped = [b < (1.0 - MIN_HELDOUT_GAIN) * a for a, b in gain.per_run.values()]
+    return gain.significant and sum(helped) >= MIN_RUN_SHARE * len(helped)
 
 
 def linearised(residual: Residual, known: Effects, family: Family, start: Array, directions: Array) -> Linear:
-    """About the values ``start`` (P,), with the slope along each of the ``directions`` (P, D), by replays."""
+    """The linearisation about the values ``start`` (P,) along the ``directions`` (P, D), by replays."""
     tried = [start + family.size * d for d in directions.T]
     found = residual.by_run([[*known, family.effect(v)] for v in (start, *tried)])
     uses = [_counted(residual, i) for i in residual.runs]
@@ -109,7 +109,7 @@ def linearised(residual: Residual, known: Effects, family: Family, start: Array,
 
 
 def _from_nothing(residual: Residual, known: Effects, family: Family, have: Linear | None = None) -> Linear:
-    """About no law, in all values; have: the same of a family with the first of these blocks."""
+    """The linearisation about no law, in all values; have: that of a family with the first of these blocks, to be reused."""
     done = have.jacobians[0].shape[1] if have else 0
     new = linearised(residual, known, family, np.zeros(family.count), np.eye(family.count)[:, done:])
     if have is None:
@@ -118,14 +118,14 @@ def _from_nothing(residual: Residual, known: Effects, family: Family, have: Line
 
 
 def _counted(residual: Residual, i: int) -> np.ndarray:
-    """(N, C) what of run i counts: in contact, where there is one."""
+    """(N, C) bool: the samples of run i that count: in contact, where there is one."""
     counts = residual.weight[i] > 0
     inside = counts & residual.link.runs[i].touching[:, None]
     return inside if inside.any() else counts
 
 
 def _candidates(residual: Residual, known: Effects) -> tuple[list[tuple[Family, Selected]], Linear | None]:
-    """Every family with the best that its curves do, and the plain law of the contact linearised."""
+    """Every family with its best curves; and the linearised contact force without a slider."""
     if isinstance(residual.link, PlatformLink):
         return [(f, select(_from_nothing(residual, known, f).normal(), f.blocks)) for f in platform_families(residual)], None
     plain, sliding = contact_families(residual)
@@ -139,31 +139,31 @@ def _candidates(residual: Residual, known: Effects) -> tuple[list[tuple[Family, 
 def _refined(
     residual: Residual, known: Effects, family: ContactForce, selected: Selected, first: Linear | None
 ) -> tuple[ContactForce, Selected]:
-    """With a slider's reach between those that were tried, and more knots over its stretch; first: the law without it, linearised."""
-    factor = STEP
+    """The family with a slider's reach between those tried, and more knots over its stretch; first: the law without slider, linearised."""
+    factor = REACH_STEP
 
-    def tried(reach: float, knots: int = COARSE) -> tuple[ContactForce, Selected]:
+    def tried(reach: float, knots: int = COARSE_KNOTS) -> tuple[ContactForce, Selected]:
         f = with_slider(family.plain, reach, knots)
         return f, select(_from_nothing(residual, known, f, first).normal(), f.blocks)
 
-    for _ in range(REFINEMENTS):
+    for _ in range(REACH_REFINEMENTS):
         reach = float(family.blocks[-1].places[-1])
         best = min((tried(reach / factor), tried(reach * factor)), key=lambda item: item[1].carried)
         if best[1].carried < selected.carried:
             family, selected = best
         else:
             factor = math.sqrt(factor)
-    finer = tried(float(family.blocks[-1].places[-1]), FINE)
-    return finer if finer[1].carried < selected.carried + math.log(1.0 - WORTH) else (family, selected)
+    finer = tried(float(family.blocks[-1].places[-1]), FINE_KNOTS)
+    return finer if finer[1].carried < selected.carried + math.log(1.0 - MIN_HELDOUT_GAIN) else (family, selected)
 
 
 def _settled(residual: Residual, law: Law) -> tuple[Law, Linear]:
-    """The law fitted to all runs, linearised anew about what was found, and the last linearisation, along its numbers."""
+    """The law fitted to all runs and linearised again about the result; and the last linearisation, by its numbers."""
     blocks, runs = law.family.blocks, range(len(residual.runs))
     basis = shape(blocks, law.choices)
     rough, numbers = basis.T @ roughness(blocks) @ basis, np.zeros(basis.shape[1])
     linear = linearised(residual, law.known, law.family, law.values, basis)
-    for _ in range(ROUNDS):
+    for _ in range(LINEARISATIONS):
         numbers = numbers + solve(linear.normal(), runs, np.eye(len(numbers)), rough, numbers)
         law = replace(law, values=basis @ numbers)
         linear = linearised(residual, law.known, law.family, law.values, basis)
@@ -171,7 +171,7 @@ def _settled(residual: Residual, law: Law) -> tuple[Law, Linear]:
 
 
 def _gain(residual: Residual, law: Law, linear: Linear) -> Heldout:
-    """Each run left out of the fit in turn; the placebo is the same law fitted to what departs half a contact later."""
+    """The gain with each run left out of the fit in turn; the placebo is the same law fitted to residuals shifted by half a contact."""
     blocks = law.family.blocks
     basis = shape(blocks, law.choices)
     rough, every = basis.T @ roughness(blocks) @ basis, np.eye(basis.shape[1])

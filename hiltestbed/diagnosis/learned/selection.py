@@ -1,7 +1,7 @@
-"""How many knots each curve of a law gets: as many as lower what is left on runs that were not fitted.
+"""Selection of the number of knots of each curve of a law: those that lower the residual on left-out runs.
 
-The residual is linear in the knots' values about a law, r + J d, so that leaving a run out takes the normal equations of the others and
-no replay.
+About a law the residual is linear in the values at the knots, r + J d, so that leaving a run out takes the normal equations of the others
+and no replay.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from hiltestbed.diagnosis.learned.curves import Block, Choice, choices, roughness, shape_of
-from hiltestbed.diagnosis.settings import SMOOTH_KNOTS, WORTH
+from hiltestbed.diagnosis.settings import KNOT_SMOOTHING, MIN_HELDOUT_GAIN
 from hiltestbed.frames import Array
 
 Choices = tuple[Choice | None, ...]  # of each block
@@ -32,14 +32,14 @@ class Normal:
 
 @dataclass(frozen=True)
 class Selected:
-    """The choice of every block, and what it leaves on left-out runs: mean over them of the logarithm of the rms."""
+    """The form of every block, and the residual on left-out runs: mean over them of the logarithm of the rms."""
 
     choices: Choices
     carried: float
 
 
 def normal_equations(residuals: Sequence[Array], jacobians: Sequence[Array]) -> Normal:
-    """Of one array (M,) and (M, P) a run."""
+    """The normal equations of one residual (M,) and one Jacobian (M, P) a run."""
     return Normal(
         np.array([np.einsum("mi,mj->ij", j, j) for j in jacobians]),
         np.array([np.einsum("mi,m->i", j, r) for j, r in zip(jacobians, residuals, strict=True)]),
@@ -49,28 +49,28 @@ def normal_equations(residuals: Sequence[Array], jacobians: Sequence[Array]) -> 
 
 
 def shape(blocks: Sequence[Block], chosen: Choices) -> Array:
-    """``(P, Q)`` of all blocks."""
+    """``(P, Q)`` basis of all blocks."""
     return np.asarray(block_diag(*(shape_of(b, c) for b, c in zip(blocks, chosen, strict=True))))
 
 
 def solve(normal: Normal, runs: Sequence[int], basis: Array, rough: Array, start: Array | None = None) -> Array:
-    """``(P,)`` change of the values that fits the ``runs`` best within the ``basis`` (P, Q); start: (P,) the law it changes."""
+    """``(P,)`` change of the values that fits the ``runs`` best within the ``basis`` (P, Q); start: (P,) the law that it changes."""
     squares, gradient = normal.squares[list(runs)].sum(axis=0), normal.gradients[list(runs)].sum(axis=0)
     within = basis.T @ squares @ basis
-    weight = SMOOTH_KNOTS * float(np.mean(np.diag(within)))
+    weight = KNOT_SMOOTHING * float(np.mean(np.diag(within)))
     pull = np.zeros(basis.shape[1]) if start is None else weight * (basis.T @ rough @ start)
     found = np.linalg.lstsq(within + weight * (basis.T @ rough @ basis), -(basis.T @ gradient) - pull, rcond=1e-13)[0]
     return np.asarray(basis @ found)
 
 
 def left_by(normal: Normal, run: int, change: Array) -> float:
-    """Mean square that a change leaves on a run."""
+    """Mean square of a run's residual after a change of the values."""
     total = normal.left[run] + 2.0 * normal.gradients[run] @ change + change @ normal.squares[run] @ change
     return float(max(total, 1e-12 * normal.left[run]) / normal.samples[run])
 
 
 def carried_by(normal: Normal, basis: Array, rough: Array) -> float:
-    """Mean over the runs of the logarithm of the rms, each left out of the fit."""
+    """Mean over the runs of the logarithm of the rms, each run left out of the fit."""
     runs = range(len(normal.left))
     if basis.shape[1] == 0:
         return float(np.mean([0.5 * math.log(left_by(normal, i, np.zeros(len(basis)))) for i in runs]))
@@ -78,22 +78,22 @@ def carried_by(normal: Normal, basis: Array, rough: Array) -> float:
 
 
 def select(normal: Normal, blocks: Sequence[Block]) -> Selected:
-    """Curve by curve and knot by knot, as long as what is left on left-out runs falls by a part that is worth it."""
+    """Curve by curve and knot by knot, as long as the residual on left-out runs falls by MIN_HELDOUT_GAIN."""
     search = _Search(normal, blocks)
     best: Choices = (None,) * len(blocks)
     carried = search.carried(best)
     while True:
         found = [(search.carried(t), t) for t in search.beside(best)]
         lowest, chosen = min(found, key=lambda item: item[0])
-        if lowest > carried + math.log(1.0 - WORTH):
+        if lowest > carried + math.log(1.0 - MIN_HELDOUT_GAIN):
             break
         best, carried = chosen, lowest
     return _slimmed(search, best, carried)
 
 
 def _slimmed(search: _Search, best: Choices, carried: float) -> Selected:
-    """With fewer numbers, as long as nothing is lost that is worth one."""
-    limit = carried - math.log(1.0 - WORTH)
+    """With fewer numbers, as long as the residual rises by less than that."""
+    limit = carried - math.log(1.0 - MIN_HELDOUT_GAIN)
     while True:
         fewer = [t for t in search.beside(best, leave_out=True) if search.numbers(t) < search.numbers(best)]
         near = [t for t in fewer if search.carried(t) < limit]
@@ -103,7 +103,7 @@ def _slimmed(search: _Search, best: Choices, carried: float) -> Selected:
 
 
 class _Search:
-    """What every choice leaves, worked out once."""
+    """The residual of every choice, computed once."""
 
     def __init__(self, normal: Normal, blocks: Sequence[Block]) -> None:
         self._normal, self._rough = normal, roughness(blocks)
@@ -115,7 +115,7 @@ class _Search:
         return sum(s[c].shape[1] for s, c in zip(self._shapes, chosen, strict=True))
 
     def carried(self, chosen: Choices) -> float:
-        """See :func:`carried_by`."""
+        """`carried_by` of a choice, computed once."""
         if chosen not in self._known:
             basis = np.asarray(block_diag(*(s[c] for s, c in zip(self._shapes, chosen, strict=True))))
             self._known[chosen] = carried_by(self._normal, basis, self._rough)

@@ -1,4 +1,4 @@
-"""A learned law in a short equation, where one fits, and the named effects that it resembles."""
+"""A learned law as a short equation, where one fits, and the named effects that it resembles."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from scipy.optimize import least_squares
 from hiltestbed.diagnosis.fit import Fit
 from hiltestbed.diagnosis.learned.learn import Law
 from hiltestbed.diagnosis.residual import Residual
-from hiltestbed.diagnosis.settings import AS_AN_EQUATION, RESEMBLES
+from hiltestbed.diagnosis.settings import MAX_EQUATION_ERROR, MIN_RESEMBLANCE
 from hiltestbed.frames import Array
 from hiltestbed.piecewise import Pairs
 
-POINTS = 200  # of a curve, at which an equation is compared with it
-MOST_LIKE = 3  # named effects that are listed
-BETWEEN = ("contact", "sensor", "platform")
+CURVE_POINTS = 200  # chosen: of a curve at which an equation is compared with it
+MAX_RESEMBLING = 3  # named effects that are listed
+RESEMBLING_LINKS = ("contact", "sensor", "platform")
 
 
 class Form(NamedTuple):
-    """A shape with as many numbers as it has terms; each term a function of place and what it is called."""
+    """A sum of terms with a coefficient each; a term is a function of the abscissa and its name."""
 
     terms: tuple[tuple[Callable[[Array], Array], str], ...]
 
@@ -32,7 +32,7 @@ def _power(n: int, name: str) -> tuple[Callable[[Array], Array], str]:
 
 
 def _forms(name: str) -> tuple[tuple[Form, ...], tuple[Form, ...]]:
-    """Of one term, and of more."""
+    """Forms of one term, and of several."""
     step, size = ((lambda x: np.ones_like(x)), ""), (np.abs, f"|{name}|")
     one, two, three = (_power(n, name) for n in (1, 2, 3))
     more = ((step, one), (one, size), (one, two), (one, three), (step, one, two), (step, one, three))
@@ -40,11 +40,11 @@ def _forms(name: str) -> tuple[tuple[Form, ...], tuple[Form, ...]]:
 
 
 def equation_of(curve: Pairs, name: str) -> str | None:
-    """`-1.2e+04 x + 3.1e+09 x^3` of a curve over ``name``, by the fewest terms that leave a twentieth; None where none do."""
+    """`-1.2e+04 x + 3.1e+09 x^3` of a curve over ``name``, with the fewest terms that leave at most a twentieth; None where no terms do."""
     if not curve:
         return ""
     places, values = np.array(curve).T
-    x = np.linspace(places[0], places[-1], POINTS)
+    x = np.linspace(places[0], places[-1], CURVE_POINTS)
     y = np.interp(x, places, values)
     size = float(np.sqrt(np.mean(y**2)))
     single, several = _forms(name)
@@ -53,12 +53,12 @@ def equation_of(curve: Pairs, name: str) -> str | None:
 
 
 def _as_sum(x: Array, y: Array, size: float, forms: Sequence[Form]) -> str | None:
-    """The first form that comes near enough."""
+    """The first form within the allowed error."""
     for form in forms:
         columns = np.column_stack([f(x) for f, _ in form.terms])
         scale = np.abs(columns).max(axis=0)
         found = np.linalg.lstsq(columns / scale, y, rcond=None)[0] / scale
-        if np.sqrt(np.mean((columns @ found - y) ** 2)) <= AS_AN_EQUATION * size:
+        if np.sqrt(np.mean((columns @ found - y) ** 2)) <= MAX_EQUATION_ERROR * size:
             return _sum(zip(found, [word for _, word in form.terms], strict=True))
     return None
 
@@ -82,7 +82,7 @@ def _as_power(x: Array, y: Array, size: float, name: str) -> str | None:
         left = float(np.sqrt(np.mean((a * column - y) ** 2)))
         if best is None or left < best[0]:
             best = (left, a / np.abs(x).max() ** n, n)
-    if best is None or best[0] > AS_AN_EQUATION * size:
+    if best is None or best[0] > MAX_EQUATION_ERROR * size:
         return None
     return f"{best[1]:.3g} {name}^{best[2]:.2f}"
 
@@ -99,11 +99,11 @@ def _as_kink(x: Array, y: Array, size: float, name: str) -> str | None:
         return c @ np.linalg.lstsq(c, y, rcond=None)[0] - y
 
     found = min((least_squares(left, [w], bounds=(0.0, 0.98)) for w in (0.2, 0.5, 0.8)), key=lambda f: f.cost)
-    if np.sqrt(np.mean(found.fun**2)) > AS_AN_EQUATION * size:
+    if np.sqrt(np.mean(found.fun**2)) > MAX_EQUATION_ERROR * size:
         return None
     w = float(found.x[0]) * most
     a, b = np.linalg.lstsq(columns(w), y, rcond=None)[0]
-    first = f"{a:.3g} {name} " if abs(a) > AS_AN_EQUATION * abs(b) else ""
+    first = f"{a:.3g} {name} " if abs(a) > MAX_EQUATION_ERROR * abs(b) else ""
     inside = f"{name} - {w:.3g}" if x.min() >= 0.0 else f"|{name}| - {w:.3g}"
     sign = ("- " if b < 0 else "+ ") if first else ("-" if b < 0 else "")
     return f"{first}{sign}{abs(b):.3g} max({inside}, 0){'' if x.min() >= 0.0 else f' sgn {name}'}"
@@ -114,7 +114,7 @@ SYMBOLS = {"penetration": ("x", "f(x)"), "rate": ("v", "g(v)"), "stretch": ("s",
 
 
 def equation(law: Law) -> str | None:
-    """The whole law; a curve that no equation fits stands as a letter; None where none has one."""
+    """The equation of the whole law; a curve without an equation is a letter; None where no curve has one."""
     curves = law.family.curves(law.values, law.choices)
     if law.effect.link == "platform":
         return second_order_of(curves[0])
@@ -136,9 +136,9 @@ def equation(law: Law) -> str | None:
 
 
 def second_order_of(curve: Pairs) -> str | None:
-    """A delay, a natural frequency and a damping ratio that give a step response, its last value among them; None where none do."""
+    """The delay, natural frequency and damping ratio of a step response, with its last value as gain; None where it is not second order."""
     times, values = np.array(curve).T
-    t, end = np.linspace(times[0], times[-1], POINTS), values[-1]
+    t, end = np.linspace(times[0], times[-1], CURVE_POINTS), values[-1]
     y = np.interp(t, times, values)
     size = float(np.sqrt(np.mean((y - end) ** 2)))
 
@@ -150,7 +150,7 @@ def second_order_of(curve: Pairs) -> str | None:
     starts = [(np.log(part / times[-1]), 0.6, 0.1 * times[-1]) for part in (1.0, 3.0, 10.0)]
     bounds = ((np.log(0.1 / times[-1]), 0.02, 0.0), (np.log(100.0 / times[-1]), 0.999, times[-1]))
     found = min((least_squares(lambda p: step(p) - y, x, bounds=bounds) for x in starts), key=lambda f: f.cost)
-    if size == 0.0 or np.sqrt(np.mean(found.fun**2)) > AS_AN_EQUATION * size:
+    if size == 0.0 or np.sqrt(np.mean(found.fun**2)) > MAX_EQUATION_ERROR * size:
         return None
     w, zeta, late = float(np.exp(found.x[0])), float(found.x[1]), float(found.x[2])
     share = "" if abs(end - 1.0) < 1e-3 else f"{end:.3g} "
@@ -158,16 +158,16 @@ def second_order_of(curve: Pairs) -> str | None:
 
 
 def resembling(residual: Residual, law: Law, singles: Sequence[Fit], null: Fit) -> tuple[str, ...]:
-    """Named effects of the same link that take away, where they are fitted alone, what the law does: by the angle between the two."""
+    """Named effects that, fitted alone, remove from the residual what the law does: by the cosine between the two reductions."""
     before, after = residual.many([law.known, [*law.known, law.effect]])
     taken = before - after
     alike: dict[str, float] = {}
     for f in singles:
-        if len(f.causes) != 1 or f.causes[0].effect.link not in BETWEEN or len(f.residual) != len(taken):
+        if len(f.causes) != 1 or f.causes[0].effect.link not in RESEMBLING_LINKS or len(f.residual) != len(taken):
             continue
         other = null.residual - f.residual
         length = float(np.linalg.norm(taken) * np.linalg.norm(other))
         if length > 0.0:
             alike[f.kinds[0]] = max(alike.get(f.kinds[0], -1.0), float(taken @ other) / length)
-    near = sorted((kind for kind, cosine in alike.items() if cosine > RESEMBLES), key=lambda kind: -alike[kind])
-    return tuple(near[:MOST_LIKE])
+    near = sorted((kind for kind, cosine in alike.items() if cosine > MIN_RESEMBLANCE), key=lambda kind: -alike[kind])
+    return tuple(near[:MAX_RESEMBLING])

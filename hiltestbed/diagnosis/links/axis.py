@@ -1,9 +1,9 @@
-"""wrench_comp.fz to pose_cmd.pz of a machine's axis: a force that drives a mass whose position was read.
+"""Stage "replay": wrench_comp.fz to pose_cmd.pz of a machine's axis: a force that drives a mass whose position was measured.
 
-Nothing brings the mass back, so that what a model misses of the force stays in the position for good: the misfit is a random walk. Least
-squares of the places would weigh the last rows by what all rows before them have gathered, and bend mass and friction to it; least squares
-of the ways over a short span, in which each stretch of the record speaks for itself, is the estimate of least variance. The motion is
-predicted in one piece in both, and judged by the places.
+Nothing restores the mass, so that an error of the modelled force stays in the position for good: the misfit is a random walk. Least
+squares of positions would weigh the last rows by the accumulated error of all rows before, and bias mass and friction; least squares of
+displacements over a short span, in which each stretch of the record speaks for itself, is the estimate of least variance. The motion is
+predicted in one piece in both cases, and adequacy is judged on the positions.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from hiltestbed.frames import Array
 from hiltestbed.numerical_model.parameters import DynamicsParameters, stack
 from hiltestbed.replay import Departing, replay_axis
 
-BEGINNING = 0.5  # [s] at the start of a run from which a model reads its place and speed there
-NUDGE = 1e-4  # [m/s] of the start, for what it does
+START_TIME = 0.5  # chosen: [s] of a run from which the model's initial position and speed are estimated
+SPEED_STEP = 1e-4  # chosen: [m/s] of the initial speed, for its derivative
 
 
 class AxisLink(Link):
-    """The numerical model along z alone, from where and as fast as the record starts."""
+    """The numerical model along z alone, from the position and speed at the start of the record."""
 
     name = "dynamics"
     channels = ("pose_cmd.pz",)
@@ -42,7 +42,7 @@ class AxisLink(Link):
         return self._places
 
     def over(self, span: float) -> AxisLink:
-        """The same link on the ways that lie between a row and the one ``span`` [s] before it, or the start."""
+        """The same link on the displacements between a row and the one ``span`` [s] before it, or the start."""
         out = copy(self)
         out._places, out._from, runs = self, [], []
         for run in self.runs:
@@ -56,14 +56,14 @@ class AxisLink(Link):
         return out
 
     def restarted(self, effects: Effects) -> AxisLink:
-        """The same link from the place and speed that the model with ``effects`` reads from the first half second of each run."""
-        nudged = AxisLink(self.runs, self.forces, self.place, [v + NUDGE for v in self.speed])
+        """The same link from the position and speed that the model with ``effects`` fits to the first half second of each run."""
+        nudged = AxisLink(self.runs, self.forces, self.place, [v + SPEED_STEP for v in self.speed])
         place, speed = [], []
         for i, run in enumerate(self.runs):
             rows = np.flatnonzero(np.isfinite(run.sigma[:, 0]))
-            rows = rows[rows * run.scenario.tick < BEGINNING]
+            rows = rows[rows * run.scenario.tick < START_TIME]
             shown, moved = (link.shown(i, effects)[rows, 0] for link in (self, nudged))
-            basis = np.column_stack([np.ones(len(rows)), (moved - shown) / NUDGE])
+            basis = np.column_stack([np.ones(len(rows)), (moved - shown) / SPEED_STEP])
             change = np.linalg.lstsq(basis, run.measured[rows, 0] - shown, rcond=None)[0] if len(rows) > 2 else (0.0, 0.0)
             place.append(self.place[i] + float(change[0]))
             speed.append(self.speed[i] + float(change[1]))

@@ -1,4 +1,4 @@
-"""What every link has: its runs, and the prediction of what they should have shown.
+"""Stage "replay": what every link has, its runs and the prediction of their output.
 
 A link predicts what was measured at its output for any list of effects. Many hypotheses on many runs are one replay: a *lane* is a run
 under a list of effects.
@@ -20,20 +20,20 @@ from hiltestbed.replay.wrench import shifted
 from hiltestbed.scenario import Scenario
 
 Effects = Sequence[Effect]
-Lane = tuple[int, Effects]  # a run and what departs in it
-MEMORY = 64_000_000  # [byte] of predictions that are made in one replay
+Lane = tuple[int, Effects]  # a run, and its effects
+REPLAY_BYTES = 64_000_000  # chosen: of the predictions that one replay makes
 
 
-class Later(Effect):
-    """When a facility samples, stamps and steps, where no definition says it; no effect of the vocabulary.
+class Timing(Effect):
+    """The timing of a facility that no definition states: when it samples, stamps and steps; not an effect of the vocabulary.
 
     Attributes:
-        delay: [s] by which the output of a link is stamped later than the believed rig has it; negative: earlier.
-        before: [s] by which its input acts later, or is stamped earlier, where that differs from a late output: where the output goes on
-            without an input, and where noise goes from input to output. Of contact and sensor: by which the reading is put late between
-            its rows, where ``delay`` is that of the instant at which it is read.
+        delay: [s] by which the output of a link is stamped later than believed; negative: earlier.
+        before: [s] by which its input acts later, or is stamped earlier. This differs from a late output where the output goes on without
+            an input, and where noise passes from input to output. For contact and sensor: by which the reading is interpolated later
+            between its rows, whereas ``delay`` shifts the instant at which it is read.
         obeyed: [s] by which a platform obeys its command later, on all six axes.
-        old: part of the old twist in a new pose of the numerical model: 0 semi-implicit, 1 would be explicit Euler.
+        old: share of the old twist in a new pose of the numerical model: 0 is semi-implicit, 1 would be explicit Euler.
     """
 
     kind: Literal["later"] = "later"
@@ -44,14 +44,14 @@ class Later(Effect):
     link = "sensor"
 
     def apply(self, p: object) -> None:
-        """Nothing: the link reads the shift itself."""
+        """Nothing: the link applies the shift itself."""
 
-    def plus(self, other: Later) -> Later:
-        """Both together."""
-        return Later(**{name: value + getattr(other, name) for name, value in self.parameters().items()})
+    def plus(self, other: Timing) -> Timing:
+        """The sum of both."""
+        return Timing(**{name: value + getattr(other, name) for name, value in self.parameters().items()})
 
 
-PROMPT = Later()
+NO_SHIFT = Timing()
 
 
 @dataclass(frozen=True)
@@ -62,8 +62,8 @@ class LinkRun:
         scenario: as believed. measured: (N, C) at the output, 0 where it was not measured.
         sigma: (N, C) its noise, infinite where not measured. touching: (N,) bool, the nominal or the measured contact, with its tail
         through the sensor. heavy: whether the noise has outliers, see :func:`hiltestbed.diagnosis.noise.softened`. tail: variance of the
-        square of a sample of noise. baseline: degree of a polynomial of each run that is no misfit, -1 for none; tones: [rad] a row, which
-        are none either, see :mod:`hiltestbed.diagnosis.aside`.
+        square of a noise sample. baseline: degree of the polynomial of each run that is a nuisance term, -1 for none; tones: [rad] a row,
+        nuisance terms too, see :mod:`hiltestbed.diagnosis.aside`.
     """
 
     scenario: Scenario
@@ -86,35 +86,34 @@ class Link(ABC):
 
     Attributes:
         name: of the link. channels: what was measured at its output. runs: as it sees them.
-        witnesses: [s] stretches of a run whose misfits are independent of each other; none where each row's is.
-        timing: when the facility samples, stamps and steps, as far as that is not believed.
+        witnesses: [s] lengths of stretches of a run whose misfits are independent of each other; empty where each row's is.
+        timing: of the facility, as far as it differs from the believed one.
     """
 
     name: str
     channels: tuple[str, ...]
     runs: Sequence[LinkRun]
     witnesses: tuple[float, ...] = ()
-    timing: Later = PROMPT
+    timing: Timing = NO_SHIFT
 
-    def stamped(self, place: Later) -> Self:
-        """The same link of a facility that samples, stamps and steps otherwise."""
+    def with_timing(self, place: Timing) -> Self:
+        """The same link of a facility with the timing ``place``."""
         out = copy(self)
         out.timing = place
         return out
 
-    def placed(self, effects: Effects) -> Later:
-        """When the facility samples, stamps and steps under ``effects``."""
+    def timing_with(self, effects: Effects) -> Timing:
+        """The timing of the link, plus that in ``effects``."""
         place = self.timing
         for effect in effects:
-            if isinstance(effect, Later):
+            if isinstance(effect, Timing):
                 place = place.plus(effect)
         return place
 
-    def _between(self, i: int, shown: Array, timing: Later) -> Array:
-        """(N, C) of run i where the output is stamped late, or the input early.
+    def _between(self, i: int, shown: Array, timing: Timing) -> Array:
+        """(N, C) prediction of run i with a late output, or an early input.
 
-        What follows linearly from an input that lies between two rows is what lies there between the rows of the output, noise included,
-        which is less there than in a row.
+        A linear response to an input between two rows lies between the rows of the output, noise included; interpolation lowers that noise.
         """
         tick, given = self.runs[i].scenario.tick, self.runs[i].measured
         out = moved(shown, timing.delay / tick)
@@ -122,13 +121,13 @@ class Link(ABC):
 
     @property
     def whole(self) -> Link:
-        """The link as it is judged, which is fitted in another form; itself as a rule."""
+        """The form of the link on which adequacy is judged, where another one is fitted; itself as a rule."""
         return self
 
     def predict(self, lanes: Sequence[Lane]) -> list[Array]:
-        """(N, C) of each lane what its run should have shown."""
+        """(N, C) predicted output of each lane."""
         size = max((self.runs[i].rows for i, _ in lanes), default=1) * len(self.channels) * 8
-        chunk = max(1, MEMORY // size)
+        chunk = max(1, REPLAY_BYTES // size)
         out: list[Array] = []
         for start in range(0, len(lanes), chunk):
             out += self._replay(lanes[start : start + chunk])
@@ -136,14 +135,14 @@ class Link(ABC):
 
     @abstractmethod
     def _replay(self, lanes: Sequence[Lane]) -> list[Array]:
-        """Predictions of a handful of lanes in one replay."""
+        """Predictions of some lanes in one replay."""
 
     def shown(self, i: int, effects: Effects = ()) -> Array:
-        """(N, C) what run i should have shown."""
+        """(N, C) predicted output of run i."""
         return self.predict([(i, effects)])[0]
 
     def doubt(self, i: int, effects: Effects) -> Array | None:
-        """(N, C) how far the prediction hangs on how finely the facility divides its time; None: not at all."""
+        """(N, C) uncertainty of the prediction due to how finely the facility divides its tick; None: none."""
         return None
 
 
@@ -154,7 +153,7 @@ def padded(arrays: Sequence[Array]) -> Array:
 
 
 def moved(values: Array, rows: float) -> Array:
-    """``values`` (N, C) as they were ``rows`` before, on straight lines between rows and beyond both ends."""
+    """``values`` (N, C) as they were ``rows`` before, by linear interpolation, and extrapolation beyond both ends."""
     return shifted(values, -rows, held=False) if rows else values
 
 

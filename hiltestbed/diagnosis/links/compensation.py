@@ -1,4 +1,4 @@
-"""wrench_meas to wrench_comp."""
+"""Stage "replay": the link compensation: wrench_meas to wrench_comp."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from hiltestbed.log import log_parameters
 from hiltestbed.replay import replay_compensation
 from hiltestbed.replay.wrench import shifted
 
-LARGE = 1e9  # [N] an impulse that no dead zone holds back
-FORGOTTEN = 1e-6  # of the largest answer
-ANSWER = 400  # rows, within which the answer to an impulse has passed
+IMPULSE = 1e9  # [N] that exceeds any dead zone
+MEMORY_TOLERANCE = 1e-6  # chosen: of the largest response, below which it has decayed
+RESPONSE_ROWS = 400  # chosen: within which the response to an impulse decays
 
 
 class CompensationLink(Link):
-    """The believed compensation, with what the loop may have cut off before it."""
+    """The believed compensation, and the loop's dead zone before it."""
 
     name = "compensation"
     channels = ("wrench_comp.fx", "wrench_comp.fy", "wrench_comp.fz", "wrench_comp.tx", "wrench_comp.ty", "wrench_comp.tz")
@@ -32,14 +32,14 @@ class CompensationLink(Link):
         used: Sequence[Array] | None = None,
     ) -> None:
         """wrenches: (N, 6) wrench_meas of each run. records: pose_act, pose_cmd and their twists, as far as the method reads them.
-        used: the wrench as the loop had it, where the record is known to be stamped late."""
+        used: the wrench that the loop used, where the record is known to be stamped late."""
         self.runs, self.wrenches, self.used = runs, wrenches, used
         self._sources = records
         self._records = {name: padded(values) for name, values in records.items()}
 
     def on_used(self, used: Sequence[Array], runs: Sequence[LinkRun]) -> CompensationLink:
-        """The same link, where what the loop read is known in place of the late record."""
-        return CompensationLink(runs, self.wrenches, self._sources, used).stamped(self.timing)
+        """The same link with the wrench that the loop used, in place of a record that is stamped late."""
+        return CompensationLink(runs, self.wrenches, self._sources, used).with_timing(self.timing)
 
     def _replay(self, lanes: Sequence[Lane]) -> list[Array]:
         run = np.arange(len(lanes))
@@ -48,17 +48,17 @@ class CompensationLink(Link):
         records = {name: values[[i for i, _ in lanes]] for name, values in self._records.items()}
         found = replay_compensation(scenarios, [InputParameters.of(effects) for _, effects in lanes], records, readings, run)
         shown = [wrench[: self.runs[i].rows] for wrench, (i, _) in zip(found, lanes, strict=True)]
-        return [self._between(i, wrench, self.placed(effects)) for wrench, (i, effects) in zip(shown, lanes, strict=True)]
+        return [self._between(i, wrench, self.timing_with(effects)) for wrench, (i, effects) in zip(shown, lanes, strict=True)]
 
     def _reading(self, i: int, effects: Effects) -> Array:
-        """(N, 6) what the loop read: the record, or that of a later row where the record is stamped late."""
+        """(N, 6) the wrench that the loop used: the record, or later rows of it where it is stamped late."""
         skew = log_parameters(effects).skew
         if not skew:
             return self.wrenches[i]
         return self.used[i] if self.used is not None else shifted(self.wrenches[i], skew / self.runs[i].scenario.tick)
 
     def noise_gain(self) -> float:
-        """By how much white noise of the readings is raised by the compensation of the first run; 1 where it is not linear."""
+        """Factor on white noise of the readings by the compensation of the first run; 1 where it is not linear."""
         answer = self._answer()
         return 1.0 if answer is None else float(np.linalg.norm(answer))
 
@@ -67,15 +67,15 @@ class CompensationLink(Link):
         answer = self._answer()
         if answer is None:
             return None
-        lasting = np.flatnonzero(np.abs(answer[ANSWER // 4 :]) > FORGOTTEN * np.abs(answer).max())
+        lasting = np.flatnonzero(np.abs(answer[RESPONSE_ROWS // 4 :]) > MEMORY_TOLERANCE * np.abs(answer).max())
         return float(lasting[-1] + 1) * self.runs[0].scenario.tick
 
     def _answer(self) -> Array | None:
-        """(ANSWER,) to an impulse of one, in the first run; None where the compensation is not linear."""
+        """(RESPONSE_ROWS,) response to a unit impulse in the first run; None where the compensation is not linear."""
         scenario = self.runs[0].scenario
         if scenario.compensation.force.reads != {"wrench"}:
             return None
-        impulse = np.zeros((1, ANSWER, 6))
-        impulse[0, ANSWER // 4] = LARGE  # not at the start, which a method may take for the past
+        impulse = np.zeros((1, RESPONSE_ROWS, 6))
+        impulse[0, RESPONSE_ROWS // 4] = IMPULSE  # not at the start, which a method may take for the past
         found = replay_compensation([scenario], [InputParameters()], {}, impulse, np.zeros(1, dtype=int))
-        return found[0, :, 0] / LARGE
+        return found[0, :, 0] / IMPULSE

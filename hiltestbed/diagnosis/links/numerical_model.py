@@ -1,4 +1,4 @@
-"""wrench_comp to pose_cmd."""
+"""Stage "replay": the link dynamics: wrench_comp through the numerical model to pose_cmd."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class DynamicsLink(Link):
     def _replay(self, lanes: Sequence[Lane]) -> list[Array]:
         run = np.array([i for i, _ in lanes])
         departing = Departing([self.runs[i].scenario for i in run], stack([DynamicsParameters.of(effects) for _, effects in lanes]))
-        places, tick = [self.placed(effects) for _, effects in lanes], self.runs[0].scenario.tick
+        places, tick = [self.timing_with(effects) for _, effects in lanes], self.runs[0].scenario.tick
         wrenches, driven = self._wrenches, run
         if any(place.before for place in places):
             wrenches = np.stack([moved(self._wrenches[i], p.before / tick) for i, p in zip(run, places, strict=True)])

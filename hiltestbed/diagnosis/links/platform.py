@@ -1,4 +1,4 @@
-"""pose_cmd to pose_act."""
+"""Stage "replay": the link platform: pose_cmd to pose_act."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from hiltestbed.platform.effects.tracking import PlatformFriction
 from hiltestbed.platform.parameters import PlatformParameters
 from hiltestbed.replay import replay_platform
 
-JUMPED = 0.25  # ticks, by which the instant of a jump is known: how finely a facility divides a tick is not
+JUMP_INSTANT_ERROR = 0.25  # chosen: ticks: uncertainty of the instant of a jump, since how a facility divides a tick is not known
 
 
 class PlatformLink(Link):
-    """The motion platform: what it makes of its command, and how its drives depart from it as believed."""
+    """The motion platform: its response to the command, and the deflection of the believed drives."""
 
     name = "platform"
     channels = ("pose_act.px", "pose_act.py", "pose_act.pz", "pose_act.rx", "pose_act.ry", "pose_act.rz")
 
     def __init__(self, runs: Sequence[LinkRun], commands: Sequence[Array], deflection: Sequence[Array]) -> None:
-        """commands: (N, 7) pose_cmd of each run. deflection: (N, 6) how the believed drives depart from it [m, rad]."""
+        """commands: (N, 7) pose_cmd of each run. deflection: (N, 6) of the believed drives from it [m, rad]."""
         self.runs, self.commands, self.deflection = runs, commands, deflection
         self._padded = padded(commands)
         starts = [approach_state(r.scenario)[None, :7] for r in runs]
@@ -34,28 +34,28 @@ class PlatformLink(Link):
         run = np.array([i for i, _ in lanes])
         scenarios = [self.runs[i].scenario for i in run]
         parameters = [PlatformParameters.believed(s).with_effects(effects) for s, (_, effects) in zip(scenarios, lanes, strict=True)]
-        obeyed = np.array([self.placed(effects).obeyed for _, effects in lanes])
+        obeyed = np.array([self.timing_with(effects).obeyed for _, effects in lanes])
         places = replay_platform(scenarios, parameters, self._padded, run, obeyed)
         out = []
         for place, late, (i, effects) in zip(places, obeyed, lanes, strict=True):
             turned = moved(self._attitude[i], late / self.runs[i].scenario.tick)
             pose = np.concatenate([place[: self.runs[i].rows], turned], axis=1) + self.deflection[i]
-            out.append(self._between(i, pose, self.placed(effects)))
+            out.append(self._between(i, pose, self.timing_with(effects)))
         return out
 
     def doubt(self, i: int, effects: Effects) -> Array | None:
-        """Of a platform that jumps, the rows into which a jump falls that may as well have come a row sooner or later."""
+        """(N, 6) change of a platform with stiction in rows whose jump may have come a row sooner or later; None without stiction."""
         if all(e.kind != PlatformFriction.model_fields["kind"].default for e in effects):
             return None
-        off = JUMPED * self.runs[i].scenario.tick
+        off = JUMP_INSTANT_ERROR * self.runs[i].scenario.tick
         sooner, later = ([*effects, PlatformDelay.hypothesis({}, delay=d)] for d in (-off, off))
         early, late = self.predict([(i, sooner), (i, later)])
         return np.abs(late - early)
 
     def paths(self, effects: Effects) -> list[Array]:
-        """(N, 7) poses of each run that the platform reaches, with the attitude that was commanded, as they are stamped."""
+        """(N, 7) poses that the platform reaches in each run, with the commanded attitude, as they are stamped."""
         timing = self.timing.model_copy(update={"delay": self.timing.delay + self.timing.before, "before": 0.0})
-        return [poses_of(shown) for shown in self.stamped(timing).predict([(i, effects) for i in range(len(self.runs))])]
+        return [poses_of(shown) for shown in self.with_timing(timing).predict([(i, effects) for i in range(len(self.runs))])]
 
 
 def poses_of(flat: Array) -> Array:

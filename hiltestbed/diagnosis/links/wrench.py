@@ -1,4 +1,4 @@
-"""The pose through contact and sensor to wrench_meas."""
+"""Stage "replay": the link wrench: the pose through contact and sensor to wrench_meas."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from hiltestbed.contact.latch import latch_limits
 from hiltestbed.contact.mount_dynamics import MountDynamics
 from hiltestbed.contact.parameters import ContactParameters, believed_contacts, contact_rows
 from hiltestbed.contact.sides import sides_of
-from hiltestbed.diagnosis.links.base import Effects, Lane, Later, Link, LinkRun, moved, padded
+from hiltestbed.diagnosis.links.base import Effects, Lane, Link, LinkRun, Timing, moved, padded
 from hiltestbed.diagnosis.low_pass import LowPass
-from hiltestbed.diagnosis.settings import BLOCK
+from hiltestbed.diagnosis.settings import BLOCK_ROWS
 from hiltestbed.frames import Array, pose_step
 from hiltestbed.log import log_parameters
 from hiltestbed.numerical_model.bodies import approach_state
@@ -27,16 +27,16 @@ from hiltestbed.replay.wrench import Lane as FeltLane
 from hiltestbed.scenario import Scenario
 from hiltestbed.sensor.parameters import SensorParameters
 
-NODES = np.linspace(-2.75, 2.75, 12)  # of a standard normal
-FINER = 4  # times as many steps, from which those of no length are extrapolated
+NODES = np.linspace(-2.75, 2.75, 12)  # of a standard normal distribution
+STEP_RATIO = 4  # of the steps of a mount, for the extrapolation to steps of zero length
 WEIGHTS = np.exp(-0.5 * NODES**2) / np.sum(np.exp(-0.5 * NODES**2))
 
 
-_PROMPT = log_parameters(())
+_NO_LOG_EFFECT = log_parameters(())
 
 
 def _numbers(scenario: Scenario, lever: float, blunt: float, ring: float) -> tuple[list[ContactParameters], SensorParameters]:
-    """Contacts and sensor as a scenario believes them to be."""
+    """Contacts and sensor as a scenario describes them."""
     contacts = [replace(c, lever=lever, blunt=blunt, ring=ring) for c in believed_contacts(scenario.mechanism)]
     return contacts, SensorParameters.believed(scenario.sensor, scenario.tick)
 
@@ -47,18 +47,18 @@ def _lateness(lane: FeltLane) -> float:
 
 
 class WrenchLink(Link):
-    """Contact and sensor on the paths that A took.
+    """Contact and sensor on the paths of A.
 
-    A mechanism whose wrench does not follow from the pose of A alone is played as its MJCF has it: it has one reading.
+    A mechanism whose wrench does not follow from the pose of A alone is played as in its MJCF; it has no alternative interpretation.
 
     Attributes:
         lever: where between the undeformed surface (0) and the tip (1) the force acts. blunt: 1 where the ball of the tip touches, 0 where
         its foremost point does. ring: 1 where a latch resists turning, 0 where it does not. grid: instants a tick between which a late
-        reading lies on a straight line, as a facility has it that computes its contact step by step; None: it is that of the instant at
+        reading is interpolated linearly, as by a facility that computes its contact step by step; None: it is the reading at the instant at
         which it left the contact. The rate of a contact jumps from one tick to the next, so that the two differ.
         logged: the filter through which readings went to the record; None: none.
-        of_rows: of the record, whose mean each row is. exact: None: a mount is stepped as MuJoCo does it, which is right to the first
-        order; else it is right itself, by what these effects make of the difference.
+        of_rows: of the record, whose mean each row is. exact: None: a mount is stepped as by MuJoCo, to first order; else it is
+        corrected to the exact integral, with the difference computed under these effects.
     """
 
     name = "wrench"
@@ -67,7 +67,7 @@ class WrenchLink(Link):
     def __init__(
         self, runs: Sequence[LinkRun], paths: Sequence[Array], jumps: Sequence[Array] | None = None, rates: Sequence[Array] | None = None
     ) -> None:
-        """paths: (N, 7) of A in P at t_k. jumps: (N,) how far A jumped [m] in the tick that ends at t_k, at an instant not known.
+        """paths: (N, 7) of A in P at t_k. jumps: (N,) distance [m] by which A jumped in the tick that ends at t_k, at an unknown instant.
         rates: (N, 6) its twist at t_k; None: the slope over the tick that ends there."""
         self.runs, self.paths, self.jumps, self.rates = runs, paths, jumps, rates
         self.lever, self.blunt, self.ring, self.grid = 0.5, 1.0, 1.0, None
@@ -91,7 +91,7 @@ class WrenchLink(Link):
             MountDynamics.of(scenarios), first.substeps, self.lever, self.blunt, None if rates is None else padded(rates), creep_of(first),
         )  # fmt: skip
 
-    def reading(
+    def interpreted(
         self,
         lever: float | None = None,
         grid: int | None = None,
@@ -99,7 +99,7 @@ class WrenchLink(Link):
         exact: Effects | None = None,
         ring: float | None = None,
     ) -> WrenchLink:
-        """The same link with another reading of what is not known of the facility."""
+        """The same link with another interpretation of what the facility leaves open."""
         out = copy(self)
         lever, blunt = self.lever if lever is None else lever, self.blunt if blunt is None else blunt
         ring = self.ring if ring is None else ring
@@ -112,32 +112,32 @@ class WrenchLink(Link):
             out._step_error = out._missed_by_steps(out.exact)
         return out
 
-    def as_read(self, other: WrenchLink) -> WrenchLink:
-        """The same link with the reading of another one, which may have fewer rows."""
+    def as_interpreted(self, other: WrenchLink) -> WrenchLink:
+        """The same link with the interpretation and timing of another one, which may have fewer rows."""
         grid = None if other.grid is None else max(1, round(other.grid * self.of_rows / other.of_rows))
-        return self.reading(other.lever, grid, other.blunt, other.exact, other.ring).stamped(other.timing)
+        return self.interpreted(other.lever, grid, other.blunt, other.exact, other.ring).with_timing(other.timing)
 
     @property
     def played(self) -> bool:
-        """Whether the physics itself says what a contact exerts along a path."""
+        """Whether the contact force along a path is computed by playing the mechanism's physics."""
         return isinstance(self._felt, Played)
 
     @property
     def stepped(self) -> bool:
-        """Whether a mount is integrated, so that its steps matter."""
+        """Whether a mount is integrated, so that the steps matter."""
         return isinstance(self._felt, Felt) and self._felt.mount is not None
 
     def _missed_by_steps(self, effects: Effects) -> list[Array]:
-        """(N, 6) of each run what a mount's steps of first order miss: what a quarter of them changes, extrapolated (L. F. Richardson,
+        """(N, 6) error of a mount's first-order steps in each run, extrapolated from steps of a quarter (L. F. Richardson,
         Phil. Trans. A 210, 1911)."""
         assert isinstance(self._felt, Felt)
-        finer = replace(self._felt, substeps=FINER * self._felt.substeps)
+        finer = replace(self._felt, substeps=STEP_RATIO * self._felt.substeps)
         lanes = [self._lane(i, effects) for i in range(len(self.runs))]
         coarse, fine = (replay_wrench(felt, lanes, self.grid) for felt in (self._felt, finer))
-        return [(f - c)[: r.rows] * FINER / (FINER - 1.0) for f, c, r in zip(fine, coarse, self.runs, strict=True)]
+        return [(f - c)[: r.rows] * STEP_RATIO / (STEP_RATIO - 1.0) for f, c, r in zip(fine, coarse, self.runs, strict=True)]
 
     def commanded(self, commands: Sequence[Array]) -> WrenchLink:
-        """The same link where nobody measured the paths: they are what the platform made of ``commands`` (N, 7), its effects included."""
+        """The same link where the paths were not measured: they are the platform's response to ``commands`` (N, 7) with its effects."""
         out = copy(self)
         out.commands = commands
         return out
@@ -158,13 +158,13 @@ class WrenchLink(Link):
         return [out[n] for n in range(len(lanes))]
 
     def _moved(self, lanes: Sequence[Lane]) -> list[Array]:
-        """On the paths that a platform with effects takes, with the attitude that was commanded."""
+        """Predictions on the paths of a platform with effects, with the commanded attitude."""
         runs = [self.runs[i] for i, _ in lanes]
         scenarios = [r.scenario for r in runs]
         parameters = [PlatformParameters.believed(s).with_effects(effects) for s, (_, effects) in zip(scenarios, lanes, strict=True)]
         places = replay_platform(scenarios, parameters, padded(self.commands or ()), np.array([i for i, _ in lanes]))
         paths = [np.concatenate([p[: r.rows], self.paths[i][:, 3:]], axis=1) for p, r, (i, _) in zip(places, runs, lanes, strict=True)]
-        link = WrenchLink(runs, paths).reading(self.lever, self.grid, self.blunt, ring=self.ring).stamped(self.timing)
+        link = WrenchLink(runs, paths).interpreted(self.lever, self.grid, self.blunt, ring=self.ring).with_timing(self.timing)
         return link.through(self.logged).predict(
             [(n, [e for e in effects if e.link != "platform"]) for n, (_, effects) in enumerate(lanes)]
         )
@@ -173,7 +173,7 @@ class WrenchLink(Link):
         felt = [self._lane(i, effects) for i, effects in lanes]
         found = replay_wrench(self._felt, felt, self.grid)
         early = [min(_lateness(lane), 0.0) / self.runs[i].scenario.tick for lane, (i, _) in zip(felt, lanes, strict=True)]
-        early = [e + self.placed(effects).before / self.runs[i].scenario.tick for e, (i, effects) in zip(early, lanes, strict=True)]
+        early = [e + self.timing_with(effects).before / self.runs[i].scenario.tick for e, (i, effects) in zip(early, lanes, strict=True)]
         shown = [moved(reading[: self.runs[i].rows], e) for reading, e, (i, _) in zip(found, early, lanes, strict=True)]
         if self._step_error is not None:
             shown = [reading + self._step_error[i] for reading, (i, _) in zip(shown, lanes, strict=True)]
@@ -185,7 +185,7 @@ class WrenchLink(Link):
             self.runs[i].scenario.mechanism,
             self._believed[i][0],
             self._believed[i][1],
-            self.placed(effects).delay,
+            self.timing_with(effects).delay,
         )
         if "contact" in links:
             contacts = [replace(c).with_effects(effects) for c in contacts]
@@ -193,10 +193,10 @@ class WrenchLink(Link):
             sensor = sensor.copy().with_effects(effects)
         rows = contact_rows(contacts, sides_of(mechanism).rules, mechanism.captured)
         acting = [e for e in effects if e.link == "contact"]
-        return FeltLane(i, rows, sensor, log_parameters(effects) if "log" in links else _PROMPT, later, acting)
+        return FeltLane(i, rows, sensor, log_parameters(effects) if "log" in links else _NO_LOG_EFFECT, later, acting)
 
     def penetration(self, i: int) -> Array:
-        """(N,) of run i by geometry [m]: the deepest of its contacts, negative while apart; of what is captured along z."""
+        """(N,) penetration in run i by geometry [m]: the deepest contact, negative while apart; for a latched mechanism along z."""
         if self.runs[i].scenario.mechanism.captured:
             return self.paths[i][:, 2]
         if isinstance(self._felt, Played):
@@ -208,29 +208,30 @@ class WrenchLink(Link):
         return max(_lateness(self._lane(i, effects)), 0.0)
 
     def slopes(self, effects: Effects) -> list[Array]:
-        """(N, 6) of each run the rate of the reading [N/s, N m/s]: what a late sample is worth."""
+        """(N, 6) rate of the reading in each run [N/s, N m/s], which a delay of the sample multiplies."""
         everything = range(len(self.runs))
         step = self.runs[0].scenario.tick / 2.0
         if any(r.scenario.sensor.delay < step for r in self.runs):
             return [np.gradient(p, 2.0 * step, axis=0) for p in self.predict([(i, effects) for i in everything])]
-        early = self.predict([(i, [*effects, Later(delay=-step)]) for i in everything])
-        late = self.predict([(i, [*effects, Later(delay=step)]) for i in everything])
+        early = self.predict([(i, [*effects, Timing(delay=-step)]) for i in everything])
+        late = self.predict([(i, [*effects, Timing(delay=step)]) for i in everything])
         return [(a - b) / (2.0 * step) for a, b in zip(early, late, strict=True)]
 
     def shaken(self, i: int, effects: Effects, sigma: float) -> tuple[Array, Array]:
-        """(N, 6) mean of the reading and its spread [N, N m] where the delay varies by sigma [s] from sample to sample."""
+        """(N, 6) mean and standard deviation of the reading [N, N m] for a delay that varies by sigma [s] from sample to sample."""
         nominal = self.lateness(i, effects)
-        found = self.predict([(i, [*effects, Later(delay=float(max(sigma * node, -nominal)))]) for node in NODES])
+        found = self.predict([(i, [*effects, Timing(delay=float(max(sigma * node, -nominal)))]) for node in NODES])
         mean = sum(w * r for w, r in zip(WEIGHTS, found, strict=True))
         square = sum(w * r**2 for w, r in zip(WEIGHTS, found, strict=True))
         return np.asarray(mean), np.sqrt(np.maximum(np.asarray(square) - np.asarray(mean) ** 2, 0.0))
 
     def doubt(self, i: int, effects: Effects) -> Array | None:
-        """(N, 6) how far a reading hangs on what a replay does not know: what lies between two instants of the physics, which is much
-        where a touch or a jump does; the noise by which a force at the edge of a dead zone is read or not; and what is added for the
-        steps of a mount, which is that of other effects: it goes the same way for many rows, and counts like noise that is larger by the
-        root of a block."""
-        of_steps = 0.0 if self._step_error is None else math.sqrt(BLOCK) * np.abs(self._step_error[i])
+        """(N, 6) uncertainty of a reading due to what a replay does not know.
+
+        It has three parts: what happens between two instants of the physics, which is large at a touch or a jump; noise that decides
+        whether a force at the edge of a dead zone is read; and the correction for the steps of a mount, computed under other effects,
+        which errs alike over many rows and counts like noise that is larger by the root of a block."""
+        of_steps = 0.0 if self._step_error is None else math.sqrt(BLOCK_ROWS) * np.abs(self._step_error[i])
         return np.hypot(np.hypot(self._between_instants(i, effects), self._at_the_edge(i, effects)), of_steps)
 
     def _between_instants(self, i: int, effects: Effects) -> Array:
@@ -239,7 +240,7 @@ class WrenchLink(Link):
         late = self.lateness(i, effects)
         if late < step:
             return np.zeros((self.runs[i].rows, 6))
-        shifts = [[*effects, Later(delay=d)] for d in (-step, step)]
+        shifts = [[*effects, Timing(delay=d)] for d in (-step, step)]
         early, after, now = self.predict([(i, shifts[0]), (i, shifts[1]), (i, effects)])
         out = np.abs(early + after - 2.0 * now)
         ticks = late / s.tick
@@ -251,8 +252,8 @@ class WrenchLink(Link):
         return out
 
     def _at_the_edge(self, i: int, effects: Effects) -> Array:
-        """(N, 6) spread of what a dead zone makes of the noise before it: its width w, times the root of the chance to be read as no
-        replay without noise reads it, which of a force f is Q(| |f| - w | / sigma), Q of the standard normal."""
+        """(N, 6) spread due to noise before a dead zone of width w: w times the root of the probability that noise takes a force f across
+        the edge, Q(| |f| - w | / sigma), Q of the standard normal."""
         lane, run = self._lane(i, effects), self.runs[i]
         width = lane.sensor.deadzone
         if not width.any():

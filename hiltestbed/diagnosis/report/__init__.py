@@ -1,1 +1,1 @@
-"""The report of a diagnosis: what follows from the finding, and how it is shown."""
+"""Stage "report": from a `Finding` to a `Diagnosis` (closed-loop runs, next experiment) and its folder."""

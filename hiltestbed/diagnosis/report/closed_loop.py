@@ -1,6 +1,6 @@
-"""The runs played again in closed loop, nominal and extended, and the figures that are compared with the measured ones.
+"""The runs simulated in closed loop, nominal and extended, and the figures that are compared with the measured ones.
 
-Measured and simulated runs go through the same rule: speeds are slopes of the commanded pose before the first contact and after it,
+Measured and simulated runs go through the same rule: speeds are slopes of the commanded pose before and after the first contact,
 stiffness and damping a least-squares fit of the reading on pose and rate in contact.
 """
 
@@ -23,12 +23,12 @@ from hiltestbed.scenario import Scenario, resolved, scenario_from
 from hiltestbed.signals import RunTrace
 from hiltestbed.simulation import simulate
 
-WINDOW = 0.1  # [s] over which a speed is read, at most
-LEAST = 8  # samples of a speed, at least
-QUIET = 0.03  # [s] after the end of a contact until the speed is read, so that the tail of an unknown delay or lag is over
-SMOOTH = 15  # a contact is smoothed over this part of itself before it is differentiated
-LOCKSTEP = 64  # runs at a time
-TOUCH = 0.01  # part of the greatest penetration from which samples are fitted: the first carry the clipping of the force
+SPEED_WINDOW = 0.1  # chosen: [s] over which a speed is estimated, at most
+MIN_SAMPLES = 8  # of a speed
+QUIET_TIME = 0.03  # chosen: [s] from the end of a contact to the speed, longer than the tail of an unknown delay or lag
+SMOOTHING_PARTS = 15  # chosen: a contact is smoothed over this part of itself before it is differentiated
+LOCKSTEP_RUNS = 64  # simulated together
+MIN_FITTED_SHARE = 0.01  # chosen: of the largest penetration, from which samples are fitted: below it the force is clipped
 
 
 @dataclass(frozen=True)
@@ -42,9 +42,9 @@ class Played:
 
 @dataclass(frozen=True)
 class Motion:
-    """What the figures need of a run: (N,) each, NaN where not measured; None for a channel that is absent.
+    """The signals of a run that the figures need: (N,) each, NaN where not measured; None for a channel that is absent.
 
-    span: first tick of the first contact, its end, and where the stretch after it ends (the next contact or the last row).
+    span: first tick of the first contact, its end, and the end of the stretch after it (the next contact or the last row).
     """
 
     t: Array
@@ -64,7 +64,7 @@ def play(dataset: MeasuredDataset, causes: Sequence[Cause | Learned]) -> tuple[P
 
 
 def with_causes(scenario: Scenario, causes: Sequence[Cause | Learned]) -> Scenario:
-    """A run's scenario with the causes among its effects."""
+    """A run's scenario with the causes added to its effects."""
     data = resolved(scenario)
     data["effects"] = [*data["effects"], *(c.entry() for c in causes)]
     return scenario_from(data)
@@ -73,7 +73,7 @@ def with_causes(scenario: Scenario, causes: Sequence[Cause | Learned]) -> Scenar
 def traces_of(scenarios: Sequence[Scenario]) -> list[RunTrace | None]:
     """The traces, runs of one structure in lockstep; None for a run that the simulation refuses."""
     out: list[RunTrace | None] = [None] * len(scenarios)
-    for group in lockstep_groups(list(enumerate(scenarios)), LOCKSTEP):
+    for group in lockstep_groups(list(enumerate(scenarios)), LOCKSTEP_RUNS):
         try:
             batch = simulate([scenario for _, scenario in group], trace=True)
         except HiltestbedError:
@@ -94,7 +94,7 @@ def closed_loop(dataset: MeasuredDataset, played: Sequence[Played]) -> ClosedLoo
 
 
 def measured_motion(run: MeasuredRun) -> Motion:
-    """Of a record."""
+    """The motion of a measured run."""
     record, spans = run.record, [(c.start, c.end) for c in run.survey.contacts]
     names = ("pose_cmd.pz", "pose_act.pz", "wrench_meas.fz")
     command, reached, force = (record.column(name) if name in record.columns() else None for name in names)
@@ -102,7 +102,7 @@ def measured_motion(run: MeasuredRun) -> Motion:
 
 
 def trace_motion(trace: RunTrace | None) -> Motion | None:
-    """Of a simulated run."""
+    """The motion of a simulated run."""
     if trace is None:
         return None
     edges = np.flatnonzero(np.diff(np.r_[False, trace.contact, False])).reshape(-1, 2)
@@ -117,7 +117,7 @@ def _first(spans: Sequence[tuple[int, int]], ticks: int) -> tuple[int, int, int]
 
 
 def figures(motion: Motion | None, scenario: Scenario) -> Figures:
-    """All None for a run without contact."""
+    """Figures of a run; all None for a run without contact."""
     if motion is None or motion.span is None:
         return Figures()
     stiffness, damping = identified(motion, scenario) if scenario.mechanism.flat else (None, None)
@@ -131,16 +131,16 @@ def figures(motion: Motion | None, scenario: Scenario) -> Figures:
 
 
 def restitution(motion: Motion, scenario: Scenario) -> float | None:
-    """Rebound speed over approach speed of the first contact; None where there is no stretch to read one of them from.
+    """Rebound speed over approach speed of the first contact; None where either cannot be estimated.
 
-    From the commanded pose, as the numerical model's; from the one reached where the command was not recorded.
+    From the commanded pose, as the numerical model's; from the reached pose where the command was not recorded.
     """
     z = motion.command if motion.command is not None else motion.reached
     if z is None or motion.span is None:
         return None
     start, end, until = motion.span
-    window, settle = round(WINDOW * scenario.rate), settle_ticks(scenario)
-    first = min(end + settle + round(QUIET * scenario.rate), max(end + settle, until - window))
+    window, settle = round(SPEED_WINDOW * scenario.rate), settle_ticks(scenario)
+    first = min(end + settle + round(QUIET_TIME * scenario.rate), max(end + settle, until - window))
     approach = _slope(motion.t, z, max(0, start - 1 - window), start - 1)
     rebound = _slope(motion.t, z, first, min(until, len(z), first + window))
     if approach is None or rebound is None or approach <= 0.0 or rebound >= 0.0:
@@ -152,13 +152,13 @@ def _slope(t: Array, z: Array, start: int, end: int) -> float | None:
     """[m/s] least squares over the rows that hold data."""
     rows = np.arange(start, max(start, end))
     rows = rows[np.isfinite(z[rows])]
-    if len(rows) < LEAST:
+    if len(rows) < MIN_SAMPLES:
         return None
     return float(np.polyfit(t[rows] - t[rows[0]], z[rows], 1)[0])
 
 
 def identified(motion: Motion, scenario: Scenario) -> tuple[float | None, float | None]:
-    """k [N/m] and c [N s/m] of F = k x + c v over the first contact, the reading moved back by the sensor's nominal delay.
+    """k [N/m] and c [N s/m] of F = k x + c v over the first contact, with the reading shifted back by the sensor's nominal delay.
 
     Clipped samples at the touch are left out (literature: a window over x > 0 costs 3 to 5 % of c).
     """
@@ -172,9 +172,9 @@ def identified(motion: Motion, scenario: Scenario) -> tuple[float | None, float 
     if x is None:
         return None, None
     v = np.gradient(x, scenario.tick)
-    use = np.isfinite(x) & np.isfinite(y) & (x > TOUCH * np.nanmax(x))
-    use &= y > TOUCH * np.nanmax(np.abs(y)) if np.isfinite(y).any() else False
-    if use.sum() < LEAST:
+    use = np.isfinite(x) & np.isfinite(y) & (x > MIN_FITTED_SHARE * np.nanmax(x))
+    use &= y > MIN_FITTED_SHARE * np.nanmax(np.abs(y)) if np.isfinite(y).any() else False
+    if use.sum() < MIN_SAMPLES:
         return None, None
     matrix = np.column_stack([x[use], v[use]])
     scale = np.linalg.norm(matrix, axis=0)
@@ -185,11 +185,11 @@ def identified(motion: Motion, scenario: Scenario) -> tuple[float | None, float 
 
 
 def _smoothed(z: Array, rows: np.ndarray) -> Array | None:
-    """z at `rows`, gaps bridged, smoothed by a cubic over a small part of the contact."""
+    """z at `rows`, with gaps interpolated, smoothed by a cubic over a small part of the contact."""
     from scipy.signal import savgol_filter
 
     known = np.flatnonzero(np.isfinite(z))
-    length = max(5, len(rows) // SMOOTH) | 1
+    length = max(5, len(rows) // SMOOTHING_PARTS) | 1
     if len(rows) < 2 * length or len(known) < len(rows) // 2:
         return None
     return np.asarray(savgol_filter(np.interp(np.arange(len(z)), known, z[known]), length, 3))[rows]

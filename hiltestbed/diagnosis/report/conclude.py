@@ -1,4 +1,4 @@
-"""From what was found to the whole diagnosis: the model extended, both models played in closed loop, the next experiment."""
+"""Stage "report": from a `Finding` to the `Diagnosis`: the extended model, both models in closed loop, the next experiment."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from hiltestbed.measured import MeasuredDataset
 
 
 def conclude(dataset: MeasuredDataset, finding: Finding, seconds: float | None = None) -> Diagnosis:
-    """The diagnosis of a dataset; `seconds`: what it has taken so far."""
+    """The diagnosis of a dataset; `seconds`: elapsed so far."""
     causes = finding.extension
     played = play(dataset, causes)
     notes = (*(f"{link} was not judged: {why}" for link, why in finding.not_judged.items()), *(str(remark) for remark in dataset.remarks))

@@ -1,6 +1,6 @@
-"""Which experiment tells two effects apart, laid out with a dataset's own numbers.
+"""Rules for the experiment that tells two effects apart, with a dataset's own numbers.
 
-Each rule is for a pair of effects, one of `first` and one of `second`, and says what is run and where the two differ in it. Confounded
+Each rule is for a pair of effects, one of `first` and one of `second`, and states the runs and how the two differ in them. Confounded
 pairs and what breaks them: Section 5 of the literature (standard set of experiments: free flight, sweep in air, known springs, ladder of
 speeds, offsets, press and hold); equations of the contact: k_app = k cos w tau + c w sin w tau, c_app = c cos w tau - (k/w) sin w tau.
 """
@@ -15,7 +15,7 @@ from typing import Any
 from hiltestbed.diagnosis.report.facts import Facts, rounded
 
 Plan = tuple[str, tuple[Mapping[str, Any], ...]]
-PHASE = 0.35  # [rad] w tau above which a lag and a delay part ways: the lag loses w^2 tau^2 = 12 % of the stiffness
+LAG_PHASE = 0.35  # chosen: [rad] w tau above which a lag and a delay differ: the lag loses w^2 tau^2 = 12 % of the stiffness
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ class Rule:
     plan: Callable[[Facts], Plan]
 
     def separates(self, effects: frozenset[str]) -> bool:
-        """Whether two different effects of the set are the two of this rule."""
+        """Whether the rule separates two different effects of the set."""
         return any(a != b for a in effects & self.first for b in effects & self.second)
 
 
@@ -46,13 +46,13 @@ def springs_for_delay(f: Facts) -> Plan:
 
 def fast_contact_for_lag(f: Facts) -> Plan:
     tau = f.estimate("sensor.lag", "time_constant", f.estimate("sensor.delay", "delay", f.tick))
-    stiff = rounded(f.mass * (PHASE / tau) ** 2)
-    light = rounded(f.stiffness * (tau / PHASE) ** 2)
+    stiff = rounded(f.mass * (LAG_PHASE / tau) ** 2)
+    light = rounded(f.stiffness * (tau / LAG_PHASE) ** 2)
     speed = rounded(min(f.fast, f.peak / math.sqrt(stiff * f.mass)))
     text = (
         f"A lag and a pure delay of {1e3 * tau:.3g} ms differ only where w tau > 0.3. Run a contact of that speed: a known spring of "
         f"k >= {stiff:g} N/m at {speed:g} m/s (peak force about {speed * math.sqrt(stiff * f.mass):.3g} N), or the present spring with "
-        f"masses that reduce to {light:g} kg. There the lag reads the force {100 * (1 - 1 / math.sqrt(1 + PHASE**2)):.0f} % low "
+        f"masses that reduce to {light:g} kg. There the lag reads the force {100 * (1 - 1 / math.sqrt(1 + LAG_PHASE**2)):.0f} % low "
         "and the delay does not. Without a contact: tap the sensor with a hammer and look at the edge: after a delay it is steep."
     )
     return text, ({"mechanism.contact.stiffness": stiff} | f.at_speed(speed),)
@@ -63,7 +63,7 @@ def known_weight(f: Facts) -> Plan:
     factor = f.estimate("sensor.gain", "factor", 1.05)
     text = (
         f"Set a known weight of {load:g} N ({load / 9.81:.2g} kg) on the sensor, no contact: a scale error of {factor:.4g} reads "
-        f"{load * factor:.4g} N, a different spring reads {load:g} N. The loop alone cannot tell them: momentum balances with "
+        f"{load * factor:.4g} N, a different spring reads {load:g} N. The loop alone cannot separate them: momentum balances with "
         "the force as "
         "it is measured. A known spring instead of the mechanism does the same."
     )
@@ -110,7 +110,7 @@ def speed_ladder(f: Facts) -> Plan:
     speeds = tuple(dict.fromkeys(rounded(v) for v in (0.25 * f.slow, f.slow, f.fast, 3.0 * f.fast)))
     listed = ", ".join(f"{v:g}" for v in speeds)
     text = (
-        f"Run a ladder of speeds on the present spring: {listed} m/s. The loop of force over penetration tells them: dry "
+        f"Run a ladder of speeds on the present spring: {listed} m/s. The loop of force over penetration separates them: dry "
         "friction keeps its "
         "width in newtons at every speed, a viscous damper's grows with the speed, a Hunt-Crossley damper's with the speed times the "
         "penetration, a relaxing branch's with neither at the slow end. A power law shows as a stiffness that grows with the peak force, "
@@ -123,7 +123,7 @@ def cycles(f: Facts) -> Plan:
     text = (
         f"Cycle the captured mechanism at 0.05, 0.2, 1 and 4 Hz with amplitudes of {1e3 * f.depth:.2g} and {250 * f.depth:.2g} "
         "mm, three cycles "
-        "each. The loop of force over displacement tells them: dry friction keeps its width in newtons at every rate and amplitude, a "
+        "each. The loop of force over displacement separates them: dry friction keeps its width in newtons at every rate and amplitude, a "
         "damper's grows with both, a relaxing branch's is widest at one rate, play shows as a flat stretch of one width at "
         "each reversal, a "
         "saturation of the sensor as a flat top at one force that a weight on the sensor shows too."
@@ -239,7 +239,7 @@ def off_centre(f: Facts) -> Plan:
 def long_after(f: Facts) -> Plan:
     tone = f.estimate("dynamics.appendage", "frequency", 0.3)
     text = (
-        f"Record {rounded(max(4 / tone, 2.0)):g} s of free flight after the contact. What hangs on a spring makes pose_cmd "
+        f"Record {rounded(max(4 / tone, 2.0)):g} s of free flight after the contact. An appendage on a spring makes pose_cmd "
         "oscillate at about "
         f"{tone:.2g} Hz without a force; a wrong mass leaves straight lines."
     )

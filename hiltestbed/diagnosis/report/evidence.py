@@ -1,4 +1,4 @@
-"""Measured channels beside what the links make of them, and the figures of what is left over."""
+"""Measured channels beside the predictions of their links, and statistics of the residuals."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def link_series(link: Link, effects: Effects = ()) -> list[Series]:
     """Every channel of every run of a link.
 
     Args:
-        effects: named; those of other links leave the prediction as it is.
+        effects: the named ones; those of other links do not change the prediction.
     """
     out = []
     everything = range(len(link.runs))
@@ -36,12 +36,12 @@ def link_series(link: Link, effects: Effects = ()) -> list[Series]:
 
 
 def unit_of(channel: str) -> str:
-    """Of a column of the trace."""
+    """The unit of a column of the trace."""
     return UNITS.get(channel.rpartition(".")[2][:1], "")
 
 
 def counted(s: Series) -> np.ndarray:
-    """(N,) bool: measured, and with a noise that is known."""
+    """(N,) bool: measured, and with a known noise."""
     return np.isfinite(s.sigma) & np.isfinite(s.measured)
 
 
@@ -102,7 +102,7 @@ def _floor(series: Sequence[Series]) -> float:
 
 
 def _white(series: Sequence[Series], extended: bool) -> bool:
-    """Variance and variance of block means within their limits: samples that hang together count once."""
+    """Whether the variance and the variance of block means are within their limits; correlated samples count once."""
     left = [r[np.isfinite(r)] for r in (in_sigma(s, extended) for s in series)]
     return leftover([r for r in left if len(r)]).noise
 

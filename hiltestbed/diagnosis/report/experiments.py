@@ -1,4 +1,4 @@
-"""The run that would settle what a diagnosis leaves open."""
+"""The next experiment: the run that would settle what a diagnosis leaves open."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from hiltestbed.diagnosis.report.facts import Facts, facts_of
 from hiltestbed.diagnosis.result import Cause, Experiment, Finding
 from hiltestbed.measured import MeasuredDataset
 
-ABSURD = 100.0  # factor of a mass that nobody gets wrong
+MAX_MASS_FACTOR = 100.0  # chosen: no mass is wrong by more
 
 
 def next_experiment(finding: Finding, dataset: MeasuredDataset) -> Experiment | None:
-    """None where nothing is open: no discrepancy on links that were all measured, or a cause that nothing else looks like."""
+    """The next experiment; None where nothing is open: no discrepancy on links that were all measured, or a cause without look-alikes."""
     facts = facts_of(dataset, finding.causes)
     if finding.verdict in ("unknown", "named_in_part"):
         return for_unknown(finding, facts)
@@ -28,9 +28,9 @@ def next_experiment(finding: Finding, dataset: MeasuredDataset) -> Experiment | 
 
 
 def separating(cause: Cause, link: str | None, facts: Facts) -> Experiment:
-    """The experiment of the first rule for a pair among a cause and its rivals; of the link where there is no rule.
+    """The experiment of the first rule for a cause and its rivals, or of the link where no rule applies.
 
-    An effect that stands among its own rivals is the same one of the other body.
+    An effect among its own rivals is the same effect on the other body.
     """
     effects = frozenset((cause.effect, *cause.indistinguishable_from))
     plan = BY_LINK.get(link or "", speed_ladder)
@@ -44,7 +44,7 @@ def separating(cause: Cause, link: str | None, facts: Facts) -> Experiment:
 
 
 def for_unknown(finding: Finding, facts: Facts) -> Experiment:
-    """What shows most of an effect that is not in the vocabulary: the link alone, its variables one at a time."""
+    """The experiment that shows most of an effect outside the vocabulary: the link alone, one variable at a time."""
     if finding.link == "platform":
         plan = air_sweep(facts)
     elif finding.link == "dynamics":
@@ -58,13 +58,14 @@ def for_unknown(finding: Finding, facts: Facts) -> Experiment:
         plan = f"{ladder[0]}{'' if facts.captured else slow} {hold[0]}", ladder[1]
     else:
         plan = BY_LINK.get(finding.link or "", speed_ladder)(facts)
-    return Experiment(f"To see the shape of what is left: {plan[0][0].lower()}{plan[0][1:]}", (), plan[1])
+    return Experiment(f"To see the shape of the residual: {plan[0][0].lower()}{plan[0][1:]}", (), plan[1])
 
 
 def mass_of_either_body(finding: Finding, dataset: MeasuredDataset) -> str | None:
-    """Where a body's mass is named: which factor of the other body's mass looks the same.
+    """Where a body's mass is named: which factor on the other body's mass looks the same.
 
-    The relative pose sees 1/mu = 1/m_chaser + 1/m_target alone, about the centres of mass; a factor with 1/m > 1/mu has no counterpart.
+    The relative pose depends on 1/mu = 1/m_chaser + 1/m_target only, about the centres of mass; a factor with 1/m > 1/mu has no
+    counterpart.
     """
     for cause in finding.causes:
         if cause.effect == "dynamics.mass":
@@ -74,7 +75,7 @@ def mass_of_either_body(finding: Finding, dataset: MeasuredDataset) -> str | Non
             rest = 1.0 / mass[other] + (1.0 / float(entry["factor"]) - 1.0) / mass[body]
             if rest > 0.0:
                 factor = 1.0 / (rest * mass[other])
-                if not 1.0 / ABSURD < factor < ABSURD:  # a foundation is no candidate
+                if not 1.0 / MAX_MASS_FACTOR < factor < MAX_MASS_FACTOR:  # a foundation is no candidate
                     return None
-                return f"the relative pose sees the reduced mass alone: a factor of {factor:.4g} on the {other}'s mass looks the same"
+                return f"the relative pose depends on the reduced mass only: a factor of {factor:.4g} on the {other}'s mass looks the same"
     return None

@@ -1,4 +1,4 @@
-"""The facility's scenario with what was named: it loads and runs like any other."""
+"""The extended model: the facility's scenario with the named effects; it loads and runs like any other."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from hiltestbed.scenario import Scenario, dump_scenario, resolved, scenario_from
 
 
 def extended_scenario(nominal: Scenario, causes: Sequence[Cause | Learned]) -> Scenario:
-    """`nominal` with the causes among its effects; `nominal` itself where there are none.
+    """`nominal` with the causes added to its effects; `nominal` itself where there are none.
 
     Raises:
         InputError: an estimate lies outside what its effect allows.
@@ -38,7 +38,7 @@ def extended_yaml(scenario: Scenario, causes: Sequence[Cause | Learned]) -> str:
 
 
 def in_words(p: Parameter) -> str:
-    """`0.003300 (0.003294 to 0.003307) s`: digits as far as the interval bears them out."""
+    """`0.003300 (0.003294 to 0.003307) s`: with as many digits as the interval supports."""
     unit = "" if p.unit == "-" else f" {p.unit}"
     if isinstance(p.estimate, str):
         return p.estimate

@@ -1,4 +1,4 @@
-"""What a dataset holds, in the numbers that an experiment is laid out with."""
+"""The numbers of a dataset with which an experiment is laid out."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 from hiltestbed.diagnosis.result import Cause
 from hiltestbed.measured import MeasuredDataset
 
-SWEEP = 2e-3  # [m] amplitude of a sweep, at most
+MAX_SWEEP = 2e-3  # [m] amplitude of a sweep
 
 
 @dataclass(frozen=True)
@@ -102,7 +102,7 @@ def facts_of(dataset: MeasuredDataset, causes: Sequence[Cause]) -> Facts:
 
 
 def _travel(dataset: MeasuredDataset) -> tuple[str, float]:
-    """The axis of translation with the most travel, and half of that, no more than SWEEP [m]."""
+    """The axis of translation with the most travel, and half of that travel, at most MAX_SWEEP [m]."""
     travel = {axis: 0.0 for axis in "zxy"}
     for run in dataset.runs:
         for axis in travel:
@@ -110,9 +110,9 @@ def _travel(dataset: MeasuredDataset) -> tuple[str, float]:
                 if run.record.has(column):
                     travel[axis] = max(travel[axis], float(np.ptp(run.record.column(column)[run.record.measured(column)])))
     axis = max(travel, key=lambda a: travel[a])
-    return axis, rounded(min(0.5 * travel[axis], SWEEP)) or SWEEP
+    return axis, rounded(min(0.5 * travel[axis], MAX_SWEEP)) or MAX_SWEEP
 
 
 def rounded(value: float, digits: int = 2) -> float:
-    """To significant digits: a number that can be set on a rig."""
+    """Rounded to significant digits, so that it can be set on a rig."""
     return float(f"{value:.{digits - 1}e}") if value else 0.0

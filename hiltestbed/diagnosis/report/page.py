@@ -1,4 +1,4 @@
-"""report.html of a diagnosis: what is wrong, how that is known, what is gained, and what to run next, from the top down."""
+"""report.html of a diagnosis, from the top down: the verdict, the evidence, the gain, and the next experiment."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from hiltestbed.diagnosis.result import Cause, Diagnosis, Figures, Isolable
 from hiltestbed.effects.table import EFFECTS
 from hiltestbed.report import Report
 
-FITTED = "k and c: least squares over the contact. A delay that the model does not know appears as missing damping."
+FITTED = "k and c: least squares over the contact. A delay that is not in the model appears as missing damping."
 
 
 def report_of(diagnosis: Diagnosis) -> Report:
@@ -49,7 +49,7 @@ def _summary(d: Diagnosis) -> str:
         text = f"{mean} {measured:.4f} measured and {nominal:.4f} simulated"
         parts.append(text + (f", {extended:.4f} with the extended model." if d.finding.extends and extended is not None else "."))
     if d.next_experiment:
-        parts.append("What is open, and the run that would settle it, stands under Next experiment.")
+        parts.append("What remains open, and the run that would settle it, is under Next experiment.")
     return " ".join(parts)
 
 
@@ -57,10 +57,10 @@ def _causes(report: Report, d: Diagnosis) -> None:
     if d.causes:
         _cause_table(report, d.causes, "Cause" if len(d.causes) == 1 else "Causes")
     if d.finding.partial:
-        _cause_table(report, d.finding.partial, "What comes nearest", rivals=False)
+        _cause_table(report, d.finding.partial, "Nearest effects", rivals=False)
         report.text(
-            "Of the vocabulary these explain most, each beside the others. What they leave is not noise: they are a part of the cause "
-            "at most, and the model is not extended with them."
+            "These effects of the vocabulary together explain most of the departure. Their residual is not noise: they are at most "
+            "part of the cause, and the model is not extended with them."
         )
     _learned(report, d)
     if d.finding.extends:
@@ -74,7 +74,7 @@ def _learned(report: Report, d: Diagnosis) -> None:
     report.heading("A law without a name")
     report.text(learned_sentence(learned))
     report.text(f"{learned.effect}: {meaning(learned.effect)} {EFFECTS[learned.effect].equation}")
-    report.figure(pictures.learned_curves(learned), "Each curve of the law, with what the data leave for it where all else is taken out.")
+    report.figure(pictures.learned_curves(learned), "Each curve of the law, with the data after all other terms are subtracted.")
 
 
 def _cause_table(report: Report, causes: Sequence[Cause], title: str, rivals: bool = True) -> None:
@@ -87,13 +87,13 @@ def _cause_table(report: Report, causes: Sequence[Cause], title: str, rivals: bo
         for name, p in (c.parameters or {"": None}).items()
         for p in ([p] if p is not None else [])
     ]
-    header = ("effect", "parameter", "estimate (95 % interval)", "probability", "cannot be told from")
+    header = ("effect", "parameter", "estimate (95 % interval)", "probability", "indistinguishable from")
     if rows:
         shown = len(header) if rivals else 3
         report.table(header[:shown], [row[:shown] for row in rows])
     if rivals and (others := [(c.effect, told) for c in causes for told in c.alternatives]):
-        report.text("What fits as well, with the numbers that go with it:")
-        report.table(("in place of", "explanation"), [(effect, _in_words(told)) for effect, told in others])
+        report.text("Explanations that fit as well, with their parameters:")
+        report.table(("instead of", "explanation"), [(effect, _in_words(told)) for effect, told in others])
 
 
 def _in_words(explanation: Sequence[Mapping[str, Any]]) -> str:
@@ -107,25 +107,23 @@ def _evidence(report: Report, d: Diagnosis) -> None:
         return
     report.heading("Evidence")
     report.text(
-        "Each link of the loop was replayed alone on what was measured at its input, so that the error of one cannot leak into another. "
-        "Residuals are in units of the channel's own noise: what stays in the grey band is noise. Contact is shaded."
+        "Each link of the loop was replayed alone on its measured input, so that the error of one cannot leak into another. "
+        "Residuals are in units of the channel's own noise: within the grey band they are noise. Contact is shaded."
     )
-    report.figure(
-        pictures.residuals_over_time(series, compared, d.dataset.names), "What the model leaves on the channels that it misses most."
-    )
-    report.figure(pictures.channel_over_time(series, compared, d.dataset.names), "The channel that is missed most, around the contact.")
+    report.figure(pictures.residuals_over_time(series, compared, d.dataset.names), "Residuals of the channels with the largest misfit.")
+    report.figure(pictures.channel_over_time(series, compared, d.dataset.names), "The channel with the largest misfit, around the contact.")
     force = pictures.force_against_penetration(series, d.dataset, compared)
     if force is not None:
-        report.figure(force, "Force against penetration, read back by the sensor's nominal delay; slowest to fastest approach.")
+        report.figure(force, "Force over penetration, corrected for the sensor's nominal delay; slowest to fastest approach.")
     if d.finding.left:
-        report.text(f"What is left: {d.finding.left}.")
+        report.text(f"Residual: {d.finding.left}.")
 
 
 def _ranking(report: Report, d: Diagnosis) -> None:
     ranking = [r for r in d.finding.ranking if math.isfinite(r.score)]
     if not ranking:
         return
-    report.heading("Causes that were weighed")
+    report.heading("Hypotheses that were compared")
     for link in dict.fromkeys(r.link for r in ranking):
         mine = [r for r in ranking if r.link == link]
         report.figure(
@@ -136,7 +134,7 @@ def _ranking(report: Report, d: Diagnosis) -> None:
             (" + ".join(r.effects), r.parameters, f"{r.score - min(x.score for x in mine):.3g}", _number(r.heldout), _yes(r.adequate))
             for r in mine
         ]
-        report.table(("hypothesis", "parameters", "worse by", "left-out rms / noise", "leaves noise alone"), rows)
+        report.table(("hypothesis", "parameters", "worse by", "left-out rms / noise", "leaves only noise"), rows)
 
 
 def _gain(report: Report, d: Diagnosis) -> None:
@@ -158,9 +156,7 @@ def _gain(report: Report, d: Diagnosis) -> None:
     figure = pictures.closed_loop_figures(d.closed_loop, d.finding.extends)
     if figure is None:
         return
-    report.text(
-        "The same runs in closed loop, through one rule: speeds from the commanded pose, stiffness and damping from pose and force."
-    )
+    report.text("The same runs in closed loop, by one rule: speeds from the commanded pose, stiffness and damping from pose and force.")
     report.figure(figure, "Rebound and peak force of each run.")
     sources = ("measured", "nominal", "extended") if d.finding.extends else ("measured", "nominal")
     names = {"cor": "CoR", "peak_force": "peak [N]", "stiffness": "k [N/m]", "damping": "c [N s/m]"}
@@ -175,7 +171,7 @@ def _gain(report: Report, d: Diagnosis) -> None:
 def _next(report: Report, d: Diagnosis) -> None:
     report.heading("Next experiment")
     if d.experiment is None:
-        report.text("Nothing is open that another run would settle.")
+        report.text("Nothing remains open that another run would settle.")
         return
     report.text(d.experiment.text)
     if d.experiment.runs:
@@ -186,17 +182,17 @@ def _next(report: Report, d: Diagnosis) -> None:
 def _isolability(report: Report, table: Sequence[Isolable]) -> None:
     if not table:
         return
-    report.heading("What these data could show")
+    report.heading("What these data could detect")
     rows = [
         (i.effect, i.parameter, _size(i),
          ", ".join(i.confused_with) or "none")
         for i in sorted(table, key=lambda i: (i.effect.partition(".")[0], i.effect))
     ]  # fmt: skip
     report.table(
-        ("effect", "parameter", "size that is found", "looks the same at that size"),
+        ("effect", "parameter", "size that is detected", "look-alikes at that size"),
         rows,
         "From the sensitivities of the replayed links to each effect, with these runs, channels and noise. Factors: departure from 1. "
-        "What looks the same at the smallest size that is found may be told apart at a larger one.",
+        "Look-alikes at the smallest detected size may be told apart at a larger one.",
     )
 
 
@@ -204,16 +200,14 @@ def _channels(report: Report, d: Diagnosis) -> None:
     if not d.residuals:
         return
     report.heading("Every channel")
-    report.figure(pictures.channels_overview(d.residuals), "What is left on each channel, in units of its noise.")
+    report.figure(pictures.channels_overview(d.residuals), "Residual of each channel, in units of its noise.")
     rows = [
         (r.channel, r.unit, _number(r.noise_floor), _number(r.rms), _number(r.rms_free), _number(r.rms_contact), _number(r.rms_after),
          _yes(r.white), _number(r.rms_extended), _yes(r.white_extended))
         for r in d.residuals
     ]  # fmt: skip
-    header = ("channel", "unit", "noise", "rms", "before touch", "in contact", "after", "noise alone", "rms extended", "noise alone")
-    report.table(
-        header, rows, "rms of measured less replayed; whether it passes for white noise at the floor takes samples that hang together once."
-    )
+    header = ("channel", "unit", "noise", "rms", "before touch", "in contact", "after", "only noise", "rms extended", "only noise")
+    report.table(header, rows, "rms of measured less replayed; the test for white noise at the floor counts correlated samples once.")
 
 
 def _data(report: Report, d: Diagnosis) -> None:
@@ -237,9 +231,9 @@ def _data(report: Report, d: Diagnosis) -> None:
     for remark in d.remarks:
         report.text(remark)
     if not d.remarks:
-        report.text("The check of the data found nothing to remark.")
+        report.text("The check of the data gave no remarks.")
     if d.seconds is not None:
-        report.text(f"Diagnosed in {d.seconds:.1f} s; this page and its pictures are made after that.")
+        report.text(f"Diagnosed in {d.seconds:.1f} s, without the time for this page and its figures.")
 
 
 def _mean(values: Sequence[float | None]) -> float | None:
@@ -256,11 +250,11 @@ def _yes(value: bool | None) -> str:
 
 
 def _size(i: Isolable) -> str:
-    """Of a frequency, a limit or a stiffness the largest that is still found."""
+    """The smallest size that is found; of a frequency, a limit or a stiffness the largest."""
     if i.smallest is None:
-        return "not shown"
+        return "not detected"
     if not i.unit:
-        return "found"
+        return "detected"
     sign = "up to " if EFFECTS[i.effect].vanishes else "from "
     return f"{sign}{rounded(i.smallest, 3):g} {'' if i.unit == '-' else i.unit}".strip()
 

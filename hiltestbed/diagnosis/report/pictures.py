@@ -1,4 +1,4 @@
-"""The evidence in pictures: residual before and after, force against penetration, causes that were weighed, figures of the closed loop."""
+"""The figures of the report: residual before and after, force over penetration, ranking of hypotheses, closed loop."""
 
 from __future__ import annotations
 
@@ -20,29 +20,29 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MEASURED, NOMINAL, EXTENDED, FLOOR, TOUCH = "#1b2530", "#d1495b", "#0b6e99", "#8a97a3", "#f6ead6"
-BAND = 2.0  # sigma
-SHOWN = 3  # channels and runs in a picture, at most
-MARGIN = 0.15  # of a contact, shown on both sides of it
-SHARE = 0.2  # of the worst channel's misfit, from which another is shown
+BAND_SIGMA = 2.0  # chosen: sigma
+MAX_SHOWN = 3  # channels and runs in a figure
+CONTACT_MARGIN = 0.15  # chosen: of a contact, shown on both sides of it
+MIN_MISFIT_SHARE = 0.2  # chosen: of the worst channel's misfit, from which another channel is shown
 
 
 def worst_channels(series: Sequence[Series]) -> list[str]:
-    """The channels that the nominal model misses most, in units of their noise."""
+    """The channels with the largest misfits of the nominal model, in units of their noise."""
     by_misfit = {channel: misfit(series, channel) for channel in dict.fromkeys(s.channel for s in series)}
     ordered = sorted(by_misfit, key=lambda c: -by_misfit[c])
-    return [c for c in ordered[:SHOWN] if by_misfit[c] >= SHARE * by_misfit[ordered[0]]]
+    return [c for c in ordered[:MAX_SHOWN] if by_misfit[c] >= MIN_MISFIT_SHARE * by_misfit[ordered[0]]]
 
 
 def worst_run(series: Sequence[Series], channel: str) -> int:
-    """The run in which a channel is missed most."""
+    """The run with the largest misfit of a channel."""
     runs = dict.fromkeys(s.run for s in series if s.channel == channel)
     return max(runs, key=lambda run: misfit([s for s in series if s.run == run], channel))
 
 
 def residuals_over_time(series: Sequence[Series], compared: str, names: Sequence[str]) -> Figure:
-    """In units of the noise, for the worst channels, each in its worst run; contact shaded, the noise as a band.
+    """Residuals in units of the noise, for the worst channels, each in its worst run; contact shaded, the noise as a band.
 
-    compared: what the series' extended prediction is called; empty where there is none. names: of the runs.
+    compared: name of the series' extended prediction; empty where there is none. names: of the runs.
     """
     channels = worst_channels(series)
     figure, grid = new_figure(9.0, 2.3 * len(channels) + 0.4, nrows=len(channels), ncols=1, squeeze=False)
@@ -50,7 +50,7 @@ def residuals_over_time(series: Sequence[Series], compared: str, names: Sequence
         run = worst_run(series, channel)
         s = next(x for x in series if x.channel == channel and x.run == run)
         _shade(axes, s)
-        axes.axhspan(-BAND, BAND, color=FLOOR, alpha=0.25, lw=0)
+        axes.axhspan(-BAND_SIGMA, BAND_SIGMA, color=FLOOR, alpha=0.25, lw=0)
         axes.plot(s.t, in_sigma(s), color=NOMINAL, lw=0.9, label="measured less nominal")
         if compared:
             axes.plot(s.t, in_sigma(s, True), color=EXTENDED, lw=0.9, label=f"measured less {compared}")
@@ -61,15 +61,15 @@ def residuals_over_time(series: Sequence[Series], compared: str, names: Sequence
 
 
 def channel_over_time(series: Sequence[Series], compared: str, names: Sequence[str]) -> Figure:
-    """The worst channel as it was measured and as the link makes it, around the contact, in its worst run."""
+    """The worst channel, measured and predicted, around the contact, in its worst run."""
     figure, axes = new_figure(9.0, 3.2)
     plot_channel(series, compared, names, None, axes)
     return figure
 
 
 def plot_channel(series: Sequence[Series], compared: str, names: Sequence[str], channel: str | None, axes: Axes | None) -> Axes:
-    """A channel (left out: the worst) around the contact, in its worst run; of a pose, whose departure is small beside its travel, what it
-    departs from the nominal one by.
+    """A channel (None: the worst) around the contact, in its worst run; a pose, whose departure is small beside its travel, relative to the
+    nominal one.
 
     Raises:
         InputError: no such channel.
@@ -98,7 +98,7 @@ def plot_channel(series: Sequence[Series], compared: str, names: Sequence[str], 
 
 
 def force_against_penetration(series: Sequence[Series], dataset: MeasuredDataset, compared: str) -> Figure | None:
-    """Loops of the force, measured, nominal and extended, replayed on the measured pose; None without both channels."""
+    """Loops of the force, measured, nominal and extended, replayed on the measured pose; None where one of the channels is missing."""
     forces = {s.run: s for s in series if s.channel == "wrench_meas.fz"}
     runs = _spread([i for i in forces if dataset.runs[i].survey.contacts and dataset.runs[i].record.has("pose_act.pz")], dataset)
     if not runs:
@@ -135,14 +135,14 @@ def channels_overview(residuals: Sequence[ChannelResidual]) -> Figure:
     axes.axvline(1.0, color=FLOOR, lw=1)
     axes.set_xscale("log")
     axes.set_yticks(place, [r.channel for r in shown], fontsize=8)
-    axes.set_xlabel("rms of the residual over the noise floor (1: mere noise)")
+    axes.set_xlabel("rms of the residual over the noise floor (1: only noise)")
     axes.grid(axis="x", alpha=0.3)
     axes.legend(fontsize=8, frameon=False)
     return figure
 
 
 def ranking_bars(ranking: Sequence[Ranked]) -> Figure:
-    """Hypotheses by how much worse they are than the best, in chi-square with their penalty; the rms on left-out runs written beside."""
+    """Hypotheses by their score above the best, in chi-square with penalty; with the rms on left-out runs."""
     shown = sorted((r for r in ranking if math.isfinite(r.score)), key=lambda r: r.score)[:10]
     figure, axes = new_figure(9.0, 0.36 * len(shown) + 1.2)
     place = np.arange(len(shown))[::-1]
@@ -154,12 +154,12 @@ def ranking_bars(ranking: Sequence[Ranked]) -> Figure:
         held = "" if r.heldout is None else f"  left-out runs: {r.heldout:.3g} x noise"
         axes.text(1.15 * (w + 1.0), p, f"+{w:.3g}{held}", va="center", fontsize=8)
     axes.set_xlim(0.8, max(1e3, (worse[-1] + 1.0) ** 1.8))
-    axes.set_xlabel("1 + what it is worse than the best by: chi-square, its parameters paid")
+    axes.set_xlabel("1 + score above the best: chi-square with the penalty for parameters")
     return figure
 
 
 def heldout_bars(heldout: Heldout, names: Sequence[str]) -> Figure:
-    """Each run's residual before and after, when it was left out of the fit; ``names``: of the runs."""
+    """Each run's residual before and after, left out of the fit; ``names``: of the runs."""
     runs = sorted(heldout.per_run)
     figure, axes = new_figure(9.0, 3.0)
     place = np.arange(len(runs))
@@ -173,11 +173,11 @@ def heldout_bars(heldout: Heldout, names: Sequence[str]) -> Figure:
 
 
 def learned_curves(learned: Learned) -> Figure:
-    """The curves of a learned law over the samples that each was fitted to."""
+    """The curves of a learned law with the samples to which each was fitted."""
     over = {
         "penetration": ("penetration", "force added"), "rate": ("rate", "force added"), "stretch": ("stretch of the slider", "force added"),
-        "spring": ("penetration", "part of the spring added"), "spring_rate": ("rate", "part of the spring added"),
-        "reading": ("felt", "shown"), "step": ("time since a step of the command", "part that is reached"),
+        "spring": ("penetration", "factor on the spring added"), "spring_rate": ("rate", "factor on the spring added"),
+        "reading": ("true value", "reading"), "step": ("time since a step of the command", "response"),
     }  # fmt: skip
     figure, grid = new_figure(3.3 * len(learned.curves) + 0.6, 3.2, nrows=1, ncols=len(learned.curves), squeeze=False)
     for axes, curve in zip(grid[0], learned.curves, strict=True):
@@ -193,7 +193,7 @@ def learned_curves(learned: Learned) -> Figure:
 
 
 def closed_loop_figures(loop: ClosedLoop, extends: bool) -> Figure | None:
-    """Restitution and peak force of each run: measured, nominal, extended; None where nothing was measured of either."""
+    """Restitution and peak force of each run: measured, nominal, extended; None where neither was measured."""
     labels = {"cor": "coefficient of restitution", "peak_force": "peak force [N]"}
     names = [name for name in labels if any(getattr(f, name) is not None for f in loop.measured)]
     if not names:
@@ -223,11 +223,11 @@ def _around_contact(s: Series) -> np.ndarray:
     inside = np.flatnonzero(s.touching)
     if not len(inside):
         return np.flatnonzero(counted(s)) if counted(s).any() else np.arange(len(s.t))
-    margin = int(MARGIN * (inside[-1] - inside[0])) + 5
+    margin = int(CONTACT_MARGIN * (inside[-1] - inside[0])) + 5
     return np.arange(max(0, inside[0] - margin), min(len(s.t), inside[-1] + margin))
 
 
 def _spread(runs: Sequence[int], dataset: MeasuredDataset) -> list[int]:
-    """At most SHOWN runs, from the slowest to the fastest."""
+    """At most MAX_SHOWN runs, from the slowest to the fastest."""
     ordered = sorted(runs, key=lambda i: abs(dataset.runs[i].scenario.approach.velocity[2]))
-    return [ordered[j] for j in np.unique(np.linspace(0, len(ordered) - 1, min(SHOWN, len(ordered))).astype(int))] if ordered else []
+    return [ordered[j] for j in np.unique(np.linspace(0, len(ordered) - 1, min(MAX_SHOWN, len(ordered))).astype(int))] if ordered else []

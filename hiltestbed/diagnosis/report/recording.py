@@ -1,5 +1,5 @@
-"""recording.rrd of a diagnosis: every run's signals, measured, nominal and extended, on one timeline, what each link leaves, the causes
-in words, and the rig as it moved in the run that the nominal model misses most."""
+"""recording.rrd of a diagnosis: the signals of every run, measured, nominal and extended, on one timeline; the residual of each link; the
+causes in words; and the rig in the run that the nominal model predicts worst."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ SIGNALS = {  # entity: group, part, factor to the unit shown, title
 }
 IN_VIEW = ("pose_cmd_z", "pose_act_z", "force_z")
 RESIDUAL = "residual"
-FRAMES = 120.0  # [Hz] of the rig's poses
-DATA = "data"  # the measured curve: entities are drawn in the order of their names, and this one lies broad underneath
+FRAME_RATE = 120.0  # chosen: [Hz] of the rig's poses
+MEASURED_ENTITY = "data"  # the measured curve: entities are drawn in the order of their names, and this one lies broad underneath
 
 
 def write_diagnosis_recording(path: Path, diagnosis: Diagnosis) -> None:
@@ -68,21 +68,21 @@ def _words(diagnosis: Diagnosis) -> str:
     if rows:
         lines += ["## Causes", "", "| effect | parameter | estimate (95 %) | probability |", "|---|---|---|---:|", *rows, ""]
     lines += ["## Gain", "", gain_sentence(diagnosis.heldout, diagnosis.finding.names), ""]
-    return "\n".join([*lines, "## Next experiment", "", diagnosis.next_experiment or "Nothing is open that another run would settle."])
+    return "\n".join([*lines, "## Next experiment", "", diagnosis.next_experiment or "Nothing remains open that another run would settle."])
 
 
 def _first(diagnosis: Diagnosis, channels: list[str]) -> int:
-    """The run that the nominal simulation misses most."""
+    """The run that the nominal simulation predicts worst."""
     return worst_run(diagnosis.finding.series, channels[0]) if channels else 0
 
 
 def _rig(rec: rr.RecordingStream, run: MeasuredRun) -> None:
-    """The rig in a run, where it was measured to be, or commanded where that was not measured; the force that was measured as an arrow."""
+    """The rig in a run, at its measured pose, or the commanded one where that is missing; the measured force as an arrow."""
     pose, force = _motion(run)
     if pose is None:
         return
     t = run.record.t
-    rows = np.unique(np.round(np.arange(0.0, len(t), max(run.scenario.rate / FRAMES, 1.0))).astype(np.intp).clip(max=len(t) - 1))
+    rows = np.unique(np.round(np.arange(0.0, len(t), max(run.scenario.rate / FRAME_RATE, 1.0))).astype(np.intp).clip(max=len(t) - 1))
     scene, time = RigScene(run.scenario), rr.TimeColumn("time", duration=t[rows])
     scene.draw(rec)
     scene.move(rec, time, pose[rows], scene.port_poses(run.scenario, rows, pose, pose[rows]))
@@ -111,7 +111,7 @@ def _signals(rec: rr.RecordingStream, i: int, run: MeasuredRun, played: Played, 
         origin = f"run_{i}/{entity}"
         if group in record.data and record.valid[group][:, part].any():
             known = record.valid[group][:, part]
-            _curve(rec, f"{origin}/{DATA}", record.t[known], factor * record.data[group][known, part], "measured", MEASURED, 4.0)
+            _curve(rec, f"{origin}/{MEASURED_ENTITY}", record.t[known], factor * record.data[group][known, part], "measured", MEASURED, 4.0)
         for name, trace, color in (("nominal", played.nominal, NOMINAL), ("extended", played.extended if extends else None, EXTENDED)):
             if trace is not None:
                 _curve(rec, f"{origin}/{name}", trace.t, factor * trace[group][:, part], name, color)
@@ -146,10 +146,10 @@ def _entity(channel: str) -> str:
 
 
 def _layout(diagnosis: Diagnosis, channels: list[str]) -> rrb.Blueprint:
-    """A tab for each run, open on the run that the nominal simulation misses most; beside it the rig in that run, and what was found."""
+    """A tab for each run, open on the run that the nominal simulation predicts worst; beside it the rig in that run, and the verdict."""
     first = _first(diagnosis, channels)
     tabs = rrb.Tabs(*(_run_tab(i, run, channels) for i, run in enumerate(diagnosis.dataset.runs)), active_tab=first)
-    words = rrb.TextDocumentView(name="What was found", origin="verdict")
+    words = rrb.TextDocumentView(name="Verdict", origin="verdict")
     run = diagnosis.dataset.runs[first]
     pose, force = _motion(run)
     if pose is None:

@@ -13,12 +13,12 @@ if TYPE_CHECKING:
     from hiltestbed.diagnosis.result import Cause, Diagnosis, Heldout
 
 TITLES = {
-    "no_discrepancy": "the simulation holds",
+    "no_discrepancy": "the simulation agrees with the data",
     "named": "the cause is named",
     "ambiguous": "one of a few causes",
-    "named_in_part": "a departure that is named in part",
-    "unknown": "a departure without a name",
-    "inconclusive": "not all of the loop could be judged",
+    "named_in_part": "part of the departure is named",
+    "unknown": "a departure without a named cause",
+    "inconclusive": "only a part of the loop could be judged",
 }
 WHERE = {
     "platform": "the motion platform (pose commanded to pose reached)",
@@ -31,34 +31,34 @@ WHERE = {
 
 
 def verdict_sentence(diagnosis: Diagnosis) -> str:
-    """What was found, in a sentence or two that stand alone."""
+    """The verdict in one or two self-contained sentences."""
     finding = diagnosis.finding
     where = WHERE.get(finding.link or "", "the loop")
     if finding.verdict == "no_discrepancy":
-        return "The simulation explains these data: every link was judged, and what is left is noise on every channel."
+        return "The simulation explains these data: every link was judged, and the residual is noise on every channel."
     if finding.verdict == "inconclusive":
         if not diagnosis.residuals:
             text = "No link of the loop could be judged with these channels."
         else:
-            text = "Nothing departs on the links that could be judged, and this is not all of the loop."
+            text = "Nothing departs on the links that could be judged, but these are not the whole loop."
         return " ".join([text, *(f"Not judged: {link} ({why})." for link, why in finding.not_judged.items())])
     if finding.verdict == "unknown":
         left = f" {finding.left[0].upper()}{finding.left[1:].rstrip('.')}." if finding.left else ""
-        text = f"{where[0].upper()}{where[1:]} departs from its model, and no effect of the vocabulary leaves mere noise.{left}"
+        text = f"{where[0].upper()}{where[1:]} departs from its model, and no effect of the vocabulary leaves only noise.{left}"
         named = " and ".join(named_cause(c) for c in finding.causes)
         return text + (f" Elsewhere: {named}." if named else "")
     if finding.verdict == "named_in_part":
         named = " and ".join(named_cause(c) for c in finding.causes)
-        share = f", {100.0 * finding.explained:.0f} % of the departure on runs that were left out," if finding.explained else ""
+        share = f", {100.0 * finding.explained:.0f} % of the departure on left-out runs," if finding.explained else ""
         left = f" {finding.left[0].upper()}{finding.left[1:].rstrip('.')}." if finding.left else ""
         text = f"{where[0].upper()}{where[1:]} departs from its model. In part{share} this is {named}"
-        return f"{text}; something else is at work as well.{left}"
+        return f"{text}; something else acts as well.{left}"
     parts = []
     for link in dict.fromkeys(_link(c) for c in finding.causes):
         found = " and ".join(named_cause(c) for c in finding.causes if _link(c) == link)
         parts.append(f"{WHERE.get(link, link)} departs from its model: {found}")
     text = "; ".join(parts)
-    open_ = " These data cannot settle which of them it is." if finding.verdict == "ambiguous" else ""
+    open_ = " These data cannot decide which of them it is." if finding.verdict == "ambiguous" else ""
     return f"{text[0].upper()}{text[1:]}.{open_}"
 
 
@@ -67,32 +67,32 @@ def _link(cause: Cause) -> str:
 
 
 def named_cause(cause: Cause) -> str:
-    """`sensor.delay (delay 0.0033 (0.0031 to 0.0035) s)`, and what it cannot be told from."""
+    """`sensor.delay [delay 0.0033 (0.0031 to 0.0035) s]`, and its look-alikes."""
     idle = {name for name, field in EFFECTS[cause.effect].model_fields.items() if not field.is_required() and field.default == 0.0}
     words = ", ".join(f"{name} {in_words(p)}" for name, p in cause.parameters.items() if name not in idle or p.estimate)
-    rivals = f", not to be told from {' or '.join(cause.indistinguishable_from)}" if cause.indistinguishable_from else ""
+    rivals = f", indistinguishable from {' or '.join(cause.indistinguishable_from)}" if cause.indistinguishable_from else ""
     return f"{cause.effect} [{words}]{rivals}" if words else f"{cause.effect}{rivals}"
 
 
 def partial_sentence(causes: Sequence[Cause], gain: Heldout | None) -> str:
-    """How far the vocabulary goes where it does not reach the noise; empty where it goes nowhere."""
+    """The best extension where no effects leave only noise, and its gain; empty without one."""
     if not causes:
         return ""
     text = f"The best extension: {' and '.join(named_cause(c) for c in causes)}."
     if gain is None:
-        return f"{text} What it leaves is not noise."
+        return f"{text} The residual is not noise."
     low, high = (100.0 * v for v in gain.ci95)
     worth = "" if gain.significant else " That is not significant."
     placebo = round(100.0 * gain.placebo_reduction, 1) + 0.0  # no -0.0
     return (
         f"{text} On {len(gain.runs)} runs, each left out of the fit in turn, the residual falls by {100.0 * gain.reduction:.1f} % "
         f"(95 % interval {low:.1f} to {high:.1f} %), from {gain.rms_before:.3g} to {gain.rms_after:.3g} times the noise; a wrong effect "
-        f"gives {placebo:.1f} %.{worth} What it leaves is not noise, so that something else is at work."
+        f"gives {placebo:.1f} %.{worth} The residual is not noise, so that something else acts as well."
     )
 
 
 def learned_sentence(learned: Learned | None) -> str:
-    """The law that was learned, and what it is worth; empty without one."""
+    """The learned law and its gain; empty without one."""
     if learned is None:
         return ""
     gain = learned.heldout
@@ -101,14 +101,14 @@ def learned_sentence(learned: Learned | None) -> str:
     text += f" ({learned.equation})" if learned.equation else ""
     text += (
         f", lowers the residual of {len(gain.runs)} runs, each left out of the fit in turn, by {100.0 * gain.reduction:.1f} % "
-        f"(95 % interval {low:.1f} to {high:.1f} %), from {gain.rms_before:.3g} to {gain.rms_after:.3g} times the noise; fitted to what "
-        f"departs half a contact later it gives {100.0 * gain.placebo_reduction:.1f} %."
+        f"(95 % interval {low:.1f} to {high:.1f} %), from {gain.rms_before:.3g} to {gain.rms_after:.3g} times the noise; fitted to "
+        f"residuals shifted by half a contact, it gives {100.0 * gain.placebo_reduction:.1f} %."
     )
     if learned.resembles:
         text += f" It resembles {' and '.join(learned.resembles)}."
     if learned.carries_over:
         return f"{text} The model is extended with it."
-    return f"{text} It is not the same in all runs, or carries too little, and the model is not extended with it."
+    return f"{text} It is not the same in all runs, or explains too little, and the model is not extended with it."
 
 
 def meaning(effect: str) -> str:
@@ -119,7 +119,7 @@ def meaning(effect: str) -> str:
 def gain_sentence(heldout: Heldout | None, extends: bool) -> str:
     """The gain on runs that were not fitted, against its placebo."""
     if heldout is None:
-        return "The gain was not measured on left-out runs." if extends else "Nothing was extended, so there is no gain to measure."
+        return "The gain was not measured on left-out runs." if extends else "The model was not extended, so there is no gain to measure."
     low, high = heldout.ci95
     text = (
         f"On {len(heldout.runs)} runs, each left out of the fit in turn, the residual falls from {heldout.rms_before:.3g} to "
