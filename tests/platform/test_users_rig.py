@@ -115,7 +115,7 @@ def test_a_start_out_of_the_workspace_names_the_joint(rig) -> None:
     stand = Stand(rig(GANTRY))
     pose = UPRIGHT[None].copy()
     pose[0, 2] = -0.9
-    with pytest.raises(InputError, match=r"the start cannot be: joint rig/z would stand at .*-0.8 to 0.8 m"):
+    with pytest.raises(InputError, match=r"the start cannot be: joint rig/z would be at .*-0.8 to 0.8 m"):
         stand.reset(pose, np.zeros((1, 6)))
 
 
