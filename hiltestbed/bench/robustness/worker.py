@@ -1,8 +1,7 @@
-"""The process that trials run in: `python -m hiltestbed.bench.robustness.worker KIND FIRST COUNT [SHARED]`, a line of JSON before and after
-each.
+"""The process that runs trials: `python -m hiltestbed.bench.robustness.worker KIND FIRST COUNT [SHARED]`, with a line of JSON before and
+after each.
 
-Trial N of a kind is the same whenever and wherever it is run: `... KIND N 1` repeats it. SHARED is a folder in which workers leave what is
-made once for all of them.
+Trial N of a kind is always the same: `... KIND N 1` repeats it. SHARED is a folder for files that are made once for all workers.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ from hiltestbed.bench.robustness.trials import TRIALS
 
 
 def serve(kind: str, first: int, count: int, shared: Path | None = None) -> None:
-    """Run trials and tell how each ended."""
+    """Run trials and print how each ended."""
     with tempfile.TemporaryDirectory(prefix="hiltestbed-", dir=shared) as place, np.errstate(all="ignore"):
         folder = Path(place) if shared else Path(place) / "trials"
         folder.mkdir(exist_ok=True)
