@@ -14,7 +14,7 @@ from hiltestbed.bench.reliability import reliability, reliability_lines, wilson
 
 def summarise(records: Sequence[dict[str, Any]]) -> dict[str, Any]:
     """The rates, the confusion matrix, the smallest size of each effect that was found."""
-    noisy, said, found = [r for r in records if r["noise"] and r["kind"] == "healthy"], reliability(records), groups(records)
+    noisy, calibration, found = [r for r in records if r["noise"] and r["kind"] == "healthy"], reliability(records), groups(records)
     records = [r for r in records if not r["noise"] and r["computing"] == "plain"]
     moderate = [r for r in records if r["scale"] == 1.0 and r["design"] == "bumper"]
     dockings = {kind: [r for r in records if r["design"] != "bumper" and r["kind"] == kind] for kind in DOCKING_FULL}
@@ -48,7 +48,7 @@ def summarise(records: Sequence[dict[str, Any]]) -> dict[str, Any]:
         "cpu_median": float(np.median([r["cpu"] for r in records])) if records else None,
         "cpu_longest": max((r["cpu"] for r in records), default=None),
         "groups": found,
-        "reliability": said,
+        "reliability": calibration,
         "confusion": confusion(by_kind["single"] + dockings["single"]),
         "smallest_found": smallest(records),
     }
@@ -90,11 +90,11 @@ def _misnamed(record: dict[str, Any]) -> bool:
 
 def wrong_in_part(records: Sequence[dict[str, Any]]) -> float | None:
     """Share of the causes named in part that were not hidden; None if none was named in part."""
-    said = [
+    correct = [
         bool({c["effect"], *c["indistinguishable_from"]} & {e["kind"] for e in r["hidden"]})
         for r in records for c in r["causes"] if r["verdict"] == "named_in_part"
     ]  # fmt: skip
-    return 1.0 - sum(said) / len(said) if said else None
+    return 1.0 - sum(correct) / len(correct) if correct else None
 
 
 def noise_alarms(records: Sequence[dict[str, Any]]) -> dict[str, str]:
@@ -105,9 +105,9 @@ def noise_alarms(records: Sequence[dict[str, Any]]) -> dict[str, str]:
     return {name: f"{sum(wrong)} of {len(wrong)}" for name, wrong in out.items()}
 
 
-def _share(told: Sequence[bool]) -> float | None:
+def _share(values: Sequence[bool]) -> float | None:
     """Share of true values; None if there are no values."""
-    return sum(told) / len(told) if told else None
+    return sum(values) / len(values) if values else None
 
 
 def _rate(records: Sequence[dict[str, Any]]) -> float | None:

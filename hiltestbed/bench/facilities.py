@@ -87,8 +87,8 @@ def treatments(scenario: Scenario) -> dict[str, tuple[dict[str, Any], str]]:
         return {"as it is": (NONE, "none")}
     judged = stability(treated(scenario, NONE | {"motion": {"kind": "feedforward"}}))
     lost = scenario.mechanism.contact.damping - judged["net_damping"] if judged else scenario.mechanism.contact.stiffness * DELAY
-    said, cure = platform.cure(max(lost, 0.0))
-    return {"uncompensated": (NONE, "none"), said: (cure, "none"), "default": ({}, "rls")}
+    method, cure = platform.cure(max(lost, 0.0))
+    return {"uncompensated": (NONE, "none"), method: (cure, "none"), "default": ({}, "rls")}
 
 
 def _bounces(contacts: list[Scenario]) -> list[dict[str, Any]]:

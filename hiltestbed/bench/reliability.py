@@ -15,13 +15,13 @@ EDGES = (0.0, 0.5, 0.8, 0.95, 0.99, 1.0)
 
 def reliability(records: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     """One row per range of stated probabilities: `low`, `high`, `stated` (mean), `right` and `causes` (numbers of first causes)."""
-    said = []
+    first_causes = []
     for r in records:
         truth = {e["kind"] for e in r["hidden"]}
-        said += [(c["probability"], c["effect"] in truth) for c in r["causes"][:1] if "probability" in c]
+        first_causes += [(c["probability"], c["effect"] in truth) for c in r["causes"][:1] if "probability" in c]
     out = []
     for low, high in itertools.pairwise(EDGES):
-        inside = [(p, right) for p, right in said if low < p <= high or (p == 0.0 == low)]
+        inside = [(p, right) for p, right in first_causes if low < p <= high or (p == 0.0 == low)]
         if inside:
             stated = sum(p for p, _ in inside) / len(inside)
             out.append({"low": low, "high": high, "stated": stated, "right": sum(r for _, r in inside), "causes": len(inside)})

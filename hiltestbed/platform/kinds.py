@@ -84,7 +84,7 @@ class Platform(Strictly):
         return self.facility().alike()
 
     def problems(self, scenario: Scenario) -> Iterator[Problem]:
-        """What this platform cannot do of a scenario: a start out of reach, rates that do not divide. Paths are those of the scenario."""
+        """What a scenario requires that this platform cannot do: a start out of reach, rates that do not divide. Paths: in the scenario."""
         from hiltestbed.platform.facilities.checks import facility_problems
 
         return facility_problems(scenario)

@@ -130,7 +130,7 @@ def write_rig(figures: RigFigures, path: str | Path) -> Path:
         (folder / RIG).write_text(json.dumps(figures.to_json(), indent=1, allow_nan=False) + "\n", encoding="utf-8")
         report = Report(f"Rig of {figures.scenario.name}: {figures.scenario.rig.platform.kind}")
         report.table(["figure", "value"], figures.lines())
-        for name, draw, said in (
+        for name, draw, caption in (
             ("workspace", _workspace, "Reach from home, one axis at a time, limited by joint travel, singularities and reach."),
             ("response", _response, "Ratio of reached to commanded pose of A, axis by axis; dashed: -3 dB and -90 degrees."),
             (
@@ -141,7 +141,7 @@ def write_rig(figures: RigFigures, path: str | Path) -> Path:
         ):
             figure = draw(figures)
             figure.savefig(folder / f"{name}.png", dpi=110, bbox_inches="tight", metadata={"Software": None})
-            report.figure(figure, said)
+            report.figure(figure, caption)
         report.heading("Modes")
         rows = [[f"{m.frequency:.2f}", f"{m.damping_ratio:.3f}", m.motion] for m in figures.modes]
         report.table(

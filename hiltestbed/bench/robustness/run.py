@@ -111,29 +111,29 @@ class _Work:
         """Run trials from ``first`` on, with a new process whenever one is lost."""
         tally, begin, following, current = self.tallies[kind], time.monotonic(), first, None
         while following < first + count and time.monotonic() < self.until:
-            for told in _answers(kind, following, first + count - following, self.shared, lambda: self.until):
-                if "begin" in told:
-                    current = told["begin"]
+            for message in _answers(kind, following, first + count - following, self.shared, lambda: self.until):
+                if "begin" in message:
+                    current = message["begin"]
                     continue
                 with self.lock:
-                    if "lost" not in told:
-                        following, current = told["number"] + 1, None
-                        self._told(kind, tally, told)
-                    elif told["lost"] != "time is up":
+                    if "lost" not in message:
+                        following, current = message["number"] + 1, None
+                        self._ended(kind, tally, message)
+                    elif message["lost"] != "time is up":
                         number = following if current is None else current
                         following = number + 1
-                        self._lost(kind, tally, number, told["lost"])
+                        self._lost(kind, tally, number, message["lost"])
         with self.lock:
             tally.busy -= first + count - following
             tally.wall += time.monotonic() - begin
 
-    def _told(self, kind: str, tally: Tally, told: dict[str, Any]) -> None:
+    def _ended(self, kind: str, tally: Tally, message: dict[str, Any]) -> None:
         tally.tried += 1
         tally.busy -= 1
-        if "fault" in told:
-            tally.fault(kind, told["number"], told["place"], told["fault"])
+        if "fault" in message:
+            tally.fault(kind, message["number"], message["place"], message["fault"])
         else:
-            tally.ended[told["ended"]] += 1
+            tally.ended[message["ended"]] += 1
 
     def _lost(self, kind: str, tally: Tally, number: int, how: str) -> None:
         tally.tried += 1
@@ -199,9 +199,9 @@ def _answers(kind: str, first: int, count: int, shared: Path, until: Callable[[]
                     break
                 *lines, pending = (pending + data).split(b"\n")
                 for line in lines:
-                    told = json.loads(line)
-                    patience = SLOW.get(kind, HANGS) if "number" in told else patience
-                    yield told
+                    message = json.loads(line)
+                    patience = SLOW.get(kind, HANGS) if "number" in message else patience
+                    yield message
         if process.wait():
             yield {"lost": f"ends with {process.returncode}"}
 

@@ -25,21 +25,21 @@ def serve(kind: str, first: int, count: int, shared: Path | None = None) -> None
         folder = Path(place) if shared else Path(place) / "trials"
         folder.mkdir(exist_ok=True)
         for number in range(first, first + count):
-            _tell({"begin": number})
+            _send({"begin": number})
             start = time.perf_counter()
             try:
                 ended = TRIALS[kind](np.random.default_rng([crc32(kind.encode()), number]), folder)
-                told = {"ended": ended}
+                message = {"ended": ended}
             except Exception as error:
                 last = traceback.extract_tb(error.__traceback__)
                 ours = next((f for f in reversed(last) if "hiltestbed" in f.filename), last[-1])
                 where = f"{Path(ours.filename).name}:{ours.lineno}"
-                told = {"fault": f"{type(error).__name__} at {where}: {str(error)[:200]}", "place": f"{type(error).__name__} {where}"}
-            _tell(told | {"number": number, "wall": time.perf_counter() - start})
+                message = {"fault": f"{type(error).__name__} at {where}: {str(error)[:200]}", "place": f"{type(error).__name__} {where}"}
+            _send(message | {"number": number, "wall": time.perf_counter() - start})
 
 
-def _tell(what: dict) -> None:
-    sys.stdout.write(json.dumps(what) + "\n")
+def _send(message: dict) -> None:
+    sys.stdout.write(json.dumps(message) + "\n")
     sys.stdout.flush()
 
 

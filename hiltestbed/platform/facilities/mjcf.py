@@ -168,7 +168,7 @@ class Mjcf(Facility):
         return PositionActuators(model, self.kinematics(model, tool), tick, substeps, cycles, lates, feed)
 
     def response(self, rate: float, feed: bool) -> Response:
-        """From kp, kv and effective mass of each joint alone, at home; the slowest joint stands for all axes. A measurement tells more."""
+        """From kp, kv and effective mass of each joint alone, at home; the slowest joint stands for all axes. Measure the rig for more."""
         model = compiled(self.spec())
         drives = PositionActuators(model, self.kinematics(model), 1.0 / rate, 1, [1], [0], np.array([feed]))
         w, zeta = drives.nominal()
