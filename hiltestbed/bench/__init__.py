@@ -1,1 +1,1 @@
-"""Benchmarks: what the rig, the compensators, the identification and the diagnosis are worth, in numbers."""
+"""Benchmarks of the rig, the compensators, the identification and the diagnosis."""

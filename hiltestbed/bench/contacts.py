@@ -1,4 +1,4 @@
-"""The contacts of the benchmarks: frequency, delay and damping ratio of one head-on bounce, or rigs drawn at random."""
+"""The contacts of the benchmarks: frequency, delay and damping ratio of one head-on bounce, or random rigs."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ DELAYS = (0.002, 0.005, 0.010, 0.020)  # [s]
 DAMPING_RATIOS = (0.02, 0.05, 0.2)
 RATE = 2000.0
 SPEED = 0.03  # [m/s]
-APPROACH_TICKS = 60.37  # to the touch; a touch on a tick would let round-off decide whether that tick pushes
-MASSES = (500.0, 2000.0)
-NOISE = 0.002  # of the peak force
-ARM = 0.05  # [m] noise of the torques over that of the forces
+APPROACH_TICKS = 60.37  # until the touch; with a touch on a tick, round-off would decide whether the force starts at that tick
+MASSES = (500.0, 2000.0)  # [kg] chaser, target
+NOISE = 0.002  # 1 sigma over the peak force
+ARM = 0.05  # [m] ratio of torque noise to force noise
 
 
 @dataclass(frozen=True)
 class Contact:
-    """One contact and what is known of the delay.
+    """One contact and the knowledge of the delay.
 
     Attributes:
-        frequency: sqrt(k/mu)/2 pi [Hz]. delay: of the force, true [s]. noise: 1 sigma over the peak force.
-        delay_knowledge: exact; off: believed 1/1.2 of what it is; jitter: sigma of a tenth of it.
+        frequency: sqrt(k/mu)/2 pi [Hz]. delay: true delay of the force [s]. noise: 1 sigma over the peak force.
+        delay_knowledge: exact; off: the nominal delay is 1/1.2 of the true one; jitter: with a sigma of a tenth of the delay.
     """
 
     frequency: float
@@ -58,7 +58,7 @@ class Contact:
 
     @property
     def duration(self) -> float:
-        """Of a run [s]: to the touch, the bounce, and the last of the force."""
+        """Duration of a run [s]: approach, bounce, and the delayed end of the force."""
         return (APPROACH_TICKS + 80.0) / RATE + 1.25 * math.pi / self.w + 3.0 * self.delay
 
     @property
@@ -118,7 +118,7 @@ def grid(frequencies: tuple[float, ...] = FREQUENCIES, delays: tuple[float, ...]
 
 
 def random_rigs(count: int, seed: int) -> list[Contact]:
-    """Rigs drawn at random: masses, contact, delay, speed, and hits beside the axis with tilt, sliding and friction."""
+    """Random rigs: masses, contact, delay, speed, and off-axis hits with tilt, sliding and friction."""
     rng = np.random.default_rng(seed)
     rigs = []
     for i in range(count):
@@ -136,10 +136,10 @@ def random_rigs(count: int, seed: int) -> list[Contact]:
 
 
 def effort(contacts: Sequence[Contact], ticks: float | None = None) -> float:
-    """What a batch of bounces takes, about in seconds of one core; ``ticks``: where it is not their duration.
+    """Estimated time of a batch of bounces, roughly in seconds of one core; ``ticks``: number of ticks, by default from their duration.
 
-    Counted: its start, a scenario's checks, a tick of the loop, and of each run in it; its drives twice. Only the ratios matter,
-    which tell a progress how much is done.
+    The estimate includes start, checks of each scenario, and the cost of a tick of the loop and of each run in it, doubled with servo
+    tracking. Only ratios matter: they serve the progress display.
     """
     n, servo = len(contacts), contacts[0].tracking == "servo"
     each = RATE * max(c.duration for c in contacts) if ticks is None else ticks
@@ -148,13 +148,13 @@ def effort(contacts: Sequence[Contact], ticks: float | None = None) -> float:
 
 @dataclass
 class Bounce:
-    """What came of a batch of bounces.
+    """Result of a batch of bounces.
 
     Attributes:
-        figures: one a run.
-        velocity: ``(n, 2, 6)`` of both bodies when the rebound speed was read, NaN where it never was.
-        identification: the estimator, with its arrays ``(n, 6)``.
-        trace: rows, where they were asked for.
+        figures: one per run.
+        velocity: ``(n, 2, 6)`` of both bodies when the rebound speed was determined, NaN without a rebound. start: ``(n, 2, 6)`` at t = 0.
+        loop: the loop that was run, with its estimator.
+        trace: rows, if requested.
     """
 
     figures: list[ContactFigures]
@@ -165,7 +165,7 @@ class Bounce:
 
 
 def bounce(scenarios: list[Scenario], nthread: int = 1, trace: bool = False) -> Bounce:
-    """Run a batch until every run has rebounded, or its time is over."""
+    """Run a batch until every run has rebounded or reached its duration."""
     loop = Loop(scenarios, nthread)
     ticks = max(s.ticks for s in scenarios)
     rows = Trace(ticks, len(scenarios), RATE, loop.plant.units) if trace else None
@@ -186,6 +186,6 @@ def bounce(scenarios: list[Scenario], nthread: int = 1, trace: bool = False) -> 
 
 
 def effective_contact(contact: Contact) -> float:
-    """w tau of a contact, with the lever arms of a hit beside the axis."""
+    """w tau of a contact, including the lever arms of an off-axis hit."""
     scenario = contact.scenario({"kind": "none"})
     return math.sqrt(scenario.mechanism.contact.stiffness / effective_mass(scenario)) * contact.delay

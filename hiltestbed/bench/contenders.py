@@ -1,4 +1,4 @@
-"""The methods that the benchmark of the coefficient of restitution puts side by side."""
+"""The methods that the benchmark of the coefficient of restitution compares."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ BEST = "resynchronised"
 
 @dataclass(frozen=True)
 class Contender:
-    """A method as it is run.
+    """A method in the benchmark.
 
     Attributes:
-        contact: first: nothing is known of the contact; known: its k and c are given.
-        force: its section of the scenario for a contact. own: it comes from a module of the user's.
+        contact: first: nothing is known about the contact; known: its k and c are given.
+        force: its section of the scenario for a contact. own: whether it comes from a plugin of the user.
     """
 
     name: str
@@ -61,7 +61,7 @@ CONTENDERS = (
 
 
 def contenders() -> tuple[Contender, ...]:
-    """The methods of the field, and those that a plugin brings."""
+    """The built-in methods, and those of plugins."""
     plugins.load()
     users = [cls for cls in FORCE_METHODS.values() if plugins.is_users(cls)]
     return (*CONTENDERS, *map(_user, users))

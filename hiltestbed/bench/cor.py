@@ -1,9 +1,9 @@
-"""The coefficient of restitution that each compensation leaves, over contact frequency, delay and damping ratio.
+"""The coefficient of restitution achieved with each compensation, over contact frequency, delay and damping ratio.
 
-Every method meets the same contacts: a first contact of which it knows nothing, or a contact that was identified before; the delay known
-exactly, off by 20 % or jittering; ideal tracking or the platform's servo; 0.2 % of the peak force as noise. The reference is the same
-contact with no delay and perfect tracking. Rigs drawn at random, with hits beside the axis, sliding and friction, give mean, standard
-deviation and maximum, as the benchmark of real-time hybrid simulation reports (C. E. Silva et al., MSSP 135, 2020).
+Every method is applied to the same contacts: a first contact about which it knows nothing, or a contact identified before; a delay known
+exactly, off by 20 % or with jitter; ideal tracking or the platform's servo; 0.2 % of the peak force as noise. The reference is the same
+contact with no delay and perfect tracking. Random rigs, with off-axis hits, sliding and friction, give mean, standard
+deviation and maximum, as reported by the benchmark of real-time hybrid simulation (C. E. Silva et al., MSSP 135, 2020).
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ from hiltestbed.simulation import log_error, reference_scenario
 Progress = Callable[[float, float], None]
 T = TypeVar("T")
 THREADS = 2
-COST_RUNS, COST_TICKS = 64, 300  # the touch is at tick 60, the force arrives at tick 100
-REPORT = 4.0  # of effort: the pictures of the page
+COST_RUNS, COST_TICKS = 64, 300  # the touch is at tick 60, its delayed force arrives at tick 100
+REPORT = 4.0  # effort of the report's figures
 BOUNDARY = ("none", "phase_lead", BEST)
 RANDOM_METHODS = ("none", "phase_lead", "reconstruction", BEST)
 
@@ -82,7 +82,7 @@ def cor(quick: bool = False, progress: Progress | None = None) -> BenchResult:
 
 
 def _unless_failed(contender: Contender, failed: dict[str, str], measured: Callable[[], T]) -> T | None:
-    """What is measured; where a method of the user's raises, None, and ``failed`` gets the reason: the others are measured all the same."""
+    """Result of ``measured``. If a method of the user raises, None, with the reason in ``failed``: the other methods are still measured."""
     if contender.name in failed:
         return None
     try:
@@ -100,7 +100,7 @@ def _conditions(quick: bool) -> list[tuple[str, str]]:
 
 
 def _takes_part(contender: Contender, tracking: str, knowledge: str, quick: bool) -> bool:
-    """A quick run takes every method under ideal conditions, and the leading ones and the user's elsewhere."""
+    """A quick run includes every method under ideal conditions, and the leading and the user's methods under other conditions."""
     leads = contender.own or contender.name.startswith((BEST, "phase_lead"))
     return not quick or leads or (tracking, knowledge) == ("ideal", "exact")
 
@@ -110,7 +110,7 @@ def _under(contact: Contact, tracking: str, knowledge: str) -> Contact:
 
 
 def measure(contender: Contender, contacts: Sequence[Contact], reference: Bounce) -> list[dict[str, Any]]:
-    """A record a contact."""
+    """One record per contact."""
     servo = contacts[0].tracking == "servo"
     result = bounce([c.scenario(contender.force(c)) for c in contacts], THREADS, trace=servo)
     return [_record(contender, c, result, reference, i) | (_tracking(result, i) if servo else {}) for i, c in enumerate(contacts)]
@@ -159,7 +159,7 @@ def _tracking(result: Bounce, i: int) -> dict[str, float]:
 
 
 def measure_random(contender: Contender, rigs: Sequence[Contact]) -> list[dict[str, Any]]:
-    """A record a rig; ``twist_error``: of what the contact changed of each body's velocities, the larger of both, linear and angular."""
+    """One record per rig; ``twist_error``: relative error of a body's change of velocity, linear or angular, the larger of both bodies'."""
     scenarios = [r.scenario(contender.force(r)) for r in rigs]
     result = bounce(scenarios, THREADS)
     reference = bounce([reference_scenario(s) for s in scenarios], THREADS)
@@ -174,7 +174,7 @@ def measure_random(contender: Contender, rigs: Sequence[Contact]) -> list[dict[s
 
 
 def statistics_of(records: Sequence[dict[str, Any]]) -> dict[str, dict[str, Any]]:
-    """Method to mean, sd and max of |ln e/e_ref| and of the twist error over the random rigs, and how many rebounded in time."""
+    """Method to mean, sd and max of |ln e/e_ref| and of the twist error over the random rigs, and the number that rebounded in time."""
     out = {}
     for name in dict.fromkeys(r["method"] for r in records):
         mine = [r for r in records if r["method"] == name]
@@ -187,7 +187,7 @@ def statistics_of(records: Sequence[dict[str, Any]]) -> dict[str, dict[str, Any]
 
 
 def stability_boundary(points: int) -> dict[str, Any]:
-    """e over a fine grid of frequency and delay, for the methods whose threshold theory gives, at a damping ratio of 0.05."""
+    """e over a fine grid of frequency and delay, for the methods in :data:`BOUNDARY`, at a damping ratio of 0.05."""
     contacts = _boundary(points)
     frequencies, delays = (list(dict.fromkeys(getattr(c, key) for c in contacts)) for key in ("frequency", "delay"))
     out: dict[str, Any] = {"frequency": frequencies, "delay": delays, "damping_ratio": 0.05}
@@ -211,7 +211,7 @@ def _costly() -> list[Contact]:
 
 
 def cost(contender: Contender, ticks: int = COST_TICKS) -> float:
-    """Microseconds a sim-tick in a batch of 64 that the method takes beyond the numerical model, in contact."""
+    """Microseconds per sim-tick of the method, in addition to the numerical model, in a batch of 64 runs in contact."""
     loop = Loop([c.scenario(contender.force(c)) for c in _costly()])
     craft, plant = loop.model, loop.plant
     assert isinstance(plant, Plant)  # the simulated side
@@ -236,7 +236,7 @@ def cost(contender: Contender, ticks: int = COST_TICKS) -> float:
 
 
 def leaderboard(records: Sequence[dict[str, Any]], costs: dict[tuple[str, str], float | None]) -> list[dict[str, Any]]:
-    """A row a method and knowledge of the contact, best first; a run that never rebounded counts as unstable and ranks last."""
+    """One row per method and knowledge of the contact, best first; a method with a run that never rebounded ranks last."""
     rows = []
     for name, contact in dict.fromkeys((r["method"], r["contact"]) for r in records):
         mine = [r for r in records if (r["method"], r["contact"]) == (name, contact)]

@@ -17,11 +17,11 @@ COLUMNS = (
     ("to_w_tau_1.00", "to 1.0"),
     ("servo", "servo"),
     ("delay_off", "delay off 20 %"),
-    ("delay_jitter", "delay jitters"),
+    ("delay_jitter", "delay jitter"),
 )
-GRID = (("frequency", 1.0), ("delay", 1e3), ("damping_ratio", 1.0))  # keys of a record, with the factor to the unit that is shown
+GRID = (("frequency", 1.0), ("delay", 1e3), ("damping_ratio", 1.0))  # keys of a record, with the factor to the displayed unit
 SMALLEST, LARGEST = 1e-3, 1.0  # |ln e/e_ref| at the ends of the colour scale
-NOTHING = 5e-4  # what rounds to 0.000 is neither too fast nor too slow
+NOTHING = 5e-4  # errors that round to 0.000 are shown as zero
 COLORS = "RdBu_r"
 
 
@@ -31,40 +31,40 @@ def cor_report(records: Sequence[dict[str, Any]], summary: dict[str, Any]) -> Re
     board = summary["leaderboard"]
     first = next(row for row in board if row["contact"] == "first")
     report.lead(
-        f"On a first contact, of which nothing is known, {first['method']} leaves |ln(e/e_ref)| <= {first['largest_log_error']:.4f} "
+        f"For a first contact, about which nothing is known, {first['method']} achieves |ln(e/e_ref)| <= {first['largest_log_error']:.4f} "
         "over the whole grid."
     )
     for name, error in summary["failed"].items():
         report.text(f"{name} is left out; it ended with: {error}")
     _leaderboard(report, board)
-    report.heading("Over the grid")
-    report.figure(_heat_maps(records), "ln(e/e_ref) with ideal tracking and the delay known; the largest over the damping ratios.")
+    report.heading("Errors over the grid")
+    report.figure(_heat_maps(records), "ln(e/e_ref) with ideal tracking and known delay; the largest over the damping ratios.")
     report.text(_grid(records))
-    report.heading("Where the rig becomes active")
+    report.heading("Boundary to an active contact")
     report.figure(
         _boundary(summary["boundary"]),
-        "ln e over delay and the frequency of the contact, of k = mu (2 pi f)^2, at a damping ratio of 0.05; black: e = 1. No "
-        "compensation, the field's usual one and the default; a plugin is in the table and the maps above.",
+        "ln e over delay and contact frequency f, with k = mu (2 pi f)^2, at a damping ratio of 0.05; black: e = 1. No "
+        "compensation, the usual one and the default; plugins are in the table and the maps above.",
     )
     report.text(
         "Orange, the same in each map: the delay at which a closed contact becomes unstable without compensation, "
         "tau = atan(c w_c/k)/w_c with "
-        "w_c^2 = (c^2 + sqrt(c^4 + 4 mu^2 k^2))/(2 mu^2); a bounce reaches e = 1 there to first order."
+        "w_c^2 = (c^2 + sqrt(c^4 + 4 mu^2 k^2))/(2 mu^2); to first order a bounce has e = 1 there."
     )
     _random_rigs(report, summary["random_rigs"])
     return report
 
 
 def _grid(records: Sequence[dict[str, Any]]) -> str:
-    """What was varied."""
+    """The varied quantities, in words."""
     exact = [r for r in records if r["delay_knowledge"] == "exact" and r["tracking"] == "ideal"]
     each = len({(r["frequency"], r["delay"], r["damping_ratio"]) for r in exact})
     frequencies, delays, ratios = (", ".join(f"{v:g}" for v in sorted({f * r[key] for r in exact})) for key, f in GRID)
-    return f"{each} contacts a method: frequencies {frequencies} Hz, delays {delays} ms, damping ratios {ratios}."
+    return f"{each} contacts per method: frequencies {frequencies} Hz, delays {delays} ms, damping ratios {ratios}."
 
 
 def _leaderboard(report: Report, board: Sequence[dict[str, Any]]) -> None:
-    header = ["method", "contact", *(title for _, title in COLUMNS), "energy / approach", "peak force", "e <= 1", "\N{MICRO SIGN}s a tick"]
+    header = ["method", "contact", *(title for _, title in COLUMNS), "energy / approach", "peak force", "e <= 1", "\N{MICRO SIGN}s/tick"]
     rows = []
     for row in board:
         cells = [_error(row, key) for key, _ in COLUMNS]
@@ -73,21 +73,21 @@ def _leaderboard(report: Report, board: Sequence[dict[str, Any]]) -> None:
     report.table(
         header,
         rows,
-        "Largest |ln(e/e_ref)| over the grid. Ideal tracking and the delay known unless the column says otherwise; a dash: not measured; "
+        "Largest |ln(e/e_ref)| over the grid. Ideal tracking and known delay unless the column says otherwise; a dash: not measured; "
         "lost: some contact of the grid gave no rebound. e <= 1: share of the contacts whose rebound is no faster than the approach. "
-        "Energy that the rig created, largest, over the energy of approach; largest error of the peak force. "
-        "Time: what a tick of one run in a batch takes beyond the numerical model.",
+        "Energy: the largest energy created by the rig over the energy of approach. Peak force: its largest error. "
+        "Time: per tick of one run in a batch, in addition to the numerical model.",
     )
 
 
 def _error(row: dict[str, Any], key: str) -> str:
-    """The largest error; a dash where nothing was measured under the condition, `lost` where a run gave no rebound."""
+    """The largest error; a dash if nothing was measured under the condition, `lost` if a run gave no rebound."""
     value = row[key]
     return f"{value:.4f}" if value is not None else "lost" if row["runs"][key] else "-"
 
 
 def _heat_maps(records: Sequence[dict[str, Any]]):
-    """A map a method, on one colour scale: cells say the number, and stay white where it rounds to nothing."""
+    """One map per method, on a common colour scale: cells show the number, and are white if it rounds to zero."""
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import SymLogNorm
 
@@ -105,12 +105,12 @@ def _heat_maps(records: Sequence[dict[str, Any]]):
         _heat_map(axis, worst_errors(mine, frequencies, delays), norm, frequencies, delays)
         axis.set_title(f"{name}, {contact}", fontsize=9)
     bar = figure.colorbar(ScalarMappable(norm, COLORS), ax=axes, extend="both", shrink=0.6, aspect=40)
-    bar.set_label("ln(e/e_ref); red: too fast a rebound, blue: too slow; grey: no rebound", fontsize=8)
+    bar.set_label("ln(e/e_ref); red: rebound too fast, blue: too slow; grey: no rebound", fontsize=8)
     return figure
 
 
 def worst_errors(records: Sequence[dict[str, Any]], frequencies: Sequence[float], delays: Sequence[float]) -> np.ndarray:
-    """``(frequencies, delays)`` the error of largest magnitude over the damping ratios; NaN where a contact gave no rebound."""
+    """``(frequencies, delays)`` error of largest magnitude over the damping ratios; NaN if a contact gave no rebound."""
     values = np.zeros((len(frequencies), len(delays)))
     for r in records:
         i, j = frequencies.index(r["frequency"]), delays.index(r["delay"])
@@ -134,7 +134,7 @@ def _heat_map(axis, values: np.ndarray, norm: Any, frequencies: Sequence[float],
 
 
 def cell_text(value: float) -> str:
-    """A cell's number with its sign; 0 without one where it rounds to nothing."""
+    """A cell's number with its sign; 0 without a sign if it rounds to zero."""
     if np.isnan(value):
         return "lost"
     return "0" if abs(value) < NOTHING else f"{value:+.3f}"
@@ -163,7 +163,7 @@ def _boundary(boundary: dict[str, Any]):
 
 
 def _random_rigs(report: Report, results: dict[str, dict[str, Any]]) -> None:
-    report.heading("Rigs drawn at random")
+    report.heading("Random rigs")
     rows = []
     for name, result in results.items():
         cells = []
@@ -175,7 +175,7 @@ def _random_rigs(report: Report, results: dict[str, dict[str, Any]]) -> None:
     report.table(
         header,
         rows,
-        "First contact through the platform's servo: masses of 0.3 to 100 t, 1 to 6 Hz, 2 to 20 ms, hits up to 0.1 m beside the axis, "
-        "tilted, turning and sliding with friction. Twist error: of what the contact changed of each body's linear and angular velocity, "
-        "the worst.",
+        "First contact with the platform's servo: masses of 0.3 to 100 t, 1 to 6 Hz, 2 to 20 ms, hits up to 0.1 m off the axis, "
+        "tilted, rotating and sliding with friction. Twist error: error of a body's change of velocity relative to that change, the worst "
+        "of both bodies, linear and angular.",
     )

@@ -1,8 +1,8 @@
-"""How often a hidden cause is found: sets of an independent rig with effects, sizes, rigs and seeds drawn at random.
+"""How often a hidden cause is found: data sets of an independent rig with random effects, sizes, rigs and seeds.
 
-Alone, in pairs and by threes, beside an effect that looks the same, healthy rigs, and effects that the vocabulary has no name for; the
-same in dockings, with probe and cone, friction, tilt and spin, on a mount, latched; under noise that is not white; on facilities that
-divide and stamp their ticks in other ways; then each effect ever smaller, until it is missed.
+Single effects, pairs and triples, effects with a look-alike, healthy rigs, and effects outside the vocabulary; the
+same in dockings, with probe and cone, friction, tilt and spin, on a mount, latched; with non-white noise; on facilities that
+divide and stamp their ticks in other ways; then each effect at decreasing sizes, until it is missed.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from hiltestbed.errors import HiltestbedError
 from hiltestbed.kernels import cores
 from hiltestbed.workers import end_pool, new_pool
 
-MOST_TOGETHER = 3  # a set of the truth and at most two others counts as right
+MOST_TOGETHER = 3  # largest set of indistinguishable causes, the true one included, that counts as right
 POLL = 1.0  # [s]
 
 
@@ -41,13 +41,13 @@ def diagnosis(
     workers: int | None = None,
     keep: Path | None = None,
 ) -> BenchResult:
-    """The benchmark, its sets in an order at random, so that those done when the time is up stand for all.
+    """The benchmark, its sets in random order, so that those done when the time is up represent all.
 
     Args:
-        quick: a handful of sets, without the smallest sizes.
-        noise, docking, computing: these parts alone; see :func:`~hiltestbed.bench.diagnosis_sets.plan`.
-        minutes: after which no further set is begun, and sets under way are left; None: until all are done.
-        workers: processes, by default one a core. keep: file in which records are kept as they come, to go on from there.
+        quick: few sets, without the smallest sizes.
+        noise, docking, computing: only these parts; see :func:`~hiltestbed.bench.diagnosis_sets.plan`.
+        minutes: time limit, at which sets in progress are abandoned; None: until all are done.
+        workers: processes, by default one per core. keep: file to which records are saved as they arrive, to resume from.
     """
     parts = [name for name, asked in (("docking", docking), ("noise", noise), ("computing", computing)) if asked]
     todo = plan(quick, parts)
@@ -67,7 +67,7 @@ def diagnosis(
 
 
 def _diagnosed(waiting: list[Task], workers: int, until: float) -> Iterator[tuple[int, dict[str, Any] | None]]:
-    """How many sets are left, and the record of one more; None between two of them. What is under way at ``until`` is given up."""
+    """Number of sets left, and the record of each that ends, or None at a poll without one. Sets in progress at ``until`` are abandoned."""
     pool, running = new_pool(workers), set[Future[dict[str, Any]]]()
     try:
         while (waiting or running) and time.monotonic() < until:
@@ -80,8 +80,8 @@ def _diagnosed(waiting: list[Task], workers: int, until: float) -> Iterator[tupl
                 yield len(waiting) + len(running), None
     except BrokenProcessPool:
         raise HiltestbedError(
-            "bench diagnosis: a worker process died (killed, or out of memory); the same command with the same --out goes on where it "
-            "stopped, with --workers 1 in less memory"
+            "bench diagnosis: a worker process died (killed, or out of memory); the same command with the same --out resumes it; "
+            "--workers 1 needs less memory"
         ) from None
     finally:
         end_pool(pool)
@@ -125,7 +125,7 @@ def one_set(task: Task) -> dict[str, Any]:
 
 
 def alarm_figures(findings: Any) -> dict[str, float]:
-    """How near the links come to an alarm: chi-square that the best single takes off, its penalty paid, and the excess over noise."""
+    """How close the links are to an alarm: penalised chi-square reduction by the best single cause, and the excess over noise."""
     from hiltestbed.diagnosis.fit import inflation
 
     found = list(findings.explanations.values())
@@ -137,7 +137,8 @@ def alarm_figures(findings: Any) -> dict[str, float]:
 def judged_right(
     kind: str, truth: Sequence[str], links: Sequence[str], verdict: str, link: str | None, sets: Sequence[Sequence[str]]
 ) -> bool:
-    """Whether a verdict is right: healthy left alone, foreign unknown with its link or inconclusive, each hidden effect in its own set."""
+    """Whether a verdict is right: no discrepancy if healthy, unknown with its link or inconclusive if foreign, otherwise each hidden
+    effect in a set of its own."""
     if kind == "healthy":
         return verdict == "no_discrepancy"
     if kind == "foreign":  # contact and sensor are one link to the data
@@ -150,7 +151,7 @@ def judged_right(
 
 
 def coverage(hidden: Sequence[dict[str, Any]], causes: Sequence[Any]) -> tuple[int, int]:
-    """How many true numbers lie in their intervals, of how many that were estimated under the right name."""
+    """Number of true parameters within their intervals, and number of parameters estimated for correctly named effects."""
     held = asked = 0
     for effect in hidden:
         for cause in causes:
@@ -159,7 +160,7 @@ def coverage(hidden: Sequence[dict[str, Any]], causes: Sequence[Any]) -> tuple[i
             ):
                 continue
             for name, p in cause.parameters.items():
-                if name not in effect:  # left at its default in the set that was drawn
+                if name not in effect:  # at its default in the drawn set
                     continue
                 pairs = zip(effect[name], p.ci95, strict=True) if isinstance(p.estimate, tuple) else [(effect.get(name), p.ci95)]
                 for true, ends in pairs:
@@ -170,7 +171,7 @@ def coverage(hidden: Sequence[dict[str, Any]], causes: Sequence[Any]) -> tuple[i
 
 
 def true_gain(findings: Any, verdict: Any, hidden: Sequence[dict[str, Any]]) -> float | None:
-    """The gain of the hidden effect itself, at its true size, in the variant in which it was found."""
+    """Gain of the hidden effect at its true size, in the variant in which it was found."""
     from hiltestbed.diagnosis import heldout
 
     cause = verdict.causes[0]

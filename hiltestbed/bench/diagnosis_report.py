@@ -15,35 +15,35 @@ RATES = {
     "pair_rate": "two hidden effects, both named",
     "triple_rate": "three hidden effects, all named",
     "alike_rate": "one of two effects that look alike, named (alone or in a set of three)",
-    "alike_wrong_rate": "one of two effects that look alike, and something else named in its place",
-    "false_alarm_rate": "healthy rigs that were extended",
-    "foreign_unknown_rate": "effects outside the vocabulary, unknown with the right link",
+    "alike_wrong_rate": "one of two effects that look alike, and another effect named instead",
+    "false_alarm_rate": "healthy rigs with a false alarm",
+    "foreign_unknown_rate": "effects outside the vocabulary, judged unknown with the right link",
     "foreign_named_rate": "effects outside the vocabulary, for which one of the vocabulary was named",
     "named_in_part_wrong_rate": "causes named in part that were not hidden, of all sets",
-    "abstention_rate": "hidden effects on which it abstained",
+    "abstention_rate": "one or two hidden effects, judged unknown",
     "docking_named_rate": "one hidden effect in a docking, named",
     "docking_pair_rate": "two hidden effects in a docking, both named",
-    "docking_false_alarm_rate": "healthy dockings that were extended",
-    "docking_foreign_unknown_rate": "effects outside the vocabulary in a docking, unknown or inconclusive",
-    "interval_coverage": "true parameters in their 95 % intervals",
-    "gain_ratio": "gain on left-out runs over the true model's gain (median)",
-    "noise_alarm_rate": "healthy rigs with noise that is not white, that were extended",
+    "docking_false_alarm_rate": "healthy dockings with a false alarm",
+    "docking_foreign_unknown_rate": "effects outside the vocabulary in a docking, judged unknown or inconclusive",
+    "interval_coverage": "true parameters within their 95 % intervals",
+    "gain_ratio": "gain on held-out runs over the true model's gain (median)",
+    "noise_alarm_rate": "healthy rigs with non-white noise, with a false alarm",
     "cpu_median": "CPU time of a set [s], median",
     "cpu_longest": "CPU time of a set [s], longest",
 }
 
 
 def diagnosis_report(records: Sequence[dict[str, Any]], summary: dict[str, Any]) -> Report:
-    """Rates, what was called what, how small an effect may be."""
+    """Rates, the confusion matrix, the smallest detectable effects."""
     report = Report("Diagnosis of hidden effects")
     report.lead(
-        f"{summary['done']} sets of measured data from an independent rig, each with something hidden in it or nothing: "
-        f"{sum(g['right'] for g in summary['groups'])} were judged rightly."
+        f"{summary['done']} sets of measured data from an independent rig, with hidden effects or without: "
+        f"{sum(g['right'] for g in summary['groups'])} were judged correctly."
     )
     rows = [[text, "-" if summary[name] is None else f"{summary[name]:.3f}"] for name, text in RATES.items()]
     report.table(["figure", "value"], rows, _counted(summary))
     if summary["done"] < summary["planned"]:
-        report.text(f"{summary['done']} of {summary['planned']} sets, in an order at random, were done in the time that was given.")
+        report.text(f"{summary['done']} of {summary['planned']} sets, in random order, were done in the given time.")
     rows = [
         [
             g["rig"], g["kind"], g["sets"], g["right"], f"{g['low']:.2f} to {g['high']:.2f}", f"{g['cpu_median']:.0f}",
@@ -51,24 +51,24 @@ def diagnosis_report(records: Sequence[dict[str, Any]], summary: dict[str, Any])
         ]
         for g in summary["groups"]
     ]  # fmt: skip
-    columns = ["rig", "hidden", "sets", "right", "95 % interval of the share", "CPU s, median", "longest"]
+    columns = ["rig", "hidden", "sets", "correct", "95 % interval of the share", "CPU s, median", "longest"]
     report.table(columns, rows, "Each kind of set on each kind of rig.")
-    report.figure(_strengths(records), "Single effects: how far each stood above the noise of its link, and whether it was named.")
+    report.figure(_strengths(records), "Single effects: strength of each relative to the noise of its link, and whether it was named.")
     if summary["reliability"]:
-        report.figure(reliability_plot(summary["reliability"]), "Whether probabilities hold, with the interval that so few sets leave.")
+        report.figure(reliability_plot(summary["reliability"]), "Calibration of the stated probabilities, with 95 % intervals.")
     called = [[hidden, name, count] for hidden, names in summary["confusion"].items() for name, count in names.items()]
-    report.table(["hidden", "called", "sets"], called, "What each hidden effect was called.")
+    report.table(["hidden", "named", "sets"], called, "The names that each hidden effect was given.")
     if summary["noise_alarms"]:
         rows = [[name, alarms] for name, alarms in summary["noise_alarms"].items()]
-        report.table(["noise", "alarms"], rows, "Healthy rigs whose noise is not white, and how many of them raised an alarm.")
+        report.table(["noise", "alarms"], rows, "Healthy rigs with non-white noise, and how many of them raised a false alarm.")
     small = [[name, f"{found['strength']:.2g}", _sizes(found)] for name, found in summary["smallest_found"].items()]
-    report.table(["effect", "rms over noise", "parameters"], small, "The smallest size of each effect that was named.")
+    report.table(["effect", "rms over noise", "parameters"], small, "The smallest size at which each effect was named.")
     wrong = [
         [r["seed"], f"{r['kind']}, {_rig(r)}", _names(r["hidden"]), r["verdict"], _names(r["causes"], "effect")]
         for r in records
         if not r["right"]
     ]
-    report.table(["seed", "kind", "hidden", "verdict", "called"], wrong, "Every set that was judged wrongly, or too small to be found.")
+    report.table(["seed", "kind", "hidden", "verdict", "named"], wrong, "All sets that were judged wrongly, or whose effect was not found.")
     return report
 
 
@@ -100,5 +100,5 @@ def _strengths(records: Sequence[dict[str, Any]]):
         axes.semilogx(x, row + 0.25 * np.sin(np.arange(len(x)) * 2.4), "o", color=colour, alpha=0.6)
     axes.set_yticks([0.0, 1.0], ["missed", "named"])
     axes.set_ylim(-0.5, 1.5)
-    axes.set_xlabel("rms of the change in the records, over the noise")
+    axes.set_xlabel("rms of the change in the records over the noise")
     return figure

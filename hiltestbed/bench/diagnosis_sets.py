@@ -1,4 +1,4 @@
-"""The sets that the benchmark of diagnosis draws: what is hidden, on which rig, under which noise."""
+"""The sets of the benchmark of diagnosis: hidden effects, rigs and noise."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ FULL = {"single": 82, "pair": 40, "healthy": 120, "foreign": 40, "triple": 20, "
 QUICK = {"single": 8, "pair": 3, "healthy": 3, "foreign": 3}
 DOCKING_FULL = {"single": 60, "pair": 20, "healthy": 60, "foreign": 20}
 DOCKING_QUICK = {"single": 3, "pair": 1, "healthy": 2, "foreign": 1}
-DOCKINGS = ("docking", "docking", "mounted", "held")  # in turn
+DOCKINGS = ("docking", "docking", "mounted", "held")  # cycled through
 NOISE_FULL, NOISE_QUICK = {"healthy": 60, "single": 10}, {"healthy": 1}  # sets of each kind of noise at each strength
-OF_COMPUTING = (  # what depends most on how a tick is divided and stamped
+OF_COMPUTING = (  # effects that depend most on how a tick is divided and stamped
     "platform.friction", "platform.backlash", "platform.mode", "platform.lag", "frame.compliance", "sensor.delay",
 )  # fmt: skip
 WAYS: tuple[Computing, ...] = ("divided", "clocks")
-COMPUTING_FULL, COMPUTING_QUICK = {"single": 60, "healthy": 20}, {"single": 2, "healthy": 1}  # of each way of computing
-SMALLER = (0.3, 0.1, 0.03, 0.01)  # of the drawn size, down the ladder of the smallest that is found
-UNSCALED = {"dynamics.integrator", "dynamics.step_delay"}  # there is no smaller one
+COMPUTING_FULL, COMPUTING_QUICK = {"single": 60, "healthy": 20}, {"single": 2, "healthy": 1}  # sets of each way of computing
+SMALLER = (0.3, 0.1, 0.03, 0.01)  # fractions of the drawn size, to find the smallest detectable size
+UNSCALED = {"dynamics.integrator", "dynamics.step_delay"}  # effects without a size
 
 
 @dataclass(frozen=True)
@@ -34,8 +34,8 @@ class Task:
 
     Attributes:
         kind, names, scale, design, noise: see :func:`~hiltestbed.bench.independent_rig.draw_set`.
-        computing: plain | divided (a tick into any number of sub-steps, the force at any lever) | clocks (divided, and every instant and
-            stamp off, too).
+        computing: plain | divided (a tick with any number of sub-steps, the force at any lever) | clocks (divided, with instants and
+            stamps offset as well).
     """
 
     seed: int
@@ -47,7 +47,7 @@ class Task:
     computing: Computing = "plain"
 
     def draw(self) -> Any:
-        """The set: a :class:`~hiltestbed.bench.independent_rig.HiddenSet`."""
+        """Draw the set, a :class:`~hiltestbed.bench.independent_rig.HiddenSet`."""
         from hiltestbed.bench.independent_rig import draw_set
 
         options: dict[str, Any] = {"names": self.names} if self.names else {}
@@ -66,7 +66,7 @@ class Task:
 
 
 def tasks(counts: Mapping[str, int], ladder: bool) -> list[Task]:
-    """The sets of a bumper; singles go through the vocabulary in turn, then each effect ever smaller if there is a ``ladder``."""
+    """The sets of a bumper; singles cycle through the vocabulary; with ``ladder`` also each effect at decreasing sizes."""
     from hiltestbed.bench.independent_rig import SIZES
 
     out: list[Task] = []
@@ -80,7 +80,7 @@ def tasks(counts: Mapping[str, int], ladder: bool) -> list[Task]:
 
 
 def docking_tasks(counts: Mapping[str, int]) -> list[Task]:
-    """The docking sets; singles go through the effects that act in their design in turn."""
+    """The docking sets; singles cycle through the effects that act in their design."""
     from hiltestbed.bench.independent_rig import acting_in
 
     out: list[Task] = []
@@ -94,7 +94,7 @@ def docking_tasks(counts: Mapping[str, int]) -> list[Task]:
 
 
 def noise_tasks(counts: Mapping[str, int]) -> list[Task]:
-    """Sets of a bumper under every kind of noise at each of its strengths."""
+    """Sets of a bumper with every kind of noise at each of its strengths."""
     from hiltestbed.bench.independent_rig import NOISE_KINDS
 
     noises = [(name, strength) for name, kind in NOISE_KINDS.items() for strength in kind.strengths]
@@ -103,7 +103,7 @@ def noise_tasks(counts: Mapping[str, int]) -> list[Task]:
 
 
 def computing_tasks(counts: Mapping[str, int]) -> list[Task]:
-    """Sets of a bumper whose facility divides its ticks, samples and stamps in ways that are drawn."""
+    """Sets of a bumper whose facility divides its ticks, samples and stamps in randomly drawn ways."""
     each: list[tuple[Computing, str, int]] = [(way, kind, i) for way in WAYS for kind, count in counts.items() for i in range(count)]
     return [
         Task(COMPUTING_SEED + n, kind, (OF_COMPUTING[i % len(OF_COMPUTING)],) if kind == "single" else None, computing=way)
@@ -112,7 +112,7 @@ def computing_tasks(counts: Mapping[str, int]) -> list[Task]:
 
 
 def plan(quick: bool, parts: Sequence[str] = ()) -> list[Task]:
-    """The sets of the ``parts`` asked for (docking, noise, computing), by default those of the bumper and of dockings."""
+    """The sets of the given ``parts`` (docking, noise, computing), by default those of the bumper and of dockings."""
     out = [] if parts else tasks(QUICK if quick else FULL, not quick)
     if not parts or "docking" in parts:
         out += docking_tasks(DOCKING_QUICK if quick else DOCKING_FULL)

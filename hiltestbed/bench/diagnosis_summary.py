@@ -1,4 +1,4 @@
-"""The rates of the benchmark of diagnosis: of each group of sets, and by the names of the whole."""
+"""The rates of the benchmark of diagnosis: overall rates by name, and rates of each group of sets."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from hiltestbed.bench.reliability import reliability, reliability_lines, wilson
 
 
 def summarise(records: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """The rates, the confusion of names, the smallest size of each effect that was found."""
-    noisy, said, found = [r for r in records if r["noise"] and r["kind"] == "healthy"], reliability(records), groups(records)
+    """The rates, the confusion matrix, the smallest size of each effect that was found."""
+    noisy, calibration, found = [r for r in records if r["noise"] and r["kind"] == "healthy"], reliability(records), groups(records)
     records = [r for r in records if not r["noise"] and r["computing"] == "plain"]
     moderate = [r for r in records if r["scale"] == 1.0 and r["design"] == "bumper"]
     dockings = {kind: [r for r in records if r["design"] != "bumper" and r["kind"] == kind] for kind in DOCKING_FULL}
@@ -48,14 +48,14 @@ def summarise(records: Sequence[dict[str, Any]]) -> dict[str, Any]:
         "cpu_median": float(np.median([r["cpu"] for r in records])) if records else None,
         "cpu_longest": max((r["cpu"] for r in records), default=None),
         "groups": found,
-        "reliability": said,
+        "reliability": calibration,
         "confusion": confusion(by_kind["single"] + dockings["single"]),
         "smallest_found": smallest(records),
     }
 
 
 def summary_lines(summary: dict[str, Any]) -> list[tuple[str, str]]:
-    """For the table on the screen."""
+    """Label and value of each line of the printed table."""
     lines = [
         (name.replace("_", " "), f"{value:.3g}" if isinstance(value, float) else "-" if value is None else str(value))
         for name, value in summary.items()
@@ -66,7 +66,7 @@ def summary_lines(summary: dict[str, Any]) -> list[tuple[str, str]]:
 
 
 def groups(records: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """A row a rig and kind of set: `rig`, `kind`, `sets`, `right`, `low` and `high` of its share (95 %, Wilson), `cpu_median`,
+    """One row per rig and kind of set: `rig`, `kind`, `sets`, `right`, `low` and `high` of the share right (95 %, Wilson), `cpu_median`,
     `cpu_longest` [s]."""
     parted: dict[tuple[str, str], list[dict[str, Any]]] = {}
     for r in records:
@@ -83,31 +83,31 @@ def groups(records: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def _misnamed(record: dict[str, Any]) -> bool:
-    """Whether a cause is stated that was not hidden, and nothing that was is said to look the same."""
+    """Whether a stated cause was not hidden, and no hidden effect is listed as indistinguishable from it."""
     truth = {e["kind"] for e in record["hidden"]}
     return any(not truth & {c["effect"], *c["indistinguishable_from"]} for c in record["causes"])
 
 
 def wrong_in_part(records: Sequence[dict[str, Any]]) -> float | None:
-    """Share of the causes named in part that were not hidden; None where none was named in part."""
-    said = [
+    """Share of the causes named in part that were not hidden; None if none was named in part."""
+    correct = [
         bool({c["effect"], *c["indistinguishable_from"]} & {e["kind"] for e in r["hidden"]})
         for r in records for c in r["causes"] if r["verdict"] == "named_in_part"
     ]  # fmt: skip
-    return 1.0 - sum(said) / len(said) if said else None
+    return 1.0 - sum(correct) / len(correct) if correct else None
 
 
 def noise_alarms(records: Sequence[dict[str, Any]]) -> dict[str, str]:
-    """Kind of noise and strength to alarms of sets."""
+    """Kind and strength of noise to the number of false alarms."""
     out: dict[str, list[bool]] = {}
     for r in records:
         out.setdefault(f"{r['noise'][0]} {r['noise'][1]:g}", []).append(not r["right"])
     return {name: f"{sum(wrong)} of {len(wrong)}" for name, wrong in out.items()}
 
 
-def _share(told: Sequence[bool]) -> float | None:
-    """Of those that are told; None of none."""
-    return sum(told) / len(told) if told else None
+def _share(values: Sequence[bool]) -> float | None:
+    """Share of true values; None if there are no values."""
+    return sum(values) / len(values) if values else None
 
 
 def _rate(records: Sequence[dict[str, Any]]) -> float | None:
@@ -119,7 +119,7 @@ def _alarms(records: Sequence[dict[str, Any]]) -> float | None:
 
 
 def confusion(singles: Sequence[dict[str, Any]]) -> dict[str, dict[str, int]]:
-    """Hidden effect to what it was called, and how often."""
+    """Hidden effect to the names that it was given, with their counts."""
     out: dict[str, Counter] = {}
     for r in singles:
         called = " + ".join(sorted(c["effect"] for c in r["causes"])) if r["verdict"] in ("named", "ambiguous") else r["verdict"]
@@ -128,7 +128,7 @@ def confusion(singles: Sequence[dict[str, Any]]) -> dict[str, dict[str, int]]:
 
 
 def smallest(records: Sequence[dict[str, Any]]) -> dict[str, dict[str, Any]]:
-    """Effect to its smallest size that was found, with how far that stood above the noise."""
+    """Effect to its smallest size that was found, with its strength relative to the noise."""
     out: dict[str, dict[str, Any]] = {}
     for r in records:
         if r["kind"] != "single" or not r["right"] or r["design"] != "bumper":

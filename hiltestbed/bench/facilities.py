@@ -1,7 +1,7 @@
-"""The same contacts and the same docking on every facility: uncompensated, with the field's own cure, and with the default.
+"""The same contacts and the same docking on every facility: uncompensated, with the field's usual compensation, and with the default.
 
-A bounce of 500 kg on 2000 kg through a sensor that is 2 ms late, against the contact of both free bodies; a probe that slides into its cone
-and is captured. Bodies that move by themselves play both as they are.
+A bounce of 500 kg on 2000 kg with a sensor delay of 2 ms, compared with the contact of both free bodies; a probe that slides into its cone
+and is captured. Facilities with freely moving bodies run both without compensation.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ Progress = Callable[[int, int], None]
 
 
 def facilities(quick: bool = False, progress: Progress | None = None) -> BenchResult:
-    """Every facility with every treatment; ``quick``: one contact, no docking."""
+    """Every facility with every compensation; ``quick``: one contact, no docking."""
     stiffness, entered = STIFFNESS[1:2] if quick else STIFFNESS, facilities_entered()
     records, rigs = [], []
     for done, (name, platform) in enumerate(entered.items()):
@@ -52,12 +52,12 @@ def facilities(quick: bool = False, progress: Progress | None = None) -> BenchRe
 
 
 def facilities_entered() -> dict[str, dict[str, Any]]:
-    """Name to `rig.platform` of all that take part: every kind of platform in its forms, those of plugins as well."""
+    """Name to `rig.platform` of all that take part: every kind of platform, also of plugins, in its variants."""
     return {name: dict(settings) for platform in PLATFORMS.values() for name, settings in platform.contest().items()}
 
 
 def bounce(platform: dict[str, Any], stiffness: float) -> Scenario:
-    """A bumper of a stiffness [N/m] between two free bodies, in reach of every facility."""
+    """A contact of a bumper with the given stiffness [N/m] between two free bodies, within reach of every facility."""
     base = load_scenario(shipped("scenarios") / "18-stewart.yaml")
     damping = 2.0 * RATIO * math.sqrt(stiffness * effective_mass(base))
     keys = {"mechanism.contact.stiffness": stiffness, "mechanism.contact.damping": damping}
@@ -66,7 +66,7 @@ def bounce(platform: dict[str, Any], stiffness: float) -> Scenario:
 
 
 def docking(platform: dict[str, Any]) -> Scenario:
-    """A probe that meets its cone 30 mm off the axis, in a plane that every facility has."""
+    """A probe that meets its cone 30 mm off the axis, in a plane in which every facility can move."""
     keys = {"rig.platform": platform, "approach.offset": [0.03, 0.0], "approach.attitude_deg": [0.0, 0.0, 0.0], "duration": 4.0}
     return load_scenario(
         shipped("scenarios") / "19-serial-arm.yaml", set=keys | {"sensor": {"delay": DELAY}, "identification.kind": "none"}
@@ -81,18 +81,18 @@ def treated(scenario: Scenario, compensation: dict[str, Any], identification: st
 
 
 def treatments(scenario: Scenario) -> dict[str, tuple[dict[str, Any], str]]:
-    """Name to compensation and identification; of bodies that move by themselves the one that there is."""
+    """Name to compensation and identification; for freely moving bodies only the uncompensated case."""
     platform = scenario.rig.platform
     if platform.physical:
         return {"as it is": (NONE, "none")}
     judged = stability(treated(scenario, NONE | {"motion": {"kind": "feedforward"}}))
     lost = scenario.mechanism.contact.damping - judged["net_damping"] if judged else scenario.mechanism.contact.stiffness * DELAY
-    said, cure = platform.cure(max(lost, 0.0))
-    return {"uncompensated": (NONE, "none"), said: (cure, "none"), "default": ({}, "rls")}
+    method, cure = platform.cure(max(lost, 0.0))
+    return {"uncompensated": (NONE, "none"), method: (cure, "none"), "default": ({}, "rls")}
 
 
 def _bounces(contacts: list[Scenario]) -> list[dict[str, Any]]:
-    """One batch a treatment."""
+    """Records of the bounces; one batch per compensation."""
     references = simulate([reference_scenario(s) for s in contacts], until_parted=True).figures
     out = []
     given = [treatments(s) for s in contacts]
@@ -120,10 +120,10 @@ def _bounces(contacts: list[Scenario]) -> list[dict[str, Any]]:
 
 
 def tuned(runs: list[Scenario], wanted: list[float | None]) -> list[Scenario]:
-    """The same bounces with the virtual damper b that one trial of each asks for: ln e falls by pi/(2 m w) for each N s/m of it.
+    """The same bounces with the virtual damper b tuned by one trial of each: ln e falls by pi/(2 m w) for each N s/m of it.
 
-    What a response says that is measured with sines is not all of it: the damper, too, acts on a pose that comes late, so that only
-    b cos(phi) damps, and in the half swing of a bounce nothing is felt at first and something afterwards, of the order (w tau)^2.
+    The damping from the sinusoidal response is not exact: the damper also acts on a delayed pose, so that only b cos(phi) damps, and
+    the half swing of a bounce has a transient, with no force at first and some after separation, of the order (w tau)^2.
     """
     trial = simulate(runs, until_parted=True)
     out = []
@@ -138,7 +138,7 @@ def tuned(runs: list[Scenario], wanted: list[float | None]) -> list[Scenario]:
 
 
 def _dockings(platform: dict[str, Any]) -> list[dict[str, Any]]:
-    """The docking with the default and without any; when the reference is captured."""
+    """Records of the docking with the default compensation and without, with the capture time of the reference."""
     scenario = docking(platform)
     reference = simulate([reference_scenario(scenario)]).outcomes[0]
     out = []
@@ -157,7 +157,7 @@ def _dockings(platform: dict[str, Any]) -> list[dict[str, Any]]:
 
 
 def _rig(name: str, scenario: Scenario, stretches: int) -> dict[str, Any]:
-    """What the facility is: reach, response along the insertion, cost of a tick."""
+    """Characteristics of a facility: reach, response along the insertion, cost of a tick."""
     platform, facility = scenario.rig.platform, facility_of(scenario)
     cost = side_by_side(scenario, 16, 1, stretches)
     out = {
@@ -178,7 +178,7 @@ def _rig(name: str, scenario: Scenario, stretches: int) -> dict[str, Any]:
 
 
 def _worst(records: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Of each facility and treatment the largest errors over the contacts."""
+    """The largest errors over the contacts, for each facility and compensation."""
     out: list[dict[str, Any]] = []
     for facility, treatment in dict.fromkeys((r["facility"], r["treatment"]) for r in records if r["case"] == "bounce"):
         rows = [r for r in records if (r["facility"], r["treatment"], r["case"]) == (facility, treatment, "bounce")]
@@ -196,4 +196,4 @@ def _worst(records: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 def _line(w: dict[str, Any]) -> str:
     error = "no rebound" if w["cor_log_error"] is None else f"|ln e/e_ref| <= {w['cor_log_error']:.4f}"
-    return f"{error}, peak force {100.0 * w['peak_force_error']:.1f} % off{'' if w['passive'] else ', active'}"
+    return f"{error}, peak force error {100.0 * w['peak_force_error']:.1f} %{'' if w['passive'] else ', active'}"

@@ -9,19 +9,19 @@ import numpy as np
 
 from hiltestbed.report import Report, new_figure
 
-LEAST = 1e-4  # of |ln(e/e_ref)|: as small as is drawn
+LEAST = 1e-4  # smallest |ln(e/e_ref)| that is drawn
 
 
 def facilities_report(records: Sequence[dict[str, Any]], summary: dict[str, Any]) -> Report:
-    """What each kind of rig makes of the same contacts, and what it does to them."""
+    """Results of the same contacts on each kind of rig, and characteristics of the rigs."""
     report = Report("Facilities")
     worst = summary["worst"]
     bare = [w for w in worst if w["treatment"] == "uncompensated" and not w["passive"]]
     report.lead(
-        f"{len(bare)} of {sum(w['treatment'] == 'uncompensated' for w in worst)} driven facilities give energy to a contact where nothing "
-        "is compensated; the rows below say what is left with the field's own cure and with the default."
+        f"{len(bare)} of {sum(w['treatment'] == 'uncompensated' for w in worst)} driven facilities add energy to a contact without "
+        "compensation; the rows below give the remaining errors with the field's usual compensation and with the default."
     )
-    header = ["facility", "compensation", "|ln(e/e_ref)|", "peak force off", "passive", "net damping [N s/m]", "largest delay [ms]"]
+    header = ["facility", "compensation", "|ln(e/e_ref)|", "peak force error", "passive", "net damping [N s/m]", "largest delay [ms]"]
     rows = [
         [
             w["facility"], w["treatment"], _number(w["cor_log_error"], 4), f"{100.0 * w['peak_force_error']:.1f} %",
@@ -32,12 +32,12 @@ def facilities_report(records: Sequence[dict[str, Any]], summary: dict[str, Any]
     report.table(
         header,
         rows,
-        "The largest over the contacts, net damping and largest delay the smallest. Of a method that adds a force of its own they are "
-        "those of the loop without it. A dash: no rebound, or no loop.",
+        "Largest values over the contacts; for net damping and largest delay, the smallest. For a method that adds a force of its own "
+        "these two are those of the loop without it. A dash: no rebound, or no loop.",
     )
     report.figure(_errors(worst), "Error of the coefficient of restitution, the largest over the contacts; hatched: active.")
     report.heading("The rigs")
-    header = ["facility", "reach [m]", "turn [deg]", "delay at 2 Hz [ms]", "compliance [m/N]", "tick over bare steps", "times real time"]
+    header = ["facility", "reach [m]", "rotation [deg]", "delay at 2 Hz [ms]", "compliance [m/N]", "tick / bare steps", "times real time"]
     rows = [
         [
             r["facility"], _number(r["reach"], 2), _number(r["turn"], 0), _number(r["delay"], 2, 1e3),
@@ -48,14 +48,14 @@ def facilities_report(records: Sequence[dict[str, Any]], summary: dict[str, Any]
     report.table(
         header,
         rows,
-        "Reach and turn: the smallest over the axes, from home. Delay and compliance along the insertion, with feed-forward, as measured. "
+        "Reach and rotation: the smallest over the axes, from home. Delay and compliance: measured along the insertion, with feed-forward. "
         "Cost of a tick with 16 runs on one thread.",
     )
     dockings = [r for r in records if r["case"] == "docking"]
     if dockings:
         report.heading("The same docking")
         report.table(
-            ["facility", "compensation", "outcome", "captured at [s]", "without rig [s]", "energy made [J]"],
+            ["facility", "compensation", "outcome", "captured at [s]", "without rig [s]", "energy generated [J]"],
             [
                 [
                     r["facility"], r["treatment"], r["outcome"], _number(r["captured_at"], 3), _number(r["captured_at_reference"], 3),
@@ -63,7 +63,7 @@ def facilities_report(records: Sequence[dict[str, Any]], summary: dict[str, Any]
                 ]
                 for r in dockings
             ],
-            "A probe 30 mm off the axis of its cone. The reference is the contact of the free bodies in six axes.",
+            "A probe 30 mm off the axis of its cone. The reference is the contact of the free bodies with six degrees of freedom.",
         )  # fmt: skip
     report.heading("What each kind distorts")
     for rig in summary["rigs"]:
@@ -76,7 +76,7 @@ def _number(value: float | None, digits: int, factor: float = 1.0) -> str:
 
 
 def _errors(worst: Sequence[dict[str, Any]]):
-    """A group of bars a facility: none, the field's cure, the default."""
+    """One group of bars per facility: uncompensated, the field's usual compensation, the default."""
     names = list(dict.fromkeys(w["facility"] for w in worst))
     figure, axes = new_figure(9.0, 3.8)
     colors = {"uncompensated": "0.55", "default": "C0", "as it is": "C2"}
@@ -86,7 +86,7 @@ def _errors(worst: Sequence[dict[str, Any]]):
             at = x + (k - 0.5 * (len(mine) - 1)) * 0.26
             height = max(w["cor_log_error"] if w["cor_log_error"] is not None else 1.0, LEAST)
             axes.bar(at, height, 0.24, color=colors.get(w["treatment"], "C1"), hatch="" if w["passive"] else "//", edgecolor="white")
-    for label, color in (("uncompensated", "0.55"), ("the field's cure", "C1"), ("default", "C0"), ("no loop", "C2")):
+    for label, color in (("uncompensated", "0.55"), ("field's usual compensation", "C1"), ("default", "C0"), ("no loop", "C2")):
         axes.bar(np.nan, np.nan, color=color, label=label)
     axes.set_yscale("log")
     axes.set_ylim(0.6 * LEAST, 5.0)

@@ -1,7 +1,7 @@
 """Stiffness and damping from one contact: every method of identification over frequency, delay, damping ratio and noise.
 
-The loop runs with the resynchronised prediction, so that each method meets the same contact; the errors are relative, the median over
-seeds, with the 95 % spread, and the share of seeds whose reported 95 % interval holds the truth.
+The loop runs with the resynchronised prediction, so that each method is applied to the same contact. Reported are relative errors, the
+median over seeds, with the 95 % spread, and the share of seeds whose reported 95 % interval contains the true value.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ CALIBRATION = Contact(4.0, 0.01, 0.05)
 
 
 def identification(quick: bool = False, progress: Progress | None = None) -> BenchResult:
-    """All methods on the whole grid at 0.2 % noise, and over the noise; ``quick``: on the grid's corners."""
+    """All methods on the whole grid at 0.2 % noise, and on its corners at other noise levels; ``quick``: only corners at 0.2 % noise."""
     seeds = 4 if quick else 16
     noises = (0.002,) if quick else NOISES
     at = [(m, n) for m in METHODS for n in noises]
@@ -55,13 +55,13 @@ def identification(quick: bool = False, progress: Progress | None = None) -> Ben
     board = leaderboard(records)
     summary = {"leaderboard": board, "intervals": intervals, "best": board[0]["method"]}
     lines = [(row["method"], f"k within {_percent(row['stiffness_error'])}, c within {_percent(row['damping_error'])}") for row in board]
-    lines.append(("95 % intervals that hold k, c", f"{100 * intervals['stiffness']:.1f} %, {100 * intervals['damping']:.1f} %"))
+    lines.append(("95 % intervals that contain k, c", f"{100 * intervals['stiffness']:.1f} %, {100 * intervals['damping']:.1f} %"))
     return BenchResult("identification", records, summary, identification_report(records, summary), lines)
 
 
 def measure(method: str, contacts: Sequence[Contact], noise: float, seeds: int) -> list[dict[str, Any]]:
-    """A record a contact: median and 95 % spread over the seeds."""
-    off = METHODS[method].get("delay") == "estimate"  # a delay that is to be found is 20 % off what is believed
+    """One record per contact: median and 95 % spread over the seeds."""
+    off = METHODS[method].get("delay") == "estimate"  # the nominal delay is then 20 % off the one to be estimated
     runs = [_again(c, noise, seed, "off" if off else "exact") for c in contacts for seed in range(seeds)]
     result = bounce([c.scenario(FORCE, METHODS[method]) for c in runs], THREADS)
     stiffness, damping = _axial(result)
@@ -96,7 +96,7 @@ def _axial(result: Bounce) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _spread(name: str, errors: np.ndarray) -> dict[str, Any]:
-    """Median and 95 % spread of the errors; None where a seed gave no estimate."""
+    """Median and 95 % spread of the errors; None if a seed gave no estimate."""
     if not np.isfinite(errors).all():
         return {f"{name}_error": None, f"{name}_spread": None}
     low, high = np.quantile(errors, [0.025, 0.975])
@@ -104,7 +104,7 @@ def _spread(name: str, errors: np.ndarray) -> dict[str, Any]:
 
 
 def interval_coverage(seeds: int) -> dict[str, float]:
-    """Share of seeds whose 95 % interval of k, and of c, holds the truth."""
+    """Share of seeds whose 95 % interval of k, and of c, contains the true value."""
     runs = [_again(CALIBRATION, CALIBRATION.noise, seed, "exact") for seed in range(seeds)]
     result = bounce([c.scenario(FORCE, METHODS["rls"]) for c in runs], THREADS)
     estimate = result.loop.identification
@@ -116,7 +116,7 @@ def interval_coverage(seeds: int) -> dict[str, float]:
 
 
 def leaderboard(records: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """A row a method, by its largest error of c at 0.2 % noise; a method that gave no estimate somewhere ranks last."""
+    """One row per method, by its largest error of c at 0.2 % noise; methods that gave no estimate in some contact rank last."""
     rows = []
     for method in dict.fromkeys(r["method"] for r in records):
         mine = [r for r in records if r["method"] == method and r["noise"] == 0.002]

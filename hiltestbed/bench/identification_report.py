@@ -26,19 +26,19 @@ def identification_report(records: Sequence[dict[str, Any]], summary: dict[str, 
     report.table(
         ["method", "k", "c", "contacts without an estimate", "delay, worst seed"],
         rows,
-        "Largest error over the grid at 0.2 % noise, median over seeds. rls_delay_estimated was told a delay that is 20 % off.",
+        "Largest error over the grid at 0.2 % noise, median over seeds. rls_delay_estimated starts from a nominal delay that is 20 % off.",
     )
     report.figure(_heat_maps(records), "Error of c at 0.2 % noise [%], the largest over the damping ratios.")
     if len({r["noise"] for r in records}) > 1:
-        report.figure(_noise(records), "Half the 95 % spread of k and c over the noise: 8 Hz, 20 ms, damping ratio 0.2.")
+        report.figure(_noise(records), "Half the 95 % spread of k and c as a function of the noise: 8 Hz, 20 ms, damping ratio 0.2.")
     held = summary["intervals"]
     report.text(
-        f"Reported 95 % intervals held the truth in {100 * held['stiffness']:.1f} % (k) and {100 * held['damping']:.1f} % (c) of "
+        f"Reported 95 % intervals contained the true value in {100 * held['stiffness']:.1f} % (k) and {100 * held['damping']:.1f} % (c) of "
         f"{held['seeds']:.0f} seeds at 4 Hz, 10 ms, damping ratio 0.05."
     )
     report.text(
-        "A delay that is not known is told by the instant of touch alone: while the contact lasts, c takes up any error of it. That needs "
-        "a touch point known to speed times the error, and a force that rises by more than its noise within a tick."
+        "An unknown delay can be determined only from the instant of touch: during contact, an error of the delay is absorbed by c. This "
+        "requires a touch point known to within speed times the error, and a force that rises by more than its noise within a tick."
     )
     return report
 

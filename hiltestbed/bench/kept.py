@@ -1,4 +1,4 @@
-"""Records of a long benchmark, kept on disk as they come: stopped, it goes on from there when it is asked for the same again."""
+"""Records of a long benchmark, saved to disk as they arrive, so that the same command resumes an interrupted benchmark."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from hiltestbed.versions import versions
 
 
 def made_by() -> str:
-    """SHA-256 of the program that makes a record: every module of the package, and the versions of what it calls."""
+    """SHA-256 of the program that makes a record: every module of the package, and the versions of its dependencies."""
     package = Path(hiltestbed.__file__).parent
     seen = sha256(json.dumps(versions(), sort_keys=True).encode())
     for file in sorted(package.rglob("*.py")):
@@ -23,13 +23,13 @@ def made_by() -> str:
 
 
 class Kept:
-    """Records by key in a file of one JSON object a line, the first of which says what made them.
+    """Records by key in a file of one JSON object per line, the first of which identifies the program that made them.
 
-    Records of another program are not taken over, and a last line that was cut off is left out.
+    Records of another program are discarded, and so is a truncated last line.
     """
 
     def __init__(self, path: Path | None, key_of: Callable[[dict[str, Any]], Hashable]) -> None:
-        """``path``: of the file, None to keep nothing. ``key_of``: what tells a record from others."""
+        """``path``: of the file, None to save nothing. ``key_of``: unique key of a record."""
         self._path, self._key_of = path, key_of
         self.records: dict[Hashable, dict[str, Any]] = {}
         if path is None:
@@ -47,14 +47,14 @@ class Kept:
             raise InputError(f"{path}: cannot be written ({error.strerror}); choose another --out") from None
 
     def add(self, record: dict[str, Any]) -> None:
-        """Keep a record."""
+        """Add a record, and save it."""
         self.records[self._key_of(record)] = record
         if self._path is not None:
             with self._path.open("a", encoding="utf-8") as file:
                 file.write(json.dumps(record) + "\n")
 
     def done(self) -> None:
-        """Everything is in the result: nothing is left to go on with."""
+        """Delete the file, once all records are in the result."""
         if self._path is not None:
             self._path.unlink(missing_ok=True)
 

@@ -1,7 +1,7 @@
-"""Measured-data sets that the simulation itself records: every shipped scenario, healthy and with something hidden in it.
+"""Data sets recorded by the simulation itself: every shipped scenario, healthy and with a hidden effect.
 
-What the simulation can run the diagnosis has to be able to judge. The record is that of the loop, so that a model which the loop and the
-replay understand differently shows here; that other facilities compute otherwise is what the independent rig is for.
+The diagnosis must be able to judge every scenario that the simulation can run. The records are those of the loop, so that differences
+between the models of loop and replay become visible; the independent rig covers facilities that compute differently.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from hiltestbed.scenario import Scenario, dump_scenario, load_scenario, resolved
 from hiltestbed.simulation import simulate
 from hiltestbed.yaml_source import dump_yaml
 
-SPEEDS_AND_SPRINGS = ((1.0, 1.0), (0.75, 1.0), (1.25, 1.0), (1.0, 0.6), (1.0, 1.6))  # of those of the scenario, a run each
-LONG = 10.0  # [s] of a scenario, from which its campaign has three runs
-SENSIBLE_NOISE = 1e-3  # of the force at which the contact stops the approach: noise of a scenario that has none
+SPEEDS_AND_SPRINGS = ((1.0, 1.0), (0.75, 1.0), (1.25, 1.0), (1.0, 0.6), (1.0, 1.6))  # factors on both, one pair per run
+LONG = 10.0  # [s] duration above which a scenario's campaign has only three runs
+SENSIBLE_NOISE = 1e-3  # noise added to a scenario without noise, relative to the force that stops the approach
 
 HIDDEN: dict[str, dict[str, Any]] = {
     "sensor.delay": {"delay": 0.003},
@@ -34,7 +34,7 @@ HIDDEN: dict[str, dict[str, Any]] = {
 
 @dataclass(frozen=True)
 class OwnSet:
-    """What to record: a scenario's file, keys that differ from it, what is hidden, and whether as one run or as a campaign."""
+    """A set to record: a scenario's file, changed keys, hidden effects, and whether as one run or as a campaign."""
 
     scenario: str
     effects: tuple[Mapping[str, Any], ...] = ()
@@ -44,7 +44,7 @@ class OwnSet:
 
 
 def nominal_of(own: OwnSet) -> Scenario:
-    """The scenario as believed, noise in its sensor unless it is wanted as it is."""
+    """The nominal scenario, with sensor noise added if it has none and the set asks for noise."""
     scenario = load_scenario(shipped("scenarios") / f"{own.scenario}.yaml", set=dict(own.changes or {}))
     if own.noise and scenario.sensor.noise == 0.0:
         level = SENSIBLE_NOISE * expected_force(scenario)
@@ -53,7 +53,7 @@ def nominal_of(own: OwnSet) -> Scenario:
 
 
 def expected_force(scenario: Scenario) -> float:
-    """v sqrt(k mu) [N]: what stops the approach along z."""
+    """v sqrt(k mu) [N]: the force that stops the approach along z."""
     body = scenario.spacecraft
     reduced = body.chaser.mass * body.target.mass / (body.chaser.mass + body.target.mass)
     stiffness = scenario.mechanism.contact.stiffness
@@ -63,7 +63,7 @@ def expected_force(scenario: Scenario) -> float:
 
 
 def hidden_effect(kind: str, scenario: Scenario) -> dict[str, Any]:
-    """One of :data:`HIDDEN` at a size for a scenario."""
+    """One of :data:`HIDDEN`, scaled to a scenario."""
     sized = dict(HIDDEN[kind])
     if kind == "contact.dry_friction":
         sized["force"] = float(f"{0.05 * expected_force(scenario):.3g}")
@@ -73,7 +73,7 @@ def hidden_effect(kind: str, scenario: Scenario) -> dict[str, Any]:
 
 
 def campaign(scenario: Scenario) -> list[dict[str, Any]]:
-    """The runs of a test campaign: speeds and known springs; a slower run lasts longer."""
+    """The runs of a test campaign: changed keys for several speeds and known springs; slower runs last longer."""
     out = []
     steps = SPEEDS_AND_SPRINGS[:3] if scenario.duration > LONG else SPEEDS_AND_SPRINGS
     for speed, spring in steps:

@@ -10,7 +10,7 @@ from hiltestbed.devices.bench import Steadiness, measure
 from hiltestbed.report import Report, new_figure
 
 RATES = (250.0, 1000.0, 2000.0)  # [Hz]
-SECONDS, QUICK = 600.0, 2.0  # [s] in all: ten minutes, shared by the measurements
+SECONDS, QUICK = 600.0, 2.0  # [s] total time, shared by the measurements
 
 
 @dataclass(frozen=True)
@@ -22,7 +22,7 @@ class Case:
 
 
 def realtime(quick: bool = False, progress: Callable[[int, int], None] | None = None) -> BenchResult:
-    """Measure the cycle at several rates; most of the time goes to 1 kHz with a device, the case that a run is like."""
+    """Measure the cycle at several rates; half the time is spent on 1 kHz with a device, the case closest to a real run."""
     cases = [Case(rate, device) for rate in RATES for device in (False, True)]
     total = QUICK if quick else SECONDS
     main = Case(1000.0, True)
@@ -62,23 +62,23 @@ def _figures(m: Steadiness) -> str:
 
 
 def _report(measured: list[Steadiness], lines: list[tuple[str, str]]) -> Report:
-    """What was measured, with a histogram of each wake-up latency."""
+    """The measurements, with a histogram of each wake-up latency."""
     import numpy as np
 
     report = Report("The cycle in real time on this machine")
     main = max((m for m in measured if m.device and m.rate == 1000.0), key=lambda m: m.cycles)
     report.lead(f"At 1 kHz with a device on the loopback address {main.missed} of {main.cycles} cycles missed their deadline.")
-    report.table(["measurement", "figures"], lines)
+    report.table(["measurement", "result"], lines)
     figure, axes = new_figure(9.0, 4.5)
     for m in measured:
         counts = np.array(m.wake_up.histogram, dtype=float)
         axes.step(1e6 * m.wake_up.bin_width * np.arange(len(counts)), np.maximum(counts / counts.sum(), 1e-9), label=_label(m))
-    axes.set(xlabel="wake-up latency [us]; the last bin holds all longer ones", ylabel="part of the cycles", yscale="log")
+    axes.set(xlabel="wake-up latency [us]; the last bin holds all longer ones", ylabel="fraction of the cycles", yscale="log")
     axes.legend()
-    report.figure(figure, "How late a cycle begins.")
+    report.figure(figure, "Latency of the start of a cycle.")
     report.text(
-        "A cycle misses its deadline where its work, or the device's answer, is not done when the next one is due. Measure on the machine "
-        "and in the state in which it is to be used; a quiet hour says nothing about a busy one. Where a hypervisor takes processors away "
-        "(steal time), no setting of this system gets them back."
+        "A cycle misses its deadline if its work, or the device's response, is not complete when the next one is due. Measure on the "
+        "machine and under the load of its later use; results on an idle machine are not valid for a busy one. Processor time taken by a "
+        "hypervisor (steal time) cannot be recovered by any setting of this system."
     )
     return report

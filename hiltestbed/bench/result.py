@@ -1,4 +1,4 @@
-"""What every benchmark leaves behind: bench.json and report.html."""
+"""The output of every benchmark: bench.json and report.html."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ class BenchResult:
 
     Attributes:
         name: of the benchmark.
-        records: one a measurement, as the benchmark defines them.
-        summary: its figures.
-        report: the page for people.
+        records: one per measurement, as the benchmark defines them.
+        summary: its overall results.
+        report: the HTML page.
         lines: (label, value) pairs to print.
-        failed: what of the user's own could not be measured, with the reason: the command that ran the benchmark failed for it.
+        failed: methods of the user that could not be measured, with the reason; the command then ends with an error.
     """
 
     name: str
@@ -39,14 +39,14 @@ class BenchResult:
 
 
 def write_bench(result: BenchResult, path: str | Path, options: Mapping[str, object] | None = None) -> Path:
-    """Write the folder of a benchmark and return its path; ``options``: what it was called with, by the names of the command line."""
+    """Write the folder of a benchmark and return its path; ``options``: options of the call, by their command-line names."""
     path, options = Path(path), dict(options or {})
     made = {"options": options, "versions": versions(), "plugins": plugins.loaded()}
     content = {"name": result.name, **made, "records": result.records, "summary": result.summary}
     page = deepcopy(result.report)
     page.heading("How it was made")
     called = " ".join(["bench", result.name, *(f"--{name}" if value is True else f"--{name} {value}" for name, value in options.items())])
-    page.table(("what", "version, or start of the SHA-256"), [("command", called), *provenance(made["versions"], made["plugins"])])
+    page.table(("item", "version, or start of the SHA-256"), [("command", called), *provenance(made["versions"], made["plugins"])])
     with whole_folder(path, mark=BENCH) as folder:
         (folder / BENCH).write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
         page.write(folder / REPORT)

@@ -1,7 +1,7 @@
-"""Speed: what the loop costs beside the bare physics steps that it contains.
+"""Speed: cost of the loop relative to the bare physics steps that it contains.
 
-Ratios are measured side by side: stretches of the loop and of bare steps of the same plant in the same state take turns within one
-process, so that a machine whose speed drifts changes both. The loop writes its trace while it is timed.
+Ratios are measured side by side: intervals of the loop and of bare steps of the same plant in the same state alternate within one
+process, so that speed drift of the machine affects both. The loop writes its trace while it is timed.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ from hiltestbed.signals import Trace
 from hiltestbed.simulation import run
 from hiltestbed.state import arrays_of
 
-STRETCH = 0.05  # [s] about what a stretch should last
-DOCKING_TICKS = 1000  # 0.5 s, the last two thirds of it in touch
+STRETCH = 0.05  # [s] approximate length of an interval
+DOCKING_TICKS = 1000  # 0.5 s, with contact in the last two thirds
 Progress = Callable[[int, int], None]
 
 
 def throughput(quick: bool = False, progress: Progress | None = None) -> BenchResult:
-    """Loop against bare steps for batches of 1 to 512 runs on one and two threads; recording; growth with cases and ticks."""
+    """Loop against bare steps for batches of 1 to 512 runs on one and two threads; recording; scaling with cases and ticks."""
     scenario = load_scenario(shipped("scenarios") / "reference-bumper.yaml")
     sizes = [(1, 1), (64, 1), (64, 2)] if quick else [(n, t) for t in (1, 2) for n in (1, 4, 16, 64, 256, 512)]
     records = []
@@ -75,7 +75,7 @@ def throughput(quick: bool = False, progress: Progress | None = None) -> BenchRe
 
 
 def side_by_side(scenario: Scenario, n: int, threads: int, stretches: int) -> dict[str, Any]:
-    """The loop and the bare steps of an equal plant, in turns over one scenario; medians over the stretches."""
+    """The loop and the bare steps of an identical plant, alternating over one scenario; medians over the intervals."""
     loop, bare = Loop([scenario] * n, threads), Loop([scenario] * n, threads).plant
     assert isinstance(bare, Plant)  # the simulated side
     trace = Trace(scenario.ticks, n, scenario.rate, loop.plant.units)
@@ -85,7 +85,7 @@ def side_by_side(scenario: Scenario, n: int, threads: int, stretches: int) -> di
     start = time.perf_counter()
     loop.step(trace)
     ticks = max(4, min(scenario.ticks // (2 * stretches), int(STRETCH / max(time.perf_counter() - start, 1e-6))))
-    skip = int(0.3 * scenario.rate)  # the stretches lie around the contact
+    skip = int(0.3 * scenario.rate)  # the intervals are around the contact
     ratios, passes = [], []
     for s in range(stretches):
         while n <= 16 and loop.k < skip + s * ticks:
@@ -114,11 +114,11 @@ def side_by_side(scenario: Scenario, n: int, threads: int, stretches: int) -> di
 
 
 def docking_ratios(n: int, stretches: int) -> dict[str, float]:
-    """A tick of ``n`` runs with probe and cone over one with the bumper on the same rig.
+    """Cost of a tick of ``n`` runs with probe and cone relative to the bumper on the same rig.
 
     The cone is the shipped one, whose profile is recovered (with the passive side fixed, and on the upper platform), and one of 1024
-    segments that is 2 % wider along y than along x, so that its 96,256 triangles are searched. Median of processor times in turns, two
-    thirds of them in touch, at the bottom of the socket: there most triangles are almost as near.
+    segments that is 2 % wider along y than along x, so that its 96,256 triangles are searched. Median of processor times measured
+    alternately, two thirds of them in contact, at the bottom of the socket, where most triangles are at almost the same distance.
     """
     path = shipped("scenarios") / "09-docking.yaml"
     docking: dict[str, Any] = {"approach.gap": 0.01, "approach.velocity.2": 0.06, "approach.offset": [0.0, 0.0], "mechanism.latch": None}
@@ -138,12 +138,12 @@ def docking_ratios(n: int, stretches: int) -> dict[str, float]:
             for _ in range(DOCKING_TICKS // stretches):
                 loop.step()
             taken.append(time.thread_time() - start)
-    medians = [statistics.median(taken[1:]) for taken in times]  # the first stretch may have compiled the blocks
+    medians = [statistics.median(taken[1:]) for taken in times]  # the first interval may include compilation
     return {name: taken / medians[0] for name, taken in zip(cases, medians, strict=True) if name != "bumper"}
 
 
 def _oval_cone(folder: Path) -> dict[str, str]:
-    """The shipped probe, and its cone as a mesh that was turned about no axis, written to ``folder``: keys of a scenario."""
+    """The shipped probe, and its cone as a mesh that is not a surface of revolution, written to ``folder``: keys of a scenario."""
     models = shipped("models") / "probe_cone"
     shape = runpy.run_path(str(models / "turn_cone.py"))
     vertices, faces = turn(polyline(shape["PROFILE"], shape["ARC_STEP"]), 1024)
@@ -154,7 +154,7 @@ def _oval_cone(folder: Path) -> dict[str, str]:
 
 
 def per_block(scenario: Scenario, n: int) -> dict[str, float]:
-    """Microseconds a tick in each block of the loop."""
+    """Microseconds per tick in each block of the loop."""
     loop = Loop([scenario] * n)
     trace = Trace(scenario.ticks, n, scenario.rate, loop.plant.units)
     for _ in range(int(0.4 * scenario.rate)):
@@ -191,7 +191,7 @@ def seconds_per_1e5_ticks(scenario: Scenario) -> float:
     if result.trace is None or len(result.trace.t) != 100_000:
         raise HiltestbedError(f"the run to be recorded ended early: {result.summary['stop_reason']}")
     with tempfile.TemporaryDirectory() as folder:
-        write_recording(Path(folder) / "first.rrd", run(scenario))  # imports and compiles once a process
+        write_recording(Path(folder) / "first.rrd", run(scenario))  # not timed: imports and compiles
         start = time.perf_counter()
         write_recording(Path(folder) / "recording.rrd", result)
         return time.perf_counter() - start
@@ -206,15 +206,15 @@ def _report(records: list[dict[str, Any]], summary: dict[str, Any], blocks: dict
     header = ["runs", "threads", "loop / bare steps", "lowest", "highest", "sim-ticks per second"]
     keys = ("ratio", "ratio_low", "ratio_high")
     rows = [[r["runs"], r["threads"], *(f"{r[k]:.2f}" for k in keys), f"{r['sim_ticks_per_second']:.3g}"] for r in records]
-    report.table(header, rows, "Stretches of the loop and of bare steps of the same plant took turns; the ratio is the median over them.")
+    report.table(header, rows, "Intervals of the loop and of bare steps of the same plant alternated; the ratio is the median over them.")
     figure, axes = new_figure(8, 3.4)
     for threads in sorted({r["threads"] for r in records}):
         line = [r for r in records if r["threads"] == threads]
         axes.plot([r["runs"] for r in line], [r["sim_ticks_per_second"] for r in line], "o-", label=f"{threads} thread(s)")
     axes.set(xscale="log", xlabel="runs in the batch", ylabel="sim-ticks per second")
     axes.legend()
-    report.figure(figure, "Simulated ticks a second against the size of the batch.")
-    report.heading("Where a tick goes")
+    report.figure(figure, "Simulated ticks per second against the size of the batch.")
+    report.heading("Time of a tick by block")
     names = list(blocks[1])
     report.table(["block", *(f"{n} run(s) [us]" for n in blocks)], [[name, *(f"{blocks[n][name]:.1f}" for n in blocks)] for name in names])
     return report

@@ -1,4 +1,4 @@
-"""Servo tracking: the whole rig in MuJoCo, its platform driven towards the commanded pose, or its bodies left to themselves."""
+"""Servo tracking: the whole rig in MuJoCo, with its platform driven to the commanded pose or with freely moving bodies."""
 
 from __future__ import annotations
 
@@ -24,21 +24,21 @@ if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario
 
 SPEED_LIMIT = 1e3  # [m/s], [rad/s] a joint faster than this has diverged
-YIELDING = 150.0  # [kg] half of what a point of the platform weighs against a push: friction may take its speed in one step
+YIELDING = 150.0  # [kg] half the effective mass at a point of the platform: its viscous friction cannot reverse a speed in one step
 NONE, VEL, ACC = (int(stage) for stage in (mujoco.mjtStage.mjSTAGE_NONE, mujoco.mjtStage.mjSTAGE_VEL, mujoco.mjtStage.mjSTAGE_ACC))
 
 
 def least_creep(dt: float) -> float:
-    """[m/s per N] by which a friction is viscous at least where it acts on driven masses in steps of ``dt`` [s]."""
+    """Smallest viscous creep [m/s per N] of a friction that acts on driven masses, for steps of ``dt`` [s]."""
     return dt / YIELDING
 
 
 class ServoTracking:
     """The rigs of `n` runs under servo tracking; arrays as in :class:`hiltestbed.platform.plant.Plant`.
 
-    The force at t_(k+1) is read from the forward stages at the new state, without a step's delay; the readings at the substeps in
-    between come from the sensor's history. A run whose force may come `late` is spared those stages, a fifth of the physics of two
-    steps a tick: its force at t_k is that of the first step of the tick which starts there.
+    The force at t_(k+1) is read from a forward evaluation of the new state, without a step's delay; the readings at the substeps in
+    between come from the sensor's history. A run whose force may come `late` skips that evaluation, a fifth of the cost of two physics
+    steps per tick: its force at t_k is read in the first step of the tick that starts there.
     """
 
     def __init__(
@@ -51,7 +51,7 @@ class ServoTracking:
     ) -> None:
         first, n = scenarios[0], len(scenarios)
         if mujoco.get_mju_user_warning() is None:  # else MuJoCo writes MUJOCO_LOG.TXT into the working folder
-            mujoco.set_mju_user_warning(_said)
+            mujoco.set_mju_user_warning(_log_warning)
         self.substeps = m = first.substeps
         dt = first.tick / m
         self.servo = servo = first.rig.platform.driven(scenarios, structure, dt)
@@ -63,7 +63,7 @@ class ServoTracking:
         self._goal = np.zeros((n, 7))
         servo.start(self.batch, scenarios, dt)
         self._stepwise = self.contacts.written or not servo.keeps_history
-        self._watched = self.contacts.written or servo.moves_passive  # between two steps, too
+        self._watched = self.contacts.written or servo.moves_passive  # state and contacts are read after every step
         bind = self.batch.bind
         self._qpos, self._qvel, self._ctrl, self._time = bind("qpos"), bind("qvel"), bind("ctrl"), bind("time")
         self._warmstart, self._history = bind("qacc_warmstart"), bind("history")
@@ -79,11 +79,11 @@ class ServoTracking:
         self.causes = [""] * n
         self._late = np.zeros(n, dtype=bool) if late is None else late
         self._going: NDArray[np.intp] | None = None  # the runs that are stepped; None: all
-        self._lost = False  # a run has just diverged
+        self._lost = False  # whether a run has just diverged
         self._read_between, self._read_late = (Call(read_wrench, self._reading, self._tare, GIVEN, self.wrench_sub, ...) for _ in range(2))
         self._read_history = Call(read_history, self._history, self._tare, self.wrench_sub)
         self._tare[:] = servo.tare(self.contacts, self._reading, columns)
-        self._say, self._meet, self._settled = self._looks()
+        self._read_state, self._read_and_meet, self._read_and_look = self._readers()
 
     def reset(self, pose: Array, twist: Array) -> None:
         """Start at ``pose`` (n, 7), moving with ``twist`` (n, 6); forces start from zero."""
@@ -94,10 +94,10 @@ class ServoTracking:
         self.servo.settle(pose, twist, self._qpos, self._qvel)
         self._ticks[0] = 0
         self.contacts.reset()
-        self._say()
+        self._read_state()
         if self.contacts.written:
             self._look_ahead()
-            self._meet()
+            self._read_and_meet()
         self.batch.forward()
         self.wrench_sub[:] = 0.0
         self._read(self._all, self.substeps - 1)
@@ -126,7 +126,7 @@ class ServoTracking:
         self._observe()
 
     def bare_steps(self, count: int) -> None:
-        """``count`` steps with the inputs as they are."""
+        """``count`` steps with unchanged inputs."""
         for _ in range(count):
             self.batch.step()
 
@@ -146,63 +146,63 @@ class ServoTracking:
             self._read(self._prompt, self.substeps - 1)
 
     def _run_stepwise(self) -> None:
-        """A step's reading is that of its start; the last instant takes a forward pass of its own."""
+        """The remaining steps; each gives the reading at its start, and a separate forward evaluation gives that of the last instant."""
         watched = self._watched
         if watched:
-            self._lost |= self._meet()
+            self._lost |= self._read_and_meet()
         for s in range(1, self.substeps):
             self._step(s)
             self._read(self._all, s - 1)
             if watched:
-                self._lost |= self._meet()
+                self._lost |= self._read_and_meet()
         if self._prompt.size:
             self.batch.forward(self._groups[0][0])
             self._read(self._prompt, self.substeps - 1)
 
     def _read(self, runs: NDArray[np.intp], sub: int) -> None:
-        """The wrench of the last evaluation of the physics."""
+        """Read the wrench of the last evaluation of the physics into substep ``sub``."""
         if self.servo.load is not None:
             self.servo.load.read(self._sensordata, self.servo.mover.place_P, runs, self.wrench_sub, sub)
         else:
             (self._read_late if sub == self.substeps - 1 else self._read_between).on(runs)(sub)
 
-    def _looks(self) -> tuple[Callable[[], bool], Callable[[], bool], Callable[[], bool]]:
-        """Pose, twist and joints as they stand; the same, and the sides touch; the same, and what MuJoCo says of its own contacts.
+    def _readers(self) -> tuple[Callable[[], bool], Callable[[], bool], Callable[[], bool]]:
+        """Three calls that read pose, twist and joints; the second also evaluates the contact, the third also reads MuJoCo's own contacts.
 
-        Each tells whether a run has just diverged.
+        Each returns whether a run has just diverged.
         """
         shown = self.pose_act, self.twist_act, self.slider_act
         seen = self.servo.observing(self._qpos, self._qvel, SPEED_LIMIT, shown, self.diverged)
         if seen is None:
-            return self._say_so, self._meet_so, self._settle_so
+            return self._read_state_stepwise, self._read_and_meet_stepwise, self._read_and_look_stepwise
         met = self.contacts.meeting(*self._sides) if self.contacts.written else []
-        meet = together(seen, *met, telling=0) if met else self._meet_so if self.contacts.written else seen
+        meet = together(seen, *met, telling=0) if met else self._read_and_meet_stepwise if self.contacts.written else seen
         return seen, meet, together(seen, *self.contacts.looking, telling=0)
 
     @property
     def _sides(self) -> tuple[Array, ...]:
-        """Pose and twist of A in W, and of P where it moves."""
+        """Pose and twist of A in W, and those of P if it moves."""
         mover = self.servo.mover
         if self.servo.moves_passive:
             return mover.place_A, mover.motion_A, mover.place_P, mover.motion_P
         return self.pose_act, self.twist_act
 
-    def _say_so(self) -> bool:
+    def _read_state_stepwise(self) -> bool:
         return self.servo.observe(self._qpos, self._qvel, SPEED_LIMIT, self.pose_act, self.twist_act, self.slider_act, self.diverged)
 
-    def _meet_so(self) -> bool:
-        lost = self._say()
+    def _read_and_meet_stepwise(self) -> bool:
+        lost = self._read_state()
         if self.contacts.written:
             self.contacts.meet(*self._sides)
         return lost
 
-    def _settle_so(self) -> bool:
-        lost = self._say()
+    def _read_and_look_stepwise(self) -> bool:
+        lost = self._read_state()
         self.contacts.look()
         return lost
 
     def _look_ahead(self) -> None:
-        """Have MuJoCo know what the contacts ask of it."""
+        """Evaluate MuJoCo up to the stage that the contacts need."""
         if self.contacts.stage != NONE:
             self.batch.forward(self._going, stage=self.contacts.stage)
 
@@ -211,7 +211,7 @@ class ServoTracking:
             lost = self._lost
             self.contacts.look()
         else:
-            lost = self._settled()
+            lost = self._read_and_look()
         if lost:
             self._lost = False
             self._leave_out()
@@ -219,7 +219,7 @@ class ServoTracking:
             self.wrench_sub[self.diverged] = 0.0
 
     def _leave_out(self) -> None:
-        """Name the cause for the runs that have just diverged, and step the others alone from now on."""
+        """Record the cause of divergence of the runs that have just diverged, and step only the others from now on."""
         for i in np.flatnonzero(self.diverged):
             if not self.causes[i]:
                 self.causes[i] = _cause(self.model, self._qpos[i], self._qvel[i])
@@ -227,20 +227,20 @@ class ServoTracking:
         self._group()
 
     def _group(self) -> None:
-        """Part the runs that are stepped into those whose force is wanted at once and the others, with their stages."""
+        """Divide the runs that are stepped into those whose force is needed at once and late ones, each with its stage."""
         going = ~self.diverged
         self._prompt, self._latecomers = np.flatnonzero(going & ~self._late), np.flatnonzero(going & self._late)
         parts = [(ids, stage) for ids, stage in ((self._prompt, ACC), (self._latecomers, VEL)) if ids.size]
         self._groups: list[tuple[NDArray[np.intp] | None, int]] = [(None if len(ids) == len(going) else ids, stage) for ids, stage in parts]
 
 
-def _said(message: str) -> None:
-    """A warning of MuJoCo's: that a state is lost is noticed and told by :class:`ServoTracking` itself."""
+def _log_warning(message: str) -> None:
+    """Log a warning of MuJoCo as debug output: :class:`ServoTracking` detects and reports divergence itself."""
     logging.getLogger("hiltestbed.platform").debug("MuJoCo: %s", message)
 
 
 def _cause(m: mujoco.MjModel, qpos: Array, qvel: Array) -> str:
-    """The fastest joint of a rig that diverged, and its state."""
+    """The fastest joint of a rig that diverged, and its speed."""
     speed = np.where(np.isfinite(qvel), np.abs(qvel), np.inf)
     if np.all(speed < SPEED_LIMIT):
         return "a position of the rig is not a number"

@@ -1,4 +1,4 @@
-"""What stands in the loop for compensation and numerical model where the bodies themselves move: nothing is commanded."""
+"""Replacement of compensation and numerical model in the loop of a rig with freely moving bodies: nothing is commanded."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ if TYPE_CHECKING:
 
 
 class FreeMotion:
-    """The motion of `n` pairs of bodies: the commanded pose of a row is the one that is there, the wrench used is the physical one.
+    """The motion of `n` pairs of bodies: the recorded commanded pose is the actual one, the wrench used is the physical one.
 
-    That wrench is looked at where the plant has it, for it may stand there only after the tick has begun."""
+    That wrench is a view of the plant's array, which may be filled only after the tick has begun."""
 
     def __init__(self, scenarios: Sequence[Scenario], plant: RigSide) -> None:
         start = np.array([approach_state(s) for s in scenarios])
@@ -32,7 +32,7 @@ class FreeMotion:
         self._plant = plant
 
     def advance(self, measurement: Measurement) -> None:
-        """Take over what the bodies do at t_k."""
+        """Copy pose and twist of the bodies at t_k."""
         self._take.on(self._plant.pose_act, self._plant.twist_act)()
 
 

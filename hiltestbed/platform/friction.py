@@ -1,18 +1,19 @@
-"""Friction of the platform's drives: what a single drive does to a slider that reverses, and how a differential pair avoids it.
+"""Friction of the platform's drives: its effect on a slider that reverses, for a single drive and for a differential pair that avoids it.
 
-A drive's friction f(v) is Coulomb and Stribeck, with a bristle that holds while it stands (elasto-plastic with one state: Dupont,
-Hayward, Armstrong, Altpeter, IEEE Trans. Automatic Control 47(5), 2002, taken with its break-away at full deflection; g(v) after
+A drive's friction f(v) is Coulomb and Stribeck, with a bristle that holds the drive at rest (elasto-plastic with one state: Dupont,
+Hayward, Armstrong, Altpeter, IEEE Trans. Automatic Control 47(5), 2002, here with break-away at full deflection; g(v) after
 Canudas de Wit, Olsson, Astrom, Lischinsky, IEEE Trans. Automatic Control 40(3), 1995):
 
     g(v) = f_c + (f_s - f_c) exp(-(v/v_s)^2)
     z' = v while |sigma_0 z| < g(v), else z stays at g(v)/sigma_0
     f = clip(sigma_0 z + sigma_1 z', -g(v), g(v)) + f_v v
 
-It does not drift below break-away, gives neither more than g nor back more than its spring took in, and needs no smaller step.
+It does not drift below break-away; apart from the viscous part it does not exceed g, its spring returns no more energy than it has
+stored, and it needs no smaller time step.
 
-`single`: one drive moves the slider, f acts on it. `dual`: two drives of half the speed add up in a differential screw, s = s_1 + s_2,
-and turn against each other at the bias b: u_1 = s'/2 + b, u_2 = s'/2 - b. The bias loop holds b, so by virtual work the slider feels
-(f(u_1) + f(u_2))/2: at s' = 0 the Coulomb terms cancel, and no drive reverses while |s'| < 2 b.
+`single`: one drive moves the slider, f acts on it. `dual`: a differential screw adds two drives of half the speed, s = s_1 + s_2, which
+turn against each other at the bias speed b: u_1 = s'/2 + b, u_2 = s'/2 - b. The bias loop keeps b constant, so that by virtual work the
+friction on the slider is (f(u_1) + f(u_2))/2: at s' = 0 the Coulomb terms cancel, and no drive reverses while |s'| < 2 b.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
     from hiltestbed.platform.pss33.settings import Actuator
 
 PRESLIDING = 5.0e7  # [N/m] 300 N at 6 um: machine-tool drives give 1 to 50 um before they break away
-STEPS = 0.25  # of m/dt^2: the stiffest bristle that a step of the physics can follow
+STEPS = 0.25  # fraction of m/dt^2: the stiffest bristle that a physics step can resolve
 IDEAL, SINGLE, DUAL = 0, 1, 2
 KINDS = {"ideal": IDEAL, "single": SINGLE, "dual": DUAL}
 COULOMB, STICTION, STRIBECK, VISCOUS, BIAS, BRISTLE, DAMPER = range(7)
@@ -40,14 +41,14 @@ COULOMB, STICTION, STRIBECK, VISCOUS, BIAS, BRISTLE, DAMPER = range(7)
 
 @njit(cache=True, inline="always")
 def stribeck(v, p):
-    """Largest friction [N] short of the viscous part, at the speed ``v`` [m/s]; ``p`` (7,) the numbers of a drive."""
+    """Largest friction [N] without the viscous part, at the speed ``v`` [m/s]; ``p`` (7,) the parameters of a drive."""
     x = v / p[STRIBECK]
     return p[COULOMB] + (p[STICTION] - p[COULOMB]) * math.exp(-x * x)
 
 
 @njit(cache=True)
 def drag(v, dt, p, z, i):
-    """Force [N] against the motion of a drive at ``v`` [m/s]; its bristle ``z[i]`` [m] goes on by ``dt`` [s]."""
+    """Force [N] against the motion of a drive at ``v`` [m/s]; its bristle ``z[i]`` [m] is advanced by ``dt`` [s]."""
     most = stribeck(v, p)
     reach = most / p[BRISTLE]
     z[i] = min(max(z[i] + v * dt, -reach), reach)
@@ -76,7 +77,7 @@ def _act(kinds, numbers, dt, dofs, qvel, bristles, applied):
 
 @njit(cache=True)
 def _settle(kinds, numbers, dofs, qvel, bristles):
-    """Bristles of drives that have long been moving at ``qvel``; at rest they are unloaded."""
+    """Set the bristles to their steady state at the speeds ``qvel``; at rest they are unloaded."""
     for i in range(qvel.shape[0]):
         p = numbers[i]
         for j in range(dofs.shape[0]):
@@ -95,7 +96,7 @@ class DriveFriction:
     """
 
     def __init__(self, actuators: Sequence[Actuator], dofs: NDArray[np.intp], moved: float, dt: float) -> None:
-        """``dofs`` (6,) of the sliders, ``moved`` [kg] the least that a drive moves: carriage and armature; ``dt`` [s] a step."""
+        """Args: dofs: (6,) of the sliders. moved: smallest mass that a drive moves, carriage and armature [kg]. dt: physics step [s]."""
         self.kinds = np.array([KINDS[a.kind] for a in actuators])
         self.acts = bool(self.kinds.any())
         bristle = min(PRESLIDING, STEPS * moved / (dt * dt))
@@ -108,7 +109,7 @@ class DriveFriction:
         self._act = Call(_act, self.kinds, self.numbers, dt, self._dofs, GIVEN, self.bristles, GIVEN)
 
     def settle(self, qvel: Array) -> None:
-        """Start from drives that have long been moving at ``qvel`` (n, nv)."""
+        """Start in the steady state at the speeds ``qvel`` (n, nv)."""
         _settle(self.kinds, self.numbers, self._dofs, qvel, self.bristles)
 
     def act(self, qvel: Array, applied: Array) -> None:

@@ -1,8 +1,8 @@
-"""Ideal tracking: the pose runs linearly over each tick to the commanded one.
+"""Ideal tracking: over each tick the pose moves linearly to the commanded one.
 
-The active mechanism is a free body whose position and velocity are written before every evaluation of the contact; of the platform
-nothing is integrated. Evaluated are the sub-instants of the tick that ends, so that the last one is the force at t_(k+1) with the
-slope of that tick.
+The active mechanism is a free body whose position and velocity are written before every evaluation of the contact; the platform's
+motion is not integrated. The contact is evaluated at the substeps of the tick that ends, so that the last one gives the force at
+t_(k+1) with the slope of that tick.
 """
 
 from __future__ import annotations
@@ -42,9 +42,9 @@ def _back(pose, twist, h, out):
 
 @njit(cache=True)
 def _between(pose_before, pose_now, twist, time, last, bent, path, pose, qpos, qvel, joint):
-    """Where A is ``time`` [s] after ``pose_before``: into ``pose``, and into MuJoCo's free joint (w-first, angular in body).
+    """Write the pose of A ``time`` [s] after ``pose_before`` to ``pose`` and MuJoCo's free joint (w-first, angular velocity in the body).
 
-    Where the platform departs from the straight line (``bent``) its position is ``path`` (n, 3) [m].
+    If the platform deviates from the straight line (``bent``), its position is ``path`` (n, 3) [m].
     """
     q, d = joint[0], joint[1]
     for i in range(pose_now.shape[0]):
@@ -63,7 +63,7 @@ def _between(pose_before, pose_now, twist, time, last, bent, path, pose, qpos, q
 
 @njit(cache=True)
 def _change(pose, twist, qvel, at, per_step, push):
-    """``push`` (n, 6): what brings the free joint from its velocity to ``twist`` (n, 6) in one step; angular in the body's axes."""
+    """``push`` (n, 6): force and torque that bring the free joint to ``twist`` (n, 6) in one step; torque in the body's axes."""
     turn = np.empty(3)
     for i in range(pose.shape[0]):
         rotate_back(pose[i, 3:7], twist[i, 3:6], turn)
@@ -88,7 +88,7 @@ class IdealTracking:
         answers = first.rig.platform.tracking == "response"
         settings = [s.rig.platform.response for s in scenarios] if answers else []
         self.response = ResponsePath(settings, first.tick, first.substeps) if answers else None
-        self._bent = self.path.active or answers  # positions within a tick are those of _along
+        self._bent = self.path.active or answers  # whether positions within a tick are taken from _along
         self._along = self.path.path if self.path.active else np.zeros((n, first.substeps, 3))
         self._ticks = np.zeros(1, dtype=np.int64)
         self.follower = first.rig.platform.follower(scenarios, structure, first.tick / first.substeps)
@@ -101,18 +101,18 @@ class IdealTracking:
         self._integrated = self.contacts.mount.moves or structure.sides.moving
         self._tare, self._all = np.zeros((n, 6)), np.arange(n)  # there is no gravity
         self._goal = np.zeros((n, 7))
-        self._way: tuple[Array, Array] | None = None  # poses (m, n, 7), twists (m, n, 6) of a tick, where given
+        self._way: tuple[Array, Array] | None = None  # poses (m, n, 7), twists (m, n, 6) of a tick, if given
         self._before, self._between = np.zeros((n, 7)), np.zeros((n, 7))
         self.pose_act, self.twist_act = np.zeros((n, 7)), np.zeros((n, 6))
         self.wrench_sub = np.zeros((n, self.substeps, 6))
         self.contact_now = self.contacts.touching
         joints = len(self.follower.units)
         self.slider_act, self.slider_cmd = np.zeros((n, joints)), np.zeros((n, joints))
-        self.diverged = np.zeros(n, dtype=bool)  # the platform cannot: a command that is lost is the loop's to end
+        self.diverged = np.zeros(n, dtype=bool)  # the platform cannot diverge; the loop ends a run whose command is lost
         self.causes = [""] * n
 
     def reset(self, pose: Array, twist: Array) -> None:
-        """Start at ``pose`` (n, 7) with the uniform ``twist`` (n, 6) that brought it there."""
+        """Start at ``pose`` (n, 7) after a uniform motion with ``twist`` (n, 6)."""
         self.batch.reset(stage=0)
         self._ticks[0], self._way = 0, None
         self.pose_act[:], self.twist_act[:] = pose, twist
@@ -128,7 +128,7 @@ class IdealTracking:
         self._conclude()
 
     def begin(self, pose_cmd: Array, twist_cmd: Array, accel_cmd: Array) -> None:
-        """Start the tick towards ``pose_cmd`` (n, 7); its derivatives are not needed here."""
+        """Start the tick towards ``pose_cmd`` (n, 7); its derivatives are not used."""
         self._goal[:] = pose_cmd
 
     def carry(self, poses: Array, twists: Array) -> None:
@@ -161,7 +161,7 @@ class IdealTracking:
         self._conclude()
 
     def bare_steps(self, count: int) -> None:
-        """``count`` evaluations of the contact where it is."""
+        """``count`` evaluations of the contact at the current pose."""
         for _ in range(count):
             self.batch.forward()
 
@@ -172,9 +172,9 @@ class IdealTracking:
             read_wrench(self._reading, self._tare, self._all, self.wrench_sub, s - 1)
 
     def _run(self) -> None:
-        """Mount and moving parts are integrated: a step reads the wrench of its start; the last instant takes a forward pass of its own."""
+        """Integrate mount and moving parts: a step gives the wrench at its start, an extra forward evaluation the last one."""
         for s in range(1, self.substeps + 1):
-            push = self._push if s == 1 or self._way is not None else None  # else A goes on as it did
+            push = self._push if s == 1 or self._way is not None else None  # None: A keeps its velocity
             if push is not None:
                 self._accelerate(s, push)
             self.batch.step()
@@ -187,13 +187,13 @@ class IdealTracking:
         read_wrench(self._reading, self._tare, self._all, self.wrench_sub, self.substeps - 1)
 
     def _accelerate(self, s: int, push: Array) -> None:
-        """Let the parts that move on the active side feel how A changes its velocity in step ``s`` of the tick: into ``push`` (n, 6)."""
+        """Accelerate A in step ``s`` of the tick by the wrench ``push`` (n, 6), so that the active side's moving parts react to it."""
         per_step = model.INTEGRATED_MASS * self.substeps / self.tick
         twist = self.twist_act if self._way is None else self._way[1][s - 1]
         _change(self._between, twist, self._qvel, self._joint[1], per_step, push)
 
     def _place(self, s: int) -> None:
-        """Put A where it is at the sub-instant ``s`` of m, and the wrench of that state on the passive side."""
+        """Place A at the end of substep ``s`` of m, and apply the contact wrench of that state."""
         m, twist = self.substeps, self.twist_act  # one array, to which the contacts are bound
         if self._way is not None:
             pose, twist[:] = self._way[0][s - 1], self._way[1][s - 1]

@@ -1,4 +1,4 @@
-"""The motion platforms that a scenario may name: each describes itself in its settings, and nothing else knows it by name."""
+"""The motion platforms that a scenario may name: each is defined by its settings class, and no other code refers to it by name."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ if TYPE_CHECKING:
 class Platform(Strictly):
     """The motion platform of a scenario: base of every kind.
 
-    A kind of one's own derives from it, gives ``kind`` as a literal, and a ``facility`` (:class:`hiltestbed.platform.facilities.facility.
-    Facility`); how it is stepped, recorded, watched and measured follows from that.
+    A new kind derives from it, gives ``kind`` as a literal, and a ``facility`` (:class:`hiltestbed.platform.facilities.facility.
+    Facility`); stepping, recording, limit monitoring and measurement follow from these.
 
     Attributes:
-        tracking: servo: under its drives; ideal: the pose reaches the command exactly, one tick later; free: nothing is commanded.
-        physical: bodies that move by themselves stand in place of the numerical model.
+        tracking: servo: moved by its drives; ideal: the pose reaches the command exactly, one tick later; free: nothing is commanded.
+        physical: whether freely moving bodies replace the numerical model.
     """
 
     PARTS: ClassVar[tuple[str, ...]] = ("docstring", "facility")
     physical: ClassVar[bool] = False
-    states_limits: ClassVar[bool] = True  # of its joints, in its facility; else the scenario's safety section has them all
-    carries_upper: ClassVar[bool] = False  # an upper platform may carry the passive side
-    drives: ClassVar[tuple[str, ...]] = ()  # fields that say how it is driven, on which a platform that is prescribed does not hang
+    states_limits: ClassVar[bool] = True  # whether its facility gives the joints' limits; else all are in the scenario's safety section
+    carries_upper: ClassVar[bool] = False  # whether an upper platform may carry the passive side
+    drives: ClassVar[tuple[str, ...]] = ()  # fields that describe its drives, which have no effect on a prescribed platform
 
     kind: str
     if TYPE_CHECKING:  # a field of every kind, with choices of its own
@@ -41,13 +41,13 @@ class Platform(Strictly):
 
     @property
     def prescribed(self) -> bool:
-        """Whether the pose is put where it is to be, without mass, and its rate held over a tick; else drives or bodies are simulated."""
+        """Whether the pose is prescribed, without mass and at a constant rate over a tick; otherwise drives or bodies are simulated."""
         return getattr(self, "tracking", "free") in ("ideal", "response")
 
     def idle(self, scenario: Scenario) -> Iterator[Problem]:
         tracking = getattr(self, "tracking", "free")
         if tracking == "response":
-            why = "tracking is response, in which rig.platform.response stands for drives and controller together"
+            why = "tracking is response, in which rig.platform.response replaces drives and controller"
             do = "put delay and bandwidth there (response.delay, response.bandwidth), or take tracking servo"
             yield from (((name,), f"{why}; {do}") for name in self.drives)
         elif tracking == "ideal":
@@ -58,62 +58,63 @@ class Platform(Strictly):
 
     @placeholder
     def facility(self) -> Facility:
-        """Model, kinematics, drives and limits. Raises InputError for a model of the user's own that does not do."""
+        """Model, kinematics, drives and limits. Raises InputError for an unsuitable model of the user."""
         raise NotImplementedError
 
     def driven(self, scenarios: Sequence[Scenario], structure: Structure, dt: float) -> FacilityRig | Pss33Rig:
-        """The rigs of runs on this platform under their drives, for steps of ``dt`` [s]."""
+        """The rigs of runs on this platform with simulated drives or bodies, for steps of ``dt`` [s]."""
         from hiltestbed.platform.facilities.rig import FacilityRig
 
         return FacilityRig(scenarios, structure, dt)
 
     def follower(self, scenarios: Sequence[Scenario], structure: Structure, dt: float) -> FacilityFollower | Pss33Follower:
-        """The joints of runs on this platform where it follows exactly."""
+        """The joints of runs on this platform under exact tracking."""
         from hiltestbed.platform.facilities.rig import FacilityFollower
 
         return FacilityFollower(scenarios, structure, dt)
 
     def drawn(self, scenario: Scenario) -> DrawnFacility | None:
-        """The rig of a scenario as it is drawn; None for the one that the viewer draws by itself."""
+        """The rig of a scenario for drawing; None for the one that the viewer draws itself."""
         from hiltestbed.platform.facilities.drawing import DrawnFacility
 
         return DrawnFacility(scenario)
 
     def alike(self, scenario: Scenario) -> Hashable:
-        """What must be equal in the runs of one batch: all that the model depends on."""
+        """Everything that the model depends on, which must be equal in the runs of one batch."""
         return self.facility().alike()
 
     def problems(self, scenario: Scenario) -> Iterator[Problem]:
-        """What of the scenario cannot be on this platform: a start out of reach, rates that do not divide. Paths are the scenario's."""
+        """What a scenario requires that this platform cannot do: a start out of reach, rates that do not divide. Paths: in the scenario."""
         from hiltestbed.platform.facilities.checks import facility_problems
 
         return facility_problems(scenario)
 
     def reference(self) -> dict[str, Any]:
-        """The platform of a run without faults: the same, followed exactly."""
+        """The platform of a reference run without rig errors: the same, with exact tracking."""
         return self.model_dump(mode="json") | {"tracking": "ideal"}
 
     def cure(self, lost: float) -> tuple[str, dict[str, Any]]:
-        """What the field does on this kind of rig about its lags: in words, and as a scenario's compensation.
+        """The usual compensation of the lags of this kind of rig: in words, and as a scenario's compensation.
 
-        lost: damping [N s/m] that sensor and platform take out of the contact, for methods that are designed by it.
+        Args:
+            lost: damping [N s/m] that the lags of sensor and platform remove from the contact, for methods designed from it.
         """
         return "phase lead of the force", {"force": {"kind": "phase_lead"}, "motion": {"kind": "feedforward"}}
 
     @classmethod
     def contest(cls) -> Mapping[str, Mapping[str, Any]]:
-        """Name to `rig.platform` of each of its forms that takes part in `bench facilities`; by default one, with its defaults.
+        """Name to `rig.platform` of each of its variants that takes part in `bench facilities`; by default one, with default settings.
 
-        A kind that has to be told more than that takes no part unless it says what here.
+        A kind with required settings takes part only if it overrides this method and gives them.
         """
         kind = kind_of(cls)
         needs = [name for name, field in cls.model_fields.items() if field.is_required() and name != "kind"]
         return {} if kind is None or needs else {kind: {"kind": kind}}
 
-    distorts: ClassVar[str] = ""  # what this kind of rig makes of a contact, in two or three sentences
+    distorts: ClassVar[str] = ""  # how this kind of rig distorts a contact, in two or three sentences
 
     def nearest_bandwidth(self, scenario: Scenario) -> float:
-        """Bandwidth [Hz] of the second order that is nearest to the way the platform follows, along the insertion."""
+        """Bandwidth [Hz] of the second-order system closest to the platform's tracking along the insertion."""
         given = getattr(self, "response", None)
         if given is not None and getattr(self, "tracking", "free") == "response":
             band = given.bandwidth

@@ -1,4 +1,4 @@
-"""The physical rig of `n` runs: the platform follows the commanded relative pose, the mechanisms touch, the sensor feels it."""
+"""The physical rig of `n` runs: the platform tracks the commanded relative pose, and the sensor measures the contact of the mechanisms."""
 
 from __future__ import annotations
 
@@ -28,41 +28,41 @@ if TYPE_CHECKING:
 
 
 def structure(scenario: Scenario) -> Structure:
-    """What the rig of a scenario is made of."""
+    """The structure of a scenario's rig."""
     mechanism, effects = scenario.mechanism, by_link(scenario.effects, "contact")
     rubs = any(ContactParameters.believed(c).with_effects(effects).friction > 0.0 for c in mechanism.contacts())
     return structure_of(mechanism, bool(effects), rubs)
 
 
 def alike(scenario: Scenario) -> Hashable:
-    """What must be equal in the scenarios of one :class:`Plant`; all other numbers may differ run by run."""
+    """Everything that must be equal in the scenarios of one :class:`Plant`; all other parameters may differ between runs."""
     platform, upper = scenario.rig.platform, scenario.rig.upper
     above = (upper.kind, upper.tracking if upper.kind != "fixed" else None)
     return (scenario.rate, scenario.physics_rate, structure(scenario), platform.alike(scenario), platform.tracking, above)
 
 
 class AppliedForce(Protocol):
-    """A wrench that acts in place of a contact."""
+    """A wrench that replaces the contact."""
 
     def next(self) -> Array:
-        """(6,) the wrench of the next instant of the physics, active on passive, in P at P's origin [N, N m]."""
+        """(6,) wrench at the next physics instant, of active on passive side, in P at P's origin [N, N m]."""
         ...
 
 
 class Plant:
-    """`n` rigs in lockstep. Every array is updated in place: copy what must outlive a tick.
+    """`n` rigs in lockstep. Every array is updated in place: copy what is needed after a tick.
 
     Attributes, all at t_k:
         pose_act: (n, 7) pose of A in P; twist_act: (n, 6) twist of A relative to P, in P. Ideal tracking: the slope of the pose over
             the tick that ended; servo: the velocity at t_k.
         wrench_sub: (n, m, 6) contact wrench, what the active side exerts on the passive one, in P at P's origin, tared [N, N m],
-            at t_(k-1) + (s + 1) dt, s = 0 .. m - 1; the last, at t_k, may stand only after :meth:`begin` where a run is `late`.
+            at t_(k-1) + (s + 1) dt, s = 0 .. m - 1; the last, at t_k, is valid only after :meth:`begin` for a run that is `late`.
         contact: (n,) bool, whether the mechanisms touch. captured: (n,) bool, whether they are latched to each other.
-        slider_cmd, slider_act: (n, J) the platform's driven joints [units], 0 at home; none where nothing is driven. upper_cmd,
-            upper_act: (n, 3) those of the upper one. units: (J,) "m" or "rad".
-        phases: of capture, of a mechanism that has them. pose_W: (n, 7) pose of A in W, which is P without an upper platform.
-        physical: bodies that move by themselves: commands are not heard, and the pose reached is the one that there is.
-        diverged: (n,) bool, whether a run has left the finite numbers; it is frozen from then on.
+        slider_cmd, slider_act: (n, J) the platform's driven joints [units], 0 at home; J = 0 if nothing is driven. upper_cmd,
+            upper_act: (n, 3) those of the upper platform. units: (J,) "m" or "rad".
+        phases: of capture, if the mechanism has them. pose_W: (n, 7) pose of A in W, which is P without an upper platform.
+        physical: whether the bodies move freely: commands are ignored, and the reached pose is the actual one.
+        diverged: (n,) bool, whether a run has diverged; it is frozen from then on.
     """
 
     def __init__(
@@ -76,9 +76,9 @@ class Plant:
         """The rigs of `n` runs.
 
         Args:
-            force: acts in place of the contact, whose mechanisms then pass through each other.
-            held: parts that move on the active side stand still on it; needs ``force``.
-            late: (n,) runs that do not need the wrench at t_k before the tick begins there, which costs less; none by default.
+            force: replaces the contact; the mechanisms then pass through each other.
+            held: whether moving parts of the active side are kept fixed to it; needs ``force``.
+            late: (n,) whether a run does not need the wrench at t_k before the tick that begins there, which is cheaper; none by default.
         """
         if len({alike(s) for s in scenarios}) != 1:
             raise InputError(
@@ -119,36 +119,36 @@ class Plant:
 
     @property
     def model(self) -> mujoco.MjModel:
-        """The model that is stepped: the bare physics under this plant."""
+        """The MuJoCo model that this plant steps."""
         return self._tracking.model
 
     def contacts(self) -> Engagement:
-        """Where what touches; of a spring and a damper without friction there is no more to know than the force."""
+        """Contact points and their forces; springs and dampers without friction give only the total force."""
         return self._tracking.contacts.engagement
 
     def watch(self, field: str, parts: int) -> Array:
-        """A field of MuJoCo's data, live: (n, bodies, parts)."""
+        """A live view of a field of MuJoCo's data: (n, bodies, parts)."""
         return self._batch.bind(field).reshape(len(self.pose_act), -1, parts)
 
     def held_pair(self, i: int) -> tuple[Array, Array] | None:
-        """Stiffness and damping (6, 6) of the latched place of run ``i`` (:func:`hiltestbed.contact.jacobian.held_pair`); None without."""
+        """Stiffness and damping (6, 6) of the latches of run ``i`` (:func:`hiltestbed.contact.jacobian.held_pair`); None without phases."""
         return held_pair(self.contacts(), self._batch, self._made_of, i) if self.phases is not None else None
 
     def joint_limit_passed(self) -> bool:
-        """Whether a joint of a run has passed a limit that the facility states for it, or a command is out of its reach."""
+        """Whether a joint of a run has exceeded a limit of its facility, or a command is out of reach."""
         return self._rig is not None and self._rig.passed()
 
     def joint_limit(self, i: int) -> str | None:
-        """Which such limit run ``i`` has passed, in words."""
+        """The limit that run ``i`` has exceeded, in words; None if there is none."""
         watch = self._rig.watch if self._rig is not None else None
         return watch.reason(i) if watch is not None else None
 
     def payload_left(self, i: int) -> dict[str, float] | None:
-        """What of the passive side's weight and inertia has been left in the reading of run ``i``; None where it has not moved."""
+        """Residual of the passive side's weight and inertia in the reading of run ``i``; None if it does not move."""
         return self._tracking.payload_left(i) if isinstance(self._tracking, NineAxes) else None
 
     def divergence(self, i: int) -> str:
-        """Why run ``i`` diverged: which quantity, and its value."""
+        """Why run ``i`` diverged: the quantity and its value."""
         return self._tracking.causes[i]
 
     def reset(self, pose: Array, twist: Array) -> None:
@@ -158,18 +158,18 @@ class Plant:
             self.phases.reset()
 
     def bare_steps(self, count: int) -> None:
-        """``count`` steps of the same physics with nothing around them, a call each: what the loop's cost is compared with."""
+        """``count`` steps of the same physics alone, one call each: the reference for the loop's cost."""
         self._tracking.bare_steps(count)
 
     def begin(self, pose_cmd: Array, twist_cmd: Array, accel_cmd: Array) -> None:
-        """Set out from t_k for t_(k+1): ``pose_cmd`` (n, 7) is to be reached then, with ``twist_cmd`` and ``accel_cmd`` (n, 6).
+        """Start the tick from t_k to t_(k+1): ``pose_cmd`` (n, 7) is to be reached then, with ``twist_cmd`` and ``accel_cmd`` (n, 6).
 
-        All attributes stay those at t_k; from here on the wrench at t_k stands for every run.
+        All attributes stay those at t_k; after this call the wrench at t_k is valid for every run.
         """
         self._tracking.begin(pose_cmd, twist_cmd, accel_cmd)
 
     def finish(self) -> None:
-        """Arrive at t_(k+1)."""
+        """Complete the tick: all attributes become those at t_(k+1)."""
         self._tracking.finish()
         self._conclude()
 
@@ -185,7 +185,7 @@ class Plant:
         self.finish()
 
     def carry(self, poses: Array, twists: Array) -> None:
-        """A whole tick of a rig under ideal tracking through ``poses`` (m, n, 7) with ``twists`` (m, n, 6) at its m instants.
+        """A whole tick of a rig under ideal tracking through ``poses`` (m, n, 7) with ``twists`` (m, n, 6) at its m physics instants.
 
         Each twist is the slope of the step that ends there.
         """

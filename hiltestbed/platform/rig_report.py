@@ -1,4 +1,4 @@
-"""What a rig is, measured and drawn: workspace, bandwidth and delay in six axes, modes, dynamic stiffness."""
+"""Measured characteristics of a rig, with drawings: workspace, bandwidth and delay in six axes, modes, dynamic stiffness."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ Progress = Callable[[int, int], None]
 
 @dataclass
 class RigFigures:
-    """What was measured of the rig of a scenario; the frequency response with the friction of its drives, the rest without."""
+    """Measurements of a scenario's rig; the frequency response includes the friction of its drives, the others do not."""
 
     scenario: Scenario
     reach: tuple[Reach, ...]
@@ -92,16 +92,14 @@ class RigFigures:
 
 
 def measure_rig(scenario: Scenario, progress: Progress | None = None) -> RigFigures:
-    """Measure the rig of a scenario, with its mechanism on it and its feed-forward.
+    """Measure the rig of a scenario, with its mechanism and its feed-forward.
 
     Raises:
-        InputError: nothing is driven on it.
+        InputError: the rig has no drives.
     """
     facility = facility_of(scenario)
     if facility.physical:
-        raise InputError(
-            f"rig.platform.kind {facility.kind}: drives nothing, its bodies move by themselves; what is measured is the response of a drive"
-        )
+        raise InputError(f"rig.platform.kind {facility.kind}: drives nothing, its bodies move freely; only a driven rig can be measured")
     about: dict[str, Any] = {"rate": scenario.rate, "substeps": scenario.substeps, "mechanism": scenario.mechanism}
     feed = bool(scenario.compensation.motion.feeds)
     f = np.geomspace(SLOWEST, min(FASTEST, 0.05 * scenario.rate), POINTS).tolist()
@@ -125,32 +123,34 @@ def write_rig(figures: RigFigures, path: str | Path) -> Path:
     """Write rig.json, report.html and the drawings, and return the folder.
 
     Raises:
-        InputError: the folder cannot be written, or holds something else.
+        InputError: the folder cannot be written, or has other contents.
     """
     path = Path(path)
     with whole_folder(path, mark=RIG) as folder:
         (folder / RIG).write_text(json.dumps(figures.to_json(), indent=1, allow_nan=False) + "\n", encoding="utf-8")
         report = Report(f"Rig of {figures.scenario.name}: {figures.scenario.rig.platform.kind}")
         report.table(["figure", "value"], figures.lines())
-        for name, draw, said in (
-            ("workspace", _workspace, "Reach from home, one axis at a time, until a joint's travel or a singularity ends it."),
-            ("response", _response, "Reached over commanded pose of A, axis by axis; dashed: 3 dB and 90 degrees."),
+        for name, draw, caption in (
+            ("workspace", _workspace, "Reach from home, one axis at a time, limited by joint travel, singularities and reach."),
+            ("response", _response, "Ratio of reached to commanded pose of A, axis by axis; dashed: -3 dB and -90 degrees."),
             (
                 "stiffness",
                 _stiffness,
-                "Dynamic stiffness at A, the command held; its fall to a mode is where contact and rig exchange energy.",
+                "Dynamic stiffness at A with a constant command; where it drops, at a mode, contact and rig exchange energy.",
             ),
         ):
             figure = draw(figures)
             figure.savefig(folder / f"{name}.png", dpi=110, bbox_inches="tight", metadata={"Software": None})
-            report.figure(figure, said)
+            report.figure(figure, caption)
         report.heading("Modes")
         rows = [[f"{m.frequency:.2f}", f"{m.damping_ratio:.3f}", m.motion] for m in figures.modes]
-        report.table(["frequency [Hz]", "damping ratio", "motion of A"], rows, "Under the drives, command held; friction left out.")
-        report.heading("What ends the workspace")
+        report.table(
+            ["frequency [Hz]", "damping ratio", "motion of A"], rows, "With the drives active and a constant command, without friction."
+        )
+        report.heading("Limits of the workspace")
         report.table(
             ["axis", "below", "above"],
-            [[w.axis, w.stops[0] or "not looked further", w.stops[1] or "not looked further"] for w in figures.reach],
+            [[w.axis, w.stops[0] or "not searched further", w.stops[1] or "not searched further"] for w in figures.reach],
         )
         report.write(folder / REPORT)
     return path

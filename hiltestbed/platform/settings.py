@@ -1,4 +1,4 @@
-"""The rig's section of a scenario: the motion platform, and what carries the passive side."""
+"""The rig section of a scenario: the motion platform, and the support of the passive side."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ AnyPlatform = Annotated[Platform, OneOf(PLATFORMS, default="pss33")]
 
 
 class UpperPlatform(Strictly):
-    """What carries the passive side and the force sensor."""
+    """The support of the passive side and the force sensor."""
 
     kind: Literal["fixed", "prs3"] = Field(
         default="fixed",
         description="Upper platform. fixed: none; prs3: heave of 2 m and two tilts, clamped while the ports are less than 0.19 m apart",
     )
     tracking: Literal["servo", "ideal"] = Field(
-        default="servo", description="How the upper platform follows. servo: under its drives; ideal: it is where it is planned to be"
+        default="servo", description="Tracking of the upper platform. servo: simulated drives; ideal: it is exactly at its planned pose"
     )
 
     def idle(self, scenario: Scenario) -> Iterator[Problem]:
@@ -34,10 +34,10 @@ class UpperPlatform(Strictly):
 
 
 class Rig(Strictly):
-    """The physical side: the motion platform, and what carries the passive port."""
+    """The physical side: the motion platform, and the support of the passive port."""
 
     platform: AnyPlatform = Field(
         default_factory=lambda: PLATFORMS["pss33"].model_validate({"kind": "pss33"}),
         description="The motion platform that carries the active side",
     )
-    upper: UpperPlatform = Field(default=UpperPlatform(), description="What carries the passive side and the force sensor")
+    upper: UpperPlatform = Field(default=UpperPlatform(), description="Support of the passive side and the force sensor")

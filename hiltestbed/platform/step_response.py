@@ -1,7 +1,7 @@
-"""A linear response as what is left of a step: a piecewise-linear curve over the time since the step.
+"""A linear response described by its step response: a piecewise-linear curve over the time since the step.
 
-The answer to a command u is s_0 u(t - t_0) + sum_i m_i (U(t - t_i) - U(t - t_(i+1))), U the integral of u over time, m_i the slope of the
-curve from its knot i to the next: no sum over the past, and exact for a command that is linear over each tick.
+The response to a command u is s_0 u(t - t_0) + sum_i m_i (U(t - t_i) - U(t - t_(i+1))), U the integral of u over time, m_i the slope of
+the curve from its knot i to the next: no sum over the past, and exact for a command that is linear over each tick.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ def knots(step: Array) -> tuple[Array, Array]:
 
 
 def longest_memory(steps: Array) -> float:
-    """[s] after which none of the packed curves (n, PACKED) changes any more."""
+    """Time [s] after which all packed curves (n, PACKED) are constant."""
     return max((float(knots(s)[0][-1]) for s in steps if s[0] > 0), default=0.0)
 
 
 def mean_lateness(step: Array) -> float:
-    """[s] by which the answer to a uniform motion lags behind its final share of it: the area over the curve, over its last value."""
+    """Steady-state lag [s] of the response to a uniform motion, at its final gain: the area above the curve over its last value."""
     times, values = knots(step)
     if not len(times) or values[-1] == 0.0:
         return 0.0
@@ -31,7 +31,7 @@ def mean_lateness(step: Array) -> float:
 
 
 def summed_over(step: Array, start: Array, velocity: Array) -> tuple[Array, Array]:
-    """Answer and its rate (3,) to a uniform motion that is at ``start`` (3,) [m] with ``velocity`` (3,) [m/s]."""
+    """Response and its rate (3,) to a uniform motion that is at ``start`` (3,) [m] with ``velocity`` (3,) [m/s]."""
     values = knots(step)[1]
     if not len(values):
         return start, velocity

@@ -103,7 +103,7 @@ def test_the_watch_names_the_joint_and_its_limit() -> None:
     past = still.copy()
     past[0, 1] = np.radians(86.0)
     assert watch.passed(past, still, still, np.zeros(1))
-    assert watch.reason(0) == "joint a2 stands at -4 deg; its travel is -140 to -5 deg"
+    assert watch.reason(0) == "joint a2 is at -4 deg; its travel is -140 to -5 deg"
     fast = still.copy()
     fast[0, 4] = np.radians(180.0)
     fresh = Watch(axes, home, 1, 1e-3)

@@ -152,9 +152,9 @@ def test_a_joint_past_its_limit_stops_the_run() -> None:
 @pytest.mark.parametrize(
     ("kind", "change", "said"),
     [
-        ("stewart", {"approach.gap": 0.9}, r"approach: starts where the platform cannot be"),
+        ("stewart", {"approach.gap": 0.9}, r"approach: starts at a pose that the platform cannot reach"),
         ("serial_arm", {"rate": 900.0, "physics_rate": 1800.0}, r"controller_rate: does not divide the loop's rate"),
-        ("two_arms", {"mechanism.mount": {"stiffness": [1e6] * 6, "damping": [1e3] * 6}}, r"mechanism.mount: does not go together"),
+        ("two_arms", {"mechanism.mount": {"stiffness": [1e6] * 6, "damping": [1e3] * 6}}, r"mechanism.mount: cannot be combined"),
         ("serial_arm", {"rig.upper.kind": "prs3"}, r"rig.upper.kind: belongs to the 3-3 PSS platform"),
         ("mjcf", {"rig.platform.model": "absent.xml"}, r"rig.platform.model: .*no such file"),
         ("air_bearing", {"approach.offset": [0.0, 0.02]}, r"approach: .*do not go along y"),

@@ -197,7 +197,7 @@ def test_an_effect_of_the_lower_platform_is_seen_where_the_lower_platform_moves(
     ("keys", "message"),
     [
         ({"approach": {"gap": 2.3}}, "0 to 2.19 m"),
-        ({"approach": {"gap": 1.0, "velocity": [0.0, 0.0, 0.6]}}, "comes to rest before the touch"),
+        ({"approach": {"gap": 1.0, "velocity": [0.0, 0.0, 0.6]}}, "to come to rest before the touch"),
         ({"approach": {"gap": 2.0, "attitude_deg": [4.0, 4.0, 0.0], "offset": [0.2, 0.2]}}, "outside the workspace"),
     ],
 )

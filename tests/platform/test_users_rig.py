@@ -96,7 +96,7 @@ def test_parallel_rigs_work_as_well(rig) -> None:
     [
         (GANTRY.replace('name="mount"', 'name="flange"'), r"has no site 'mount'.*sites: flange.*add one"),
         (GANTRY.replace(B_DRIVE, "").replace(B_JOINT, ""), r"5 position actuators do not move 'mount' in six axes: no motion about y"),
-        (GANTRY.replace(B_DRIVE, ""), r"'rig/b' is neither driven nor held"),
+        (GANTRY.replace(B_DRIVE, ""), r"'rig/b' is neither driven nor constrained"),
         (GANTRY.replace(B_DRIVE, '<motor joint="b"/>'), r"not position servos do not count"),
         (GANTRY.replace("</worldbody>", ""), r"is not a model that MuJoCo compiles"),
     ],
@@ -115,7 +115,7 @@ def test_a_start_out_of_the_workspace_names_the_joint(rig) -> None:
     stand = Stand(rig(GANTRY))
     pose = UPRIGHT[None].copy()
     pose[0, 2] = -0.9
-    with pytest.raises(InputError, match=r"the start cannot be: joint rig/z would stand at .*-0.8 to 0.8 m"):
+    with pytest.raises(InputError, match=r"the start cannot be: joint rig/z would be at .*-0.8 to 0.8 m"):
         stand.reset(pose, np.zeros((1, 6)))
 
 

@@ -1,9 +1,9 @@
-"""A second rig that shares no code with the simulation: where the diagnosis gets its data to practise on.
+"""A second rig that shares no code with the simulation, as a source of data for testing the diagnosis.
 
-Two free bodies, platform, contact, sensor and compensator, written again from their definitions, with other sub-steps than the
-simulation has: `closed_loop` is the tick of a tip on a plane (three axes), `six_axes` that of probe and cone, bumper or latch, rigid or on
-a compliant mount. Every effect of the vocabulary can be hidden in it, alone and in pairs, and so can others that the vocabulary has no
-name for.
+Two free bodies, platform, contact, sensor and compensator, implemented independently from their definitions, with different sub-steps from
+the simulation: `closed_loop` is the tick of a tip on a plane (three axes), `six_axes` that of probe and cone, bumper or latch, rigid or on
+a compliant mount. Every effect of the vocabulary can be hidden in it, alone and in combination, and so can foreign effects, which are
+outside the vocabulary.
 
     rng = np.random.default_rng(7)
     hidden = draw_set(rng, "single")                        # healthy | single | pair | triple | foreign | alike
@@ -15,13 +15,13 @@ name for.
     write_set("folder", hidden)                             # nominal.yaml, dataset.yaml, run_0.parquet ... run_5.parquet
     hidden.effects, hidden.links, hidden.strengths          # the truth; `write_set(..., truth=True)` writes truth.yaml too
 
-`acting_in(design)` lists the effects that can be hidden in a design, `foreign_in(design)` the departures without a name, `NOISE_KINDS` the
-kinds of noise and their strengths, `LOOK_ALIKES` the pairs, `METHODS` the compensation methods, `Nuisances` what a facility chooses when
-it computes; left out, sets are those of the plain rig under white noise.
+`acting_in(design)` lists the effects that can be hidden in a design, `foreign_in(design)` the foreign effects, `NOISE_KINDS` the
+kinds of noise and their strengths, `LOOK_ALIKES` the pairs, `METHODS` the compensation methods, `Nuisances` the choices of a facility in
+its computations; by default sets are those of the plain rig with white noise.
 
-Contact and sensor (and the frame) are seen through the same records, pose_act and wrench_meas: either is the right link for the other.
-`hidden.strengths` says how far each effect stands above the noise of its link's records: drawn sets (scale 1) have at least 3.
-`hidden.variants` lists how the rig reads what the definitions leave open (`draw_variants`); `literal=True` leaves them out.
+Contact and sensor (and the frame) affect the same records, pose_act and wrench_meas: either is a right link for an effect of the other.
+`hidden.strengths` gives the size of each effect relative to the noise of its link's records: drawn sets (scale 1) have at least 3.
+`hidden.variants` lists how the rig interprets what the definitions leave open (`draw_variants`); `literal=True` uses the plain ones.
 
 One run by hand:
 

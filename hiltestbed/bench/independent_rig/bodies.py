@@ -1,4 +1,4 @@
-"""The numerical model of this rig: two free bodies, semi-implicit Euler, written out with vectors in the world frame.
+"""The numerical model of this rig: two free bodies, semi-implicit Euler, with vectors in the world frame.
 
 State of a body, (19,): position of the centre of mass (world), quaternion, velocity (world), angular velocity
 (body axes), displacement and relative velocity of its appendage (world).
@@ -18,14 +18,14 @@ R, Q, V, W, AQ, AV = slice(0, 3), slice(3, 7), slice(7, 10), slice(10, 13), slic
 
 
 class Bodies(NamedTuple):
-    """What the numerical model is made of; the first axis is chaser, target. SI, body axes."""
+    """The parameters of the numerical model; the first array axis is chaser, target. SI, body axes."""
 
     mass: np.ndarray  # (2,)
     inertia: np.ndarray  # (2, 3, 3)
     compliance: np.ndarray  # (2, 3, 3), its inverse
     port_position: np.ndarray  # (2, 3)
     port_attitude: np.ndarray  # (2, 4)
-    explicit: bool = False  # pose with the old twist
+    explicit: bool = False  # explicit Euler: pose with the old twist
     late: int = 0  # rows by which pose_cmd lags
     appendage_body: int = -1
     appendage_ratio: float = 0.0
@@ -34,8 +34,8 @@ class Bodies(NamedTuple):
     drag: float = 0.0  # N s/m, foreign: on the chaser's velocity
     thrust: float = 0.0  # N, foreign: on the chaser along z
     tether: float = 0.0  # N/m, foreign: pulls the chaser back to its start
-    mass_rate: float = 0.0  # 1/s, foreign: the chaser's mass changes by this part of itself
-    old_part: float = 0.0  # of the twist before the step in the pose after it: 0 semi-implicit, 1 explicit Euler
+    mass_rate: float = 0.0  # 1/s, foreign: relative rate of change of the chaser's mass
+    old_part: float = 0.0  # weight of the old twist in the new pose: 0 semi-implicit, 1 explicit Euler
 
 
 @njit(cache=True)
@@ -71,7 +71,7 @@ def _move(state, old, h):
 
 @njit(cache=True)
 def step(bodies, state, wrench, h, t, origin):
-    """One tick under the wrench (6,) of the active on the passive side, in P at P's origin; changes `state` (2, 19)."""
+    """Advance `state` (2, 19) by one tick with the wrench (6,) of active on passive side, in P at P's origin."""
     turned = matrix(state[TARGET, Q])
     place = state[TARGET, R] + times(turned, bodies.port_position[TARGET])
     into_world = matrix(product(state[TARGET, Q], bodies.port_attitude[TARGET]))
@@ -103,12 +103,12 @@ def relative_pose(bodies, state):
 
 @njit(cache=True)
 def relative_twist(bodies, state):
-    """Velocity of A's origin relative to P's place on the target, and relative angular velocity, (6,) in P."""
+    """Velocity of A's origin relative to P's frame on the target, and relative angular velocity, (6,) in P."""
     turned, other = matrix(state[TARGET, Q]), matrix(state[CHASER, Q])
     arm_c = times(other, bodies.port_position[CHASER])
     spin_t, spin_c = times(turned, state[TARGET, W]), times(other, state[CHASER, W])
     active = state[CHASER, R] + arm_c
-    at_active = active - state[TARGET, R]  # of P's frame, there where A is
+    at_active = active - state[TARGET, R]  # from the target's centre of mass to A: P's frame has its velocity there
     velocity = state[CHASER, V] + cross(spin_c, arm_c) - state[TARGET, V] - cross(spin_t, at_active)
     back = matrix(inverse(product(state[TARGET, Q], bodies.port_attitude[TARGET])))
     out = np.empty(6)
@@ -117,7 +117,7 @@ def relative_twist(bodies, state):
 
 
 def start(bodies: Bodies, approach: dict) -> tuple[np.ndarray, np.ndarray]:
-    """State (2, 19) and relative pose (7,) at t = 0: the target at rest, the ports where `approach` says."""
+    """State (2, 19) and relative pose (7,) at t = 0: the target at rest, the ports at the relative pose given by `approach`."""
     position = np.array([*approach["offset"], -approach["gap"]], dtype=float)
     attitude = from_attitude(approach["attitude_deg"])
     rate = np.radians(np.array(approach["rate_deg"], dtype=float))

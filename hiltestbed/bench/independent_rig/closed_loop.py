@@ -18,9 +18,9 @@ from hiltestbed.jit import njit
 
 @njit(cache=True)
 def _physical(law, place, states, approach, t, h, timing, out, where):
-    """The physical wrench at `t`, nothing before the start: exact position, the rate of its tick, states in between.
+    """The physical wrench at `t`, zero before the start: from the exact position, the rate of its tick, and interpolated states.
 
-    out: (6,) [N, N m]. where: (3,) the tip's place then. approach: (3,) [m/s], the rate at t = 0.
+    out: (6,) [N, N m]. where: (3,) position of the tip then. approach: (3,) [m/s], the rate at t = 0.
     """
     for a in range(6):
         out[a] = 0.0
@@ -50,7 +50,7 @@ def _physical(law, place, states, approach, t, h, timing, out, where):
 
 @njit(cache=True)
 def _sharpen(place, last, timing, h, velocity):
-    """Move the slope of a tick towards that of the half tick that ends at sub-step `last`; changes `velocity` (3,)."""
+    """Blend the slope of a tick, `velocity` (3,), with that of the half tick that ends at sub-step `last`."""
     first = max(last - max(timing.substeps // 2, 1), 0)
     for a in range(3):
         finer = (place[last, a] - place[first, a]) / (last - first) * timing.substeps / h
@@ -59,7 +59,7 @@ def _sharpen(place, last, timing, h, velocity):
 
 @njit(cache=True)
 def _advance(platform, law, node, velocity, k, h, timing, axes, place, states, pushed):
-    """Platform and contact from t_k to t_(k+1)."""
+    """Advance platform and contact from t_k to t_(k+1)."""
     substeps = timing.substeps
     dt = h / substeps
     for i in range(1, substeps + 1):
@@ -82,7 +82,7 @@ def _advance(platform, law, node, velocity, k, h, timing, axes, place, states, p
 
 @njit(cache=True)
 def _loop(bodies, platform, law, sensor, comp, state, start, velocity, h, ticks, noise, imposed_cmd, imposed_comp, timing, keep):
-    """The records of a run. Imposed poses (ticks, 7) replace the model's towards the platform; an imposed wrench drives the model."""
+    """The records of a run. Imposed poses (ticks, 7) replace the platform's commands; an imposed wrench (ticks, 6) drives the model."""
     pose_cmd, pose_act = np.empty((ticks, 7)), np.empty((ticks, 7))
     used, logged, comp_out, physical = np.empty((ticks, 6)), np.empty((ticks, 6)), np.empty((ticks, 6)), np.empty((ticks, 6))
     substeps = timing.substeps
@@ -151,7 +151,7 @@ def _loop(bodies, platform, law, sensor, comp, state, start, velocity, h, ticks,
 
 @njit(cache=True)
 def _read_before(place, k, timing, velocity, h, out):
-    """The position (3,) a part of a tick before t_k."""
+    """The position (3,) read a fraction of a tick before t_k."""
     at = (k - timing.encoder) * timing.substeps
     if at < 0.0:
         out[:3] = place[0] + velocity * (at / timing.substeps * h)
@@ -162,7 +162,7 @@ def _read_before(place, k, timing, velocity, h, out):
 
 @njit(cache=True)
 def _between(first, then, part):
-    """Attitude (4,) `part` of the way from one to the next."""
+    """Attitude (4,) at the fraction `part` between two attitudes."""
     return product(turn(part * turn_of(product(then, inverse(first)))), first)
 
 
@@ -170,8 +170,8 @@ def simulate(rig: Rig, noise: Noise, pose_cmd: np.ndarray | None = None, wrench_
     """Run the rig.
 
     Args:
-        pose_cmd: (ticks, 7) commands to the platform in place of the model's: cuts the loop there.
-        wrench_comp: (ticks, 6) what drives the model in place of the compensated force: cuts the loop there.
+        pose_cmd: (ticks, 7) commands to the platform instead of the model's: opens the loop there.
+        wrench_comp: (ticks, 6) drives the model instead of the compensated force: opens the loop there.
     """
     state, pose = model.start(rig.bodies, rig.approach)
     velocity = np.array(rig.approach["velocity"], dtype=float)

@@ -1,18 +1,18 @@
-"""The compensator of this rig: what becomes of the reading before it drives the numerical model, and the command's way after it.
+"""The compensator of this rig: from the reading to the wrench that drives the numerical model.
 
-Methods, each from its published equation, with the delay d that the facility believes and backward differences over a tick h:
+Methods, each from its published equation, with the nominal delay d of the facility and backward differences over a tick h:
 
     NONE                u
     PHASE_LEAD          (T1 s + 1)/(T2 s + 1), T1 = d + T2
     SECOND_ORDER_LEAD   (1 + (d + 2 T2) s + (d^2/2 + 2 d T2 + T2^2) s^2)/(T2 s + 1)^2
     POLYNOMIAL          sum over i = 0 .. p of (-1)^i C(p + 1, i + 1) u(t - i d)
-    DEAD_ZONE           forces within the width are taken as none, torques with them when there is none at all
-    SMITH               M(x, v) + u - M(x, v at t - d), M a given spring and damper along z at A; the rest may pass the lead
-    VIRTUAL             u + a spring and damper along z at A past the nominal touch
-    PASSIVITY           damping that makes up for the energy h sum of u . v as soon as it is negative
+    DEAD_ZONE           forces within the width are set to zero, and the torques if all forces are
+    SMITH               M(x, v) + u - M(x, v at t - d), M a given spring and damper along z at A; the difference may pass the lead
+    VIRTUAL             u + a spring and damper along z at A beyond the nominal touch
+    PASSIVITY           damping that restores the energy h sum of u . v as soon as it is negative
     RECONSTRUCTION      as SMITH on six axes, M as identified so far (`identification`); an axis without an estimate passes the lead
 
-Before the method comes the dead zone of the loop (an effect), after it the foreign gain and slew limit.
+The dead zone of the loop (an effect) is applied before the method, the foreign gain and slew limit after it.
 """
 
 from __future__ import annotations
@@ -31,39 +31,39 @@ METHODS = {
     "none": NONE, "phase_lead": PHASE_LEAD, "second_order_lead": SECOND_ORDER_LEAD, "polynomial": POLYNOMIAL, "dead_zone": DEAD_ZONE,
     "smith_predictor": SMITH, "virtual_contact": VIRTUAL, "passivity_control": PASSIVITY, "reconstruction": RECONSTRUCTION,
 }  # fmt: skip
-INPUT, OUTPUT = 0, 2  # rows of `past`: the two inputs and the two outputs before
-ENERGY, PEAK, GATED, HELD = range(4)  # of `tally`
-MOST_DAMPING = 0.5  # of what one tick can carry
+INPUT, OUTPUT = 0, 2  # first rows of the last two inputs and of the last two outputs in `past`
+ENERGY, PEAK, GATED, HELD = range(4)  # entries of `tally`
+MOST_DAMPING = 0.5  # fraction of the damping that would stop the bodies in one tick
 
 
 class Compensator(NamedTuple):
-    """The method and its numbers, and what is done before and after it. SI."""
+    """The method with its parameters, and the operations before and after it. SI."""
 
     t1: float
     t2: float
-    lead: bool = True  # where `method` is LEAD: the phase lead or nothing
+    lead: bool = True  # if `method` is LEAD: phase lead, or no compensation
     deadzone: float = 0.0
     gain: float = 1.0  # foreign
     slew: float = 0.0  # N/s, foreign: limit of the output's rate
     method: int = LEAD
-    delay: float = 0.0  # as believed
+    delay: float = 0.0  # nominal
     order: int = 3
     stiffness: float = 0.0
     damping: float = 0.0
     width: float = 0.0
     lead_rest: bool = False
     inverse_mass: float = 0.0  # 1/kg, of both bodies together
-    threshold: float = 0.0  # N, above which the identification believes in a contact
+    threshold: float = 0.0  # N, above which the identification detects a contact
 
 
 class Memory(NamedTuple):
-    """What the compensator keeps from tick to tick; all arrays are changed."""
+    """The compensator's state from tick to tick; all arrays are updated in place."""
 
     past: np.ndarray  # (4, 6)
-    history: np.ndarray  # (length, 12) reading, model force or pose and twist, one row a tick, in a ring
+    history: np.ndarray  # (length, 12) reading, model force or pose and twist, one row per tick, in a ring
     tally: np.ndarray  # (4,)
     sums: np.ndarray  # (6, SUMS)
-    found: np.ndarray  # (6, 2) stiffness and damping as identified, NaN before
+    found: np.ndarray  # (6, 2) identified stiffness and damping, NaN without an estimate
     pending: np.ndarray  # (2, 6, 3) samples of this tick and the one before
 
 
@@ -83,7 +83,7 @@ def _remember(history, k, row):
 
 @njit(cache=True)
 def _recall(history, k, ticks, column):
-    """A column's value `ticks` before row k, linear between rows, the first one before it."""
+    """A column's value `ticks` before row k, interpolated linearly; before the first row, the value of that row."""
     whole = int(math.floor(ticks))
     part = ticks - whole
     length = len(history)
@@ -93,7 +93,7 @@ def _recall(history, k, ticks, column):
 
 @njit(cache=True)
 def _second_order(comp, u, h, past, out):
-    """The second-order lead; `past` holds inputs and outputs of the last two ticks."""
+    """The second-order lead; `past` contains inputs and outputs of the last two ticks."""
     a1, a2 = comp.delay + 2.0 * comp.t2, 0.5 * comp.delay**2 + 2.0 * comp.delay * comp.t2 + comp.t2**2
     b1, b2 = 2.0 * comp.t2, comp.t2**2
     for i in range(6):
@@ -110,7 +110,7 @@ def _polynomial(comp, k, u, h, history, out):
     for i in range(6):
         out[i] = 0.0
     weight = 1.0
-    for i in range(comp.order + 1):  # the binomials one after another
+    for i in range(comp.order + 1):  # binomial coefficients by recursion
         weight = weight * (comp.order + 1 - i) / (i + 1)
         sign = 1.0 if i % 2 == 0 else -1.0
         for a in range(6):
@@ -119,7 +119,7 @@ def _polynomial(comp, k, u, h, history, out):
 
 @njit(cache=True)
 def _spring_at_port(stiffness, damping, clipped, pose, twist, out):
-    """Wrench (6,) of a spring and damper along z at A from the nominal touch on; clipped: it cannot pull."""
+    """Wrench (6,) of a spring and damper along z at A beyond the nominal touch; clipped: it cannot pull."""
     force = 0.0
     if pose[2] > 0.0:
         force = stiffness * pose[2] + damping * twist[2]
@@ -175,7 +175,7 @@ def _reconstruct(comp, k, u, pose, twist, latched, h, keep, out):
     for i in range(12):
         late[i] = _recall(keep.history, k, comp.delay / h, i)
     whole = int(math.floor(comp.delay / h))
-    rate = keep.history[(k - whole) % len(keep.history), 6:12]  # held over its tick
+    rate = keep.history[(k - whole) % len(keep.history), 6:12]  # constant over its tick
     _gate(comp, u[2], latched, h, keep.tally)
     take(keep.pending, keep.sums, keep.tally[GATED], late, rate, u)
     estimate(keep.tally[GATED], keep.sums, keep.found)
@@ -193,7 +193,7 @@ def _reconstruct(comp, k, u, pose, twist, latched, h, keep, out):
 
 @njit(cache=True)
 def _gate(comp, force, latched, h, tally):
-    """Count the ticks that the contact has lasted: a force above its noise and 2 % of its peak, or a latch that has been felt."""
+    """Count the ticks of the contact: a force above noise threshold and 2 % of its peak, or a latch closed for longer than the delay."""
     tally[PEAK] = max(tally[PEAK], force)
     tally[HELD] = tally[HELD] + 1.0 if latched else 0.0
     felt = tally[HELD] > comp.delay / h + 1.0
@@ -203,10 +203,10 @@ def _gate(comp, force, latched, h, tally):
 
 @njit(cache=True)
 def drive(comp, k, reading, pose, twist, model_twist, latched, h, keep, out):
-    """What drives the numerical model at tick k; `out` (6,) holds what drove it before and is written.
+    """The wrench `out` (6,) that drives the numerical model at tick k; on input, that of the tick before.
 
     Args:
-        pose, twist: (7,), (6,) of A in P as the facility measures them. model_twist: (6,) of the numerical model.
+        pose, twist: (7,), (6,) of A in P as measured by the facility. model_twist: (6,) of the numerical model.
     """
     u, y = reading.copy(), np.empty(6)
     for i in range(3):
@@ -245,7 +245,7 @@ def drive(comp, k, reading, pose, twist, model_twist, latched, h, keep, out):
 
 @njit(cache=True)
 def compensate(comp, reading, h, last, out):
-    """The lead alone; `last` (2, 6) holds the input and the output of the tick before, `out` (6,) is written."""
+    """The lead alone; `last` (2, 6) contains input and output of the tick before, `out` (6,) is written."""
     for a in range(6):
         u = reading[a]
         if a < 3 and abs(u) < comp.deadzone:

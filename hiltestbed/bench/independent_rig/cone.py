@@ -1,8 +1,8 @@
-"""The touching surfaces of this rig's docking mechanism: a ball on a rod against a funnel of revolution with a socket at its apex.
+"""The contact surfaces of this rig's docking mechanism: a ball on a rod against a funnel of revolution with a socket at its apex.
 
-Worked out in the half-plane (rho, z) through the axis, with z along the insertion and P's origin on the bottom of the socket. The
-wall is a strip of constant thickness about a straight middle line that ends in a round rim; the socket is the inside of a ball that
-the strip's inner face leaves as a tangent. Instead of the cone a flat plate, z = 0, can be met.
+Computed in the half-plane (rho, z) through the axis, with z along the insertion and P's origin on the bottom of the socket. The
+wall is a strip of constant thickness about a straight middle line that ends in a round rim; the socket is the inside of a sphere to which
+the strip's inner face is tangent. The passive surface can also be a flat plate, z = 0.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ import numpy as np
 
 from hiltestbed.jit import njit
 
-FIRST_LOOK = 16  # places along the rod from which the one nearest to the rim is refined
+FIRST_LOOK = 16  # intervals of a coarse search along the rod for the point nearest to the rim
 GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
-REFINED = 40  # golden sections: the last interval is 4e-9 of the first
+REFINED = 40  # golden-section steps of its refinement: the last interval is 4e-9 of the first
 
 
 class Surfaces(NamedTuple):
-    """Dimensions of probe and cone [m, rad]; `models/probe_cone` says why."""
+    """Dimensions of probe and cone [m, rad]; reasons in `models/probe_cone`."""
 
     tip: float = 0.03  # radius of the ball
     rod: float = 0.018  # radius
@@ -29,13 +29,13 @@ class Surfaces(NamedTuple):
     half_angle: float = math.radians(45.0)
     generator: float = 0.20  # length of the straight wall
     half_wall: float = 0.012
-    flat: bool = False  # a plate in place of the cone
-    oval: float = 0.0  # foreign: the wall's radius goes with 1 + oval cos(2 azimuth)
+    flat: bool = False  # a plate instead of the cone
+    oval: float = 0.0  # foreign: the wall's radius varies as 1 + oval cos(2 azimuth)
 
 
 @njit(cache=True)
 def clearance(s, p, normal):
-    """Distance [m] of the point p (3,) from the passive surface, negative inside; `normal` (3,) becomes the outward one."""
+    """Distance [m] of the point p (3,) from the passive surface, negative inside; `normal` (3,) is set to the outward normal."""
     if s.flat:
         normal[0] = normal[1] = 0.0
         normal[2] = -1.0
@@ -67,7 +67,7 @@ def clearance(s, p, normal):
 
 @njit(cache=True)
 def _oval(s, foot, grows, rho, out_x, out_y, normal):
-    """Distance that an oval wall adds, to first order; turns the normal."""
+    """Distance added by an oval wall, to first order; also corrects the normal."""
     cos2, sin2 = out_x * out_x - out_y * out_y, 2.0 * out_x * out_y
     size = s.oval * math.sin(s.half_angle) * math.cos(s.half_angle)
     wall_r, wall_z = math.sin(s.half_angle), -math.cos(s.half_angle)
@@ -84,7 +84,7 @@ def _oval(s, foot, grows, rho, out_x, out_y, normal):
 
 @njit(cache=True)
 def rim_of(s):
-    """Radius and height [m] of the ring about which the rim is rounded."""
+    """Radius and height [m] of the ring that is the centre line of the round rim."""
     middle = s.socket + s.half_wall
     ring = middle * math.cos(s.half_angle) + s.generator * math.sin(s.half_angle)
     return ring, middle * math.sin(s.half_angle) - s.socket - s.generator * math.cos(s.half_angle)
@@ -92,7 +92,7 @@ def rim_of(s):
 
 @njit(cache=True)
 def _to_ring(s, ball, axis, back, ring, level):
-    """Distance [m] from the place `back` behind the ball's centre, on the rod's axis, to the ring."""
+    """Distance [m] to the ring from the point on the rod's axis at `back` behind the ball's centre."""
     x, y, z = ball[0] - back * axis[0], ball[1] - back * axis[1], ball[2] - back * axis[2]
     wide = math.sqrt(x * x + y * y) - ring
     return math.sqrt(wide * wide + (z - level) ** 2)
@@ -100,13 +100,13 @@ def _to_ring(s, ball, axis, back, ring, level):
 
 @njit(cache=True)
 def rod_clearance(s, ball, axis, normal, place):
-    """Distance [m] of the rod's axis from the rim's surface, from where the ball ends to the rod's end.
+    """Distance [m] of the rod's axis, between ball and rod end, from the rim's surface.
 
-    ball, axis: (3,) the ball's centre and the direction in which the probe points. normal (3,) becomes the outward one of the rim,
-    place (3,) the nearest place on the rod's axis. Far from the rim the distance is a lower bound and neither is set.
+    ball, axis: (3,) the ball's centre and the direction in which the probe points. normal (3,) is set to the rim's outward normal,
+    place (3,) to the nearest point on the rod's axis. Far from the rim the distance is a lower bound and neither is set.
     """
     ring, level = rim_of(s)
-    if axis[2] > 0.5:  # where the rod passes the rim's plane it is this far from the ring, and never nearer than that times cos(tilt)
+    if axis[2] > 0.5:  # lower bound: distance of the rod from the ring in the rim's plane, times cos(tilt)
         back = (ball[2] - level) / axis[2]
         x, y = ball[0] - back * axis[0], ball[1] - back * axis[1]
         bound = (ring - math.sqrt(x * x + y * y)) * axis[2] - s.half_wall
@@ -138,7 +138,7 @@ def rod_clearance(s, ball, axis, normal, place):
 
 
 def profile(s: Surfaces, points: int = 4000) -> np.ndarray:
-    """(n, 2) rho, z [m] of the surface that can be touched, from the socket's bottom over the rim to the outside of the wall."""
+    """(n, 2) rho, z [m] of the contact surface, from the socket's bottom over the rim to the outside of the wall."""
     a, e = s.half_angle, s.half_wall
     down = np.linspace(0.5 * math.pi, a, points)  # angle from the plane of the socket's centre
     socket = np.stack([s.socket * np.cos(down), s.socket * np.sin(down) - s.socket], axis=1)

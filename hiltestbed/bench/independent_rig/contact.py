@@ -1,7 +1,7 @@
-"""The contact of this rig: a flat bumper, or a latch that also pulls, met by the probe's tip.
+"""The contact of this rig: the probe's tip on a flat bumper, or in a latch that also pulls.
 
-Every law is evaluated at any instant from the position there, the rate of that tick and the states of the contact;
-nothing is interpolated across a touch.
+Every law is evaluated at any instant from the position then, the rate of that tick and the states of the contact;
+no force is interpolated across a touch.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from hiltestbed.jit import njit
 
 BRANCH, FRAME, FRAME_V, AGE, SLIDER = range(5)  # states: Maxwell force [N], frame [m], [m/s], time since the touch [s], slider [m]
 STATES = 5
-SLIDING = 1e-4  # m/s, of tangential friction
-REVERSAL = 2e-4  # m/s, of the buffer's friction
+SLIDING = 1e-4  # m/s, regularisation speed of the tangential friction
+REVERSAL = 2e-4  # m/s, regularisation speed of the buffer's friction
 UPRIGHT = np.array([0.0, 0.0, 0.0, 1.0])
 STRAIGHT = np.ones(2)
 
@@ -24,7 +24,7 @@ STRAIGHT = np.ones(2)
 class Contact(NamedTuple):
     """The contact law; zero switches a term off. SI, in P."""
 
-    normal: np.ndarray  # (3,) of the passive surface, along the insertion
+    normal: np.ndarray  # (3,) of the passive surface, in the direction of insertion
     stiffness: float
     damping: float
     friction: float
@@ -40,28 +40,28 @@ class Contact(NamedTuple):
     branch_time: float = 1.0
     adhesion: float = 0.0
     touch: float = 0.0
-    play: float = 0.0  # whole
+    play: float = 0.0  # m, full width
     frame_stiffness: float = 0.0
-    lever: float = 1.0  # where along the penetration the force acts: 1 at the tip, 0 at the undeformed surface
-    frame_rate: float = 0.0  # a frame that gives lowers the rate of the contact by the part of the stiffness, to this power
+    lever: float = 1.0  # point of application along the penetration: 1 at the tip, 0 at the undeformed surface
+    frame_rate: float = 0.0  # a compliant frame K divides the contact's rate by (1 + k/K) to this power
     mode_w: float = 0.0
     mode_zeta: float = 0.0
     mode_mass: float = 0.0
-    mode_read: bool = False  # the sensor is under the moving mass, not above it
-    unloading: float = 0.0  # foreign: part of the spring's force that is lost on the way out
-    ageing: float = 0.0  # 1/s, foreign: the spring changes during the contact
-    speeding: float = 0.0  # s/m, foreign: the spring is stiffer when fast, either way
-    ripple: float = 0.0  # N, foreign: teeth
+    mode_read: bool = False  # whether the sensor is below the vibrating mass instead of above it
+    unloading: float = 0.0  # foreign: fraction of the spring's force that is lost during unloading
+    ageing: float = 0.0  # 1/s, foreign: relative change of the spring during the contact
+    speeding: float = 0.0  # s/m, foreign: relative increase of the spring with speed, in both directions
+    ripple: float = 0.0  # N, foreign: periodic force over penetration, as of teeth
     ripple_period: float = 1.0  # m
-    side: float = 0.0  # 1/m, foreign: a part of the force that grows with penetration shows along x
+    side: float = 0.0  # 1/m, foreign: force along x as a fraction of the normal force, proportional to penetration
     tilt: np.ndarray = UPRIGHT  # (4,) attitude of the passive port; `normal` is its z axis
-    friction_load: float = 0.0  # 1/N, foreign: the friction coefficient grows by this part of itself with the normal force
-    line: float = 0.0  # foreign: a part of the force that sways while it touches
+    friction_load: float = 0.0  # 1/N, foreign: relative increase of the friction coefficient with the normal force
+    line: float = 0.0  # foreign: relative amplitude of an oscillation of the force during contact
     line_w: float = 0.0  # rad/s
     curve: np.ndarray = STRAIGHT  # (m,) foreign: factors of the elastic force, evenly spaced over the depth, linear in between
     curve_depth: float = 0.0  # m
-    dry_stiffness: float = 0.0  # N/m of a spring that drags the slider of the dry friction; 0: it follows at once
-    pull: float = 1.0  # sign of the Hunt-Crossley damping while a latch pulls: 1 as F = k x (1 + alpha v) says, -1 dissipates
+    dry_stiffness: float = 0.0  # N/m of the spring in series with the slider of the dry friction; 0: rigid
+    pull: float = 1.0  # sign of the Hunt-Crossley damping while a latch pulls: 1 as in F = k x (1 + alpha v), -1 dissipates
 
 
 @njit(cache=True)
@@ -72,7 +72,7 @@ def penetration(law, p):
 
 @njit(cache=True)
 def with_play(law, x):
-    """Deflection [m] of the spring at the penetration x [m]: what is left beyond the play."""
+    """Deflection [m] of the spring at the penetration x [m], less the play."""
     if law.play > 0.0:
         return math.copysign(max(abs(x) - 0.5 * law.play, 0.0), x)
     return x
@@ -80,7 +80,7 @@ def with_play(law, x):
 
 @njit(cache=True)
 def _along_curve(law, depth):
-    """Factor of the elastic force at this depth [m]; past the curve's end its last one."""
+    """Factor of the elastic force at this depth [m]; the last one beyond the curve's end."""
     last = len(law.curve) - 1
     at = min(depth / law.curve_depth, 1.0) * last
     i = min(int(at), last - 1)
@@ -115,12 +115,12 @@ def _law(law, x, v, branch, age):
 
 @njit(cache=True)
 def _series(law, x, v, branch, age):
-    """Force of the contact and the giving frame in series: the root of F = law(x - F/K)."""
+    """Force of contact and compliant frame K in series: the root of F = law(x - F/K)."""
     soft = 1.0 / law.frame_stiffness
     rate = v * (1.0 + law.stiffness * soft) ** -law.frame_rate
     low = high = _law(law, x, rate, branch, age)
     low, high = min(low, 0.0), max(high, 0.0)
-    for _ in range(60):  # the law rises with x: there is one root, between none and the rigid force
+    for _ in range(60):  # the law increases with x: there is one root, between zero and the force with a rigid frame
         mid = 0.5 * (low + high)
         if _law(law, x - mid * soft, rate, branch, age) > mid:
             low = mid
@@ -131,11 +131,11 @@ def _series(law, x, v, branch, age):
 
 @njit(cache=True)
 def force_on(law, x, v, state):
-    """Normal force [N] at penetration x [m] and rate v [m/s]; whether it touches is a matter of x, not of what the frame gives."""
+    """Normal force [N] at penetration x [m] and rate v [m/s]; contact is decided by x, whatever the frame's deflection."""
     if law.mode_w > 0.0:
         x, v = x - state[FRAME], v - state[FRAME_V]
     within_play = x == 0.0 and law.play > 0.0
-    if within_play or (x <= 0.0 and not law.latched):  # what a latch holds is damped where its spring is not stretched, too
+    if within_play or (x <= 0.0 and not law.latched):  # a latch also damps at zero deflection
         return 0.0
     given = law.frame_stiffness > 0.0 and law.mode_w == 0.0
     branch = state[BRANCH]
@@ -147,7 +147,7 @@ def force_on(law, x, v, state):
 
 @njit(cache=True)
 def carried(law, force, state):
-    """What the sensor is given of the contact's normal force [N]: the frame's reaction, where it lies under the ringing mass."""
+    """The normal force [N] at the sensor: the frame's reaction if the sensor is below the vibrating mass, else the contact force."""
     if law.mode_w > 0.0 and law.mode_read:
         return law.mode_mass * law.mode_w * (law.mode_w * state[FRAME] + 2.0 * law.mode_zeta * state[FRAME_V])
     return force
@@ -167,7 +167,7 @@ def wrench(law, p, velocity, state, out):
     along = p[0] * law.normal[0] + p[1] * law.normal[1] + p[2] * law.normal[2]
     for a in range(3):
         out[a] = read * law.normal[a] + drag * slip[a]
-        if law.latched:  # held across, too, on the axis
+        if law.latched:  # a latch also holds laterally, on the axis
             out[a] += law.stiffness * (p[a] - along * law.normal[a]) + law.damping * slip[a]
     if law.side != 0.0:
         out[0] += force * law.side * x
@@ -180,7 +180,7 @@ def wrench(law, p, velocity, state, out):
 
 @njit(cache=True)
 def _ring(law, x0, x1, v, state, dt):
-    """Runge-Kutta step of the frame's mode under the contact force."""
+    """Runge-Kutta step of the frame's mode with the contact force."""
     q, qv = state[FRAME], state[FRAME_V]
     trial = state.copy()
     dq = dqv = 0.0
@@ -198,14 +198,14 @@ def _ring(law, x0, x1, v, state, dt):
 
 @njit(cache=True)
 def advance(law, p0, p1, velocity, state, dt):
-    """The states of the contact over dt in which the tip went from p0 to p1; changes `state` (STATES,)."""
+    """Advance the contact's `state` (STATES,) over dt, in which the tip moves from p0 to p1."""
     v = velocity[0] * law.normal[0] + velocity[1] * law.normal[1] + velocity[2] * law.normal[2]
     advance_along(law, penetration(law, p0), penetration(law, p1), v, state, dt)
 
 
 @njit(cache=True)
 def advance_along(law, x0, x1, v, state, dt):
-    """The same over dt in which the penetration went from x0 to x1 [m] at the rate v [m/s]."""
+    """The same over dt in which the penetration changes from x0 to x1 [m] at the rate v [m/s]."""
     if law.mode_w > 0.0:
         _ring(law, x0, x1, v, state, dt)
     touching = dt

@@ -1,8 +1,9 @@
-"""The docking mechanism of this rig: tip and rod against the passive surfaces, friction, and a latch that holds on six axes.
+"""The docking mechanism of this rig: tip and rod against the passive surfaces, friction, and a latch that holds six axes.
 
-Everything here is in the passive port's own frame S, which is P where nothing yields and the port is not tilted. The normal force of
-tip and rod is the law of `contact` along the surface's normal; the force acts between the undeformed surface (lever 0) and the ball's
-foremost point (lever 1). A latch holds A at a pose of S: the law along the insertion, springs and dampers on the other five axes.
+All quantities are in the passive port's own frame S, which is P without compliance and tilt of the port. The normal force of
+tip and rod is the law of `contact` along the surface's normal; its point of application is between the undeformed surface (lever 0) and
+the ball's foremost point (lever 1). A latch holds A at a pose in S: by the law along the insertion, and by springs and dampers on the
+other five axes.
 """
 
 from __future__ import annotations
@@ -20,27 +21,27 @@ from hiltestbed.bench.independent_rig.rotation import apply, apply_back, inverse
 from hiltestbed.jit import njit
 
 TIP, ROD = 0, 1
-RING = 0.15  # m, radius of the ring of latches: stiffness against turning is that of the latch times its square
+RING = 0.15  # m, radius of the ring of latches: the rotational stiffness is that of the latch times its square
 
 
 class Docking(NamedTuple):
-    """What stands on both sides of the contact beside its law. SI, in S."""
+    """Geometry, latch and mount of the mechanism, in addition to the contact law. SI, in S."""
 
     surfaces: Surfaces
-    held: Contact  # the law along the insertion once latched; the other axes have its spring and damper alone
+    held: Contact  # the law along the insertion once latched; the other axes have only its spring and damper
     mount: Mount
     captures: bool = False
     latch_depth: float = 0.0  # m before the nominal touch, at most
-    latch_cosine: float = 1.0  # between the axes, at least
+    latch_cosine: float = 1.0  # of the angle between the axes, at least
     latch_speed: float = 0.0  # m/s, at most
-    from_start: bool = False  # latched at the nominal touch
+    from_start: bool = False  # latched from the start, at the nominal touch
 
 
 @njit(cache=True)
 def meet(law, surfaces, pose, twist, which, point, normal, slip):
     """Penetration [m] and rate [m/s] of tip or rod at the pose (7,) and twist (6,) of A.
 
-    point, normal, slip: (3,) where the force acts, the direction in which the passive side is pushed, the velocity across it [m/s].
+    point, normal, slip: (3,) point of application, direction of the force on the passive side, tangential velocity [m/s].
     """
     turned = matrix(pose[3:7])
     axis, centre = np.empty(3), np.empty(3)
@@ -75,7 +76,7 @@ def meet(law, surfaces, pose, twist, which, point, normal, slip):
 
 @njit(cache=True)
 def add_at(point, force, out):
-    """Add a force (3,) that acts at `point` (3,) to the wrench (6,) at the origin."""
+    """Add a force (3,) at `point` (3,) to the wrench (6,) at the origin."""
     for i in range(3):
         out[i] += force[i]
     out[3] += point[1] * force[2] - point[2] * force[1]
@@ -87,7 +88,7 @@ def add_at(point, force, out):
 def touch_wrench(law, surfaces, pose, twist, states, out, seen):
     """Wrench (6,) of tip and rod on the passive side at S's origin.
 
-    states: (2, STATES) of the law, tip and rod. seen: (2, 2) becomes penetration [m] and rate [m/s].
+    states: (2, STATES) of the law, tip and rod. seen: (2, 2) output, penetration [m] and rate [m/s].
     """
     for i in range(6):
         out[i] = 0.0
@@ -144,7 +145,7 @@ def due(docking, pose, twist):
 
 @njit(cache=True)
 def relate(pose, twist, y, tilt, pose_out, twist_out):
-    """Pose (7,) and twist (6,) of A in S, from those in P, where S is and how it moves, y (13,), and the port's tilt (4,).
+    """Pose (7,) and twist (6,) of A in S, from those in P, the state y (13,) of S, and the port's tilt (4,).
 
     Returns the attitude of S as a matrix (3, 3).
     """
@@ -164,7 +165,7 @@ def relate(pose, twist, y, tilt, pose_out, twist_out):
 
 @njit(cache=True)
 def wrench_in_place(law, docking, pose, twist, y, latched, hold, states, out, seen):
-    """Wrench (6,) of the active on the passive side in P at P's origin, of the pose (7,) and twist (6,) of A in P and S at y (13,)."""
+    """Wrench (6,) of active on passive side in P at P's origin, for the pose (7,) and twist (6,) of A in P and the state y (13,) of S."""
     local_pose, local_twist, local = np.empty(7), np.empty(6), np.empty(6)
     into = relate(pose, twist, y, law.tilt, local_pose, local_twist)
     if latched:
@@ -180,7 +181,8 @@ def wrench_in_place(law, docking, pose, twist, y, latched, hold, states, out, se
 
 @njit(cache=True)
 def close(docking, law, pose, twist, y, states, hold):
-    """Set `hold` (7,) so that the latch's springs bear the force that the contact bears now, where the condition holds; whether it does."""
+    """Close the latch if its condition holds, and return whether it does: `hold` (7,) is set so that its springs take over the contact's
+    current force."""
     local_pose, local_twist, wrench, seen = np.empty(7), np.empty(6), np.empty(6), np.empty((2, 2))
     relate(pose, twist, y, law.tilt, local_pose, local_twist)
     if not due(docking, local_pose, local_twist):

@@ -1,6 +1,6 @@
-"""Docking facilities drawn at random: probe and cone with friction, tilt and spin, captured or not, rigid or on a mount; or held.
+"""Random docking facilities: probe and cone with friction, tilt and spin, captured or not, rigid or on a mount; or held.
 
-What a docking does to the forces is not in a formula: its scales (peak, depth, how long it takes) are those of the healthy runs.
+The forces of a docking have no closed form: its scales (peak, depth, duration) are taken from healthy runs.
 """
 
 from __future__ import annotations
@@ -19,27 +19,27 @@ from hiltestbed.bench.independent_rig.links import Records, silence
 from hiltestbed.bench.independent_rig.rig import docking_rig, overridden
 from hiltestbed.bench.independent_rig.rotation import from_attitude, matrix, product, turn
 
-SIX = "six axes"  # in a facility's design: the rig has all of them
+SIX = "six axes"  # in a facility's design: the rig has six axes
 DESIGNS = ("docking", "mounted", "held")
-DESCRIPTION = "A probe meets its cone off the axis, as the facility believes its rig to be."
-SPEEDS = (0.4, 0.55, 0.75, 1.0, 0.6, 0.6)  # of the fastest, a run
-KNOWN = {4: 0.5, 5: 2.0}  # runs with other known springs, and their part of the nominal one
-LONGEST, SHORTEST = 4.0, 1.2  # s
-AFTER = 0.5  # s that a run goes on after the last capture
-SCREENED = 4.5  # s, of the runs from which the duration is taken
-LOWEST, HIGHEST = 10.0, 3000.0  # N, peak of a run
-FEWEST = 40  # rows in touch
-COARSE = 4  # sub-steps of those runs
-CONE_SHARE = 0.4  # of the reduced mass that meets a wall beside the axis: the vehicles turn as well
+DESCRIPTION = "A probe meets its cone off the axis, with the facility's nominal rig."
+SPEEDS = (0.4, 0.55, 0.75, 1.0, 0.6, 0.6)  # of each run, relative to the fastest
+KNOWN = {4: 0.5, 5: 2.0}  # runs with other known springs, and their stiffness relative to the nominal one
+LONGEST, SHORTEST = 4.0, 1.2  # s, limits of the duration
+AFTER = 0.5  # s from the last capture to the end of the runs
+SCREENED = 4.5  # s, duration of the healthy runs from which the final duration is determined
+LOWEST, HIGHEST = 10.0, 3000.0  # N, limits of a run's peak
+FEWEST = 40  # smallest number of rows in contact
+COARSE = 4  # sub-steps of the healthy runs
+CONE_SHARE = 0.4  # effective mass at a wall off the axis over the reduced mass: the vehicles rotate as well
 BODY = 120.0  # kg on the mount
 
 
 @dataclass(frozen=True)
 class DockingFacility(Facility):
-    """A facility whose rig has all six axes; its scales come from healthy runs.
+    """A facility whose rig has six axes; its scales come from healthy runs.
 
     Attributes:
-        peaks: largest force on an axis, of each run [N]. spans: seconds in touch, of each run.
+        peaks: largest force on an axis, of each run [N]. spans: duration of contact, of each run [s].
     """
 
     peaks: tuple[float, ...] = ()
@@ -63,7 +63,7 @@ class DockingFacility(Facility):
 
     @property
     def span(self) -> float:
-        """Seconds in touch, of the median run."""
+        """Median duration of contact [s]."""
         return float(np.median(self.spans))
 
     @property
@@ -77,12 +77,12 @@ class DockingFacility(Facility):
 def draw_docking_facility(
     rng: Generator, design: str = "docking", method: str = "phase_lead", needs: frozenset[str] = frozenset(), response=None
 ) -> DockingFacility:
-    """A docking facility at random.
+    """A random docking facility.
 
     Args:
         design: docking | mounted (the cone on a compliant mount) | held (a latch from the start).
         method: the compensation of the force, any of `METHODS`.
-        needs: kept in the facility's design. response: (bandwidth [Hz], damping ratio) of the platform; None: ideal tracking.
+        needs: added to the facility's design. response: (bandwidth [Hz], damping ratio) of the platform; None: ideal tracking.
     """
     for _ in range(100):
         scenario = _scenario(rng, design, method, response)
@@ -161,9 +161,9 @@ def _scenario(rng: Generator, design: str, method: str, response) -> dict:
 
 
 def _mount(rng: Generator, stiffness: float) -> dict:
-    """Springs 5 to 20 times as stiff as the contact, those against turning as if they stood on a ring of 0.3 m.
+    """Springs 5 to 20 times as stiff as the contact, rotational ones as if on a ring of 0.3 m radius.
 
-    Damped to 8 to 20 %: less, and the loop's delay drives most of them once the latch has closed.
+    Damping ratio 8 to 20 %: with less, the loop's delay makes most of them unstable once the latch has closed.
     """
     springs = [rounded(stiffness * rng.uniform(5.0, 20.0), 3) for _ in range(3)]
     springs += [rounded(springs[i] * 0.3**2 * rng.uniform(0.7, 1.4), 3) for i in range(3)]
@@ -181,7 +181,7 @@ def _body(rng: Generator, mass: float, side: float) -> dict:
 
 
 def _run(rng: Generator, number: int, speed: float, touch_time: float, design: str, scenario: dict) -> dict:
-    """What a run sets: where it enters, how it is tilted and turns; the last two have other known springs."""
+    """Changed keys of a run: lateral position, tilt and rotation rate; the last two runs have other known springs."""
     azimuth = rng.uniform(-math.pi, math.pi)
     held = design == "held"
     far = rng.uniform(5e-4, 2e-3) if held else rng.uniform(0.015, 0.07)
@@ -197,20 +197,20 @@ def _run(rng: Generator, number: int, speed: float, touch_time: float, design: s
         contact, factor = scenario["mechanism"]["contact"], KNOWN[number]
         changes["mechanism.contact.stiffness"] = factor * contact["stiffness"]
         changes["mechanism.contact.damping"] = math.sqrt(factor) * contact["damping"]
-    # The first touch falls between two ticks: on one of them, noise would decide in which tick the force begins.
+    # The first touch is between two ticks: exactly on a tick, noise would decide in which tick the force begins.
     ticks = math.floor(touch_time * scenario["rate"]) + rng.uniform(0.3, 0.7)
     changes["approach.gap"] = 0.0 if held else rounded(_gap(changes, ticks / scenario["rate"]), 6)
     return changes
 
 
 def _gap(changes: dict, time: float) -> float:
-    """The gap [m] with which the tip touches the cone at `time` [s] of a uniform approach, by bisection."""
+    """The gap [m] for which the tip touches the cone at `time` [s] of a uniform approach, by bisection."""
     surfaces, normal = Surfaces(), np.zeros(3)
     velocity = np.array(changes["approach.velocity"], dtype=float)
     rate = np.radians(np.array(changes["approach.rate_deg"], dtype=float))
     axis = matrix(product(turn(time * rate), from_attitude(changes["approach.attitude_deg"])))[:, 2]
     place = np.array([*changes["approach.offset"], 0.0]) + time * velocity - surfaces.tip * axis
-    low, high = 0.0, 0.4  # nearer and farther than the touch
+    low, high = 0.0, 0.4  # below and above the gap of touch
     for _ in range(60):
         middle = 0.5 * (low + high)
         free = clearance(surfaces, place - np.array([0.0, 0.0, middle]), normal) > surfaces.tip
@@ -225,7 +225,7 @@ def _healthy(scenario: dict, changes: dict, duration: float) -> Records:
 
 
 def _all_healthy(scenario: dict, runs: list[dict]) -> list[Records]:
-    """The healthy runs, as far as each is stable and touches."""
+    """The healthy runs, up to the first that is unstable or has no contact."""
     found = []
     for changes in runs:
         records = _healthy(scenario, changes, SCREENED)
@@ -237,7 +237,7 @@ def _all_healthy(scenario: dict, runs: list[dict]) -> list[Records]:
 
 
 def _duration(healthy: list[Records], rate: float, design: str) -> float:
-    """As long as the docking takes, within limits [s]."""
+    """Duration of the docking, within limits [s]."""
     if design == "held":
         return 1.5
     closed = [r.captured / rate for r in healthy if 0 <= r.captured < len(r.pose_cmd)]

@@ -1,6 +1,6 @@
 """Moderate sizes of effects in a docking, where those of `sizes` do not fit: a docking is longer, deeper and starts farther away.
 
-`SIZES[kind](rng, facility, scale)` as there; `ACTING[design]` lists what acts in a design at all.
+`SIZES[kind](rng, facility, scale)` as in `sizes`; `ACTING[design]` lists the effects that act in a design.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ def _axis(rng: Generator) -> str:
 
 
 def _lateness(rng: Generator, f: DockingFacility, s: float) -> float:
-    """A time [s] that is a small angle of the motion against a wall, and no shorter than the loop can show."""
+    """A time [s] that is a small phase of the oscillation against a wall, but not too short to be observable in the loop."""
     return rounded(s * min(max(rng.uniform(0.03, 0.08) / (2.0 * math.pi * f.frequency), 1.2e-3), 6e-3))
 
 
@@ -80,7 +80,7 @@ SIZES: dict[str, Draw] = AXIAL | {
     "frame.mode": _frame_mode,
     "platform.delay": lambda rng, f, s: {"delay": _lateness(rng, f, s)},
     "platform.lag": lambda rng, f, s: {"bandwidth": rounded(1.4 / (2.0 * math.pi * _lateness(rng, f, s)))},
-    # What a position that sticks does to a contact is its damping times the step over a tick: it is small where it can be borne.
+    # A position that sticks changes the contact force by damping times its step over a tick: the step must be small.
     "platform.friction": lambda rng, f, s: {"stick": rounded(s * rng.uniform(10.0, 25.0) * f.pose_noise)},
     "platform.mode": lambda rng, f, s: {
         "frequency": rounded(rng.uniform(8.0, 25.0) / math.sqrt(s)), "damping_ratio": rounded(rng.uniform(0.03, 0.1)),

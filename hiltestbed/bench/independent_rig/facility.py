@@ -1,4 +1,4 @@
-"""Facilities drawn at random: a nominal scenario and the six runs of its test campaign."""
+"""Random facilities: a nominal scenario and the six runs of its test campaign."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.random import Generator
 
-DESCRIPTION = "Axial contact through a flat bumper, as the facility believes its rig to be."
+DESCRIPTION = "Axial contact through a flat bumper, with the facility's nominal rig."
 
 
 def rounded(value: float, digits: int = 4) -> float:
-    """`value` with this many significant digits, as people write numbers."""
+    """`value` rounded to `digits` significant digits, as numbers in a hand-written file."""
     return float(f"{value:.{digits}g}")
 
 
@@ -27,17 +27,17 @@ METHODS: dict[str, Any] = {
     "virtual_contact": lambda rng, k, c: {"stiffness": 0.0, "damping": rounded(k * rng.uniform(5e-4, 2e-3), 2)},
     "passivity_control": lambda rng, k, c: {},
     "reconstruction": lambda rng, k, c: {},
-}  # what a scenario's `compensation.force` holds beside its kind
+}  # contents of a scenario's `compensation.force` in addition to its kind
 
 
 @dataclass(frozen=True)
 class Facility:
-    """What a facility believes of its rig, and how it tests.
+    """The nominal rig and the test runs of a facility.
 
     Attributes:
-        scenario: the nominal scenario, as in its file. runs: what each run sets in it.
+        scenario: the nominal scenario, as in its file. runs: changed keys of each run.
         speeds: axial, of each run [m/s]. torque_noise [N m], pose_noise [m], turn_noise [-]: 1 sigma, not in the scenario.
-        design: what the runs excite besides the axial contact: any of "slide", "offset", "latched", "friction".
+        design: what the runs excite in addition to the axial contact: any of "slide", "offset", "latched", "friction".
     """
 
     scenario: dict
@@ -112,14 +112,14 @@ class Facility:
 
     @property
     def side(self) -> float:
-        """How far off the axis the runs go that slide or are offset [m]."""
+        """Largest distance from the axis in runs that slide or are offset [m]."""
         far = [math.hypot(*r.get("approach.offset", [0.0, 0.0])) for r in self.runs]
         slid = [abs(r["approach.velocity"][0]) * (self.touch_time + self.contact_time) for r in self.runs]
         return max(max(far), max(slid), 1e-4)
 
 
 def draw_facility(rng: Generator, design: frozenset[str], method: str = "phase_lead") -> Facility:
-    """A facility at random, whose contact is neither too short for its rate nor too fast for its delay; `method` of compensation."""
+    """A random facility, whose contact is neither too short for its rate nor too fast for its delay; `method` of compensation."""
     while True:
         chaser, target = _log(rng, 200.0, 1500.0), _log(rng, 500.0, 10000.0)
         stiffness, delay = _log(rng, 2e4, 5e5), float(rng.integers(1, 11)) / 1000.0
@@ -174,19 +174,19 @@ def _log(rng: Generator, low: float, high: float) -> float:
 def _body(rng: Generator, mass: float, side: float, design: frozenset[str]) -> dict:
     size = _log(rng, 0.25, 0.6)  # m^2
     inertia = [rounded(mass * size * rng.uniform(0.8, 1.1), 2) for _ in range(3)]
-    # A port off the axis: the contact turns this body as well, not only the one that is met off-centre.
+    # A port off the axis: the contact rotates this body as well, not only the one that is hit off-centre.
     across = [rounded(v, 2) if "offset" in design else 0.0 for v in rng.uniform(-0.12, 0.12, 2)]
     port = {"position": [*across, side * rounded(rng.uniform(0.7, 1.4), 2)], "attitude_deg": [0, 0, 0]}
     return {"mass": mass, "inertia": inertia, "port": port}
 
 
 def _run(rng: Generator, number: int, speed: float, touch_time: float, design: frozenset[str], scenario: dict) -> dict:
-    """What run `number` sets: two of the four speeds slide, the last two runs have other known springs."""
+    """Changed keys of run `number`: two of the first four runs slide, the last two have other known springs."""
     slides = number in (1, 3) and "slide" in design
     sideways = [rounded(rng.uniform(0.1, 0.25) * speed, 1) * (1 if rng.random() < 0.5 else -1) if slides else 0.0 for _ in range(2)]
     if rng.random() < 0.5:
         sideways[1] = 0.0
-    # The touch falls between two ticks: on one of them, noise would decide in which tick the force begins.
+    # The touch is between two ticks: exactly on a tick, noise would decide in which tick the force begins.
     ticks = math.floor(touch_time * scenario["rate"]) + rng.uniform(0.25, 0.75)
     gap = 0.0 if "latched" in design else rounded(speed * ticks / scenario["rate"], 5)
     changes: dict = {"approach.velocity": [*sideways, speed], "approach.gap": gap}

@@ -1,6 +1,6 @@
-"""Departures that the vocabulary has no name for, each with the link of the loop that it belongs to.
+"""Foreign effects: deviations outside the vocabulary, each with its link of the loop.
 
-Sizes come as parts of what the facility's contact does, so that all of them stand well above the noise.
+Sizes are relative to the facility's contact, so that all are well above the noise.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from hiltestbed.bench.independent_rig.links import Rig
 
 
 class Foreign(NamedTuple):
-    """A departure: its link, what it does to a rig, and parameters of moderate size for a facility (times `scale`)."""
+    """A foreign effect: its link, its application to a rig, and parameters of moderate size for a facility (times `scale`)."""
 
     link: str
     apply: Callable[[Rig, dict], Rig]

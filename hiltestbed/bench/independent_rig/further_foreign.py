@@ -1,7 +1,7 @@
-"""More departures that the vocabulary has no name for, and the sizes of all of them in a docking.
+"""Further foreign effects, outside the vocabulary, and the sizes of all foreign effects in a docking.
 
-`FURTHER` for any design that they act in, `IN_DOCKING` for dockings; `WHERE[name]` lists the designs. A departure that changes from run
-to run finds the run's number under `run` in its parameters.
+`FURTHER` for any design in which they act, `IN_DOCKING` for dockings; `WHERE[name]` lists the designs. An effect that changes from run
+to run gets the run's number as `run` in its parameters.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ def _sign(rng: Generator) -> float:
 
 
 def _curve(rng: Generator, f: Facility, s: float) -> dict:
-    """A force over penetration of any shape: factors of the spring at even depths, first and last within a quarter."""
+    """A force-penetration curve of any shape: factors of the spring at evenly spaced depths, each within 25 % of 1."""
     factors = 1.0 + s * rng.uniform(-0.25, 0.25, KNOTS)
     return {"factors": [round(float(v), 4) for v in factors], "depth": 1.5 * f.depth}
 
@@ -67,7 +67,7 @@ FURTHER: dict[str, Foreign] = {
 
 
 def _depth_range(f: Facility) -> float:
-    """How far along the insertion the contact reaches [m]."""
+    """Range of the contact along the insertion [m]."""
     return max(f.side, f.depth) if "six axes" in f.design else f.depth
 
 
@@ -77,7 +77,7 @@ def _resized(name: str, draw) -> Foreign:
 
 
 LONGER: dict[str, Foreign] = {
-    # A platform that gives answers a tick later with its rate: past 1/(c rate) it shakes itself up.
+    # A compliant platform reacts one tick later with a velocity: beyond a compliance of 1/(c rate) it becomes unstable.
     "unknown.platform_gives": _resized(
         "unknown.platform_gives",
         lambda rng, f, s: {"compliance": s * min(rng.uniform(0.03, 0.1) / f.stiffness, rng.uniform(0.1, 0.2) * f.tick / f.damping)},
@@ -112,13 +112,13 @@ LONGER: dict[str, Foreign] = {
 }  # fmt: skip
 
 IN_DOCKING: dict[str, Foreign] = FOREIGN | FURTHER | LONGER
-LEAD_ALONE = ("unknown.slow_pole",)  # acts in a phase lead alone
+LEAD_ALONE = ("unknown.slow_pole",)  # effects that act only in a phase lead
 ELSEWHERE = {
     "unknown.oval_cone": CONES,
     "unknown.loaded_friction": CONES,
     "unknown.side_load": (BUMPER, *CONES),
     "unknown.lead_slew": (BUMPER, *CONES),
-    # A step of the position over a tick, times the damping of a docking, is more than the docking's own force.
+    # A position step within a tick, times the damping of a docking, is more than the docking's own force.
     "unknown.quantised_platform": (BUMPER,),
     "unknown.acceleration_limit": (BUMPER, *CONES),
 }
@@ -126,6 +126,6 @@ WHERE: dict[str, tuple[str, ...]] = {name: ELSEWHERE.get(name, EVERYWHERE) for n
 
 
 def foreign_in(design: str) -> dict[str, Foreign]:
-    """The departures that act in a design, with sizes for it."""
+    """The foreign effects that act in a design, with sizes for it."""
     table = FOREIGN | FURTHER if design == BUMPER else IN_DOCKING
     return {name: table[name] for name in table if design in WHERE[name]}

@@ -1,4 +1,4 @@
-"""From a facility, what is hidden in it and how it computes, to the records and logs of its runs."""
+"""Generates the records and logs of a facility's runs, with hidden effects and the facility's way of computing."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from hiltestbed.bench.independent_rig.nuisances import PLAIN as AS_TODAY
 from hiltestbed.bench.independent_rig.nuisances import Nuisances, restamped, with_nuisances
 from hiltestbed.bench.independent_rig.rig import docking_rig, nominal_rig, overridden, with_held
 
-LINKS = {"frame": "contact", "loop": "compensation"}  # where the name of the effect is not that of its link
+LINKS = {"frame": "contact", "loop": "compensation"}  # links of effects whose family has another name
 PLAIN = {"coarse": False, "quiet_zone": False, "lever": 1.0, "frame_rate": 0.0, "mode_read": False}
-MOST_OVERLOAD = 2.5  # a set whose force grows beyond this part of the expected peak is unstable, not diagnosable
-LEAST_LOAD = 0.2  # likewise below
+MOST_OVERLOAD = 2.5  # largest force over the expected peak: above it the set is unstable and cannot be diagnosed
+LEAST_LOAD = 0.2  # smallest likewise
 ALL_FOREIGN = FOREIGN | IN_DOCKING
 
 
@@ -58,12 +58,12 @@ def rig_of(facility: Facility, run: int, effects: list[dict[str, Any]], variants
 
 
 def draw_variants(rng: Generator) -> dict[str, Any]:
-    """Readings of the definitions, at random.
+    """Random interpretations of the definitions.
 
-    coarse: the platform's filters advance by semi-implicit Euler, sub-step by sub-step, not exactly. quiet_zone: noise comes after
+    coarse: the platform's filters advance by semi-implicit Euler in each sub-step, not exactly. quiet_zone: noise is added after
     the dead zone and the saturation of the sensor. lever: the force acts at the tip (1) or at the undeformed surface (0).
-    frame_rate: a frame that gives lowers the force of spring and damper alike (0), that of the damper twice (1) or not at all (-1).
-    mode_read: the sensor lies under the ringing mass.
+    frame_rate: a compliant frame reduces the forces of spring and damper equally (0), that of the damper twice (1) or not at all (-1).
+    mode_read: the sensor is below the vibrating mass.
     """
     return {
         "coarse": bool(rng.random() < 0.5), "quiet_zone": bool(rng.random() < 0.3), "lever": float(rng.choice([0.0, 0.5, 1.0])),
@@ -72,7 +72,7 @@ def draw_variants(rng: Generator) -> dict[str, Any]:
 
 
 def sigma_of(facility: Facility) -> np.ndarray:
-    """(6,) [N, N m] of the facility's white noise."""
+    """(6,) standard deviation of the facility's white noise [N, N m]."""
     return np.array([facility.noise] * 3 + [facility.torque_noise] * 3)
 
 
@@ -93,7 +93,7 @@ def generate(rng: Generator, facility: Facility, effects: list[dict[str, Any]], 
 def record(
     rng: Generator, facility: Facility, rigs: list[Rig], nuisances: Nuisances, noise: tuple[str, float] | None, twists: bool
 ) -> tuple[list[Records], list[Log]]:
-    """Records of all runs in closed loop, and the logs that the facility keeps of them, with `noise` (kind, strength) in them."""
+    """Records of all runs in closed loop, and the facility's logs of them, with `noise` (kind, strength)."""
     runs = [_simulated(rng, facility, i, rig, noise) for i, rig in enumerate(rigs)]
     runs = [restamped(records, nuisances.stamps) for records in runs]
     rate = facility.scenario["rate"]
@@ -104,12 +104,12 @@ def record(
 
 
 def _simulated(rng: Generator, facility: Facility, run: int, rig: Rig, noise: tuple[str, float] | None) -> Records:
-    """A run with noise in the loop. What depends on the reading is drawn for the reading of the same run without noise."""
+    """A run with noise in the loop. Noise that depends on the reading is drawn from the reading of the same run without noise."""
     drawn = draw_noise(rng, facility, rig.ticks)
     if noise is None or NOISE_KINDS[noise[0]].place == "log":
         return simulate(rig, drawn)
     kind, strength = noise
-    if kind == "converter_steps":  # the converter itself, so that every reading is on a step
+    if kind == "converter_steps":  # quantisation in the sensor itself, so that every reading is quantised
         return simulate(rig._replace(sensor=rig.sensor._replace(quantum=strength)), drawn)
     quiet = drawn._replace(reading=np.zeros_like(drawn.reading))
     clean = simulate(rig, quiet)
@@ -119,7 +119,7 @@ def _simulated(rng: Generator, facility: Facility, run: int, rig: Rig, noise: tu
 
 
 def stable(facility: Facility, runs: list[Records]) -> bool:
-    """Whether the set is one that a facility would have kept: finite, and its forces about as large as they should be."""
+    """Whether a facility would have accepted the set: finite, and with forces of about the expected size."""
     for run, records in enumerate(runs):
         six = isinstance(facility, DockingFacility)
         expected = facility.expected_peak(run) if six else _axial_peak(facility, run)

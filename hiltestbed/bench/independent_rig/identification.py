@@ -1,7 +1,7 @@
-"""Stiffness and damping of the contact as a facility identifies them in the loop: least squares of F = k x + c v + b on each axis.
+"""A facility's identification of contact stiffness and damping in the loop: least squares of F = k x + c v + b on each axis.
 
-Force and pose belong to one instant (the pose of a delay ago). A sample counts when the contact has lasted a tick before and after it.
-The sums are kept, so that the estimate is that of all samples so far.
+Force and pose refer to the same instant (the pose is delayed). A sample is used if there is contact one tick before and after it.
+The sums are accumulated, so that the estimate uses all samples so far.
 """
 
 from __future__ import annotations
@@ -12,15 +12,15 @@ from hiltestbed.jit import njit
 
 SUMS = 10  # 1, x, v, y, xx, xv, vv, xy, vy, yy
 LEAST = 8  # samples
-TRAVEL = 1e-6  # m, rad: standard deviation of x below which nothing is excited
-EXPLAINED = 0.9  # of the force's variance
+TRAVEL = 1e-6  # m, rad: standard deviation of x below which an axis is not excited
+EXPLAINED = 0.9  # smallest fraction of the force's variance that a valid estimate explains
 
 
 @njit(cache=True)
 def take(pending, sums, gated, late, rate, force):
-    """Put off this tick's samples and count those of the tick before, if the contact has lasted two ticks more.
+    """Store this tick's samples and accumulate those of the tick before, once the contact has lasted three ticks.
 
-    pending: (2, 6, 3) x, v, F of this tick and of the one before. late: (12,) pose when the force was felt. rate: (6,). force: (6,).
+    pending: (2, 6, 3) x, v, F of this tick and of the one before. late: (12,) pose at the force's instant. rate: (6,). force: (6,).
     """
     pending[1] = pending[0]
     for i in range(6):
@@ -38,7 +38,7 @@ def take(pending, sums, gated, late, rate, force):
 
 @njit(cache=True)
 def estimate(gated, sums, found):
-    """Solve for stiffness and damping, `found` (6, 2); an axis whose force they do not explain has none (NaN)."""
+    """Solve for stiffness and damping, `found` (6, 2); NaN for an axis whose force they do not explain."""
     if gated < 3.0:
         return
     for i in range(6):

@@ -1,4 +1,4 @@
-"""What a rig of this kind is made of, what is drawn for a run of it, and what a run leaves."""
+"""The links of a rig, the noise of a run, and the records of a run."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from hiltestbed.bench.independent_rig.docking import Docking
 from hiltestbed.bench.independent_rig.platform import Platform
 from hiltestbed.bench.independent_rig.sensor import Sensor
 
-SUBSTEPS = 20  # a tick, unless it is drawn
+SUBSTEPS = 20  # per tick, unless drawn at random
 
 
 class Timing(NamedTuple):
-    """How a facility divides its tick, beyond what can be said by delays of the links; see `nuisances`."""
+    """A facility's timing within a tick, as far as it is not a delay of a link; see `nuisances`."""
 
     substeps: int = SUBSTEPS
-    move: float = 0.0  # part of a tick by which a new attitude is obeyed late; of the position that is a delay of the platform
-    encoder: float = 0.0  # part of a tick by which pose_act is read before its stamp
+    move: float = 0.0  # delay of a new commanded attitude, in ticks; that of the position is part of the platform's delay
+    encoder: float = 0.0  # time by which pose_act is read before its stamp, in ticks
     rate: float = 0.0  # 0: the contact's rate is the slope of the tick, 1: that of the half tick that ends there
 
 
 class Rig(NamedTuple):
-    """The five links, with their departures in them, and how the run starts.
+    """The five links, with their deviations, and the start of the run.
 
-    Without `docking` the tip is a point that meets a plane: three translations. With it, tip and rod meet a surface: six axes.
+    Without `docking` the tip is a point against a plane: three translations. With it, tip and rod touch a surface: six axes.
     """
 
     bodies: Bodies
@@ -44,7 +44,7 @@ class Rig(NamedTuple):
 
 
 class Noise(NamedTuple):
-    """What is drawn for a run, (ticks, ...): of the reading [N, N m], of the pose [m, -], of the delay and of repeats [-]."""
+    """Random numbers of a run, (ticks, ...): for the reading [N, N m], the pose [m, -], the delay and repeats [-]."""
 
     reading: np.ndarray  # (ticks, 6)
     pose: np.ndarray  # (ticks, 6)
@@ -53,10 +53,10 @@ class Noise(NamedTuple):
 
 
 class Records(NamedTuple):
-    """What a run leaves, (ticks, 7) and (ticks, 6); `used` is the reading inside the loop, which the log may not hold.
+    """The records of a run, (ticks, 7) and (ticks, 6); `used` is the reading inside the loop, which the log may not contain.
 
-    touching: (ticks,) whether the mechanisms touch or are latched. captured: the row after which the latch holds, -1 from the start,
-    as many as there are rows where it never closes.
+    touching: (ticks,) whether the mechanisms touch or are latched. captured: the row after which the latch holds; -1: from the start;
+    the number of rows: never.
     """
 
     pose_cmd: np.ndarray

@@ -1,4 +1,4 @@
-"""What a facility writes down of a run: stamps and channels, as its logger leaves them."""
+"""A facility's log of a run: stamps and channels, as written by its logger."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ class Log:
 
     Attributes:
         t: (n,) stamps [s]. pose_cmd, pose_act: (n, 7). wrench_meas, wrench_comp: (n, 6). twist_cmd, twist_act: (n, 6) or None.
-        tick: [s], of the loop. sigma: (6,) [N, N m] of the white noise that the facility states.
-        run: its number in the set. digits: significant ones of a text file; None: a binary file.
+        tick: [s], of the loop. sigma: (6,) standard deviation of the white noise stated by the facility [N, N m].
+        run: its number in the set. digits: significant digits of a text file; None: a binary file.
     """
 
     t: np.ndarray
@@ -35,11 +35,11 @@ class Log:
     twist_act: np.ndarray | None = None
 
     def channels(self) -> dict[str, np.ndarray]:
-        """The channels that are there, by name."""
+        """The existing channels, by name."""
         return {name: rows for name in (*POSES, *TWISTS, *WRENCHES) if (rows := getattr(self, name)) is not None}
 
     def each(self, change) -> Log:
-        """The log with `change(rows)` of every channel; quaternions are brought back to their length."""
+        """The log with every channel replaced by `change(rows)`; quaternions are normalised."""
         found = {name: change(rows) for name, rows in self.channels().items()}
         for name in POSES:
             found[name][:, 3:] /= np.linalg.norm(found[name][:, 3:], axis=1, keepdims=True)
@@ -47,7 +47,7 @@ class Log:
 
 
 def log_of(records: Records, rate: float, sigma: np.ndarray, run: int, twists: bool) -> Log:
-    """The log of a run's records, one row a tick; with `twists` also the velocities, which are differences of the poses over a tick."""
+    """The log of a run's records, one row per tick; with `twists` also the velocities, as differences of the poses over a tick."""
     t = np.arange(len(records.pose_cmd)) / rate
     log = Log(t, records.pose_cmd, records.pose_act, records.wrench_meas, records.wrench_comp, 1.0 / rate, sigma, run)
     if not twists:

@@ -1,6 +1,6 @@
-"""Pairs of effects that look alike: of a size at which the one does to most records what the other does.
+"""Pairs of effects that look alike: with sizes at which both change most records in the same way.
 
-`LOOK_ALIKES[(a, b)](rng, facility, scale)` returns the parameters of both; hide one, and a diagnosis may name the other.
+`LOOK_ALIKES[(a, b)](rng, facility, scale)` returns the parameters of both; with one hidden, a diagnosis may name the other.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from hiltestbed.bench.independent_rig.facility import Facility, rounded
 
 Pair = tuple[str, str]
 SHORTEST, LONGEST = 1.2e-3, 6e-3  # s
-SEEN = 1e3  # a factor is not made smaller than 1/SEEN
+SEEN = 1e3  # the smallest factor is 1/SEEN
 
 
 def _time(rng: Generator, f: Facility, s: float) -> float:
@@ -26,7 +26,7 @@ def _sign(rng: Generator) -> float:
 
 
 def _delay_or_damping(rng: Generator, f: Facility, s: float) -> tuple[dict, dict]:
-    """A force that is late by t has the damping c - k t."""
+    """A force delayed by t corresponds to the damping c - k t."""
     time = min(_time(rng, f, s), 0.9 * f.damping / f.stiffness)
     return {"delay": rounded(time)}, {"factor": rounded(max(1.0 - f.stiffness * time / f.damping, 1.0 / SEEN))}
 
@@ -42,7 +42,7 @@ def _same_delay(rng: Generator, f: Facility, s: float) -> tuple[dict, dict]:
 
 
 def _lag_or_delay_of_platform(rng: Generator, f: Facility, s: float) -> tuple[dict, dict]:
-    """A second-order response of damping ratio 0.7 is late by 1.4/w."""
+    """A second-order response with damping ratio 0.7 has a low-frequency delay of 1.4/w."""
     time = _time(rng, f, s)
     return {"bandwidth": rounded(1.4 / (2.0 * math.pi * time))}, {"delay": time}
 
@@ -53,14 +53,14 @@ def _lag_or_delay_of_sensor(rng: Generator, f: Facility, s: float) -> tuple[dict
 
 
 def _either_mass(rng: Generator, f: Facility, s: float) -> tuple[dict, dict]:
-    """A chaser and a target with the same reduced mass."""
+    """Masses of chaser or target that give the same reduced mass."""
     chaser, target = (float(f.scenario["spacecraft"][b]["mass"]) for b in ("chaser", "target"))
     for _ in range(100):
         factor = rounded(1.0 + s * _sign(rng) * rng.uniform(0.05, 0.2))
         rest = 1.0 / (factor * chaser) + 1.0 / target - 1.0 / chaser
         if rest > 0.2 / target:
             return {"factor": factor, "body": "chaser"}, {"factor": rounded(1.0 / (target * rest)), "body": "target"}
-    raise RuntimeError("no mass of the target does what the chaser's does")
+    raise RuntimeError("no mass of the target gives the same reduced mass as that of the chaser")
 
 
 def _offset_or_preload(rng: Generator, f: Facility, s: float) -> tuple[dict, dict]:
@@ -78,7 +78,7 @@ def _integrator_or_step(rng: Generator, f: Facility, s: float) -> tuple[dict, di
 
 
 def _friction_or_damping(rng: Generator, f: Facility, s: float) -> tuple[dict, dict]:
-    """Over a cycle of amplitude X at w, friction takes 4 F X and a damper pi c w X^2."""
+    """Over a cycle of amplitude X at w, friction dissipates 4 F X and a damper pi c w X^2."""
     force = s * rng.uniform(0.02, 0.06) * f.peak
     added = 4.0 * force / (math.pi * 2.0 * math.pi * f.frequency * f.depth)
     return {"force": rounded(force)}, {"factor": rounded(1.0 + added / f.damping)}

@@ -1,4 +1,4 @@
-"""Poses as an encoder gives them: with noise, and with the rate that is their difference over a tick."""
+"""Measured poses: with noise, and with twists as their differences over a tick."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def noisy(pose, noise, out):
 
 @njit(cache=True)
 def slope(before, now, h, out):
-    """`out` (6,): the twist, linear and angular apart, that takes one pose to the next in h [s]."""
+    """`out` (6,): the twist from one pose to the next in h [s], linear and angular part separately."""
     turned = turn_of(product(now[3:7], inverse(before[3:7])))
     for i in range(3):
         out[i] = (now[i] - before[i]) / h

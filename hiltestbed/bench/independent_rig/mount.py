@@ -1,8 +1,8 @@
-"""The passive side on its compliant mount: one rigid body on six springs and dampers at P's origin, Newton and Euler.
+"""The passive side on its compliant mount: one rigid body on six springs and dampers at P's origin, by Newton-Euler equations.
 
 The state y (13,) is that of the frame S on the body: position of its origin in P, quaternion, velocity and angular velocity, all in P.
-The weight is balanced. Torques of the springs follow the rotation vector. What the sensor above feels is what springs and dampers
-carry: the contact less what moves the body.
+The weight is balanced. Torques of the springs are proportional to the rotation vector. The sensor above measures the wrench of springs and
+dampers: the contact less the body's inertial wrench.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ CONE_MASS = 120.0  # kg, with the next two as in models/probe_cone/passive.xml
 CONE_INERTIA = (8.0, 8.0, 10.0)  # kg m^2 about the centre of mass
 CONE_CENTRE = (0.0, 0.0, 0.30)  # m, of mass, from P
 
-ARM2 = 0.02  # m^2, square of the distance beside the centre of mass at which a contact pushes
-MOST_PHASE, MOST_LOSS = 0.5, 1.0  # of the swing and of the losses in one step
+ARM2 = 0.02  # m^2, square of the lever arm of a contact force about the centre of mass
+MOST_PHASE, MOST_LOSS = 0.5, 1.0  # largest phase of the swing, and largest decay, in one step
 
 
 class Mount(NamedTuple):
-    """Springs and dampers x, y, z, rx, ry, rz of the mount and the body on it; there: whether there is one at all."""
+    """Springs and dampers x, y, z, rx, ry, rz of the mount and the body on it; there: whether there is a mount."""
 
     stiffness: np.ndarray  # (6,)
     damping: np.ndarray  # (6,)
@@ -37,12 +37,12 @@ class Mount(NamedTuple):
 
 
 def no_mount() -> Mount:
-    """A passive side that is rigid."""
+    """A rigid passive side, without a mount."""
     return mount_of(np.ones(6), np.zeros(6))._replace(there=False)
 
 
 def mount_of(stiffness, damping, mass: float = CONE_MASS, inertia=CONE_INERTIA, centre=CONE_CENTRE) -> Mount:
-    """The mount of a scenario, stiffness and damping (6,), under the probe's cone or another body."""
+    """The mount of a scenario, stiffness and damping (6,), that carries the cone or another body."""
     tensor = np.diag(np.array(inertia, dtype=float))
     springs, dampers = np.array(stiffness, dtype=float), np.array(damping, dtype=float)
     return Mount(springs, dampers, float(mass), tensor, np.linalg.inv(tensor), np.array(centre, dtype=float), True)
@@ -50,7 +50,7 @@ def mount_of(stiffness, damping, mass: float = CONE_MASS, inertia=CONE_INERTIA, 
 
 @njit(cache=True)
 def carried(mount, y, out):
-    """Wrench (6,) that springs and dampers carry, in P at P's origin."""
+    """Wrench (6,) transmitted by springs and dampers, in P at P's origin."""
     away = turn_of(y[3:7])
     for i in range(3):
         out[i] = mount.stiffness[i] * y[i] + mount.damping[i] * y[7 + i]
@@ -110,9 +110,9 @@ def moved(y, v, a, dt, out):
 
 @njit(cache=True)
 def inner_steps(mount, contact_stiffness, contact_damping, rub, dt):
-    """Into how many steps dt is divided so that the midpoint rule follows the mounted body's swing and stays stable in its losses.
+    """Number of steps in dt for which the midpoint rule resolves the mounted body's oscillation and is stable with its damping.
 
-    rub: [N s/m] slope of the friction. The body is met beside its centre of mass: what it weighs there is less than its mass.
+    rub: [N s/m] slope of the friction. The contact is off the centre of mass: the effective mass there is less than the body's mass.
     """
     there = 1.0 / mount.mass + ARM2 * max(mount.answer[0, 0], mount.answer[1, 1], mount.answer[2, 2])
     push = max(mount.stiffness[0], mount.stiffness[1], mount.stiffness[2]) + contact_stiffness

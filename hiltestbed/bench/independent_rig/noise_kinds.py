@@ -1,8 +1,8 @@
-"""Noise as facilities log it: `NOISE_KINDS[name](log, strength, rng)` gives the log with it.
+"""Kinds of noise in facilities' logs: `NOISE_KINDS[name](log, strength, rng)` gives the log with the noise.
 
-Kinds whose place is `sensor` are the force sensor's whole noise, from a reading that has none; in a set they act inside the loop, so
-that wrench_comp comes from what wrench_meas holds. Kinds whose place is `log` are what the logger does to a log, noise and all.
-White noise of the facility's sigma is in all of them unless the kind is another colour of it.
+Kinds with place `sensor` are the force sensor's whole noise, added to a noise-free reading; in a set they act inside the loop, so
+that wrench_comp is computed from the noisy wrench_meas. Kinds with place `log` are changes by the logger to a log that is already noisy.
+All sensor kinds include white noise of the facility's sigma, except those that replace it by noise of another spectrum or distribution.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from hiltestbed.bench.independent_rig.nuisances import shifted
 
 Apply = Callable[[Log, float, Generator], Log]
 FILTER_ORDER = 4
-SLOW_DELAY = 2.6131259  # rad: the delay of a fourth-order Butterworth filter at low frequency times its cut-off
+SLOW_DELAY = 2.6131259  # rad: low-frequency delay of a fourth-order Butterworth filter times its cut-off frequency
 SPIKE = (10.0, 30.0)  # sigma
 LONGEST_HOLD = 5  # rows
 MAINS = 50.0  # Hz
@@ -33,8 +33,8 @@ class NoiseKind:
     """A kind of noise.
 
     Attributes:
-        meaning: of the strength, with its unit. strengths: at which a benchmark asks for it, the weaker first.
-        place: where it arises. apply: the log with it.
+        meaning: of the strength, with its unit. strengths: those used by the benchmark, the weaker first.
+        place: where it arises. apply: function that returns the log with it.
     """
 
     meaning: str
@@ -55,20 +55,20 @@ def _white_noise(log: Log, rng: Generator) -> np.ndarray:
 
 
 def white(log: Log, strength: float, rng: Generator) -> Log:
-    """Independent from row to row, `strength` sigma."""
+    """Independent from row to row, with a standard deviation of `strength` sigma."""
     return _added(log, strength * _white_noise(log, rng))
 
 
 def coloured(log: Log, strength: float, rng: Generator) -> Log:
-    """First-order, of the variance of the white one; `strength` is the correlation of neighbouring rows."""
+    """First-order, with the variance of the white noise; `strength` is the correlation of neighbouring rows."""
     fresh = _white_noise(log, rng)
     noise = signal.lfilter([np.sqrt(1.0 - strength**2)], [1.0, -strength], fresh, axis=0)
-    start = _white_noise(log, rng)[:1]  # the filter has run for ever
+    start = _white_noise(log, rng)[:1]  # initial state of the stationary process
     return _added(log, noise + start * strength ** np.arange(1, len(log.t) + 1)[:, None])
 
 
 def pink(log: Log, strength: float, rng: Generator) -> Log:
-    """Power density as 1/f from the run's length to half the rate, rms `strength` sigma, and no mean."""
+    """Power density proportional to 1/f from one over the run's length to half the rate, rms `strength` sigma, zero mean."""
     n = len(log.t)
     spectrum = np.fft.rfft(rng.standard_normal((n, 6)), axis=0)
     spectrum[0] = 0.0
@@ -78,49 +78,49 @@ def pink(log: Log, strength: float, rng: Generator) -> Log:
 
 
 def anti_aliasing(log: Log, strength: float, rng: Generator) -> Log:
-    """A Butterworth low-pass at `strength` Hz before the converter, signal and noise alike; the logger takes its delay off the stamps."""
+    """A Butterworth low-pass at `strength` Hz before the converter, on signal and noise; the logger corrects the stamps for its delay."""
     rate = 1.0 / log.tick
     if strength >= 0.5 * rate:
         return log
     sections = signal.butter(FILTER_ORDER, strength, fs=rate, output="sos")
     filtered = np.asarray(signal.sosfilt(sections, log.wrench_meas, axis=0))
-    rows = SLOW_DELAY / (2.0 * np.tan(np.pi * strength / rate))  # by which slow changes come late
+    rows = SLOW_DELAY / (2.0 * np.tan(np.pi * strength / rate))  # delay of slow changes
     return replace(log, wrench_meas=shifted(filtered, -rows))
 
 
 def student_t(log: Log, strength: float, rng: Generator) -> Log:
-    """Student's t with `strength` degrees of freedom, of the variance of the white one."""
+    """Student's t with `strength` degrees of freedom, with the variance of the white noise."""
     noise = rng.standard_t(strength, (len(log.t), 6)) * np.sqrt((strength - 2.0) / strength)
     return _added(log, noise * log.sigma)
 
 
 def proportional(log: Log, strength: float, rng: Generator) -> Log:
-    """White, and on each axis a part `strength` of its reading beside."""
+    """White, plus noise on each axis of `strength` times its reading."""
     share = strength * np.abs(log.wrench_meas) * rng.standard_normal((len(log.t), 6))
     return _added(log, share + _white_noise(log, rng))
 
 
 def spikes(log: Log, strength: float, rng: Generator) -> Log:
-    """White, and on a part `strength` of the rows of an axis 10 to 30 sigma up or down."""
+    """White, plus spikes of 10 to 30 sigma, of either sign, on a fraction `strength` of the rows of an axis."""
     shape = (len(log.t), 6)
     size = rng.uniform(*SPIKE, shape) * rng.choice([-1.0, 1.0], shape) * (rng.random(shape) < strength)
     return _added(log, size * log.sigma + _white_noise(log, rng))
 
 
 def converter_steps(log: Log, strength: float, rng: Generator) -> Log:
-    """White, then the forces in steps of `strength` N."""
+    """White, then quantisation of the forces in steps of `strength` N."""
     noisy = log.wrench_meas + _white_noise(log, rng)
     noisy[:, :3] = strength * np.floor(noisy[:, :3] / strength + 0.5)
     return replace(log, wrench_meas=noisy)
 
 
 def tare(log: Log, strength: float, rng: Generator) -> Log:
-    """White, and an offset of each axis that is another in every run, `strength` sigma."""
+    """White, plus a random offset of each axis that differs from run to run, `strength` sigma."""
     return _added(log, rng.standard_normal(6) * strength * log.sigma + _white_noise(log, rng))
 
 
 def slow_drift(log: Log, strength: float, rng: Generator) -> Log:
-    """White, and a wandering of each axis by up to `strength` sigma with a period longer than the run."""
+    """White, plus a drift of each axis by up to `strength` sigma with a period longer than the run."""
     length = max(log.t[-1] - log.t[0], log.tick)
     turns, phase = rng.uniform(0.25, 0.75, 6), rng.uniform(-np.pi, np.pi, 6)
     sway = np.sin(2.0 * np.pi * turns * ((log.t - log.t[0]) / length)[:, None] + phase) - np.sin(phase)
@@ -128,7 +128,7 @@ def slow_drift(log: Log, strength: float, rng: Generator) -> Log:
 
 
 def mains(log: Log, strength: float, rng: Generator) -> Log:
-    """White, and 50 Hz with three harmonics, the n-th of amplitude `strength`/n sigma."""
+    """White, plus 50 Hz with three harmonics, the n-th of amplitude `strength`/n sigma."""
     lines = np.zeros((len(log.t), 6))
     for n in HARMONICS:
         phase = rng.uniform(-np.pi, np.pi, 6)
@@ -137,7 +137,7 @@ def mains(log: Log, strength: float, rng: Generator) -> Log:
 
 
 def held_rows(log: Log, strength: float, rng: Generator) -> Log:
-    """The force stands still for one to five rows, so that a part `strength` of the rows repeats the one before."""
+    """The force is held for one to five rows, so that a fraction `strength` of the rows repeats the one before."""
     n = len(log.t)
     mean = 0.5 * (1 + LONGEST_HOLD)
     source = np.arange(n)
@@ -147,14 +147,14 @@ def held_rows(log: Log, strength: float, rng: Generator) -> Log:
 
 
 def pose_steps(log: Log, strength: float, rng: Generator) -> Log:
-    """The measured position in steps of `strength` m."""
+    """Quantisation of the measured position in steps of `strength` m."""
     pose = log.pose_act.copy()
     pose[:, :3] = strength * np.round(pose[:, :3] / strength)
     return replace(log, pose_act=pose)
 
 
 def digits(log: Log, strength: float, rng: Generator) -> Log:
-    """A text file with `strength` significant digits; stamps have five at least, so that they rise."""
+    """A text file with `strength` significant digits; stamps have at least five, so that they increase."""
     count = int(strength)
     found = {name: _rounded(rows, count) for name, rows in log.channels().items()}
     return replace(log, t=_rounded(log.t, max(count, STAMP_DIGITS)), digits=count, **found)
@@ -165,25 +165,25 @@ def _rounded(values: np.ndarray, count: int) -> np.ndarray:
 
 
 def lost_rows(log: Log, strength: float, rng: Generator) -> Log:
-    """A part `strength` of the rows is not there; the first and the last are."""
+    """A fraction `strength` of the rows is missing, never the first and the last."""
     kept = rng.random(len(log.t)) >= strength
     kept[0] = kept[-1] = True
     return replace(log.each(lambda rows: rows[kept]), t=log.t[kept])
 
 
 def stamp_jitter(log: Log, strength: float, rng: Generator) -> Log:
-    """Stamps off by `strength` of a row, 1 sigma, never past their neighbours."""
+    """Stamps with errors of `strength` rows, 1 sigma, without changing their order."""
     off = np.clip(strength * rng.standard_normal(len(log.t)), -0.45, 0.45)
     return replace(log, t=log.t + off * log.tick)
 
 
 def clock(log: Log, strength: float, rng: Generator) -> Log:
-    """The logger's clock runs fast by the part `strength`, in all runs alike."""
+    """The logger's clock is fast by the fraction `strength`, in all runs."""
     return replace(log, t=log.t * (1.0 + strength))
 
 
 def log_rate(log: Log, strength: float, rng: Generator) -> Log:
-    """Written at `strength` Hz, linear between the loop's rows."""
+    """Logged at `strength` Hz, interpolated linearly between the loop's rows."""
     t = np.arange(int(np.floor(log.t[-1] * strength)) + 1) / strength
 
     def resample(rows: np.ndarray) -> np.ndarray:
@@ -197,18 +197,18 @@ NOISE_KINDS: dict[str, NoiseKind] = {
     "coloured": NoiseKind("correlation of neighbouring rows", (0.1, 0.6), "sensor", coloured),
     "pink": NoiseKind("rms in sigma", (1.0, 3.0), "sensor", pink),
     "student_t": NoiseKind("degrees of freedom", (6.0, 3.0), "sensor", student_t),
-    "proportional": NoiseKind("part of the reading", (0.002, 0.01), "sensor", proportional),
-    "spikes": NoiseKind("part of the rows", (0.002, 0.01), "sensor", spikes),
+    "proportional": NoiseKind("fraction of the reading", (0.002, 0.01), "sensor", proportional),
+    "spikes": NoiseKind("fraction of the rows", (0.002, 0.01), "sensor", spikes),
     "converter_steps": NoiseKind("N", (1.0, 2.0), "sensor", converter_steps),
     "tare": NoiseKind("rms from run to run in sigma", (1.0, 4.0), "sensor", tare),
     "slow_drift": NoiseKind("in sigma", (1.0, 4.0), "sensor", slow_drift),
     "mains": NoiseKind("amplitude at 50 Hz in sigma", (0.5, 2.0), "sensor", mains),
     "anti_aliasing": NoiseKind("Hz", (150.0, 50.0), "log", anti_aliasing),
-    "held_rows": NoiseKind("part of the rows", (0.01, 0.05), "log", held_rows),
+    "held_rows": NoiseKind("fraction of the rows", (0.01, 0.05), "log", held_rows),
     "pose_steps": NoiseKind("m", (1e-5, 2e-5), "log", pose_steps),
     "digits": NoiseKind("significant digits", (5.0, 4.0), "log", digits),
-    "lost_rows": NoiseKind("part of the rows", (0.01, 0.05), "log", lost_rows),
-    "stamp_jitter": NoiseKind("part of a row, 1 sigma", (0.05, 0.1), "log", stamp_jitter),
-    "clock": NoiseKind("part", (2e-4, 5e-4), "log", clock),
+    "lost_rows": NoiseKind("fraction of the rows", (0.01, 0.05), "log", lost_rows),
+    "stamp_jitter": NoiseKind("fraction of a row, 1 sigma", (0.05, 0.1), "log", stamp_jitter),
+    "clock": NoiseKind("fraction", (2e-4, 5e-4), "log", clock),
     "log_rate": NoiseKind("Hz", (1700.0, 500.0, 250.0), "log", log_rate),
 }

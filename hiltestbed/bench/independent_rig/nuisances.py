@@ -1,10 +1,10 @@
-"""How a facility computes, as far as no definition says: numbers that a diagnosis does not know and that are not its findings.
+"""Nuisance parameters: details of a facility's computation that no definition fixes, unknown to the diagnosis and not to be found by it.
 
-    nuisances = draw_nuisances(rng)             # at random; width=0.5: half as far from today's values
+    nuisances = draw_nuisances(rng)             # at random; width=0.5: half as far from the plain rig
     rig = with_nuisances(rig, nuisances)
     records = restamped(records, nuisances.stamps)
 
-Instants are parts of a tick. None is larger than one half, so that a whole tick remains an effect that can be named.
+Instants are fractions of a tick. None is larger than one half, so that a whole tick remains a nameable effect.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ SENSOR = {
     "as drawn": sensor.EXPONENTIAL, "exact": sensor.EXPONENTIAL, "semi_implicit": sensor.BACKWARD, "trapezoidal": sensor.TRAPEZOIDAL,
 }  # fmt: skip
 FEWEST, MOST = 2, 200  # sub-steps
-LONGEST = 0.5  # ticks, of an instant
+LONGEST = 0.5  # ticks, largest offset of an instant
 CHANNELS = ("pose_cmd", "pose_act", "wrench_meas", "wrench_comp")
-FARTHEST = 1.0  # rows, of a stamp
+FARTHEST = 1.0  # rows, largest offset of a stamp
 
 
 @dataclass(frozen=True)
@@ -39,14 +39,14 @@ class Nuisances:
     """The choices of a facility; the defaults are those of the plain rig.
 
     Attributes:
-        substeps: a tick is divided into. lever: where along the overlap the force acts, 0 at the undeformed surface, 1 at the tip;
-            None: as the rig has it.
-        read: the sensor samples this part of a tick before the stamp. move: a new command is obeyed this part of a tick late.
-        encoder: pose_act is sampled this part of a tick before its stamp.
-        step: part of the old twist in the numerical model's new pose: 0 semi-implicit, 1 would be explicit Euler.
-        rate: the contact's rate is the slope of the tick (0), of the half tick that ends there (1), or between.
-        scheme: how platform and sensor integrate their filters.
-        stamps: channel to the rows by which its stamp is late: what stands in row k was measured that much before.
+        substeps: per tick. lever: point of application of the force along the overlap, 0 at the undeformed surface, 1 at the tip;
+            None: that of the rig.
+        read: the sensor samples by this fraction of a tick before the stamp. move: delay of a new command, in ticks.
+        encoder: pose_act is sampled by this fraction of a tick before its stamp.
+        step: fraction of the old twist in the numerical model's new pose: 0 semi-implicit, 1 would be explicit Euler.
+        rate: the contact's rate is the slope of the tick (0), of the half tick that ends there (1), or in between.
+        scheme: integration of the filters of platform and sensor.
+        stamps: channel to the delay of its stamps in rows: row k was measured that many rows before.
     """
 
     substeps: int = SUBSTEPS
@@ -64,9 +64,9 @@ PLAIN = Nuisances()
 
 
 def draw_nuisances(rng: Generator, width: float = 1.0) -> Nuisances:
-    """Choices at random; `width` from 0 (the plain rig) to 1 (2 to 200 sub-steps, any lever, instants up to half a tick, stamps to a row).
+    """Random choices; `width` from 0 (the plain rig) to 1 (2 to 200 sub-steps, any lever, instants up to half a tick, stamps to a row).
 
-    Two of the four channels keep their stamps on average; half of the others are off by whole rows where the width allows it.
+    On average two of the four channels have exact stamps; half of the others are off by whole rows if the width allows it.
     """
     low, high = (SUBSTEPS * (end / SUBSTEPS) ** width for end in (FEWEST, MOST))
     substeps = round(math.exp(rng.uniform(math.log(low), math.log(high))))
@@ -83,7 +83,7 @@ def draw_nuisances(rng: Generator, width: float = 1.0) -> Nuisances:
 
 
 def with_nuisances(rig: Rig, nuisances: Nuisances) -> Rig:
-    """The rig of a facility that computes so; stamps are the log's (`restamped`)."""
+    """The rig with the nuisance parameters of a facility, except the stamps of its log (`restamped`)."""
     h = 1.0 / rig.rate
     contact = rig.contact if nuisances.lever is None else rig.contact._replace(lever=nuisances.lever)
     return rig._replace(
@@ -96,12 +96,12 @@ def with_nuisances(rig: Rig, nuisances: Nuisances) -> Rig:
 
 
 def restamped(records: Records, stamps: Mapping[str, float]) -> Records:
-    """The records with the channels in `stamps` moved by whole or part rows; beyond the ends the first and last rows stand."""
+    """The records with the channels in `stamps` shifted by whole or fractional rows; the first and last rows are repeated at the ends."""
     return records._replace(**{channel: shifted(getattr(records, channel), rows) for channel, rows in stamps.items()})
 
 
 def shifted(rows: np.ndarray, late: float) -> np.ndarray:
-    """Rows (n, m) as they were `late` rows before, linear in between; quaternions (columns 3 to 6 of 7) keep their length."""
+    """Rows (n, m) delayed by `late` rows, with linear interpolation; quaternions (columns 3 to 6 of 7) are normalised."""
     at = np.clip(np.arange(len(rows)) - late, 0.0, len(rows) - 1.0)
     whole = np.minimum(at.astype(np.int64), len(rows) - 2)
     part = (at - whole)[:, None]

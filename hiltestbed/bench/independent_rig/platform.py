@@ -1,7 +1,7 @@
-"""The motion platform of this rig: what becomes of the command, axis by axis, on a grid of sub-steps.
+"""The motion platform of this rig: its response to the command, axis by axis, on a grid of sub-steps.
 
-The command runs linearly from one tick to the next; before t = 0 it is the uniform approach run backwards. Effects
-follow each other as delay, speed limit, lag, mode, play, stiction, scale.
+The command is linear from one tick to the next; before t = 0 it is the uniform approach, extrapolated backwards. Effects
+are applied in the order delay, speed limit, lag, mode, play, stiction, scale.
 """
 
 from __future__ import annotations
@@ -15,27 +15,27 @@ from hiltestbed.jit import njit
 
 LIMITED, LAG, LAG_V, MODE, MODE_V, PLAY, HELD, COMMAND, SLEWED, SLEWED_V, NEAR, NEAR_V = range(12)
 STATES = 12
-AS_COARSE, RUNGE_KUTTA, SEMI_IMPLICIT, TRAPEZOIDAL = range(4)  # schemes of the filters; AS_COARSE leaves it to `coarse`
+AS_COARSE, RUNGE_KUTTA, SEMI_IMPLICIT, TRAPEZOIDAL = range(4)  # schemes of the filters; AS_COARSE: given by `coarse`
 
 
 class Platform(NamedTuple):
-    """Departures of the platform; zero switches one off. SI."""
+    """Deviations of the platform; zero switches one off. SI."""
 
     scale: np.ndarray  # (3,)
     delay: float = 0.0
     lag_w: float = 0.0  # rad/s, damping ratio 0.7
-    lag_w_back: float = 0.0  # rad/s, foreign: the same on the way out
+    lag_w_back: float = 0.0  # rad/s, foreign: the same for negative velocities
     mode_w: float = 0.0  # rad/s
     mode_zeta: float = 0.0
-    play: float = 0.0  # m, whole
+    play: float = 0.0  # m, full width
     stick: float = 0.0  # m
     speed: float = 0.0  # m/s
     quantum: float = 0.0  # m, foreign: steps of the encoder
     ripple: float = 0.0  # m, foreign: error periodic in position
     ripple_period: float = 1.0  # m
-    give: float = 0.0  # m/N, foreign: the contact pushes the platform back
+    give: float = 0.0  # m/N, foreign: compliance to the contact force
     acceleration: float = 0.0  # m/s^2, foreign: limit
-    coarse: bool = False  # semi-implicit Euler with the command at the end of the sub-step, in place of Runge-Kutta
+    coarse: bool = False  # semi-implicit Euler with the command at the end of the sub-step, instead of Runge-Kutta
     scheme: int = AS_COARSE
     response_w: float = 0.0  # rad/s of the nominal response, on six axes; 0: ideal tracking
     response_zeta: float = 1.0
@@ -43,7 +43,7 @@ class Platform(NamedTuple):
 
 @njit(cache=True)
 def command_at(node, velocity, t, h):
-    """Command (3,) at `t` [s]; node (ticks + 1, 3) holds it at whole ticks, node[0] the start."""
+    """Command (3,) at `t` [s]; node (ticks + 1, 3) contains it at whole ticks, node[0] the start."""
     if t <= 0.0:
         return node[0] + velocity * t
     k = min(int(t / h), len(node) - 2)
@@ -53,7 +53,7 @@ def command_at(node, velocity, t, h):
 
 @njit(cache=True)
 def initial(start, velocity):
-    """States (3, STATES) of a platform that is at the start pose and moves with the approach."""
+    """States (3, STATES) of a platform at the start pose, moving with the approach velocity."""
     state = np.zeros((3, STATES))
     for a in range(3):
         for i in (LIMITED, LAG, MODE, PLAY, HELD, SLEWED, NEAR):
@@ -83,14 +83,14 @@ def _trapezoid(x, v, u, u_rate, dt, w, zeta, base):
     """Trapezoidal step of the same equation."""
     loss = 2.0 * zeta * w
     now = w * w * (u - x) - loss * (v - base * u_rate)
-    free = w * w * (u + dt * u_rate - x - 0.5 * dt * v) + loss * base * u_rate  # at the end, but for what the new velocity adds
+    free = w * w * (u + dt * u_rate - x - 0.5 * dt * v) + loss * base * u_rate  # at the end, without terms in the new velocity
     after = (v + 0.5 * dt * (now + free)) / (1.0 + 0.5 * dt * (loss + 0.5 * dt * w * w))
     return x + 0.5 * dt * (v + after), after
 
 
 @njit(cache=True)
 def respond(platform, x, v, u, u_rate, dt, w, zeta, base):
-    """A second-order response over dt by the platform's scheme: the new x and v."""
+    """A second-order response over dt with the platform's scheme: the new x and v."""
     if platform.scheme == TRAPEZOIDAL:
         return _trapezoid(x, v, u, u_rate, dt, w, zeta, base)
     if platform.scheme == SEMI_IMPLICIT or (platform.scheme == AS_COARSE and platform.coarse):
@@ -101,7 +101,7 @@ def respond(platform, x, v, u, u_rate, dt, w, zeta, base):
 
 @njit(cache=True)
 def _slew(state, u, dt, limit):
-    """An axis that may not accelerate harder than `limit`: it steers for the command as fast as it can still brake."""
+    """An axis with an acceleration limit: it approaches the command with the highest speed from which it can still brake."""
     gap = u - state[SLEWED]
     wanted = math.copysign(math.sqrt(2.0 * limit * abs(gap)), gap) + state[COMMAND]
     if abs(gap) < limit * dt * dt * 4.0:
@@ -114,7 +114,7 @@ def _slew(state, u, dt, limit):
 
 @njit(cache=True)
 def follow(platform, state, u0, u1, dt, a):
-    """Where axis `a` is after dt in which its command ran from u0 to u1."""
+    """Position of axis `a` after dt in which its command moves from u0 to u1."""
     rate = (u1 - u0) / dt
     if platform.acceleration > 0.0:
         state[COMMAND] = rate

@@ -1,4 +1,4 @@
-"""From the numbers of a scenario to the five links of this rig."""
+"""Builds the five links of this rig from a scenario."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from hiltestbed.bench.independent_rig.platform import Platform
 from hiltestbed.bench.independent_rig.sensor import Sensor
 
 LEAD_T2 = 0.0005  # s, unless the scenario sets it
-PLAIN = ("none", "phase_lead")  # methods that the loop on a plane computes by itself
+PLAIN = ("none", "phase_lead")  # methods for which the loop on a plane has its own code
 MIDDLE = 0.5  # lever of a healthy docking: the force acts in the middle of the overlap
 BUMPER_TIP = 0.02  # m, radius
 Body = tuple[float, tuple[float, float, float], tuple[float, float, float]]  # mass, inertia about its centre, centre from P
 CONE_BODY: Body = (CONE_MASS, CONE_INERTIA, CONE_CENTRE)
 BUMPER_BODY: Body = (120.0, (8.0, 8.0, 10.0), (0.0, 0.0, 0.30))  # as in models/bumper/passive.xml
-SIGMAS = 5.0  # of the force's noise, from which an identification believes in a contact
+SIGMAS = 5.0  # force over its noise above which an identification detects a contact
 
 
 def overridden(scenario: dict, changes: dict) -> dict:
@@ -42,7 +42,7 @@ def overridden(scenario: dict, changes: dict) -> dict:
 
 
 def nominal_rig(scenario: dict) -> Rig:
-    """The rig as the scenario (a mapping with every key that is read here) believes it: bumper or latched, ideal tracking."""
+    """The nominal rig of a scenario (a mapping with every key that is read here): bumper or latched, ideal tracking."""
     contact = scenario["mechanism"]["contact"]
     delay = float(scenario["sensor"]["delay"])
     force = scenario["compensation"]["force"]
@@ -86,9 +86,9 @@ def compensator_of(scenario: dict) -> Compensator:
 
 
 def docking_rig(scenario: dict) -> Rig:
-    """The rig of a scenario with all six axes: probe and cone, bumper or latched; rigid or on a mount; tracking as it says.
+    """The rig of a scenario with all six axes: probe and cone, bumper or latched; rigid or on a mount; ideal tracking or servo.
 
-    A `rig.platform` with tracking `servo` answers as its `bandwidth` [Hz] and `damping_ratio` say, to second order on every axis.
+    A `rig.platform` with tracking `servo` responds to second order with its `bandwidth` [Hz] and `damping_ratio` on every axis.
     """
     flat = nominal_rig(scenario)
     mechanism, platform = scenario["mechanism"], scenario["rig"]["platform"]
@@ -124,7 +124,7 @@ def _mount(mount: dict | None, kind: str) -> Mount:
 
 
 def with_held(rig: Rig) -> Rig:
-    """The rig with the law of its contact in its latch too; one that closes holds what it caught, where and as it caught it."""
+    """The rig with its contact law also in its latch; a latch that closes holds the pose at capture, without offset, preload or stop."""
     if rig.docking is None:
         return rig
     law = rig.contact._replace(latched=True, pull=-1.0)

@@ -1,4 +1,4 @@
-"""Rotations as quaternions x, y, z, w: this rig's own, so that an error in `frames` cannot hide in both."""
+"""Rotations as quaternions x, y, z, w: an independent implementation, so that an error in `frames` cannot be in both."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def product(a, b):
 
 @njit(cache=True)
 def inverse(q):
-    """The rotation backwards; (4,)."""
+    """The inverse rotation; (4,)."""
     out = np.empty(4)
     out[0], out[1], out[2], out[3] = -q[0], -q[1], -q[2], q[3]
     return out
@@ -51,7 +51,7 @@ def turn(vector):
 
 @njit(cache=True)
 def turn_of(q):
-    """Rotation vector (3,) [rad] of the quaternion (4,), the shorter way round."""
+    """Rotation vector (3,) [rad] of the quaternion (4,), with an angle of at most pi."""
     s = math.sqrt(q[0] ** 2 + q[1] ** 2 + q[2] ** 2)
     sign = 1.0 if q[3] >= 0.0 else -1.0
     part = 2.0 / abs(q[3]) if s < 1e-9 else 2.0 * math.atan2(s, abs(q[3])) / s

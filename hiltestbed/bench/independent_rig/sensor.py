@@ -1,6 +1,6 @@
 """The force sensor of this rig.
 
-Effects follow each other as delay, gain, crosstalk, lag, high-pass, hum, drift, bias, noise, dead zone, saturation;
+Effects are applied in the order delay, gain, crosstalk, lag, high-pass, hum, drift, bias, noise, dead zone, saturation;
 with `quiet_zone` the dead zone and the saturation come before the noise.
 """
 
@@ -21,7 +21,7 @@ class Sensor(NamedTuple):
     """The chain from the physical wrench to the reading. SI; zero switches a term off."""
 
     gain: np.ndarray  # (6,)
-    cross: np.ndarray  # (6, 6): what a source (column) adds to an axis (row)
+    cross: np.ndarray  # (6, 6): crosstalk from a source (column) to an axis (row)
     drift: np.ndarray  # (3,) N/s
     bias: np.ndarray  # (6,)
     hum: np.ndarray  # (3,) N
@@ -34,15 +34,15 @@ class Sensor(NamedTuple):
     deadzone: float = 0.0
     limit: float = 0.0
     quiet_zone: bool = False
-    skew: float = 0.0  # s, of the record alone
-    stretch: float = 0.0  # foreign: the clock of the record runs fast by this part
-    freeze: float = 0.0  # s, foreign: the record holds its value this long, every 0.1 s
+    skew: float = 0.0  # s, delay of the log only
+    stretch: float = 0.0  # foreign: the clock of the log is fast by this fraction
+    freeze: float = 0.0  # s, foreign: the log holds its value this long, every 0.1 s
     warming: float = 0.0  # 1/s, foreign: gain that grows with time
-    slope: float = 0.0  # 1/m, foreign: gain that varies along the lateral position
+    slope: float = 0.0  # 1/m, foreign: gain that varies with the lateral position
     heavy: float = 0.0  # s/N, foreign: delay that grows with the force
-    hysteresis: float = 0.0  # N, foreign: play in the reading
-    quantum: float = 0.0  # N, foreign: steps of the converter
-    repeat: float = 0.0  # s, foreign: the reading stands still this long, at random
+    hysteresis: float = 0.0  # N, foreign: play in the reading, half width
+    quantum: float = 0.0  # N, foreign: quantisation of the converter
+    repeat: float = 0.0  # s, foreign: the reading is held this long, at random times
     depth_slope: float = 0.0  # 1/m, foreign: gain that varies along the insertion
     lag_scheme: int = EXPONENTIAL
 
@@ -58,7 +58,7 @@ def _clip(sensor, out):
 
 @njit(cache=True)
 def lag_share(sensor, h):
-    """What part of the way to its input the low-pass goes in a tick h [s]; trapezoidal in the input held over the tick."""
+    """Coefficient of the low-pass: fraction of the difference to its input covered in a tick h [s]; the input is constant over the tick."""
     if sensor.lag_scheme == BACKWARD:
         return h / (sensor.lag + h)
     if sensor.lag_scheme == TRAPEZOIDAL:
@@ -68,7 +68,7 @@ def lag_share(sensor, h):
 
 @njit(cache=True)
 def read(sensor, raw, place, noise, t, h, state, out):
-    """Reading (6,) at t from the late physical wrench `raw` (6,); `place` (3,) is where the tip was then."""
+    """Reading (6,) at t from the delayed physical wrench `raw` (6,); `place` (3,) is the position of the tip then."""
     for a in range(6):
         out[a] = raw[a] * sensor.gain[a] * (1.0 + sensor.warming * t + sensor.slope * place[0])
         if sensor.depth_slope != 0.0:

@@ -1,4 +1,4 @@
-"""Sets of measured data with something hidden in them: drawn, generated, judged for strength."""
+"""Sets of measured data with hidden effects: drawing, generation, and check of their strength."""
 
 from __future__ import annotations
 
@@ -36,9 +36,9 @@ from hiltestbed.bench.independent_rig.strengths import strength
 
 Kind = Literal["healthy", "single", "pair", "triple", "foreign", "alike"]
 Design = Literal["bumper", "docking", "mounted", "held"]
-FACILITIES = 200  # drawn at most before a set is given up
-STRONG_ENOUGH = 150  # draws, after which a weak effect is taken too
-WEAKEST = 0.3  # an effect of less strength cannot be observed
+FACILITIES = 200  # largest number of draws for a set
+STRONG_ENOUGH = 150  # draws after which a weak effect is accepted too
+WEAKEST = 0.3  # smallest strength of an observable effect
 
 __all__ = [
     "PLAIN", "Design", "HiddenSet", "Kind", "draw_effects", "draw_noise", "draw_set", "draw_variants", "generate", "link_of", "rig_of",
@@ -52,13 +52,13 @@ class HiddenSet:
 
     Attributes:
         kind: healthy, single, pair, triple, foreign or alike.
-        effects: what is hidden, as in a scenario's `effects`; foreign ones have a kind `unknown.*`.
+        effects: the hidden effects, as in a scenario's `effects`; foreign ones have a kind `unknown.*`.
         links: of the effects, in their order.
-        strengths: of the effects, in their order: rms of what the effect changes in its link's records during contact, in
-            units of their noise, the loop cut before the link. Unobservable below some 0.3.
-        variants: readings of the definitions, where they leave a choice: see `draw_set`.
-        runs: the records of each run, with noise, in the order of the facility's runs; logs: what is written of them.
-        design, compensation, noise, nuisances: as asked for. rival: of kind alike, the effect that looks like the hidden one.
+        strengths: of the effects, in their order: rms change of the link's records by the effect during contact, in
+            units of their noise, with the loop opened before the link. Unobservable below about 0.3.
+        variants: interpretations of the definitions where they leave a choice: see `draw_variants`.
+        runs: the records of each run, with noise, in the order of the facility's runs; logs: their logs, as written to files.
+        design, compensation, noise, nuisances: as requested. rival: for kind alike, the effect that looks like the hidden one.
     """
 
     kind: Kind
@@ -77,7 +77,7 @@ class HiddenSet:
 
     @property
     def truth(self) -> dict[str, Any]:
-        """What `truth.yaml` holds; what is as in a plain bumper set is left out."""
+        """Contents of `truth.yaml`; entries equal to those of a plain bumper set are omitted."""
         weak = [e["kind"] for e, s in zip(self.effects, self.strengths, strict=True) if s < WEAKEST]
         found = {
             "kind": self.kind, "effects": self.effects, "links": self.links, "strengths": self.strengths, "unobservable": weak,
@@ -110,22 +110,22 @@ def draw_set(
     twists: bool = False,
     pair: Pair | None = None,
 ) -> HiddenSet:
-    """A set with something hidden in it.
+    """Draw a set with hidden effects.
 
     Args:
-        names: the effects to hide, of the vocabulary or foreign; empty: as `kind` asks, at random.
-        scale: of the departures. At other than 1 the strength is not looked at.
+        names: the effects to hide, of the vocabulary or foreign; empty: random ones, according to `kind`.
+        scale: of the deviations. With a scale other than 1 the strength is not checked.
         least_strength: below it the set is drawn again, with another facility.
-        literal: the plain reading of every definition, no variants.
+        literal: the plain interpretation of every definition, no variants.
         design: bumper (three axes, a plane) | docking (probe and cone) | mounted (the cone on a compliant mount) | held (latched).
         compensation: the facility's method, a key of `docking_facility.METHODS`.
-        noise: kind and strength of `NOISE_KINDS` in place of the white noise. nuisances: how the facility computes.
+        noise: kind and strength of `NOISE_KINDS` instead of the white noise. nuisances: of the facility's computation.
         response: bandwidth [Hz] and damping ratio of the platform, not for the bumper; None: ideal tracking.
-        twists: the logs hold velocities too.
-        pair: of kind alike, the pair of `LOOK_ALIKES`, the first of which is hidden; None: any, either of the two.
+        twists: whether the logs contain velocities too.
+        pair: for kind alike, the pair of `LOOK_ALIKES`, the first of which is hidden; None: a random pair in random order.
 
     Raises:
-        ValueError: a noise, compensation, design or pair that is not known, or names that do not act in the design.
+        ValueError: an unknown noise, compensation, design or pair, or names that do not act in the design.
     """
     _known(names, design, noise, pair)
     how = nuisances or AS_TODAY
@@ -223,9 +223,9 @@ def _ordered(chosen: tuple[str, ...]) -> Pair:
 
 
 def _design(rng: Generator, names: tuple[str, ...]) -> frozenset[str]:
-    """What the runs excite: all that the effects need, and at random what they do not, so that the design gives nothing away.
+    """The excitation of the runs: everything that the effects need, and more at random, so that the design does not reveal the effects.
 
-    A latch holds the attitude as well, which this rig of three axes leaves free: latched runs are on the axis.
+    A latch also holds the attitude, which this rig of three axes leaves free: latched runs are therefore on the axis.
     """
     design = {"slide"} | ({"offset"} if rng.random() < 0.25 else set())
     if not names and rng.random() < 0.05:

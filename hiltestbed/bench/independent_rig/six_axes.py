@@ -1,7 +1,7 @@
 """One run of this rig with all six axes: probe and cone, bumper or latch, rigid or on a mount, on a grid finer than the tick.
 
-Between two sub-steps the position runs linearly, over a tick the attitude turns at a constant rate; the contact is evaluated at any
-instant from where both sides are then, so that nothing is interpolated across a touch. The latch closes at a tick's end.
+Between two sub-steps the position is linear, over a tick the attitude has a constant rate; the contact is evaluated at any
+instant from the poses of both sides then, so that no force is interpolated across a touch. The latch closes at the end of a tick.
 """
 
 from __future__ import annotations
@@ -23,26 +23,26 @@ from hiltestbed.bench.independent_rig.measured_pose import all_noisy, noisy, slo
 from hiltestbed.bench.independent_rig.rotation import inverse, product, turn, turn_of
 from hiltestbed.jit import njit
 
-STOPPED = 5e4  # N, at which a facility stops its run: what comes after is not a number
-KEPT = 0.2  # s, for how long the trail is kept beyond the delays: what a stretched or skewed record looks back
+STOPPED = 5e4  # N, at which a facility stops its run: the records are NaN from then on
+KEPT = 0.2  # s of the trail kept in addition to the delays, for the look-back of a stretched or skewed record
 
 
 class Trail(NamedTuple):
-    """Where the rig was: the last sub-steps in a ring, and every tick."""
+    """History of the rig: the last sub-steps in a ring, and every tick."""
 
     place: np.ndarray  # (length, 3) of A in P
     states: np.ndarray  # (length, 2, STATES) of the law, tip and rod
     mounted: np.ndarray  # (length, 13) of S
     attitude: np.ndarray  # (ticks + 1, 4)
     slope: np.ndarray  # (ticks + 1, 6) twist over the tick that ends there
-    hold: np.ndarray  # (7,) what the latch holds
+    hold: np.ndarray  # (7,) pose that the latch holds
     closed: np.ndarray  # (1,) the row at whose instant it closed
     seen: np.ndarray  # (2, 2) penetration and rate at the last sub-step
 
 
 @njit(cache=True)
 def pose_at(trail, t, h, timing, pose, twist):
-    """Pose (7,) and twist (6,) of A at `t` >= 0, by what the contact goes by."""
+    """Pose (7,) and twist (6,) of A at `t` >= 0, as used by the contact."""
     m, length = timing.substeps, len(trail.place)
     at = t / h * m
     j = int(math.floor(at + 1e-9))
@@ -66,7 +66,7 @@ def pose_at(trail, t, h, timing, pose, twist):
 
 @njit(cache=True)
 def wrench_at(law, docking, trail, t, h, timing, out, where):
-    """The wrench (6,) that the sensor is given at `t`, nothing before the start; `where` (3,) is the place of A then."""
+    """The wrench (6,) on the sensor at `t`, zero before the start; `where` (3,) is the position of A then."""
     out[:] = 0.0
     where[:] = trail.place[0]
     if t < 0.0:
@@ -91,7 +91,7 @@ def wrench_at(law, docking, trail, t, h, timing, out, where):
 
 @njit(cache=True)
 def _shake(law, docking, trail, latched, pose, twist, y, states, dt, scheme, out):
-    """The mounted body over dt from y (13,), A setting out from pose (7,) with the twist (6,): midpoint rule or semi-implicit Euler."""
+    """The mounted body over dt from y (13,), with A starting at pose (7,) with the twist (6,): midpoint rule or semi-implicit Euler."""
     wrench, seen, a, b = np.empty(6), np.empty((2, 2)), np.empty(6), np.empty(6)
     at, half = np.empty(7), np.empty(13)
     meeting.wrench_in_place(law, docking, pose, twist, y, latched, trail.hold, states, wrench, seen)
@@ -137,7 +137,7 @@ def _settle(law, docking, trail, latched, k, h, timing, stateful, scheme):
             continue
         pose_at(trail, (k * m + i + 1) * dt, h, timing, pose, twist)
         if docking.mount.there:
-            pace = twist.copy()  # of the path itself, whatever the contact's rate is taken from
+            pace = twist.copy()  # the path's own twist, independent of the rate used by the contact
             from_pose = pose.copy()
             pace[:3] = (trail.place[there] - trail.place[here]) / dt
             _along(pose, pace, -dt, from_pose)
@@ -157,7 +157,7 @@ def _settle(law, docking, trail, latched, k, h, timing, stateful, scheme):
 
 @njit(cache=True)
 def _follow(platform, node, turned, aim, velocity, k, h, timing, axes, trail, pushed, wheel):
-    """The platform from t_k to t_(k+1), its command's translation in `node` and its rotation from the start in `turned`."""
+    """The platform from t_k to t_(k+1); `node`: commanded positions, `turned`: commanded rotation vectors from the start."""
     m, length = timing.substeps, len(trail.place)
     dt = h / m
     for i in range(1, m + 1):
@@ -188,7 +188,7 @@ def _follow(platform, node, turned, aim, velocity, k, h, timing, axes, trail, pu
 
 @njit(cache=True)
 def _read_pose(trail, k, h, timing, velocity, out):
-    """The pose (7,) that the encoder gives at t_k."""
+    """The encoder's pose (7,) at t_k."""
     back = timing.encoder * h
     if k == 0:
         out[:3] = trail.place[0] - back * velocity[:3]
@@ -203,7 +203,7 @@ def _read_pose(trail, k, h, timing, velocity, out):
 @njit(cache=True)
 def _loop(bodies, platform, law, docking, sensor, comp, state, start, velocity, h, ticks, noise, cut_cmd, cut_comp, timing, keep, trail,
           stateful):  # fmt: skip
-    """The records of a run; arguments as of the loop on a plane, `velocity` (6,)."""
+    """The records of a run; arguments as for the loop on a plane, but `velocity` (6,)."""
     pose_cmd, pose_act = np.empty((ticks, 7)), np.empty((ticks, 7))
     used, logged, comp_out, physical = np.empty((ticks, 6)), np.empty((ticks, 6)), np.empty((ticks, 6)), np.empty((ticks, 6))
     touching = np.zeros(ticks, dtype=np.bool_)

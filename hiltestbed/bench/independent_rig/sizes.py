@@ -1,7 +1,7 @@
 """Moderate sizes of the vocabulary's effects, for a given facility.
 
-`SIZES[kind](rng, facility, scale)` returns parameters; `scale` multiplies the departure from the nominal rig: below 1 it is
-harder to find. Times are measured by the contact's period, forces by its peak, lengths by its depth.
+`SIZES[kind](rng, facility, scale)` returns parameters; `scale` multiplies the deviation from the nominal rig: below 1 it is
+harder to find. Times scale with the contact's period, forces with its peak, lengths with its depth.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ NEEDS: dict[str, frozenset[str]] = {
     "contact.backlash": frozenset({"latched"}),
     "dynamics.inertia": frozenset({"offset"}),
     "dynamics.port_offset": frozenset({"offset"}),
-}  # what a facility's runs must excite for the effect to show
+}  # what a facility's runs must excite to make the effect observable
 
 ALIKE: tuple[frozenset[str], ...] = (
     frozenset({"sensor.delay", "sensor.lag", "log.skew", "sensor.jitter"}),
@@ -35,11 +35,11 @@ ALIKE: tuple[frozenset[str], ...] = (
     frozenset({"sensor.crosstalk", "contact.misalignment"}),
     frozenset({"sensor.deadzone", "loop.deadzone", "contact.adhesion"}),
     frozenset({"sensor.drift", "sensor.bias", "sensor.highpass", "sensor.hum"}),
-)  # pairs from one group are not hidden together: each hides in the other
+)  # effects of one group are not hidden together: they mask each other
 
 
 def alike(a: str, b: str) -> bool:
-    """Whether two effects are too much alike to be hidden together."""
+    """Whether two effects are too similar to be hidden together."""
     return a == b or any(a in group and b in group for group in ALIKE)
 
 
@@ -48,7 +48,7 @@ def _sign(rng: Generator) -> float:
 
 
 def _lateness(rng: Generator, f: Facility, s: float, low: float = 0.04, high: float = 0.1) -> float:
-    """A time [s] that is a small angle of the contact's motion, and no shorter than the loop can show."""
+    """A time [s] that is a small phase of the contact's oscillation, but not too short to be observable in the loop."""
     time = rng.uniform(low, high) / (2.0 * math.pi * f.frequency)
     return rounded(s * min(max(time, 1.2e-3), 7e-3))
 

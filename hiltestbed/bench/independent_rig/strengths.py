@@ -1,4 +1,4 @@
-"""How far a hidden effect stands above the noise of its link's records."""
+"""Strength of a hidden effect: its size relative to the noise of its link's records."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from hiltestbed.bench.independent_rig.facility import Facility
 from hiltestbed.bench.independent_rig.generation import draw_noise, link_of, rig_of, sigma_of
 from hiltestbed.bench.independent_rig.links import Rig, silence
 
-MODEL_NOISE = 2e-6  # m, what pose_cmd, which is computed, is measured by
-RUNS = (1, 3, 4)  # that are looked at
+MODEL_NOISE = 2e-6  # m, reference for pose_cmd, which is computed and has no noise
+RUNS = (1, 3, 4)  # runs that are evaluated
 AMPLIFYING = (METHODS["phase_lead"], METHODS["reconstruction"])
 
 
 def strength(facility: Facility, effects: list[dict[str, Any]], which: int, variants: dict[str, Any]) -> float:
-    """How far effect `which` stands above the noise in its link's records, in the run where it shows most; see `HiddenSet`."""
+    """Size of effect `which` relative to the noise in its link's records, in the run where it is largest; see `HiddenSet`."""
     rest = [e for i, e in enumerate(effects) if i != which]
     return max(_strength(facility, run, effects, rest, link_of(effects[which]["kind"]), variants) for run in RUNS)
 
@@ -43,7 +43,7 @@ def _strength(facility: Facility, run: int, effects: list, rest: list, link: str
 
 
 def _amplification(rig: Rig) -> float:
-    """By how much the method makes the noise of a row larger."""
+    """Factor by which the method amplifies the noise of a row."""
     comp = rig.compensator
     if comp.method not in (LEAD, *AMPLIFYING):
         return 1.0

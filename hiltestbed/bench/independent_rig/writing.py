@@ -1,4 +1,4 @@
-"""A set as a folder of files, as a facility would hand it over."""
+"""Writes a set as a folder of files, as a facility would deliver it."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ PARTS = {
 
 
 def write_set(folder: str | Path, hidden: HiddenSet, truth: bool = False) -> Path:
-    """Write nominal.yaml, dataset.yaml and run_N.parquet (of a log in text, run_N.csv); with `truth` also truth.yaml."""
+    """Write nominal.yaml, dataset.yaml and run_N.parquet (run_N.csv for a text log); with `truth` also truth.yaml."""
     from ruamel.yaml import YAML
 
     folder = Path(folder)
@@ -60,7 +60,7 @@ def _write_log(folder: Path, log: Log) -> str:
 
 
 def plain(value: Any) -> Any:
-    """Without NumPy's types, which YAML cannot write."""
+    """`value` without NumPy's types, which YAML cannot write."""
     if isinstance(value, dict):
         return {k: plain(v) for k, v in value.items()}
     if isinstance(value, (list, tuple)):

@@ -1,1 +1,1 @@
-"""What a user, a disk or a bad day does to the tool, tried at random: `hiltestbed bench robustness`."""
+"""Random tests of invalid inputs, damaged files and interrupted commands: `hiltestbed bench robustness`."""

@@ -1,7 +1,7 @@
-"""What people do to a record between the rig and the dataset: `DISTORTIONS[name].apply(table)` changes the columns of every run in place.
+"""Typical errors in records between rig and dataset: `DISTORTIONS[name].apply(table)` changes the columns of every run in place.
 
-A table maps the names of the columns to their rows. `verdict` says what the check owes: refused before the fit, remarked on, or taken as it
-is where a good diagnosis can be made of what is left.
+A table maps the names of the columns to their rows. `verdict` is the result that the check must give: refused before the fit, or remarked
+on, where a good diagnosis is possible with the rest.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ FORCES = {"lbf": 1 / 4.4482216152605, "kgf": 1 / 9.80665, "daN": 0.1, "kN": 1e-3
 
 @dataclass(frozen=True)
 class Distortion:
-    """A change of a record; check: of the dataset's `accept` that refuses it, empty where another error or a remark does."""
+    """A change of a record; check: key of the dataset's `accept` whose check refuses it, empty for another error or a remark."""
 
     apply: Callable[[Table], None]
     verdict: Verdict = "refused"
@@ -41,7 +41,7 @@ def _scaled(groups: tuple[str, ...], parts: str, factor: float) -> Callable[[Tab
 
 
 def _exchanged(first: str, second: str) -> Callable[[Table], None]:
-    """Two columns, or all columns of two groups."""
+    """Exchange two columns, or all columns of two groups."""
 
     def change(table: Table) -> None:
         parts = GROUPS[first].parts if first in GROUPS else None
@@ -70,7 +70,7 @@ def _copied(source: str, target: str) -> Callable[[Table], None]:
 
 
 def _held(*names: str) -> Callable[[Table], None]:
-    """Columns that stand at their first value."""
+    """Columns that are constant at their first value."""
 
     def change(table: Table) -> None:
         for name in names:
@@ -81,7 +81,7 @@ def _held(*names: str) -> Callable[[Table], None]:
 
 
 def _shifted(group: str, rows: int) -> Callable[[Table], None]:
-    """A group that stands `rows` late in the record (early where negative); its ends hold."""
+    """A group delayed by `rows` in the record (advanced if negative), with constant values at the ends."""
 
     def change(table: Table) -> None:
         for column in [c for c in table if c.startswith(group + ".")]:
@@ -100,7 +100,7 @@ def _without(*groups: str) -> Callable[[Table], None]:
 
 
 def _lost(name: str, start: float, rows: int) -> Callable[[Table], None]:
-    """Samples of a column that are not a number, from a part of the record on."""
+    """A column with `rows` NaN samples, from the fraction `start` of the record on."""
 
     def change(table: Table) -> None:
         first = int(start * len(table[name]))

@@ -1,7 +1,7 @@
-"""Commands that are killed, or interrupted twice, at a random moment: every folder is complete or absent, and the same command goes on.
+"""Commands killed, or interrupted twice, at a random moment: every folder must be complete or absent, and a repeated command must work.
 
-A killed command is ended without a warning (SIGKILL, of its own process alone). One that is interrupted is told twice, as a terminal does
-it when Ctrl-C is pressed: with all processes of its group.
+A killed command ends without warning (SIGKILL, to its own process alone). An interrupted one receives SIGINT twice, as from Ctrl-C in a
+terminal: with all processes of its group.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ from pathlib import Path
 
 from numpy.random import Generator
 
-PATIENCE = 900.0  # [s] after which a command hangs; compiling is over by then
-ENDS = 120.0  # [s] within which an interrupted command has to be gone
+PATIENCE = 900.0  # [s] after which a command counts as hanging; time for compilation included
+ENDS = 120.0  # [s] within which an interrupted command must end
 TWICE = 0.3  # [s] between two interruptions, at most
-AGAIN = 0.5  # part of the trials after which the same command is given once more
+AGAIN = 0.5  # fraction of the trials after which the same command is repeated
 FRAME = re.compile(r'File "([^"]+)", line')
 PACKAGE = Path(__file__).parents[2]
-BEFORE = {"__init__.py", "kernel_cache.py"}  # of the package: what is imported before the program can take Ctrl-C
+BEFORE = {"__init__.py", "kernel_cache.py"}  # files of the package that are imported before the program can handle Ctrl-C
 RUN = {"scenario.yaml", "summary.json", "trace.parquet", "report.html"}
 CAMPAIGN = """scenario: {base}
 set: {{duration: 0.2}}
@@ -41,7 +41,7 @@ design: {{kind: grid}}
 
 
 class KillError(AssertionError):
-    """What a command that was killed has left behind."""
+    """A command that was killed has left an invalid result, failed, or hangs."""
 
 
 @dataclass(frozen=True)
@@ -49,9 +49,9 @@ class Command:
     """A command of the command line.
 
     Attributes:
-        arguments: for the folder of inputs and the folder to write. files: that a complete folder holds. same: file of the result that is
-            the same bytes whenever it is made, empty where none is.
-        beside: what has to go on while it runs, for the folder of inputs. statuses: with which it may end if left alone.
+        arguments: for the folder of inputs and the output folder. files: contents of a complete folder. same: result file that has the
+            same bytes in every run, empty if there is none.
+        beside: context that must be active while it runs, for the folder of inputs. statuses: allowed exit codes without interruption.
     """
 
     arguments: Callable[[Path, Path], list[str]]
@@ -62,7 +62,7 @@ class Command:
 
 
 def kill(rng: Generator, folder: Path, only: str | None = None) -> str:
-    """Start a command, end it at a random moment, look at what it left, and now and then give it again. Raises KillError."""
+    """Start a command, end it at a random moment, check what it left, and sometimes repeat it. Raises KillError."""
     name = only or str(rng.choice(list(COMMANDS)))
     command = COMMANDS[name]
     inputs = prepared(folder)
@@ -88,9 +88,9 @@ def kill(rng: Generator, folder: Path, only: str | None = None) -> str:
 
 
 def in_pythons_own_start(err: str) -> bool:
-    """Whether Ctrl-C came before the program's first line, while Python itself was starting: no program can put that in a word.
+    """Whether Ctrl-C came before the program's first line, while Python itself was starting: no program can catch that.
 
-    Then nothing of the package but what is imported with it is in the traceback, and no process that it has started.
+    The traceback then contains only files that are imported with the package, and none of the processes that it starts.
     """
     files = [Path(file) for file in FRAME.findall(err)]
     own = [file.relative_to(PACKAGE) for file in files if file.is_relative_to(PACKAGE)]
@@ -98,13 +98,13 @@ def in_pythons_own_start(err: str) -> bool:
 
 
 def started(arguments: list[str]) -> subprocess.Popen[bytes]:
-    """The command in a process group of its own."""
+    """Start the command in a process group of its own."""
     order = [sys.executable, "-m", "hiltestbed.cli", *arguments]
     return subprocess.Popen(order, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, start_new_session=True)
 
 
 def _ended_early(process: subprocess.Popen[bytes], after: float, hard: bool, twice: float) -> str:
-    """End the process after so many seconds; what it said."""
+    """End the process after ``after`` seconds; returns its messages."""
     time.sleep(after)
     if hard:
         process.kill()
@@ -124,7 +124,7 @@ def _ended_early(process: subprocess.Popen[bytes], after: float, hard: bool, twi
 
 
 def run_whole(command: Command, inputs: Path, out: Path) -> tuple[int, str]:
-    """Status and messages of the command when it is left alone. Raises KillError where it hangs."""
+    """Exit code and messages of the command without interruption. Raises KillError if it hangs."""
     with command.beside(inputs):
         process = started(command.arguments(inputs, out))
         try:
@@ -149,7 +149,7 @@ def digest(file: Path) -> str:
 
 
 def _whole(name: str, inputs: Path) -> tuple[float, str]:
-    """How long the command takes when it is left alone [s], and the digest of what it makes; measured once, with warm kernels."""
+    """Duration of the command without interruption [s], and the digest of its result; measured once, with compiled kernels."""
     known = inputs / f"{name}.json"
     if not known.exists():
         command = COMMANDS[name]
@@ -180,7 +180,7 @@ def prepared(folder: Path) -> Path:
 
 
 def good_set(shared: Path) -> Path:
-    """A healthy data set in ``shared``, made by the first that asks."""
+    """A healthy data set in ``shared``, made by the first worker that needs it."""
     place = shared / "good"
     if not place.exists():
         import numpy as np
@@ -226,7 +226,7 @@ def _ports(inputs: Path) -> list[int]:
 
 @contextmanager
 def _devices(inputs: Path) -> Iterator[None]:
-    """The devices of the same scenario on free ports; they are there before the loop is."""
+    """The devices of the same scenario on free ports, started before the loop."""
     held = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(4)]
     for one in held:
         one.bind(("127.0.0.1", 0))

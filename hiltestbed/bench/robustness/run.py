@@ -1,4 +1,4 @@
-"""`hiltestbed bench robustness [--for MINUTES] [--workers N]`: trials at random, in processes that may crash or hang."""
+"""`hiltestbed bench robustness [--for MINUTES] [--workers N]`: random trials, in processes that may crash or hang."""
 
 from __future__ import annotations
 
@@ -23,25 +23,25 @@ from hiltestbed.bench.robustness.trials import REFUSED, REMARKED, SURVIVED, TRIA
 from hiltestbed.kernels import cores
 from hiltestbed.report import Report
 
-QUICK, LONG = 0.5, 60.0  # [min] at most, where nothing is asked for
+QUICK, LONG = 0.5, 60.0  # [min] default time limits
 TARGETS = {
     "scenario": 5_000, "extremes": 5_000, "text": 5_000, "dataset": 2_000, "distortion": 1_000, "file": 20_000, "campaign": 1_000,
     "packet": 10_000, "kill": 200,
 }  # fmt: skip
-BATCH = {"file": 1000, "packet": 1000, "text": 500, "campaign": 500, "kill": 10}  # trials a process; of the other kinds PLAIN
+BATCH = {"file": 1000, "packet": 1000, "text": 500, "campaign": 500, "kill": 10}  # trials per process; PLAIN for the other kinds
 PLAIN = 200
-HANGS = 240.0  # [s] at work, or asleep, without an answer, from which a trial hangs: kernels may have to be compiled for it
-SLOW = {"kill": 4000.0}  # of kinds whose trials are whole commands
-BEGIN = 600.0  # [s] until the first answer
-CONTAINED = {"file"}  # kinds whose crash ends a process of its own when it is done in earnest
-SHOWN = 50  # faults that are listed
-EACH = 10  # trials of a fault that are
+HANGS = 240.0  # [s] busy, or asleep, without an answer, from which a trial counts as hanging: it may have to compile kernels
+SLOW = {"kill": 4000.0}  # the same for kinds whose trials are whole commands
+BEGIN = 600.0  # [s] the same for the first answer
+CONTAINED = {"file"}  # kinds that normal use runs in a separate process, which contains a crash
+SHOWN = 50  # largest number of faults listed
+EACH = 10  # largest number of trials listed per fault
 Progress = Callable[[int, int], None]
 
 
 @dataclass
 class Tally:
-    """What became of the trials of one kind."""
+    """Results of the trials of one kind."""
 
     tried: int = 0
     wall: float = 0.0
@@ -51,7 +51,7 @@ class Tally:
     busy: int = 0
 
     def fault(self, kind: str, number: int, place: str, text: str) -> None:
-        """Count a fault: of each place the first is told, and the number of each."""
+        """Count a fault: for each place, the text of the first and the numbers of all are kept."""
         self.ended["failed"] += 1
         self.faults.setdefault(place, {"kind": kind, "numbers": [], "fault": text})["numbers"].append(number)
 
@@ -59,7 +59,7 @@ class Tally:
 def robustness(
     quick: bool = False, progress: Progress | None = None, minutes: float | None = None, workers: int | None = None
 ) -> BenchResult:
-    """Trials of every kind, by as many processes as there are ``workers``, until as many as ``TARGETS`` are done or the time is up."""
+    """Trials of every kind, in ``workers`` processes, until the numbers in ``TARGETS`` are reached or the time is up."""
     limit = 60.0 * (minutes if minutes is not None else QUICK if quick else LONG)
     start = time.monotonic()
     count = workers or cores()
@@ -84,7 +84,7 @@ POLL = 0.05  # [s]
 
 @dataclass
 class _Work:
-    """What is left to do; one thread of each worker takes from it."""
+    """The remaining trials, from which one thread per worker takes batches."""
 
     tallies: dict[str, Tally]
     until: float
@@ -92,7 +92,7 @@ class _Work:
     lock: threading.Lock = field(default_factory=threading.Lock)
 
     def go_on(self) -> None:
-        """Batches of the kinds that are the furthest behind, until all is done."""
+        """Run batches of the kind that is furthest behind, until all are done."""
         while time.monotonic() < self.until:
             with self.lock:
                 behind = {k: (t.tried + t.busy) / TARGETS[k] for k, t in self.tallies.items() if t.tried + t.busy < TARGETS[k]}
@@ -108,32 +108,32 @@ class _Work:
             self._batch(kind, first, count)
 
     def _batch(self, kind: str, first: int, count: int) -> None:
-        """Trials from ``first`` on, in one process after the other where one is lost."""
+        """Run trials from ``first`` on, with a new process whenever one is lost."""
         tally, begin, following, current = self.tallies[kind], time.monotonic(), first, None
         while following < first + count and time.monotonic() < self.until:
-            for told in _answers(kind, following, first + count - following, self.shared, lambda: self.until):
-                if "begin" in told:
-                    current = told["begin"]
+            for message in _answers(kind, following, first + count - following, self.shared, lambda: self.until):
+                if "begin" in message:
+                    current = message["begin"]
                     continue
                 with self.lock:
-                    if "lost" not in told:
-                        following, current = told["number"] + 1, None
-                        self._told(kind, tally, told)
-                    elif told["lost"] != "time is up":
+                    if "lost" not in message:
+                        following, current = message["number"] + 1, None
+                        self._ended(kind, tally, message)
+                    elif message["lost"] != "time is up":
                         number = following if current is None else current
                         following = number + 1
-                        self._lost(kind, tally, number, told["lost"])
+                        self._lost(kind, tally, number, message["lost"])
         with self.lock:
             tally.busy -= first + count - following
             tally.wall += time.monotonic() - begin
 
-    def _told(self, kind: str, tally: Tally, told: dict[str, Any]) -> None:
+    def _ended(self, kind: str, tally: Tally, message: dict[str, Any]) -> None:
         tally.tried += 1
         tally.busy -= 1
-        if "fault" in told:
-            tally.fault(kind, told["number"], told["place"], told["fault"])
+        if "fault" in message:
+            tally.fault(kind, message["number"], message["place"], message["fault"])
         else:
-            tally.ended[told["ended"]] += 1
+            tally.ended[message["ended"]] += 1
 
     def _lost(self, kind: str, tally: Tally, number: int, how: str) -> None:
         tally.tried += 1
@@ -144,31 +144,31 @@ class _Work:
             tally.fault(kind, number, how, f"the process {how}")
 
 
-FIRST = 0.01  # of what is to be done of a kind, in its first batch: a short time is shared by all kinds
+FIRST = 0.01  # fraction of a kind's target in its first batch, so that every kind gets its share of a short time
 
 
 class _Clock:
-    """How long a process has been at it: on a busy machine it may wait for a core longer than it works."""
+    """Wall and processor time of a process since its last answer: on a busy machine it may wait for a core longer than it works."""
 
     def __init__(self, pid: int) -> None:
         self._pid, self._wall, self._cpu = pid, time.monotonic(), worked(pid)
 
     def silent(self, patience: float) -> bool:
-        """Whether it has been at it for longer than a process may; ``patience`` [s]."""
+        """Whether the process hangs, see :func:`hangs`; ``patience`` [s]."""
         return hangs(time.monotonic() - self._wall, worked(self._pid) - self._cpu, patience)
 
 
 def hangs(wall: float, busy: float, patience: float) -> bool:
-    """Whether a process that has not answered for ``wall`` seconds hangs: it was busy for ``patience`` seconds, or it slept.
+    """Whether a process without an answer for ``wall`` seconds hangs: it was busy for ``patience`` seconds, or it slept.
 
-    Asleep is who was ``busy`` for less than a hundredth of the time; who waits for a core does not hang. Where the system does not tell
-    how long it was busy (NaN), the wall clock alone counts.
+    A process counts as asleep if it was ``busy`` for less than a hundredth of the time; waiting for a core is not hanging. If the system
+    does not report the busy time (NaN), only the wall clock counts.
     """
     return wall >= patience and (math.isnan(busy) or busy > patience or busy < 0.01 * wall)
 
 
 def worked(pid: int) -> float:
-    """Processor time of a process and of its ended children [s]; NaN where the system does not tell."""
+    """Processor time of a process and of its ended children [s]; NaN if the system does not report it."""
     try:
         fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     except OSError:
@@ -177,7 +177,7 @@ def worked(pid: int) -> float:
 
 
 def _answers(kind: str, first: int, count: int, shared: Path, until: Callable[[], float]) -> Iterator[dict[str, Any]]:
-    """What a worker says, and ``lost`` with how where it ends before it is done; ``shared``: a folder of all workers."""
+    """The messages of a worker, and ``lost`` with the reason if it ends too early; ``shared``: a folder of all workers."""
     order = [sys.executable, "-m", "hiltestbed.bench.robustness.worker", kind, str(first), str(count), str(shared)]
     with subprocess.Popen(order, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as process:
         assert process.stdout is not None
@@ -199,9 +199,9 @@ def _answers(kind: str, first: int, count: int, shared: Path, until: Callable[[]
                     break
                 *lines, pending = (pending + data).split(b"\n")
                 for line in lines:
-                    told = json.loads(line)
-                    patience = SLOW.get(kind, HANGS) if "number" in told else patience
-                    yield told
+                    message = json.loads(line)
+                    patience = SLOW.get(kind, HANGS) if "number" in message else patience
+                    yield message
         if process.wait():
             yield {"lost": f"ends with {process.returncode}"}
 
@@ -225,7 +225,7 @@ def _result(tallies: dict[str, Tally], wall: float, workers: int) -> BenchResult
         "kinds": {r["kind"]: r for r in records},
     }
     report = Report("Robustness")
-    report.lead(f"{tried} trials at random, {failed} of which ended in something else than a result or a clear refusal.")
+    report.lead(f"{tried} random trials, {failed} of which ended neither in a result nor in a clear refusal.")
     report.text(f"{wall / 60.0:.1f} minutes with {workers} processes.")
     columns = ("kind", "tried", "wanted", "survived", "refused", "remarked", "stopped", "contained", "failed")
     report.table(list(columns), [[str(r[c]) for c in columns] for r in records])

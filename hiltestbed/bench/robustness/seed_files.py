@@ -1,4 +1,4 @@
-"""A small good file of each data format: what is mutated."""
+"""A small valid file of each data format, to be mutated."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The trials: ``TRIALS[kind](rng, folder)`` does one at random; it returns how it ended, or raises what is then a fault."""
+"""The trials: ``TRIALS[kind](rng, folder)`` runs a random one and returns how it ended; an exception counts as a fault."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from hiltestbed.errors import HiltestbedError, InputError
 
 SURVIVED, REFUSED, REMARKED = "survived", "refused", "remarked"
 Trial = Callable[[Generator, Path], str]
-MOST_TICKS, MOST_INSTANTS = 600, 12_000  # of a scenario that is run: the rest is as valid, and takes longer
+MOST_TICKS, MOST_INSTANTS = 600, 12_000  # limits of a scenario that is run, to save time
 ROWS = 200
 SUFFIXES = ("csv", "parquet", "h5", "mat", "mf4", "tdms", "mcap")
 _schemas: dict[str, dict[str, Any]] = {}
@@ -33,7 +33,7 @@ def _schema(kind: str) -> dict[str, Any]:
 
 
 def _shipped(rng: Generator) -> dict[str, Any]:
-    """The data of a scenario that is shipped."""
+    """The data of a random shipped scenario."""
     from hiltestbed.gallery import shipped
     from hiltestbed.yaml_source import read_source
 
@@ -42,7 +42,7 @@ def _shipped(rng: Generator) -> dict[str, Any]:
 
 
 def scenario(rng: Generator, folder: Path) -> str:
-    """A shipped scenario with sections at random in place of its own, run where it holds."""
+    """A shipped scenario with some sections replaced by random ones, run if it is valid."""
     from hiltestbed.scenario import scenario_from
     from hiltestbed.simulation import run
 
@@ -68,7 +68,7 @@ def _changed(rng: Generator) -> dict[str, Any]:
 
 
 def extremes(rng: Generator, folder: Path) -> str:
-    """A shipped scenario with single numbers of it far off."""
+    """A shipped scenario with a few numbers changed by orders of magnitude, run if it is valid."""
     from hiltestbed.scenario import scenario_from
     from hiltestbed.simulation import run
 
@@ -99,7 +99,7 @@ def _stretch(node: Any, rng: Generator) -> None:
 
 
 def text(rng: Generator, folder: Path) -> str:
-    """The bytes of a scenario file, some of them others."""
+    """A scenario file with some bytes changed."""
     from hiltestbed.check import check_file
     from hiltestbed.gallery import shipped
 
@@ -111,7 +111,7 @@ def text(rng: Generator, folder: Path) -> str:
 
 
 def _mistyped(data: bytes, rng: Generator) -> bytes:
-    """``data`` with a few characters of numbers and marks exchanged for others."""
+    """``data`` with a few digits and punctuation characters replaced by others."""
     out, typed = bytearray(data), b"0123456789.-+eE,:[]{} #"
     places = [i for i, c in enumerate(out) if c in typed]
     for at in rng.choice(places, size=int(rng.integers(1, 4))):
@@ -120,7 +120,7 @@ def _mistyped(data: bytes, rng: Generator) -> bytes:
 
 
 def dataset(rng: Generator, folder: Path) -> str:
-    """A dataset file at random from its schema, its scenario and files in place."""
+    """A random dataset file from its schema, mostly with an existing scenario and files."""
     from hiltestbed.check import look_at
     from hiltestbed.yaml_source import dump_yaml
 
@@ -139,7 +139,7 @@ def dataset(rng: Generator, folder: Path) -> str:
 
 
 def distortion(rng: Generator, folder: Path) -> str:
-    """A good record, distorted once or twice."""
+    """A valid record, distorted once or twice."""
     from hiltestbed.measured import examine
 
     tables = _good_set(folder)
@@ -147,7 +147,7 @@ def distortion(rng: Generator, folder: Path) -> str:
     for name, good in tables.items():
         table = {column: values.copy() for column, values in good.items()}
         for distorted in names:
-            with suppress(KeyError, IndexError):  # the first took away what the second would change
+            with suppress(KeyError, IndexError):  # the first may have removed what the second would change
                 DISTORTIONS[distorted].apply(table)
         _write(folder / f"distorted_{name}", table)
     (folder / "distorted.yaml").write_text("scenario: nominal.yaml\nruns:\n" + "".join(f"  - file: distorted_{n}\n" for n in tables))
@@ -160,7 +160,7 @@ def distortion(rng: Generator, folder: Path) -> str:
 
 
 def _good_set(folder: Path) -> dict[str, dict[str, np.ndarray]]:
-    """Tables of a good set, made once beside ``folder`` for all workers, with its scenario in ``folder``."""
+    """Tables of a valid set, made once beside ``folder`` for all workers, with its scenario in ``folder``."""
     import pyarrow.parquet as pq
 
     if "tables" not in _good:
@@ -187,7 +187,7 @@ def _write(path: Path, table: dict[str, np.ndarray]) -> None:
 
 
 def data_file(rng: Generator, folder: Path) -> str:
-    """The bytes of a data file of one of the seven formats, some of them others; read here, so that a crash is seen."""
+    """A data file of one of the seven formats with some bytes changed; read in this process, so that a crash is detected."""
     from hiltestbed.measured.formats import READERS, reader
 
     suffix = SUFFIXES[int(rng.integers(len(SUFFIXES)))]
@@ -203,7 +203,7 @@ def data_file(rng: Generator, folder: Path) -> str:
 
 
 def _seed_file(path: Path) -> bytes:
-    """A good file of the format that its suffix names."""
+    """A valid file of the format given by its suffix."""
     from hiltestbed.bench.robustness.seed_files import WRITERS
 
     rng = np.random.default_rng(1)
@@ -213,7 +213,7 @@ def _seed_file(path: Path) -> bytes:
 
 
 def campaign(rng: Generator, folder: Path) -> str:
-    """A campaign file at random over a shipped scenario; its first case is made where it holds."""
+    """A random campaign file with a shipped scenario; its first case is made if it is valid."""
     from hiltestbed.campaign.schema import load_campaign
     from hiltestbed.campaign.sweep import case_scenario
     from hiltestbed.yaml_source import dump_yaml
@@ -229,7 +229,7 @@ def campaign(rng: Generator, folder: Path) -> str:
         schema = _schema("campaign")
         varied = rng.choice(keys, size=int(rng.integers(1, 3)), replace=False)
         data["vary"] = {str(key): value_of(schema["$defs"]["Variation"], rng, schema) for key in varied}
-    if rng.random() < 0.5:  # one that makes sense, at any scale
+    if rng.random() < 0.5:  # a meaningful one, at any scale
         low = 10.0 ** rng.uniform(-6, 6)
         way = ({"values": [low, 2 * low]}, {"uniform": [low, 3 * low]}, {"log_uniform": [low, 9 * low]}, {"normal": [low, low]})
         data |= {"vary": {keys[int(rng.integers(3))]: way[int(rng.integers(4))]}, "set": {}}
@@ -247,7 +247,7 @@ def campaign(rng: Generator, folder: Path) -> str:
 
 
 def packet(rng: Generator, folder: Path) -> str:
-    """Bytes at random, or a good message with some of them others, to the parsers of the device protocols."""
+    """Valid messages with some bytes changed, for the parsers of the device protocols."""
     from hiltestbed.devices import rdt_page, rtde_wire
     from hiltestbed.devices.layout import Record, default_layout
     from hiltestbed.devices.rsi_telegram import answer, read_telegram
@@ -280,7 +280,7 @@ def packet(rng: Generator, folder: Path) -> str:
 
 
 def mutated(data: bytes, rng: Generator) -> bytes:
-    """``data`` with bytes flipped, cut, repeated, put in, or large numbers in places."""
+    """``data`` with bytes flipped, cut, repeated or inserted, or overwritten by extreme numbers."""
     out = bytearray(data)
     for _ in range(int(rng.integers(1, 6))):
         if not out:

@@ -1,4 +1,4 @@
-"""Values at random that a JSON Schema allows, extremes more often than people give them; now and then one that it does not."""
+"""Random values that a JSON Schema allows, with frequent extremes; a few that it does not allow."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from numpy.random import Generator
 
 WORDS = ("", "x", "reference", "[/x]", "\x1b[31m", "<script>", "../../up", "a" * 300, "ß→µ", "nan", "${HOME}", "-", "1e5")
 DEEPEST = 8
-WRONG = 0.01  # of the values that are not what the schema asks for
+WRONG = 0.01  # fraction of values that the schema does not allow
 LARGEST = 1e9
 
 
 def value_of(schema: Mapping[str, Any], rng: Generator, root: Mapping[str, Any] | None = None, depth: int = 0) -> Any:
-    """A value of ``schema``; ``root`` holds the definitions that it refers to."""
+    """A random value of ``schema``; ``root`` contains the definitions that it refers to."""
     root = schema if root is None else root
     if rng.random() < WRONG:
         return _wrong(rng)
@@ -43,7 +43,7 @@ def value_of(schema: Mapping[str, Any], rng: Generator, root: Mapping[str, Any] 
 
 
 def number(schema: Mapping[str, Any], rng: Generator) -> float:
-    """A number within the limits of ``schema``: an end, next to it, or anything between in the logarithm."""
+    """A random number within the limits of ``schema``: a limit or 0, or between the limits, often on a logarithmic scale."""
     low = schema.get("minimum", schema.get("exclusiveMinimum", -LARGEST))
     high = schema.get("maximum", schema.get("exclusiveMaximum", LARGEST))
     if rng.random() < 0.15:

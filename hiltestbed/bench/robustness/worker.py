@@ -1,8 +1,7 @@
-"""The process that trials run in: `python -m hiltestbed.bench.robustness.worker KIND FIRST COUNT [SHARED]`, a line of JSON before and after
-each.
+"""The process that runs trials: `python -m hiltestbed.bench.robustness.worker KIND FIRST COUNT [SHARED]`, with a line of JSON before and
+after each.
 
-Trial N of a kind is the same whenever and wherever it is run: `... KIND N 1` repeats it. SHARED is a folder in which workers leave what is
-made once for all of them.
+Trial N of a kind is always the same: `... KIND N 1` repeats it. SHARED is a folder for files that are made once for all workers.
 """
 
 from __future__ import annotations
@@ -21,26 +20,26 @@ from hiltestbed.bench.robustness.trials import TRIALS
 
 
 def serve(kind: str, first: int, count: int, shared: Path | None = None) -> None:
-    """Run trials and tell how each ended."""
+    """Run trials and print how each ended."""
     with tempfile.TemporaryDirectory(prefix="hiltestbed-", dir=shared) as place, np.errstate(all="ignore"):
         folder = Path(place) if shared else Path(place) / "trials"
         folder.mkdir(exist_ok=True)
         for number in range(first, first + count):
-            _tell({"begin": number})
+            _send({"begin": number})
             start = time.perf_counter()
             try:
                 ended = TRIALS[kind](np.random.default_rng([crc32(kind.encode()), number]), folder)
-                told = {"ended": ended}
+                message = {"ended": ended}
             except Exception as error:
                 last = traceback.extract_tb(error.__traceback__)
                 ours = next((f for f in reversed(last) if "hiltestbed" in f.filename), last[-1])
                 where = f"{Path(ours.filename).name}:{ours.lineno}"
-                told = {"fault": f"{type(error).__name__} at {where}: {str(error)[:200]}", "place": f"{type(error).__name__} {where}"}
-            _tell(told | {"number": number, "wall": time.perf_counter() - start})
+                message = {"fault": f"{type(error).__name__} at {where}: {str(error)[:200]}", "place": f"{type(error).__name__} {where}"}
+            _send(message | {"number": number, "wall": time.perf_counter() - start})
 
 
-def _tell(what: dict) -> None:
-    sys.stdout.write(json.dumps(what) + "\n")
+def _send(message: dict) -> None:
+    sys.stdout.write(json.dumps(message) + "\n")
     sys.stdout.flush()
 
 

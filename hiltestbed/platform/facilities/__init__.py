@@ -1,32 +1,32 @@
-"""The facilities that a scenario may name, each of which describes itself, and what the plant asks of them.
+"""The facilities that a scenario may name, and their interface to the plant.
 
 A facility is the motion platform of a rig with its drives: models in ``models/<kind>``, settings with unit, default and source, kinematics,
-drives, limits, nominal response. Its settings build it (:mod:`hiltestbed.platform.shipped`, one file each); nothing else knows its name.
+drives, limits, nominal response. Its settings build it (:mod:`hiltestbed.platform.shipped`, one file each); no other code names it.
 
 Before a run
-    facility.problems(rate)                what in the settings cannot be in a loop of this rate: (path, message)
-    facility.complaints(pose, tool)        why A cannot be at a pose in P: out of reach, a joint's travel, a singularity, with the place
-    facility.alike()                       what must be equal in one batch; numbers of the drives may differ run by run
+    facility.problems(rate)                settings that are invalid in a loop of this rate: (path, message)
+    facility.complaints(pose, tool)        why A cannot reach a pose in P: out of reach, a joint's travel, a singularity, with the pose
+    facility.alike()                       what must be equal in one batch; parameters of the drives may differ between runs
     facility.response(rate, feed)          nominal bandwidth, damping ratio, delay: `late(axis)` for a delay ledger, `at(f, axis)`
-    facility.axes                          driven joints: travel, speed, acceleration, force (:class:`limits.Watch` watches them)
-    facility.physical, moves_passive       bodies that move by themselves; a passive side that moves
+    facility.axes                          driven joints: travel, speed, acceleration, force (monitored by :class:`limits.Watch`)
+    facility.physical, moves_passive       whether the bodies move freely; whether the passive side moves
 
 Model: ``facility.spec()`` is an MjSpec in W with the site `mount`, for the active mechanism, and the body `passive_carrier` with the site
-`P_nominal`, for force sensor and passive mechanism; its gravity may point anywhere (level insertion: along -y). The plant attaches both
-mechanisms, sets the time step and stiffens the loops (:func:`facility.stiffen`).
+`P_nominal`, for force sensor and passive mechanism; its gravity may have any direction (horizontal insertion: along -y). The plant attaches
+both mechanisms, sets the time step and stiffens the loops (:func:`facility.stiffen`).
 
 Drives: ``d = facility.drives(model, settings, tick, substeps, feed, tool="active_A")``, arrays (n, ...) updated in place:
 
-    d.settle(pose, twist, qpos, qvel)      joints and drives in the uniform motion that is commanded to be at `pose` (A in P)
+    d.settle(pose, twist, qpos, qvel)      joints and drives in a uniform motion whose command is at `pose` (A in P)
     d.aim(pose_cmd, twist_cmd, accel_cmd)  one tick's references; the commands are relative, in P
-    d.push(sub, qpos, qvel, ctrl)          the actuators' inputs for a step, from the state as it stands
-    d.arrive()                             the tick is over: d.reference is that of t_(k+1)
+    d.push(sub, qpos, qvel, ctrl)          the actuators' inputs for a step, from the current state
+    d.arrive()                             completes the tick: d.reference is that of t_(k+1)
     d.observe(qpos, qvel, limit, diverged) d.pose, d.twist of A relative to P, in P; place_A, motion_A, place_P, motion_P in W; d.joints
-    d.follow(pose, twist)                  joints of a rig that follows exactly (ideal tracking)
-    d.state()                              arrays that are saved and restored as a whole
-    d.missed                               by how much the last command was out of reach
+    d.follow(pose, twist)                  joints under exact tracking (ideal tracking)
+    d.state()                              arrays that are saved and restored together
+    d.missed                               distance by which the last command was out of reach
 
-A tick of a driven rig, with the contact's wrench put on both sides before every step:
+A tick of a driven rig, with the contact wrench applied to both sides before every step:
 
     d.aim(pose_cmd, twist_cmd, accel_cmd)
     for s in range(substeps):
@@ -36,15 +36,15 @@ A tick of a driven rig, with the contact's wrench put on both sides before every
         d.observe(qpos, qvel, limit, diverged)
     d.arrive()
 
-Bodies that move by themselves (`facility.physical`) take the place of numerical model and drives:
+Freely moving bodies (`facility.physical`) replace numerical model and drives:
 
-    facility.stand(chaser, target)         puts the spacecraft into the hall: before anything else
-    facility.lighten(spec, prefix)         takes an attached mechanism's mass out: it is part of its spacecraft's
+    facility.stand(chaser, target)         places the spacecraft in the hall; must be called first
+    facility.lighten(spec, prefix)         removes an attached mechanism's mass, which is part of its spacecraft's
     b = facility.bodies(model, settings, step, tool)
-    b.settle, b.observe, b.state           as of drives; b.pose, b.twist, b.place_A, ... likewise
-    b.push(qpos, qvel, qfrc_applied)       what bearings and cables do, before every step
+    b.settle, b.observe, b.state           as for drives; b.pose, b.twist, b.place_A, ... likewise
+    b.push(qpos, qvel, qfrc_applied)       forces of bearings and cables, before every step
 
-There is no command: the commanded pose of a row is the one reached, the force used is the force.
+There is no command: the recorded commanded pose is the reached one, the force used is the physical one.
 
-Any kind may be followed by a response alone, without mass: :class:`response.ResponsePath`, with ideal tracking behind it.
+Any kind can be replaced by a massless response model: :class:`response.ResponsePath`, with ideal tracking of its output.
 """

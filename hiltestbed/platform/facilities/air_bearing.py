@@ -1,10 +1,10 @@
-"""Two articles on air bearings over a flat floor: three degrees of freedom each, z (insertion), x and a turn about the vertical y.
+"""Two articles on air bearings over a flat floor: three degrees of freedom each, z (insertion), x and rotation about the vertical y.
 
-What a floor adds to free flight: it is not level (a component of gravity in its plane), its film shears (a viscous drag), the pads rub a
-little, and hoses pull. Forces on an article of mass m (float included), speed v and turn rate w:
+Disturbances compared with free flight: the floor is not level (a component of gravity in its plane), the air film shears (viscous drag),
+the pads have a little friction, and hoses pull. Forces on an article of mass m (float included), speed v and angular rate w:
 
-    tilt   m g (sin a_x, sin a_z)                 film   -b v,  -b r^2 w
-    rub    -mu m g v/sqrt(v^2 + v_0^2)            hose   -k (x - x_0) - c v, x_0 its place at the start
+    tilt      m g (sin a_x, sin a_z)                 film   -b v,  -b r^2 w
+    friction  -mu m g v/sqrt(v^2 + v_0^2)            hose   -k (x - x_0) - c v, x_0 the start position
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ from hiltestbed.platform.facilities.bodies import GRAVITY, SIDES, Bodies, Physic
 from hiltestbed.platform.facilities.facility import MOUNT, per_run
 from hiltestbed.platform.shipped.air_bearing import AirBearingSettings
 
-CREEP = 1e-4  # [m/s] below which the pads' rubbing fades
+CREEP = 1e-4  # [m/s] v_0, speed below which the pads' friction fades
 TILT_X, TILT_Z, FILM, RADIUS, RUB, HOSE, HOSE_DAMPING, NUMBERS = range(8)
 
 
 @njit(cache=True)
 def _push(numbers, dofs, qadr, masses, origin, qpos, qvel, applied):
-    """dofs, qadr (2, 3): x, z and turn of both articles. masses: (2,). origin: (n, 2, 2) where the hoses hang."""
+    """dofs, qadr (2, 3): x, z and rotation of both articles. masses: (2,). origin: (n, 2, 2) rest position of the hoses."""
     for i in range(qpos.shape[0]):
         p = numbers[i]
         for b in range(dofs.shape[0]):
@@ -47,7 +47,7 @@ def _push(numbers, dofs, qadr, masses, origin, qpos, qvel, applied):
 
 
 class Floats(Bodies):
-    """Articles of `n` runs on their films."""
+    """Articles of `n` runs on their air films."""
 
     def __init__(self, model: mujoco.MjModel, facility: AirBearing, settings: Sequence[Any], step: float, tool: str) -> None:
         super().__init__(model, facility.kinematics(model, tool), len(settings), step)
@@ -81,7 +81,7 @@ class AirBearing(PhysicalFacility):
     settings: AirBearingSettings
 
     def floats(self, side: str) -> bool:
-        """Whether an article moves."""
+        """Whether an article can move."""
         return side == "chaser" or self.settings.target == "free"
 
     def spec(self) -> mujoco.MjSpec:
@@ -92,7 +92,7 @@ class AirBearing(PhysicalFacility):
             place, body = self.place_of(side), spec.body(side)
             body.pos, body.quat = place[:3], [place[6], *place[3:6]]
             for joint in list(body.joints):
-                if self.floats(side):  # the floor's axes, whichever way the body's point
+                if self.floats(side):  # the joints are along the floor's axes, whatever the body's attitude
                     joint.axis = _in_body(np.array(joint.axis), place)
                 else:
                     spec.delete(joint)

@@ -1,11 +1,11 @@
 """Full physical simulation: the bodies themselves move, and no numerical model is in the loop.
 
-The two spacecraft stand in the hall as articles with real mass, unloaded from gravity on air bearings or on cables. What a loop commands,
-measures, compensates falls away: the relative pose is what it is. An article's mass and inertia are those of its spacecraft, mechanism
-included, and what carries it comes on top; the attached mechanisms are therefore left without mass of their own
+The two spacecraft are represented in the hall by articles with real mass, supported against gravity by air bearings or cables. There are
+no commands, measurements or compensation: the relative pose follows from the physics. An article's mass and inertia are those of its
+spacecraft, mechanism included, plus those of its support; the attached mechanisms therefore have no mass of their own
 (:meth:`PhysicalFacility.lighten`).
 
-W is the world of every facility, z along the insertion, but level: y is up and gravity acts along -y.
+W is the world of every facility, z along the insertion, which is horizontal here: y is up and gravity acts along -y.
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ from hiltestbed.platform.facilities.motion import move, packed, place, scratch, 
 from hiltestbed.platform.facilities.tree import between, compose, inverse_pose
 
 GRAVITY = 9.81  # [m/s^2], along -y of W
-WEIGHTLESS = 1e-6  # [kg], [kg m^2] of a mechanism whose mass is counted with its article
-NEAR = 1e-7  # [m], [rad] by how much a start may miss what the articles can do
+WEIGHTLESS = 1e-6  # [kg], [kg m^2] of a mechanism whose mass is included in its article
+NEAR = 1e-7  # [m], [rad] tolerance of a start against the articles' degrees of freedom
 SIDES = ("chaser", "target")
 
 
 @dataclass(frozen=True)
 class Article:
-    """A spacecraft as it stands in the hall.
+    """A spacecraft represented in the hall.
 
     Attributes:
         mass: [kg]. inertia: (3, 3) about the centre of mass, body axes [kg m^2]. port: (7,) pose of its port in the body.
@@ -95,17 +95,17 @@ class Bodies:
         )  # fmt: skip
 
     def push(self, qpos: Array, qvel: Array, applied: Array) -> None:
-        """Write what bearings and cables do to the articles into the generalised forces ``applied`` (n, nv), before a step."""
+        """Write the forces of bearings and cables on the articles to the generalised forces ``applied`` (n, nv), before a step."""
         raise NotImplementedError
 
     def rest(self, qpos: Array, qvel: Array) -> None:
-        """Put what carries the articles into the state of the start."""
+        """Initialise the state of the articles' supports."""
 
     def settle(self, pose: Array, twist: Array, qpos: Array, qvel: Array) -> None:
         """The start: the target at rest with P at W's origin, A at ``pose`` (n, 7) moving with ``twist`` (n, 6).
 
         Raises:
-            InputError: a start that the articles cannot take, or not move out of.
+            InputError: a start pose or twist that the articles' degrees of freedom do not allow.
         """
         for i in range(len(pose)):
             q, left = self.kinematics.nearest(np.array([pose[i], UPRIGHT]))
@@ -121,19 +121,19 @@ class Bodies:
         self.rest(qpos, qvel)
 
     def observe(self, qpos: Array, qvel: Array, limit: float, diverged: NDArray[np.bool_]) -> bool:
-        """Read poses and twists; True where a run has just left ``limit`` [m/s, rad/s], which ``diverged`` (n,) then names."""
+        """Read poses and twists; returns whether a run has just exceeded ``limit`` [m/s, rad/s], and marks it in ``diverged`` (n,)."""
         return self.observing(qpos, qvel, limit, diverged)()
 
     def observing(self, qpos: Array, qvel: Array, limit: float, diverged: NDArray[np.bool_]) -> Callable[[], bool]:
-        """:meth:`observe` of arrays that stay."""
+        """:meth:`observe` bound to arrays that are reused."""
         return self._seen.on(qpos, qvel, limit, diverged)
 
     def momentum(self, qpos: Array, qvel: Array, run: int = 0) -> Array:
-        """``(6,)`` linear momentum [kg m/s] and moment of momentum about W's origin [kg m^2/s] of all that moves."""
+        """``(6,)`` linear momentum [kg m/s] and angular momentum about W's origin [kg m^2/s] of all moving bodies."""
         tree, w = self.kinematics.tree, scratch(self.kinematics.tree)
         place(tree, np.ascontiguousarray(qpos[run]), w)
         out, nothing = np.empty(self.model.nv), np.zeros(3)
-        # Velocities as if they were accelerations from rest: the loads are then the momenta.
+        # With velocities in place of accelerations from rest, the inertial loads are the momenta.
         joint_forces(tree, np.zeros(self.model.nv), np.ascontiguousarray(qvel[run]), nothing, w, out)
         return w.loads[0].copy()
 
@@ -143,14 +143,14 @@ class Bodies:
 
 
 class PhysicalFacility(Facility):
-    """A hall in which two articles move by themselves."""
+    """A hall in which two articles move freely."""
 
     physical: ClassVar[bool] = True
     moves_passive: ClassVar[bool] = True
     articles: dict[str, Article]
 
     def stand(self, chaser: Article, target: Article) -> PhysicalFacility:
-        """Put the spacecraft into the hall: before anything else is asked of it."""
+        """Place the spacecraft in the hall; must be called before any other method."""
         self.articles = {"chaser": chaser, "target": target}
         return self
 
@@ -159,11 +159,11 @@ class PhysicalFacility(Facility):
         return ()  # nothing is driven
 
     def place_of(self, side: str) -> Array:
-        """``(7,)`` pose of an article's body in W at home, where A stands at P."""
+        """``(7,)`` pose of an article's body in W at home, where A coincides with P."""
         return inverse_pose(self.articles[side].port)
 
     def fit(self, spec: mujoco.MjSpec, side: str, extra_mass: float, extra_inertia: Array) -> None:
-        """Give an article's body its spacecraft's mass and inertia, and those of what rides with it [kg, kg m^2]."""
+        """Set an article's body to its spacecraft's mass and inertia plus those of its support [kg, kg m^2]."""
         article, body = self.articles[side], spec.body(side)
         inertia = article.inertia + extra_inertia
         body.mass = article.mass + extra_mass
@@ -171,14 +171,14 @@ class PhysicalFacility(Facility):
         body.fullinertia = [inertia[0, 0], inertia[1, 1], inertia[2, 2], inertia[0, 1], inertia[0, 2], inertia[1, 2]]
 
     def add_ports(self, spec: mujoco.MjSpec) -> None:
-        """The mount on the chaser, the passive side's carrier on the target."""
+        """Add the mount to the chaser and the passive side's carrier to the target."""
         mount = between(self.place_of("chaser"), MOUNT_HOME)
         spec.body("chaser").add_site(name=MOUNT, pos=mount[:3], quat=[mount[6], *mount[3:6]])
         add_carrier(spec.body("target"), self.articles["target"].port)
 
     @staticmethod
     def lighten(spec: mujoco.MjSpec, prefix: str) -> None:
-        """Take the mass of an attached mechanism out: it is part of its spacecraft's."""
+        """Remove the mass of an attached mechanism, which is part of its spacecraft's."""
         for body in spec.bodies:
             if body.name.startswith(prefix):
                 body.mass, body.inertia, body.explicitinertial = WEIGHTLESS, [WEIGHTLESS] * 3, True
@@ -188,13 +188,13 @@ class PhysicalFacility(Facility):
 
     @abstractmethod
     def bodies(self, model: mujoco.MjModel, settings: Sequence[Any], step: float, tool: str = MOUNT) -> Bodies:
-        """What moves and what carries it, for runs whose ``settings`` may differ in numbers; ``step`` [s] of the physics."""
+        """Articles and their supports, for runs whose ``settings`` may differ in parameters; ``step`` [s] of the physics."""
 
     def drives(self, *_: Any, **__: Any) -> Any:
-        raise InputError(f"rig.platform.kind {self.kind} drives nothing: its bodies move by themselves")
+        raise InputError(f"rig.platform.kind {self.kind} drives nothing: its bodies move freely")
 
     def response(self, rate: float, feed: bool) -> Response:
-        """There is no command to follow."""
+        """A response without any lag, since there is no command to follow."""
         return Response((math.inf,) * 6, (1.0,) * 6, 0.0, followed=True)
 
     def problems(self, rate: float) -> Iterator[tuple[tuple[str | int, ...], str]]:
@@ -207,7 +207,7 @@ class PhysicalFacility(Facility):
 
 
 def missed(reached: Array, pose: Array) -> str:
-    """In words, the axis along or about which ``reached`` (7,) is furthest from ``pose`` (7,)."""
+    """Message with the axis along or about which ``reached`` (7,) is furthest from ``pose`` (7,)."""
     gap = np.empty(6)
     twist_between(reached, pose, 1.0, gap)
     k = int(np.argmax(np.abs(gap)))
@@ -215,5 +215,5 @@ def missed(reached: Array, pose: Array) -> str:
 
 
 def axis_of(k: int) -> str:
-    """The k-th of six motions in words."""
+    """The k-th of six motion components in words."""
     return f"{'along' if k < 3 else 'about'} {'xyz'[k % 3]}"

@@ -1,4 +1,4 @@
-"""Whether a facility can play a scenario: its rates, its start, what is mounted on it."""
+"""Checks that a facility can run a scenario: its rates, its start, its mechanism."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ PLATFORM = ("rig", "platform")
 
 
 def facility_problems(scenario: Scenario) -> Iterator[Problem]:
-    """What a scenario asks of its facility that it cannot give."""
+    """Requirements of a scenario that its facility cannot meet."""
     from hiltestbed.contact.sides import sides_of
     from hiltestbed.numerical_model.bodies import approach_state
     from hiltestbed.platform.facilities.hall import facility_of
@@ -31,14 +31,14 @@ def facility_problems(scenario: Scenario) -> Iterator[Problem]:
     if facility.moves_passive and scenario.mechanism.mount is not None:
         yield (
             ("mechanism", "mount"),
-            f"does not go together with a passive side that moves (got a mount on platform kind {scenario.rig.platform.kind!r}, whose "
-            "sensor could not tell the mount's load from the mechanism's weight); allowed is null",
+            f"cannot be combined with a passive side that moves (got a mount on platform kind {scenario.rig.platform.kind!r}, whose "
+            "sensor could not separate the mount's load from the mechanism's weight); allowed is null",
         )
     if facility.moves_passive and sides_of(scenario.mechanism).moving:
         yield (
             ("mechanism", "kind"),
-            f"has parts that move (got {scenario.mechanism.kind!r} on platform kind {scenario.rig.platform.kind!r}, whose passive side "
-            "moves: the load of its sensor must be rigid); allowed is a mechanism of rigid parts",
+            f"has moving parts (got {scenario.mechanism.kind!r} on platform kind {scenario.rig.platform.kind!r}, whose passive side "
+            "moves: the load of its sensor must be rigid); allowed is a mechanism without moving parts",
         )
     for complaint in facility.complaints(approach_state(scenario)[:7]):
-        yield ("approach",), f"starts where the platform cannot be ({complaint}); allowed is a start within its workspace"
+        yield ("approach",), f"starts at a pose that the platform cannot reach ({complaint}); allowed is a start within its workspace"

@@ -18,8 +18,8 @@ from hiltestbed.platform.facilities.facility import MOUNT, NOMINAL, TOOL_HOME, F
 from hiltestbed.platform.prs3.payload import load_of
 
 TOOL = ACTIVE + "A"  # the site that follows the command
-ROUNDING = 1e-9  # [N], [N m] of a difference of loads of up to 1e4
-# What the compensation of a moving sensor's load is told: (a - g) and the rotation of P, in P.
+ROUNDING = 1e-9  # [N], [N m] rounding error of a difference of loads of up to 1e4
+# Inputs of the load compensation of a moving sensor: a - g, angular rate and angular acceleration of P.
 LOAD_SENSORS = (
     ("load_acceleration", mujoco.mjtSensor.mjSENS_ACCELEROMETER),
     ("load_rate", mujoco.mjtSensor.mjSENS_GYRO),
@@ -28,7 +28,7 @@ LOAD_SENSORS = (
 
 
 def facility_spec(facility: Facility, structure: Structure, timestep: float) -> mujoco.MjSpec:
-    """The facility with both sides on it, loops as stiff as can be; the sensor's load is measured where the passive side moves."""
+    """The facility with both sides, loops as stiff as possible; if the passive side moves, with sensors for its load compensation."""
     spec = facility.spec()
     spec.modelname = f"{facility.kind}-{structure.mechanism.kind}"
     option = spec.option
@@ -39,7 +39,7 @@ def facility_spec(facility: Facility, structure: Structure, timestep: float) -> 
     site = spec.site(MOUNT)
     flange = site.parent.add_body(name=FLANGE, pos=site.pos, quat=site.quat)
     add_active(spec, structure, flange, np.zeros(3), TOOL_HOME[:3])
-    spec.delete(spec.site(NOMINAL))  # the passive side brings it, at the same place
+    spec.delete(spec.site(NOMINAL))  # add_passive adds it again, at the same pose
     add_passive(spec, structure, spec.body(CARRIER))
     if isinstance(facility, PhysicalFacility):
         for prefix in (ACTIVE, PASSIVE):
@@ -52,7 +52,7 @@ def facility_spec(facility: Facility, structure: Structure, timestep: float) -> 
 
 
 def facility_model(facility: Facility, structure: Structure, timestep: float) -> mujoco.MjModel:
-    """The composed facility as it is stepped: nothing that is only drawn."""
+    """The composed facility for stepping: without purely visual parts."""
     spec = facility_spec(facility, structure, timestep)
     spec.compiler.discardvisual = True
     model = spec.compile()
@@ -61,9 +61,9 @@ def facility_model(facility: Facility, structure: Structure, timestep: float) ->
 
 
 def rest_reading(model: mujoco.MjModel, home: Array, columns: slice, body: int, balance: Array, centre: Array) -> Array:
-    """``(6,)`` what the sensor reads at ``home`` (nq,), the sides apart; a compliant mount's load hangs on ``balance`` (6,) at W's origin.
+    """``(6,)`` the sensor's reading at ``home`` (nq,) without contact; the wrench ``balance`` (6,) at W's origin supports a mount.
 
-    body, centre: what the balance acts on, and its centre of mass (3,) in W.
+    body, centre: body on which the balance acts, and its centre of mass (3,) in W.
     """
     apart = copy.copy(model)
     apart.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
@@ -76,15 +76,15 @@ def rest_reading(model: mujoco.MjModel, home: Array, columns: slice, body: int, 
 
 
 class CarriedLoad:
-    """What a sensor that moves with the passive side carries besides the contact: weight and inertia of a rigid load.
+    """Load compensation of a sensor that moves with the passive side: weight and inertia of a rigid load.
 
-    Taken out by what an accelerometer and gyroscopes beside it say, with the load's mass m, centre r and inertia I known:
+    The load is computed from an accelerometer and gyroscopes at the sensor, with its mass m, centre r and inertia I known:
 
         f = m (a - g + alpha x r + omega x (omega x r)),   t = I alpha + omega x I omega + r x f
     """
 
     def __init__(self, model: mujoco.MjModel, home: Array) -> None:
-        """``home`` (nq,): there P stands upright at W's origin."""
+        """``home`` (nq,): joint positions at which P is at W's origin with W's attitude."""
         data = mujoco.MjData(model)
         data.qpos[:] = home
         mujoco.mj_forward(model, data)
@@ -97,7 +97,7 @@ class CarriedLoad:
         self._read = Call(_read_carried, GIVEN, self._force, self._columns, GIVEN, self.load, GIVEN, GIVEN, ...)
 
     def read(self, sensordata: Array, attitude: Array, runs: NDArray[np.intp], wrench_sub: Array, sub: int) -> None:
-        """``wrench_sub[runs, sub]`` from ``sensordata`` (n, .) with P's ``attitude`` (n, 7 of its pose) in W."""
+        """``wrench_sub[runs, sub]`` from ``sensordata`` (n, .) with P's attitude in W, part of its pose ``attitude`` (n, 7)."""
         self._read.on(sensordata, attitude, runs, wrench_sub)(sub)
 
 
@@ -128,6 +128,6 @@ def _read_carried(data, force, columns, place, load, runs, wrench_sub, sub):
             turn = load[4 + 3 * j] * alpha[0] + load[5 + 3 * j] * alpha[1] + load[6 + 3 * j] * alpha[2]
             wrench_sub[i, sub, j] = f[j] - data[i, force + j]
             wrench_sub[i, sub, 3 + j] = turn + ring[j] + v[j] - data[i, force + 3 + j]
-        for j in range(6):  # what rounding leaves of two equal loads is nothing: whether a force acts at all must be told from zero
+        for j in range(6):  # exact zero for equal loads, since a force of zero means that there is no contact
             if abs(wrench_sub[i, sub, j]) < ROUNDING:
                 wrench_sub[i, sub, j] = 0.0

@@ -1,4 +1,4 @@
-"""A facility as it is drawn: its model with all that shows, and its joints at given relative poses."""
+"""A facility for drawing: its model with all visual parts, and its joints at given relative poses."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ STEP = 1e-3  # [s] nothing is stepped
 
 
 class DrawnFacility:
-    """A facility with its mechanism, at poses that it reached."""
+    """A facility with its mechanism, at poses that it has reached."""
 
     def __init__(self, scenario: Scenario) -> None:
         structure = drawn(scenario.mechanism)
@@ -37,7 +37,7 @@ class DrawnFacility:
     def joints(self, pose: Array) -> tuple[Array, Array]:
         """Joint positions ``(frames, nq)`` and poses ``(frames, 7)`` of P in W, at the poses ``(frames, 7)`` of A in P.
 
-        Where the bodies move by themselves P is drawn at home: a record holds their relative pose alone.
+        For freely moving bodies P is drawn at home: a record contains only their relative pose.
         """
         if self._last is not None and np.array_equal(self._last[0], pose):
             return self._last[1]

@@ -1,10 +1,10 @@
-"""Drives of `n` runs of a facility: from the commanded relative pose to what each actuator is told, step by step.
+"""Drives of `n` runs of a facility: from the commanded relative pose to the input of each actuator, step by step.
 
-A tick: ``aim`` solves for the joints at the command and plans the references over the tick; ``push`` is called before every step of the
-physics with the state as it stands, and writes the actuators' inputs; ``observe`` reads poses and joints from the state. What a drive
-pushes is the subclass's.
+A tick: ``aim`` solves for the joints at the command and plans the references over the tick; ``push`` is called before every physics
+step with the current state, and writes the actuators' inputs; ``observe`` reads poses and joints from the state. The control law
+of a drive is defined by the subclass.
 
-The relative pose is that of A in P. Where the passive side stands still, P is W, and one tool follows the command. A facility that moves
+The relative pose is that of A in P. If the passive side is fixed, P is W, and one tool follows the command. A facility that moves
 both sides overrides :meth:`Drives.allocate`.
 """
 
@@ -30,9 +30,9 @@ from hiltestbed.platform.facilities.motion import move, packed, place, scratch, 
 from hiltestbed.platform.facilities.newton import newton, rates, shift, ways
 from hiltestbed.platform.facilities.reference import plan_tick, sample
 
-PER_TICK = 3  # Newton steps from one tick to the next; one is enough for motion, the others for a command that jumps
-SOLVED = 1e-9  # [m], [rad]
-WEIGHED = 4  # controller cycles between two looks at the weight, which changes by less than 1e-3 of itself meanwhile
+PER_TICK = 3  # Newton steps per tick; one suffices for motion, the others are for a command that jumps
+SOLVED = 1e-9  # [m], [rad] tolerance of the solution
+WEIGHED = 4  # controller cycles between two updates of the weight, which changes by less than 1e-3 of itself meanwhile
 UPRIGHT = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 
 
@@ -41,11 +41,12 @@ def _aim(
     integers, numbers, room, k, h, cycles, lates, feed, axes, gravity, poses, held, twists, speeds, qs, rate, goal, leave, load, missed,
     ring, span, reference, velocity, plan,
 ):  # fmt: skip
-    """Joints, rates and weights where a cycle begins, for tools at ``poses`` (n, nt, 7), left with ``twists`` (n, nt, 6), in W; the plan.
+    """Plan a tick; at the start of a cycle solve for joints, rates and weights of tools at ``poses`` (n, nt, 7) in W, left with ``twists``
+    (n, nt, 6).
 
-    integers, numbers, room: the tree (:func:`hiltestbed.platform.facilities.motion.packed`). k: the tick; below 0: solve for all,
-    plan nothing.
-    qs, rate: (n, nq), (n, nv) the last solution and how it left, moved on. goal, leave, load: (n, J). missed: (n,) residual [m, rad].
+    integers, numbers, room: the tree (:func:`hiltestbed.platform.facilities.motion.packed`). k: the tick; negative: solve for all
+    runs, plan nothing.
+    qs, rate: (n, nq), (n, nv) the last solution and its rates, updated. goal, leave, load: (n, J). missed: (n,) residual [m, rad].
     """
     for i in range(poses.shape[0]):
         if k < 0 or k % cycles[i] == 0:
@@ -63,7 +64,7 @@ def _aim(
 def _solve(
     integers, numbers, room, k, h, cycle, axes, gravity, poses, held, twists, speeds, q, rate, goal, leave, load, missed
 ):  # fmt: skip
-    """One run at the begin of a cycle: joints, how they leave, and now and then the weight."""
+    """One run at the start of a cycle: joints, their rates, and every few cycles the weight."""
     tree, w = unpack(integers, numbers, room)
     if k >= 0:
         shift(tree, q, rate, h * cycle)
@@ -156,7 +157,7 @@ def relative(place_A, motion_A, place_P, motion_P, r, arm, pose, twist):
 
 
 class _Pushed:
-    """On what the drives pushed last, and the call that did it."""
+    """The arrays of the last call of ``push``, and the compiled call bound to them."""
 
     __slots__ = ("call", "ctrl", "qpos", "qvel", "rubbing")
 
@@ -169,13 +170,13 @@ class _Pushed:
 
 
 class Drives:
-    """References and inputs of the drives of `n` runs, and what the joints say; all arrays are updated in place.
+    """References and inputs of the drives of `n` runs, and joint readings; all arrays are updated in place.
 
     Attributes, at t_k:
         pose, twist: (n, 7), (n, 6) of A relative to P, in P. place_A, motion_A, place_P, motion_P: of both in W.
-        joints, joint_rates: (n, J) from home. reference: (n, J) what they were to be, from home.
-        missed: (n,) by how much the last command was out of the facility's reach [m, rad].
-        load: (n, J) what the drives carry of the weight at the command [N, N m].
+        joints, joint_rates: (n, J) actual, from home. reference: (n, J) commanded, from home.
+        missed: (n,) distance by which the last command was out of the facility's reach [m, rad].
+        load: (n, J) gravity load on the drives at the command [N, N m].
     """
 
     def __init__(
@@ -188,7 +189,7 @@ class Drives:
         lates: Sequence[int],
         feed: NDArray[np.bool_],
     ) -> None:
-        """Args: cycles, lates: (n,) ticks of a controller's cycle, whole cycles that it holds a command back. feed: (n,) feed-forward."""
+        """Args: cycles, lates: (n,) ticks per controller cycle, command delay in whole cycles. feed: (n,) feed-forward."""
         n, joints = len(feed), len(kinematics.axes)
         self.kinematics, self.tick, self.step = kinematics, tick, tick / substeps
         self.model, self._feed = model, np.asarray(feed, dtype=bool)
@@ -219,26 +220,26 @@ class Drives:
 
     @property
     def solution(self) -> Array:
-        """(n, nq) the joint positions that were last solved for."""
+        """(n, nq) joint positions of the last solution."""
         return self._qs
 
-    # What a facility that moves both sides, or drives in another way, has of its own.
+    # Methods overridden by a facility that moves both sides or has other drives.
 
     @cached_property
     def _allocated(self) -> Call:
         return Call(_follow, GIVEN, GIVEN, GIVEN, ..., self.poses, self.twists)
 
     def allocate(self, pose: Array, twist: Array, accel: Array, half: float) -> None:
-        """Write ``poses`` and ``twists`` of the tools in W (and of what is prescribed) for the relative ``pose`` (n, 7) and the velocity
+        """Write ``poses`` and ``twists`` of the tools in W (and the prescribed joints) for the relative ``pose`` (n, 7) and the velocity
         ``half`` [s] after ``twist`` (n, 6), with ``accel`` (n, 6)."""
         self._allocated.on(pose, twist, accel)(half)
 
     def push(self, sub: int, qpos: Array, qvel: Array, ctrl: Array) -> None:
-        """Write the drives' inputs into ``ctrl`` (n, nu) for step ``sub`` of the tick, from the joints as they stand."""
+        """Write the drives' inputs to ``ctrl`` (n, nu) for step ``sub`` of the tick, from the current joint state."""
         raise NotImplementedError
 
     def pushing(self, push: Call, qpos: Array, qvel: Array, ctrl: Array) -> Callable[[int], None]:
-        """What ``push`` makes of a state in arrays that stay, and the friction of the drives with it, in one call of the step's number."""
+        """``push`` and the friction of the drives, bound to reused state arrays, as one call with the step's number."""
         last = self._last
         if last.qpos is not qpos or last.qvel is not qvel or last.ctrl is not ctrl or last.rubbing is not self._rubbing:
             last.qpos, last.qvel, last.ctrl, last.rubbing = qpos, qvel, ctrl, self._rubbing
@@ -247,20 +248,20 @@ class Drives:
         return last.call
 
     def rest(self, qpos: Array, qvel: Array) -> None:
-        """Put the drives' own state where it is in uniform motion; ``qpos`` (n, nq) may yield to the weight."""
+        """Initialise the drives' own state for uniform motion; ``qpos`` (n, nq) may deflect under the weight."""
 
     def feedback(self) -> Array:
-        """``(n, k)`` view of the drives' own state that the motion of the rig acts back on; none: (n, 0)."""
+        """``(n, k)`` view of the drives' own state that depends on the motion of the rig; none: (n, 0)."""
         return np.zeros((len(self.pose), 0))
 
-    # What all have.
+    # Methods common to all drives.
 
     def settle(self, pose: Array, twist: Array, qpos: Array, qvel: Array) -> None:
-        """Put joints, references and drives where they are in the uniform motion with ``twist`` (n, 6) that is commanded to be at
-        ``pose`` (n, 7): behind it by what the controller is late.
+        """Initialise joints, references and drives in a uniform motion with ``twist`` (n, 6) whose command is at ``pose`` (n, 7): the
+        facility is behind by the controller's lag.
 
         Raises:
-            InputError: a start that the facility cannot reach, or at which a joint is past its travel or loses its hold.
+            InputError: a start that is out of reach, beyond a joint's travel, or singular.
         """
         self._ticks[0] = 0
         lag = self.lag
@@ -277,7 +278,7 @@ class Drives:
         self._solve(-1)
         self._target[:], self._velocity[:] = self._goal, np.where(self._feed[:, None], self._leave, 0.0)
         self._span[:, :, 0], self._span[:, :, 1] = self._goal[:, None], self._leave[:, None]
-        for back in range(1, self._ring.shape[1]):  # commands that are still held back
+        for back in range(1, self._ring.shape[1]):  # commands that are still delayed
             ahead = self.tick * self._cycles * (self._lates + 1 - back)
             self._ring[:, -back % self._ring.shape[1], 0] = self._goal + self._leave * ahead[:, None]
             self._ring[:, -back % self._ring.shape[1], 1] = self._leave
@@ -286,7 +287,7 @@ class Drives:
 
     @property
     def lag(self) -> Array:
-        """(n,) how late the controller makes each run [s]: its cycle less the tick in which a pose is due, and the cycles held back."""
+        """(n,) lag of each run's controller [s]: its cycle less the tick at whose end a pose is due, plus the delay in whole cycles."""
         return np.asarray(self.tick * (self._cycles * (self._lates + 1) - 1), dtype=float)
 
     @cached_property
@@ -295,7 +296,7 @@ class Drives:
 
     @property
     def _planning(self) -> tuple[Any, ...]:
-        """What :func:`_aim` is given, the tick at each call."""
+        """Arguments of :func:`_aim`; the tick is given at each call."""
         return (
             *self._flat, ..., self.tick, self._cycles, self._lates, self._feed, self._axes, self._gravity, self.poses, self.held,
             self.twists, self.held_rates, self._qs, self._rates, self._goal, self._leave, self.load, self.missed, self._ring, self._span,
@@ -303,9 +304,9 @@ class Drives:
         )  # fmt: skip
 
     def aim(self, pose_cmd: Array, twist_cmd: Array, accel_cmd: Array) -> None:
-        """Plan one tick; ``pose_cmd`` (n, 7) is meant for its end, with ``twist_cmd`` and ``accel_cmd`` (n, 6), all in P.
+        """Plan one tick; ``pose_cmd`` (n, 7) is commanded for its end, with ``twist_cmd`` and ``accel_cmd`` (n, 6), all in P.
 
-        The command is left with the velocity of the tick plus half a tick of its acceleration: a semi-implicit velocity belongs to the
+        The velocity at the command is that of the tick plus half a tick of its acceleration: a semi-implicit velocity belongs to the
         middle of its tick.
         """
         if type(self).allocate is Drives.allocate:
@@ -317,18 +318,18 @@ class Drives:
 
     @cached_property
     def _followed(self) -> Call:
-        """A tick of one tool that follows the command."""
+        """The plan of a tick for one tool that follows the command."""
         return Call(_follow_and_aim, GIVEN, GIVEN, GIVEN, 0.5 * self.tick, self._ticks, *self._planning[:3], *self._planning[4:])
 
     def follow(self, pose: Array, twist: Array) -> None:
-        """Joints and their rates where A is at ``pose`` (n, 7) with ``twist`` (n, 6), of a rig that follows exactly: no drive acts."""
+        """Joints and their rates for A at ``pose`` (n, 7) with ``twist`` (n, 6) under exact tracking, without drives."""
         self.allocate(pose, twist, np.zeros_like(twist), 0.0)
         self._solve(-1)
         np.subtract(self._goal, self._home, out=self.joints)
         self.joint_rates[:], self.reference[:] = self._leave, self.joints
 
     def arrive(self) -> None:
-        """The tick is over."""
+        """Complete the tick."""
         self._arrived()
 
     @cached_property
@@ -343,19 +344,19 @@ class Drives:
         )  # fmt: skip
 
     def observe(self, qpos: Array, qvel: Array, limit: float, diverged: NDArray[np.bool_]) -> bool:
-        """Read poses, twists and joints; True where a run has just left ``limit`` [m/s, rad/s], which ``diverged`` (n,) then names."""
+        """Read poses, twists and joints; returns whether a run just exceeded ``limit`` [m/s, rad/s], and marks it in ``diverged`` (n,)."""
         return self.observing(qpos, qvel, limit, diverged)()
 
     def observing(self, qpos: Array, qvel: Array, limit: float, diverged: NDArray[np.bool_]) -> Callable[[], bool]:
-        """:meth:`observe` of arrays that stay."""
+        """:meth:`observe` bound to arrays that are reused."""
         return self._seen.on(qpos, qvel, limit, diverged)
 
     def release(self) -> None:
-        """Leave the drives' friction and the steps of their encoders out from now on: what is measured is then linear."""
+        """Switch off the drives' friction and encoder quantisation, so that measurements are linear."""
         self._rubbing = None
 
     def state(self) -> dict[str, NDArray[Any]]:
-        """The arrays that make up the state between two ticks; written back, the drives go on from there."""
+        """The arrays of the state between two ticks; restoring them resumes the drives from there."""
         return {
             "ticks": self._ticks,
             "solution": self._qs,
@@ -370,7 +371,7 @@ class Drives:
         } | (self._rubbing.state() if self._rubbing else {})
 
     def mass_matrix(self) -> Array:
-        """``(J, J)`` [kg, kg m, kg m^2] what the drives feel of all that moves, at home: loops closed, by virtual work."""
+        """``(J, J)`` [kg, kg m, kg m^2] mass matrix at the drives, at home: loops closed, by virtual work."""
         return mass_matrix(self.kinematics, self.model)
 
 
@@ -380,7 +381,7 @@ def mass_matrix(kinematics: Kinematics, model: mujoco.MjModel) -> Array:
     newton(tree, home.copy(), kinematics.home_poses, kinematics.held_home, w, SOLVED, 1)
     every = np.zeros((6 * len(kinematics.tools) + len(kinematics.prescribed), model.nv))
     ways(tree, w, every)
-    reach = np.linalg.pinv(every[:, kinematics.v]) @ every  # (J, nv): all rates per unit rate of a driven joint
+    reach = np.linalg.pinv(every[:, kinematics.v]) @ every  # (J, nv): rates of all joints per unit rate of a driven joint
     forces, none = np.empty((len(reach), model.nv)), np.zeros(3)
     for j, way in enumerate(reach):
         joint_forces(tree, np.zeros(model.nv), np.ascontiguousarray(way), none, w, forces[j])
@@ -388,12 +389,12 @@ def mass_matrix(kinematics: Kinematics, model: mujoco.MjModel) -> Array:
 
 
 def drive_inputs(model: mujoco.MjModel, joints: Sequence[str]) -> NDArray[np.int64]:
-    """``(J,)`` which actuator acts on each of the joints. Raises InputError for a joint without one."""
+    """``(J,)`` index of the actuator on each joint. Raises InputError for a joint without one."""
     found = []
     for name in joints:
         joint = model.joint(name).id
         acts = np.flatnonzero((model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT) & (model.actuator_trnid[:, 0] == joint))
         if not len(acts):
-            raise InputError(f"joint {name!r} has no actuator; the facility drives it")
+            raise InputError(f"joint {name!r} has no actuator, but is a driven joint of the facility")
         found.append(int(acts[0]))
     return np.array(found, dtype=np.int64)

@@ -1,10 +1,10 @@
-"""Drives of an arm whose gears yield: a motor, an elastic gear, a link, on each axis.
+"""Drives of an arm with elastic gears: a motor, an elastic gear and a link on each axis.
 
 In the model an axis is two joints in series about one line: the motor's, with the rotor's inertia as armature, and the gear's, a spring
 and a damper (Spong, ASME J. Dynamic Systems, Measurement and Control 109(4), 1987: the rotor's spin counts about its own axis alone). The
-controller sees the motor alone and closes on it the model-based loop of :mod:`hiltestbed.platform.facilities.force_servo`, M the inertia
-that the motors feel of a rigid arm, at home. Friction acts on the motor. The gear's deflection is in no reading: the link is where it
-ends up. What the weight bends the gears by at the start is taken out of the references, as a calibrated controller does.
+controller measures only the motor and closes the model-based loop of :mod:`hiltestbed.platform.facilities.force_servo` on it, with M the
+inertia of the rigid arm at the motors, at home. Friction acts on the motor. The gear's deflection is neither measured nor controlled. The
+deflection of the gears under the weight at the start is compensated in the references, as by a calibrated controller.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class ElasticJoints(ForceServo):
         self._stiffness = np.array([float(np.ravel(joint.stiffness)[0]) for _, joint in elastic])
 
     def rest(self, qpos: Array, qvel: Array) -> None:
-        """The gears hang under the weight; the motors make up for it, so that the tool is where it was to be."""
+        """The gears deflect under the weight; the motors compensate for it, so that the tool is at its commanded pose."""
         super().rest(qpos, qvel)
         deflection = -self.load[:, self._elastic] / self._stiffness
         self.bent[:, self._elastic] = -deflection

@@ -1,8 +1,8 @@
-"""What a facility says of itself: the base of every kind of motion platform.
+"""The interface of a facility: base class of every kind of motion platform.
 
-A facility is made from its settings, a section of the scenario. The plant asks it for a model, kinematics and drives, and knows neither
-its name nor its joints. In W, the world of the composed model, z points along the insertion and the origin is where the passive port P
-stands nominally; at home the site `mount`, which carries the active mechanism, stands at :data:`MOUNT_HOME`, upright.
+A facility is made from its settings, a section of the scenario. It gives the plant a model, kinematics and drives; the plant uses neither
+its name nor its joints. In W, the world of the composed model, z points along the insertion and the origin is the nominal position of the
+passive port P; at home the site `mount`, which carries the active mechanism, is at :data:`MOUNT_HOME`, with W's attitude.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ from hiltestbed.platform.facilities.kinematics import Axis, Kinematics
 from hiltestbed.platform.facilities.tree import compose, inverse_pose
 
 MOUNT = "mount"
-NOMINAL = "P_nominal"  # the site of what carries the passive mechanism, where P stands nominally
-MOUNT_HOME = np.array([0.0, 0.0, -0.60, 0.0, 0.0, 0.0, 1.0])  # a docking mechanism is 0.60 m tall: then A stands at P
+NOMINAL = "P_nominal"  # site on the carrier of the passive mechanism, at the nominal pose of P
+MOUNT_HOME = np.array([0.0, 0.0, -0.60, 0.0, 0.0, 0.0, 1.0])  # a docking mechanism is 0.60 m tall: A is then at P
 UPRIGHT = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
 TOOL_HOME = np.array([0.0, 0.0, 0.60, 0.0, 0.0, 0.0, 1.0])  # pose of A in the mount
 SENSOR_HEIGHT = 0.76  # [m] of the sensor's flange over P
@@ -35,12 +35,12 @@ SENSOR_HEIGHT = 0.76  # [m] of the sensor's flange over P
 
 @dataclass(frozen=True)
 class Response:
-    """Nominal response of a facility to its command, an axis at a time: x, y, z, rx, ry, rz.
+    """Nominal response of a facility to its command, for each of the axes x, y, z, rx, ry, rz.
 
     Attributes:
-        bandwidth: (6,) [Hz] natural frequency of the second order that is nearest at low frequency. damping_ratio: (6,).
-        delay: pure delay [s]: command, controller's cycle.
-        followed: feed-forward takes out what the second order would lag.
+        bandwidth: (6,) [Hz] natural frequency of the second-order system that is closest at low frequency. damping_ratio: (6,).
+        delay: pure delay [s]: command delay and controller's cycle.
+        followed: whether feed-forward removes the lag of the second-order system.
     """
 
     bandwidth: tuple[float, ...]
@@ -66,8 +66,8 @@ class Facility(ABC):
     """A motion platform with its drives.
 
     Attributes:
-        settings: what the scenario says of it. moves_passive: its passive side moves as well. physical: bodies that move by themselves
-            in place of the numerical model (:class:`hiltestbed.platform.facilities.bodies.Bodies`).
+        settings: its section of the scenario. moves_passive: whether its passive side moves as well. physical: whether freely moving bodies
+            replace the numerical model (:class:`hiltestbed.platform.facilities.bodies.Bodies`).
     """
 
     moves_passive: ClassVar[bool] = False
@@ -78,7 +78,7 @@ class Facility(ABC):
 
     @property
     def kind(self) -> str:
-        """What a scenario calls it."""
+        """Its name in a scenario."""
         return self.settings.kind
 
     @property
@@ -89,7 +89,7 @@ class Facility(ABC):
     @abstractmethod
     def spec(self) -> mujoco.MjSpec:
         """A new specification of the facility at home: site :data:`MOUNT`, body :data:`CARRIER` with site :data:`NOMINAL`, gravity, and a
-        motor or position actuator on every driven joint. Time step and the stiffness of loops are the plant's."""
+        motor or position actuator on every driven joint. The plant sets the time step and the stiffness of loops."""
 
     @abstractmethod
     def drives(
@@ -101,22 +101,22 @@ class Facility(ABC):
         feed: NDArray[np.bool_],
         tool: str = MOUNT,
     ) -> Drives:
-        """Drives of runs whose ``settings`` may differ in numbers; ``tool`` is the site that follows the command (A, or the mount)."""
+        """Drives of runs whose ``settings`` may differ in parameters; ``tool`` is the site that follows the command (A, or the mount)."""
 
     @abstractmethod
     def response(self, rate: float, feed: bool) -> Response:
         """Nominal response in a loop of ``rate`` [Hz], with or without feed-forward of velocity and acceleration."""
 
     def kinematics(self, model: mujoco.MjModel, tool: str = MOUNT) -> Kinematics:
-        """Geometry of a compiled model that holds the facility; ``tool`` is the site that follows the command."""
+        """Geometry of a compiled model that contains the facility; ``tool`` is the site that follows the command."""
         return Kinematics(model, [tool], self.axes)
 
     def alike(self) -> Hashable:
-        """What must be equal in the runs of one batch: all that the model depends on."""
+        """Everything that the model depends on, which must be equal in the runs of one batch."""
         return self.kind
 
     def problems(self, rate: float) -> Iterator[tuple[tuple[str | int, ...], str]]:
-        """What in the settings cannot be in a loop of ``rate`` [Hz]: path below the settings, message."""
+        """Settings that are invalid in a loop of ``rate`` [Hz]: path below the settings, message."""
         yield from self.settings.command.problems(rate)
 
     @cached_property
@@ -129,23 +129,23 @@ class Facility(ABC):
         return self.bare.complaints(compose(np.asarray(pose, dtype=float), inverse_pose(tool)))
 
     def lags(self, settings: Sequence[Any], tick: float) -> tuple[list[int], list[int]]:
-        """Ticks of each run's controller cycle, and whole cycles that it holds a command back."""
+        """Ticks of each run's controller cycle, and its command delay in whole cycles."""
         return [s.command.cycle(1.0 / tick) for s in settings], [s.command.delay_cycles for s in settings]
 
 
 def frame_of(spec: mujoco.MjSpec) -> None:
-    """Put the shipped frame, with the force sensor's flange, over a facility that stands below P."""
+    """Add the shipped frame, with the force sensor's flange, over a facility that stands below P."""
     spec.attach(load("frame/frame"), prefix="frame_", frame=spec.worldbody.add_frame())
 
 
 def add_carrier(body: Any, pose: Array = UPRIGHT) -> None:
-    """Give ``body`` of a specification the carrier of the passive side, at ``pose`` (7,) in it."""
+    """Add the carrier of the passive side to ``body`` of a specification, at ``pose`` (7,) in it."""
     quat = [pose[6], *pose[3:6]]
     body.add_body(name=CARRIER, pos=pose[:3], quat=quat).add_site(name=NOMINAL)
 
 
 def compiled(spec: mujoco.MjSpec, timestep: float = 2.5e-4) -> mujoco.MjModel:
-    """The model of a specification, as the plant would step it: nothing that is only drawn, loops held as stiffly as can be."""
+    """The model of a specification as the plant would step it: without purely visual parts, loops as stiff as possible."""
     spec.compiler.discardvisual = True
     spec.option.timestep = timestep
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
@@ -158,14 +158,14 @@ LOOPS = (mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD, mujoco.mjtEq.mjEQ_JO
 
 
 def stiffen(spec: mujoco.MjSpec, timestep: float) -> None:
-    """Hold the joints that close loops with a time constant of two steps, as stiffly as MuJoCo allows."""
+    """Give the joints that close loops a time constant of two steps, the stiffest that MuJoCo allows."""
     for joint in spec.equalities:
         if joint.type in LOOPS:
             joint.solref[:] = [2.0 * timestep, 1.0]
 
 
 def per_run(settings: Sequence[Any], name: str) -> Array:
-    """``(n,)`` one number of each run's settings, by its dotted name."""
+    """``(n,)`` one parameter of each run's settings, by its dotted name."""
     out = []
     for s in settings:
         value = s

@@ -1,10 +1,10 @@
-"""Electric drives: force sources under a model-based position loop.
+"""Electric drives: force sources with a model-based position loop.
 
     f = M (w^2 (s_r - s) + 2 zeta w (s_r' - s') + s_r'') + weight
 
-with M what the drives feel of all that moves, at home. Without feed-forward s_r' and s_r'' are left out, and every coordinate follows
+with M the mass matrix at the drives, at home. Without feed-forward s_r' and s_r'' are omitted, and every coordinate follows
 its command as w^2/(s^2 + 2 zeta w s + w^2) (computed torque; Luh, Walker, Paul, IEEE Trans. Automatic Control 25(3), 1980); with it,
-as far as M holds away from home, without lag. A static force F at the tool is answered by M w^2 in the drives.
+as far as M is valid away from home, without lag. The static stiffness of the drives is M w^2.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ from hiltestbed.platform.facilities.kinematics import Kinematics
 
 @njit(cache=True, inline="always")
 def quantised(value, step):
-    """What an encoder of the given resolution reads."""
+    """Reading of an encoder of the given resolution."""
     return value if step == 0.0 else step * math.floor(value / step + 0.5)
 
 
 @njit(cache=True)
 def _push(plan, sub, mass, gains, encoder, load, bent, most, axes, inputs, qpos, qvel, force, ctrl):
-    """gains: (n, 2) w^2 and 2 zeta w. bent, most: (n, J) what the references are shifted by, what a drive can give. force: (J,) room."""
+    """gains: (n, 2) w^2 and 2 zeta w. bent, most: (n, J) offset of the references, force limits. force: (J,) work space."""
     joints = mass.shape[0]
     for i in range(qpos.shape[0]):
         for j in range(joints):
@@ -51,7 +51,7 @@ class ForceServo(Drives):
     """Electric drives of `n` runs.
 
     Attributes:
-        bent: (n, J) what the references are shifted by, where something between drive and tool yields to the weight.
+        bent: (n, J) offset of the references that compensates the deflection between drive and tool under the weight.
     """
 
     def __init__(

@@ -1,7 +1,7 @@
-"""Dry friction of seals and gears, taken off what a drive pushes.
+"""Friction of seals and gears, subtracted from the force of a drive.
 
 The law is that of the sliders of the 3-3 PSS platform (:func:`hiltestbed.platform.friction.drag`): Coulomb and Stribeck with a bristle that
-holds while a joint stands, and a viscous part. Units are N and m for cylinders, N m and rad for gears.
+holds a joint at rest, and a viscous part. Units are N and m for cylinders, N m and rad for gears.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from hiltestbed.frames import Array
 from hiltestbed.jit import njit
 from hiltestbed.platform.friction import BRISTLE, STEPS, drag, stribeck
 
-AT_REST = 1e-9  # [m/s], [rad/s] of a drive at the start: less is the rounding of the inverse kinematics, which has no direction
+AT_REST = 1e-9  # [m/s], [rad/s] smaller speeds at the start are rounding errors of the inverse kinematics, and count as rest
 
 
 @njit(cache=True)
@@ -54,7 +54,7 @@ class Rubbing:
         inputs: NDArray,
         dt: float,
     ) -> None:
-        """Args: (n, J) numbers of each drive; presliding: stiffness before it breaks away. moved: (J,) the least that a drive moves."""
+        """Args: (n, J) parameters of each drive; presliding: stiffness before break-away. moved: (J,) smallest mass that a drive moves."""
         bristle = np.minimum(presliding, STEPS * moved / (dt * dt))
         damper = 2.0 * np.sqrt(bristle * moved)
         self._numbers = np.ascontiguousarray(
@@ -65,11 +65,11 @@ class Rubbing:
         self._act = Call(_act, self._numbers, dt, self._axes, self._inputs, GIVEN, self.bristles, GIVEN)
 
     def settle(self, qvel: Array) -> None:
-        """Start from drives that have long been moving at ``qvel`` (n, nv)."""
+        """Start in the steady state at the speeds ``qvel`` (n, nv)."""
         _settle(self._numbers, self._axes, qvel, self.bristles)
 
     def acting(self, qvel: Array, ctrl: Array) -> Callable[[], None]:
-        """What takes the friction of one step off the drives' inputs ``ctrl`` (n, nu), of arrays that stay."""
+        """Call that subtracts the friction of one step from the drives' inputs ``ctrl`` (n, nu), bound to arrays that are reused."""
         return self._act.on(qvel, ctrl)
 
     def state(self) -> dict[str, NDArray]:

@@ -1,4 +1,4 @@
-"""The facility of a scenario, with what stands in it."""
+"""The facility of a scenario, with its spacecraft."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 def facility_of(scenario: Scenario) -> Facility:
-    """The facility that a scenario names; where bodies move by themselves, its spacecraft stand in it. Raises InputError."""
+    """The facility that a scenario names, including its spacecraft if the bodies move freely. Raises InputError."""
     facility = scenario.rig.platform.facility()
     if facility.physical:
         from hiltestbed.platform.facilities.bodies import Article, PhysicalFacility

@@ -1,20 +1,20 @@
 """Hydraulic drives: servo valve, orifice, oil, leakage, seals, and the controller of a leg.
 
-A double-rod cylinder of area A under a four-way valve (Merritt, Hydraulic Control Systems, 1967, ch. 6; the names of its symbols):
+A double-rod cylinder of area A with a four-way valve (Merritt, Hydraulic Control Systems, 1967, ch. 6, with its symbols):
 
-    valve     x_v'' = w_v^2 (u - x_v) - 2 zeta_v w_v x_v',   -1 <= u <= 1      advanced exactly, u held over a step
+    valve     x_v'' = w_v^2 (u - x_v) - 2 zeta_v w_v x_v',   -1 <= u <= 1      advanced exactly, u constant over a step
     orifice   Q = Q_0 x_v sqrt(max(1 - sgn(x_v) p/p_s, 0))                     Q_0: no-load flow at full opening
     oil       p' = beta (1/V_1 + 1/V_2) (Q - A s' - C p),   V_1,2 = V_0 + A (S/2 +- s)
     seals     f = A p - friction(s')
 
-p is the load pressure, C the leakage past the piston, V_0 the dead volume of a side, S the stroke. Oil and mass make a spring of
+p is the load pressure, C the leakage past the piston, V_0 the dead volume of a side, S the stroke. The oil is a spring of stiffness
 k_h = beta A^2 (1/V_1 + 1/V_2). The controller of a leg commands a speed,
 
     v_c = K (s_r - s) + s_r' + (C + C_f) p_r/A - C_f (p - p_f)/A,   u = v_c A/Q_0 + trim
 
-K the position gain; C_f p the dynamic pressure feedback that damps the oil's spring, less its slow part p_f (first-order low-pass), so
-that a standing load does not move the piston; p_r = M s_r''/A what the planned acceleration needs. Without feed-forward s_r' and p_r are
-left out; with the valve much faster than the oil, a leg then follows as the third order
+K the position gain; C_f p the dynamic pressure feedback that damps the oil's resonance, less its slow part p_f (first-order low-pass), so
+that a static load does not move the piston; p_r = M s_r''/A the pressure for the planned acceleration. Without feed-forward s_r' and p_r
+are omitted; if the valve is much faster than the oil, a leg is then the third-order system
 
     K w_h^2/(s^3 + 2 zeta_h w_h s^2 + w_h^2 s + K w_h^2),   w_h^2 = k_h/m,   2 zeta_h w_h = beta (1/V_1 + 1/V_2) (C + C_f)
 """
@@ -43,7 +43,7 @@ SPOOL, SPOOL_RATE, PRESSURE, SLOW, TRIM, STATES = range(6)
 
 @njit(cache=True)
 def _push(plan, sub, dt, fed, mass, numbers, valve, axes, inputs, home, qpos, qvel, state, ctrl):
-    """numbers: (n, NUMBERS). valve: (n, 2, 2) the valve over a step. state: (n, J, STATES)."""
+    """numbers: (n, NUMBERS). valve: (n, 2, 2) state transition of the valve over a step. state: (n, J, STATES)."""
     joints = mass.shape[0]
     for i in range(qpos.shape[0]):
         p = numbers[i]
@@ -73,7 +73,7 @@ def _push(plan, sub, dt, fed, mass, numbers, valve, axes, inputs, home, qpos, qv
 
 @njit(cache=True)
 def _rest(numbers, load, axes, qvel, state):
-    """Pressures that carry the ``load`` (n, J), and the valve where it holds leakage and speed."""
+    """Pressures that support the ``load`` (n, J), and the valve openings for leakage and speed."""
     for i in range(load.shape[0]):
         p = numbers[i]
         for j in range(load.shape[1]):
@@ -88,13 +88,13 @@ def _rest(numbers, load, axes, qvel, state):
 
 @njit(cache=True)
 def opening(flow, pressure, p):
-    """How far the valve is open for a flow [m^3/s] against a load pressure [Pa]."""
+    """Valve opening [-] for a flow [m^3/s] against a load pressure [Pa]."""
     drop = 1.0 - math.copysign(pressure, flow * pressure) / p[SUPPLY]
     return flow / (p[FLOW] * math.sqrt(max(drop, 1e-6)))
 
 
 def held_over(bandwidth: float, damping_ratio: float, dt: float) -> Array:
-    """``(2, 2)``: error and rate of x'' = w^2 (u - x) - 2 zeta w x' after ``dt`` [s] with u held, from those before."""
+    """``(2, 2)`` state transition of error and rate of x'' = w^2 (u - x) - 2 zeta w x' over ``dt`` [s] with constant u."""
     from scipy.linalg import expm
 
     w = 2.0 * math.pi * bandwidth
@@ -122,7 +122,8 @@ class Hydraulic(Drives):
         valves: Sequence[tuple[float, float]],
         rubbing: Rubbing | None = None,
     ) -> None:
-        """Args: numbers: (n, NUMBERS) as named above, CORNER the share of a step. valves: (n,) bandwidth [Hz] and damping ratio."""
+        """Args: numbers: (n, NUMBERS), in the order of the constants of this module, CORNER as the low-pass coefficient per step.
+        valves: (n,) bandwidth [Hz] and damping ratio."""
         super().__init__(model, kinematics, tick, substeps, cycles, lates, feed)
         self._numbers, self._mass = np.ascontiguousarray(numbers), np.ascontiguousarray(self.mass_matrix())
         self._valve = np.array([held_over(*valve, self.step) for valve in valves])

@@ -1,7 +1,7 @@
 """Inverse dynamics of a tree (recursive Newton-Euler; Featherstone, Rigid Body Dynamics Algorithms, 2008, ch. 5), written in W.
 
-Forces act on the tree's own joints; where loops are closed, :func:`drive_forces` moves them to the driven joints by virtual work: the
-drives do, in every motion that the loops allow, the work that the whole tree needs.
+Forces act on the tree's own joints; for closed loops, :func:`drive_forces` transfers them to the driven joints by virtual work: in every
+motion that the loops allow, the drives do the work of all joint forces of the tree.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from hiltestbed.platform.facilities.tree import FREE, HINGE, SLIDE
 
 @njit(cache=True, inline="always")
 def _component(a, i0, b, j0, i):
-    """Component ``i`` of a x b, both vectors taken from the given offsets."""
+    """Component ``i`` of a x b, with both vectors at the given offsets of their arrays."""
     k, l = (i + 1) % 3, (i + 2) % 3
     return a[i0 + k] * b[j0 + l] - a[i0 + l] * b[j0 + k]
 
@@ -26,7 +26,7 @@ def _component(a, i0, b, j0, i):
 def joint_forces(tree, v, a, gravity, w, out):
     """``out`` (nv,) [N, N m]: forces in the joints for rates ``v`` and accelerations ``a`` (nv,), gravity (3,) [m/s^2] included.
 
-    Places must be current (:func:`hiltestbed.platform.facilities.motion.place`).
+    Poses must be current (:func:`hiltestbed.platform.facilities.motion.place`).
     """
     w.motion[0] = 0.0
     for i in range(3):
@@ -42,7 +42,7 @@ def joint_forces(tree, v, a, gravity, w, out):
 
 @njit(cache=True)
 def _accelerate(tree, w, b, v, a, gravity):
-    """Motion of body ``b`` from that of its parent: at the point where its origin is now, one joint's velocity field after the other."""
+    """Motion of body ``b`` from that of its parent: at its origin's current position, adding the velocity field of one joint at a time."""
     turn, bend, r, arm = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     p, first, count = tree.bodies[b, 0], tree.bodies[b, 1], tree.bodies[b, 2]
     motion, parent, pose = w.motion[b], w.motion[p], w.poses[b]
@@ -89,7 +89,7 @@ def _accelerate(tree, w, b, v, a, gravity):
 
 @njit(cache=True)
 def _inertial_load(tree, gravity, w, b):
-    """``w.loads``: force on a body for its acceleration, less what a counterweight bears of its weight, and its moment about W's origin."""
+    """``w.loads``: force for a body's acceleration, less the weight supported by a counterweight, and its moment about W's origin."""
     r, arm, spin, twirl, load = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     mass, motion, pose, out = tree.masses[b], w.motion[b], w.poses[b], w.loads[b]
     rotate(pose[3:7], mass[1:4], r)
@@ -115,7 +115,7 @@ def _inertial_load(tree, gravity, w, b):
 
 @njit(cache=True)
 def _gather(tree, w, out):
-    """``out`` (nv,): what the joints carry of the bodies' loads, which are summed towards the root."""
+    """``out`` (nv,): joint forces that support the bodies' loads, which are summed towards the root."""
     load = np.empty(3)
     out[:] = 0.0
     for b in range(tree.bodies.shape[0] - 1, 0, -1):
@@ -145,9 +145,9 @@ def _gather(tree, w, out):
 
 @njit(cache=True)
 def weights(tree, gravity, w, out):
-    """``out`` (nv,) [N, N m]: forces in the joints that carry what counterweights leave of the bodies' weight.
+    """``out`` (nv,) [N, N m]: joint forces that support the bodies' weight, less the part supported by counterweights.
 
-    Places must be current.
+    Poses must be current.
     """
     r = np.empty(3)
     for b in range(tree.bodies.shape[0]):
@@ -165,7 +165,7 @@ def weights(tree, gravity, w, out):
 def drive_forces(ways, axes, forces, square, right, out):
     """``out`` (J,): forces of the driven joints that do the work of ``forces`` (nv,) in each of the motions ``ways`` (t, nv).
 
-    axes: (J,) their degrees of freedom. square (J, J) and right (J,) are room to work in. Of more drives than motions, the least.
+    axes: (J,) their degrees of freedom. square (J, J) and right (J,) are work space. With more drives than motions: the minimum norm.
     """
     tasks, n = ways.shape[0], axes.shape[0]
     most = 0.0

@@ -1,7 +1,7 @@
-"""Kinematics of a facility: from poses of its tools to its joints and back, for batches, and what stands in the way.
+"""Kinematics of a facility: from poses of its tools to its joints and back, for batches, and checks of reach, travel and singularities.
 
 Every facility solves the same equations (:mod:`hiltestbed.platform.facilities.newton`): tools at their poses, loops closed. A pose far
-from home is reached along a straight path in steps, so that the solution stays on the branch (elbow, wrist, legs) that home lies on.
+from home is reached along a straight path in steps, so that the solution stays on the branch (elbow, wrist, legs) of home.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from hiltestbed.platform.facilities.motion import move, place, scratch, tool_pos
 from hiltestbed.platform.facilities.newton import CLOSE, ITERATIONS, equations, newton, rates
 from hiltestbed.platform.facilities.tree import HINGE, SLIDE, build_tree
 
-STRIDE = 0.05  # [m], [rad] of a tool between two solutions on the way to a far pose
-MOST_STRIDES = 10_000  # of a path, which are the longer beyond: what reaches so far runs straight, or is not reached
-LEVER = 0.5  # [m] makes a rotation a length: half the height of a docking mechanism
-SLOWEST = 0.02  # [m/s] a direction in which the drives at full speed move the tool less than this is lost
-LOOSEST = 100.0  # ratio of the best direction to the usual past which the drives do not hold the tool, of the usual to the worst likewise
-MECHANISMS = ("active_", "passive_", "mount_", "payload_")  # names of joints that the attached mechanisms have: not the facility's
+STRIDE = 0.05  # [m], [rad] step of a tool between two solutions on the way to a far pose
+MOST_STRIDES = 10_000  # largest number of steps of a path; longer paths, which are linear or out of reach anyway, have longer steps
+LEVER = 0.5  # [m] scales a rotation to a length: half the height of a docking mechanism
+SLOWEST = 0.02  # [m/s] a direction in which the drives at full speed move the tool less than this is singular
+LOOSEST = 100.0  # largest ratio of the fastest direction to the middle one, and of the middle one to the slowest, that is not singular
+MECHANISMS = ("active_", "passive_", "mount_", "payload_")  # prefixes of joints of the attached mechanisms, not of the facility
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 
 
@@ -33,7 +33,7 @@ class Axis:
     """One driven joint.
 
     Attributes:
-        joint: its name in the model. unit: "m" or "rad". low, high: travel [unit], as the joint counts.
+        joint: its name in the model. unit: "m" or "rad". low, high: travel [unit], as joint positions.
         speed [unit/s], acceleration [unit/s^2], force [N or N m]: the drive's limits.
     """
 
@@ -63,8 +63,8 @@ class Kinematics:
         prescribed: Sequence[str] = (),
         home: Array | None = None,
     ) -> None:
-        """Args: locked: joints that stay (a gear's deflection), those of the mechanisms besides. prescribed: driven joints whose value is
-        given (a rail)."""
+        """Args: locked: joints that do not move (a gear's deflection), besides those of the mechanisms. prescribed: driven joints whose
+        values are given (a rail)."""
         locked = [*locked, *(name for j in range(model.njnt) if (name := model.joint(j).name).startswith(MECHANISMS))]
         self.axes, self.tools, self.prescribed = tuple(axes), tuple(tools), tuple(prescribed)
         self.tree = build_tree(model, tools, prescribed, locked)
@@ -104,10 +104,10 @@ class Kinematics:
         return out
 
     def solve(self, poses: Array, held: Array | None = None, start: Array | None = None) -> tuple[Array, float]:
-        """Joint positions ``(nq,)`` that put the tools at ``poses`` (nt, 7) in W, and the residual that is left [m, rad].
+        """Joint positions ``(nq,)`` that put the tools at ``poses`` (nt, 7) in W, and the remaining residual [m, rad].
 
-        Along a straight path from ``start`` (home), prescribed joints running to ``held`` (np,) with it. Where a stretch of the path
-        cannot be reached, the joints are those of the last point that was.
+        Follows a straight path from ``start`` (home), with prescribed joints moving to ``held`` (np,) along with it. If a part of the path
+        cannot be reached, the joints are those of the last point reached.
         """
         q = (self.home if start is None else start).copy()
         goal = np.ascontiguousarray(np.atleast_2d(poses), dtype=float)
@@ -131,12 +131,12 @@ class Kinematics:
         return q, worst
 
     def nearest(self, poses: Array) -> tuple[Array, float]:
-        """Joint positions ``(nq,)`` that bring the tools nearest to ``poses`` (nt, 7), straight from home, and what is left [m, rad]."""
+        """Joint positions ``(nq,)`` that bring the tools closest to ``poses`` (nt, 7), directly from home, and the residual [m, rad]."""
         q = self.home.copy()
         return q, newton(self.tree, q, np.ascontiguousarray(poses, dtype=float), self.held_home, self._work, CLOSE, ITERATIONS)
 
     def inverse(self, poses: Array) -> Array:
-        """Driven joints ``(n, J)`` for tools at ``poses`` (n, nt, 7) or, of one tool, (n, 7), in W. Raises InputError out of reach."""
+        """Driven joints ``(n, J)`` for tools at ``poses`` (n, nt, 7), or (n, 7) for one tool, in W. Raises InputError if out of reach."""
         poses = np.atleast_2d(np.asarray(poses, dtype=float))
         poses = poses[:, None] if poses.ndim == 2 else poses
         out = np.empty((len(poses), len(self.axes)))
@@ -148,7 +148,7 @@ class Kinematics:
         return out
 
     def forward(self, joints: Array, start: Array | None = None) -> Array:
-        """``(n, nt, 7)`` poses of the tools in W for driven joints ``(n, J)``: loops are closed, starting from ``start`` (home)."""
+        """``(n, nt, 7)`` poses of the tools in W for driven joints ``(n, J)``, with loops closed, starting from ``start`` (home)."""
         joints = np.atleast_2d(np.asarray(joints, dtype=float))
         out = np.empty((len(joints), len(self.tools), 7))
         for i, goal in enumerate(joints):
@@ -161,7 +161,7 @@ class Kinematics:
         return out
 
     def closed(self, q: Array) -> Array:
-        """Joint positions ``(nq,)`` near ``q`` (nq,) at which the loops are closed and the driven joints are those of ``q``."""
+        """Joint positions ``(nq,)`` near ``q`` (nq,) with loops closed and the driven joints of ``q``."""
         out = q.copy()
         newton(self._forward, out, np.empty((0, 7)), q[self.q], self._forward_work, CLOSE, ITERATIONS)
         return out
@@ -188,10 +188,10 @@ class Kinematics:
         return (found[1] - found[0]) / (2.0 * h)
 
     def jacobian(self, q: Array) -> tuple[Array, Array]:
-        """Twist of the tools in W per unit rate of the driven joints, ``(6 nt, J)``, and the free motions that no drive holds, ``(nv, f)``.
+        """Twist of the tools in W per unit rate of the driven joints, ``(6 nt, J)``, and free motions that no drive controls, ``(nv, f)``.
 
-        With N the motions that the loops allow (null space of their rows): twists = J N (N_driven)^+; what of N leaves the driven joints
-        still is free.
+        With N the motions that the loops allow (null space of their rows): twists = J N (N_driven)^+; the motions of N without motion of
+        the driven joints are free.
         """
         equations(self.tree, q.copy(), self.poses(q), q[self._held], self._work)
         rows = self._work.rows[:, self.tree.unknown]
@@ -200,23 +200,23 @@ class Kinematics:
         driven = allowed[np.searchsorted(self.tree.unknown, self.v)]
         left = allowed @ _null_space(driven)
         moves = np.linalg.norm(rows[count : count + 6 * len(self.tools)] @ left, axis=0)
-        left = left[:, moves > 1e-9]  # what hangs loose elsewhere is no matter
+        left = left[:, moves > 1e-9]  # only free motions that move the tools matter
         free = np.zeros((len(self.tree.armature), left.shape[1]))
         free[self.tree.unknown] = left
         return rows[count : count + 6 * len(self.tools)] @ allowed @ np.linalg.pinv(driven, rcond=1e-9), free
 
     def allowed(self, q: Array) -> Array:
-        """``(nv, f)`` orthonormal rates of all joints, locked ones included, that keep the loops closed at ``q`` (nq,)."""
+        """``(nv, f)`` orthonormal basis of the rates of all joints, locked ones included, that keep the loops closed at ``q`` (nq,)."""
         equations(self.tree, q.copy(), self.poses(q), q[self._held], self._work)
         count = len(self._work.rows) - 6 * len(self.tools) - len(self._held)
         return _null_space(self._work.rows[:count])
 
     def lost_motion(self, q: Array) -> str | None:
-        """Which motion of the first tool the drives lose, or no longer hold, at the joints ``q``; None where all is well."""
+        """The motion of the first tool that the drives cannot produce, or cannot resist, at the joints ``q``; None if there is none."""
         twists, free = self.jacobian(q)
         if free.shape[1]:
             joint = self._names[int(self._joint_of(int(np.argmax(np.abs(free[:, 0])))))]
-            return f"{joint!r} is neither driven nor held by a loop, so the tool is not held"
+            return f"{joint!r} is neither driven nor constrained by a loop, so the tool can move freely"
         scaled = twists[:6] * np.array([axis.speed for axis in self.axes])
         scaled[3:] *= LEVER
         left, values, _ = np.linalg.svd(scaled)
@@ -226,7 +226,7 @@ class Kinematics:
         if slow:
             return f"no motion {direction(left[:, -1])}"
         if values[0] > LOOSEST * middle:
-            return f"no hold {direction(left[:, 0])}"
+            return f"no stiffness {direction(left[:, 0])}"
         return None
 
     def _joint_of(self, dof: int) -> int:
@@ -234,7 +234,7 @@ class Kinematics:
         return int(np.flatnonzero(starts <= dof)[np.argmax(starts[starts <= dof])])
 
     def complaints(self, poses: Array, held: Array | None = None) -> list[str]:
-        """Why tools at ``poses`` (nt, 7) in W cannot be: out of reach, past a joint's travel, in a singularity. Empty: they can."""
+        """Why tools cannot be at ``poses`` (nt, 7) in W: out of reach, beyond a joint's travel, singular. Empty: they can."""
         poses = np.atleast_2d(poses)
         q, left = self.solve(poses, held)
         if not left < 1e3 * CLOSE:
@@ -244,17 +244,17 @@ class Kinematics:
         return [*found, f"singular: {lost} at {_at(self.poses(q)[0])}"] if lost else found
 
     def past_travel(self, q: Array) -> list[str]:
-        """Which joints, driven or not, are past their travel at the joint positions ``q`` (nq,)."""
+        """The joints, driven or not, that are beyond their travel at the joint positions ``q`` (nq,), as messages."""
         found = []
         for axis, value in zip(self.axes, q[self.q], strict=True):
             if not axis.low <= value <= axis.high:
                 shown, low, high, unit = _shown(axis, value)
-                found.append(f"joint {axis.joint} would stand at {shown:.4g} {unit}; its travel is {low:.4g} to {high:.4g} {unit}")
+                found.append(f"joint {axis.joint} would be at {shown:.4g} {unit}; its travel is {low:.4g} to {high:.4g} {unit}")
         for name, address, low, high, turns in self._passive:
             if not low <= q[address] <= high:
                 scale, unit = (math.degrees(1.0), "deg") if turns else (1.0, "m")
                 found.append(
-                    f"joint {name} would stand at {q[address] * scale:.4g} {unit}; "
+                    f"joint {name} would be at {q[address] * scale:.4g} {unit}; "
                     f"its travel is {low * scale:.4g} to {high * scale:.4g} {unit}"
                 )
         return found
@@ -262,18 +262,16 @@ class Kinematics:
     def _unreached(self, poses: Array, q: Array) -> str:
         reached = self.poses(q)
         t = int(np.argmax(np.linalg.norm(np.atleast_2d(poses)[:, :3] - reached[:, :3], axis=1)))
-        return (
-            f"out of reach: {self.tools[t]} cannot stand at {_at(np.atleast_2d(poses)[t])}; on the way there it gets to {_at(reached[t])}"
-        )
+        return f"out of reach: {self.tools[t]} cannot be at {_at(np.atleast_2d(poses)[t])}; on the way there it gets to {_at(reached[t])}"
 
 
 def _strides(way: float) -> int:
-    """In how many parts a path is gone whose tools or joints move by so much [m], [rad]."""
+    """Number of steps for a path on which tools or joints move by ``way`` [m], [rad]."""
     return max(1, math.ceil(min(way / STRIDE, MOST_STRIDES)))
 
 
 def _ranges(model: mujoco.MjModel, others: set[str]) -> list[tuple[str, int, float, float, bool]]:
-    """Name, address, travel, and whether it turns, of every joint with a travel that is not among the ``others``."""
+    """Name, address, travel, and whether it rotates, of every joint with limited travel that is not among the ``others``."""
     out = []
     for j in range(model.njnt):
         joint, (low, high) = model.joint(j), model.jnt_range[j]
@@ -283,7 +281,7 @@ def _ranges(model: mujoco.MjModel, others: set[str]) -> list[tuple[str, int, flo
 
 
 def _null_space(rows: Array) -> Array:
-    """Orthonormal columns that the rows take to zero."""
+    """Orthonormal columns that span the null space of the rows."""
     if not len(rows):
         return np.eye(rows.shape[1])
     _, values, right = np.linalg.svd(rows)
@@ -298,15 +296,15 @@ def _shown(axis: Axis, value: float) -> tuple[float, float, float, str]:
 
 
 def _at(pose: Array) -> str:
-    """A place in words [m], [deg]."""
+    """A pose in words [m], [deg]."""
     from scipy.spatial.transform import Rotation
 
     turn = Rotation.from_quat(pose[3:7]).as_rotvec(degrees=True)
-    return f"({', '.join(f'{x:.3f}' for x in pose[:3])}) m, turned by ({', '.join(f'{x:.1f}' for x in turn)}) deg"
+    return f"({', '.join(f'{x:.3f}' for x in pose[:3])}) m, rotated by ({', '.join(f'{x:.1f}' for x in turn)}) deg"
 
 
 def direction(twist: Array) -> str:
-    """A direction of motion (6,), rotations scaled to lengths, in words: the axes that make up 95 % of it."""
+    """A direction of motion (6,), rotations scaled to lengths, in words: the axes that contribute 95 % of its square."""
     share = np.asarray(twist, dtype=float) ** 2
     order = np.argsort(-share)
     count = int(np.searchsorted(np.cumsum(share[order]), 0.95 * share.sum())) + 1

@@ -1,7 +1,7 @@
-"""Watch over a facility's joints: what its own electronics watch, whatever the joints are.
+"""Limit monitoring of a facility's joints, as by its own electronics.
 
-Travel, speed, acceleration and force of every driven joint against the limits that the facility states for it, and a command that is
-out of its reach. Quantities are shares of their limits: above 1 a limit is passed.
+Travel, speed, acceleration and force of every driven joint are compared with the limits of the facility, and the command with
+its reach. Quantities are ratios to their limits: above 1 a limit is exceeded.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from hiltestbed.jit import njit
 from hiltestbed.platform.facilities.kinematics import Axis
 
 TRAVEL, SPEED, ACCELERATION, FORCE, REACH = range(5)
-UNREACHED = 1e-6  # [m], [rad] by how much a command may be missed
+UNREACHED = 1e-6  # [m], [rad] largest distance of a command from the reach
 
 
 @njit(cache=True)
 def _watch(h, limits, home, joints, rates, forces, columns, missed, before, ticks, watched, stood, left, shares, which):
-    """limits: (6, J) low, high, speed, acceleration, force, of the joints as they count. stood (n, J), left (n,): ``joints`` and
-    ``missed``, kept. shares, which: (n, 5)."""
+    """limits: (5, J) low and high as joint positions, speed, acceleration, force. stood (n, J), left (n,): stored copies of ``joints``
+    and ``missed``. shares, which: (n, 5)."""
     passed = False
     for i in range(joints.shape[0]):
         shares[i] = 0.0
@@ -50,15 +50,15 @@ def _watch(h, limits, home, joints, rates, forces, columns, missed, before, tick
 
 
 class Watch:
-    """The watch over `n` runs of a facility.
+    """Limit monitoring of `n` runs of a facility.
 
     Attributes:
-        shares: (n, 5) the largest share of its limit of travel, speed, acceleration, force and reach, at this tick. which: (n, 5) of
-            which joint.
+        shares: (n, 5) largest ratio to the limit of travel, speed, acceleration, force and reach, at this tick. which: (n, 5) index of
+            the joint with this ratio.
     """
 
     def __init__(self, axes: Sequence[Axis], home: Array, n: int, tick: float, watched: Array | None = None) -> None:
-        """``watched``: (n, 5) which quantities of a run count; all by default."""
+        """``watched``: (n, 5) which quantities of a run are monitored; all by default."""
         self._watched = np.ones((n, 5)) if watched is None else np.asarray(watched, dtype=float)
         self._axes, self._home, self._tick = tuple(axes), np.asarray(home, dtype=float), tick
         self._limits = np.array([[a.low, a.high, a.speed, a.acceleration, a.force] for a in axes]).T.copy()
@@ -71,14 +71,14 @@ class Watch:
         )  # fmt: skip
 
     def passed(self, joints: Array, rates: Array, forces: Array, missed: Array, columns: NDArray[np.int64] | None = None) -> bool:
-        """Whether a run has passed a limit: ``joints`` from home, ``rates`` and drive ``forces`` (n, J), what the command missed (n,).
+        """Whether a run has exceeded a limit: ``joints`` from home, ``rates`` and drive ``forces`` (n, J), ``missed`` (n,) by the command.
 
-        ``columns``: (J,) where the drives' forces stand in ``forces``; else as they come.
+        ``columns``: (J,) columns of the drives' forces in ``forces``; by default the first J.
         """
         return self._watch.on(joints, rates, forces, self._columns if columns is None else columns, missed)()
 
     def reason(self, i: int) -> str | None:
-        """Which limit run ``i`` has passed, where, and by how much; None when it has passed none."""
+        """The limit that run ``i`` has exceeded, with joint and value; None if it has exceeded none."""
         worst = int(np.argmax(self.shares[i]))
         if not self.shares[i, worst] > 1.0:
             return None
@@ -90,14 +90,14 @@ class Watch:
         share = self.shares[i, worst]
         if worst == TRAVEL:
             value = (self._stood[i, j] + self._home[j]) * turn
-            return f"joint {axis.joint} stands at {value:.4g} {unit}; its travel is {axis.low * turn:.4g} to {axis.high * turn:.4g} {unit}"
+            return f"joint {axis.joint} is at {value:.4g} {unit}; its travel is {axis.low * turn:.4g} to {axis.high * turn:.4g} {unit}"
         if worst == SPEED:
             return f"joint {axis.joint} moves at {share * axis.speed * turn:.4g} {unit}/s; its limit is {axis.speed * turn:.4g} {unit}/s"
         if worst == ACCELERATION:
             top = axis.acceleration * turn
             return f"joint {axis.joint} accelerates at {share * top:.4g} {unit}/s^2; its limit is {top:.4g} {unit}/s^2"
         newton = "N m" if axis.unit == "rad" else "N"
-        return f"the drive of joint {axis.joint} is asked for {share * axis.force:.4g} {newton}; its limit is {axis.force:.4g} {newton}"
+        return f"the drive of joint {axis.joint} exerts {share * axis.force:.4g} {newton}; its limit is {axis.force:.4g} {newton}"
 
     def buffers(self) -> dict[str, NDArray[Any]]:
         return {"shares": self.shares, "which": self.which, "before": self._before, "ticks": self._ticks}

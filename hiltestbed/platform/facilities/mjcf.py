@@ -1,11 +1,11 @@
 """The user's own rig, from an MJCF file.
 
-What the file must hold: a site `mount`, where the active mechanism is attached with its z along the insertion, and position actuators on
-at least six joints that move it. What it may hold: a site `passive`, which carries the passive side (it may move, but is not driven), a
-keyframe `home`, loops closed by equality constraints, actuators of other kinds, which are left alone.
+Required in the file: a site `mount`, where the active mechanism is attached with its z along the insertion, and position actuators on
+at least six joints that move it. Optional: a site `passive`, which carries the passive side (it may move, but is not driven), a
+keyframe `home`, loops closed by equality constraints, actuators of other kinds, which are ignored.
 
-Home is the keyframe, or the model as it is drawn. The rig is set into W so that the mount's home is where every facility has it, or, with
-a site `passive`, so that this site is P; gravity turns with it. Everything else is measured on the model: reach, response, modes.
+Home is the keyframe, or the model's reference configuration. The rig is placed in W so that the mount's home is that of every facility or,
+with a site `passive`, so that this site is P; gravity is rotated with it. Everything else is measured on the model: reach, response, modes.
 """
 
 from __future__ import annotations
@@ -36,11 +36,11 @@ from hiltestbed.platform.facilities.position_actuators import PositionActuators
 from hiltestbed.platform.facilities.tree import compose, inverse_pose, site_pose
 from hiltestbed.platform.shipped.mjcf import MjcfSettings
 
-PREFIX = "rig/"  # of every name of the file in the composed model
+PREFIX = "rig/"  # prefix of all names of the file in the composed model
 PASSIVE = "passive"
 HOME = "home"
-TRIES = 6  # other places at which a motion that is missing at home is looked for
-NEARBY = 0.1  # of the travel, or of a metre or radian: how far those are from home
+TRIES = 6  # other configurations that are tried if home is singular
+NEARBY = 0.1  # their largest distance from home, as a fraction of the travel or, if that is larger, of 2 m or rad
 SCALAR = (int(mujoco.mjtJoint.mjJNT_SLIDE), int(mujoco.mjtJoint.mjJNT_HINGE))
 
 
@@ -78,7 +78,7 @@ class Mjcf(Facility):
         return spec
 
     def _driven(self, own: mujoco.MjModel) -> Iterator[Axis]:
-        """The joints under position actuators, with what the file says of their limits."""
+        """The joints with position actuators, with their limits from the file."""
         for a in range(own.nu):
             if not _is_position_servo(own, a):
                 continue
@@ -113,7 +113,7 @@ class Mjcf(Facility):
         return home, into
 
     def _check_motions(self) -> None:
-        """The drives move the mount in six axes, at home or near it."""
+        """Check that the drives move the mount in six axes, at home or near it. Raises InputError."""
         model = compiled(self.spec())
         kinematics = self.kinematics(model)
         if kinematics.lost_motion(kinematics.home) is None:
@@ -124,7 +124,7 @@ class Mjcf(Facility):
             step = np.array([NEARBY * min(axis.high - axis.low, 2.0) for axis in self._axes])
             q[kinematics.q] += step * rng.uniform(-1.0, 1.0, len(step))
             if kinematics.lost_motion(kinematics.closed(q)) is None:
-                return  # home is singular, but only home: the start is checked by itself
+                return  # only home is singular: the start is checked separately
         others = "" if model.nu == len(self._axes) else "; actuators that are not position servos do not count"
         raise self._fault(
             f"its {len(self._axes)} position actuators do not move {MOUNT!r} in six axes: {found}; "
@@ -168,7 +168,7 @@ class Mjcf(Facility):
         return PositionActuators(model, self.kinematics(model, tool), tick, substeps, cycles, lates, feed)
 
     def response(self, rate: float, feed: bool) -> Response:
-        """Of each joint by itself, kp and kv over what it moves at home; the slowest counts for all axes. Measure for more."""
+        """From kp, kv and effective mass of each joint alone, at home; the slowest joint stands for all axes. Measure the rig for more."""
         model = compiled(self.spec())
         drives = PositionActuators(model, self.kinematics(model), 1.0 / rate, 1, [1], [0], np.array([feed]))
         w, zeta = drives.nominal()
@@ -190,7 +190,7 @@ def _is_position_servo(m: mujoco.MjModel, a: int) -> bool:
 
 
 def _carried(into: Array, value: Array) -> Array:
-    """A joint's position in W: of a free joint the pose moves with the file's world, others stay."""
+    """A joint's position in W: the pose of a free joint moves with the file's world, others do not change."""
     if len(value) != 7:
         return value
     pose = compose(into, np.concatenate([value[:3], value[[4, 5, 6, 3]]]))

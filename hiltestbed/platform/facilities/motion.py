@@ -1,4 +1,4 @@
-"""Places and velocities in a tree, compiled, as MuJoCo's own kinematics have them (``mj_kinematics``, ``mj_comVel``); tools are in W."""
+"""Compiled poses and velocities of a tree, equal to MuJoCo's own (``mj_kinematics``, ``mj_comVel``); tools are in W."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ SPARE = 27
 
 
 class Scratch(NamedTuple):
-    """What depends on the joints, and room to work in; one set serves all runs in turn.
+    """Quantities that depend on the joints, and work space; one set serves all runs in turn.
 
     Attributes:
         poses: (nb, 7) of the bodies in W. axes: (nj, 6) anchor and axis of each joint in W.
-        motion: (nb, 12) velocity and spin of a body, acceleration and its rate of spin, of the body's origin, in W.
-        loads: (nb, 6) force and moment about W's origin; for weights: mass and first moment.
+        motion: (nb, 12) velocity, angular velocity, acceleration and angular acceleration of a body, at its origin, in W.
+        loads: (nb, 6) force and moment about W's origin.
         rows: (r, nv). square: (u, u). right, first, filled: (u,). residual, goal: (r,). step: (nv,). spare: (SPARE,).
     """
 
@@ -46,7 +46,7 @@ def row_count(tree: Tree) -> int:
 
 
 def scratch(tree: Tree) -> Scratch:
-    """Room for one tree."""
+    """Work space for one tree."""
     nb, nj, nv, u, r = len(tree.bodies), len(tree.joints), len(tree.armature), len(tree.unknown), row_count(tree)
     poses = np.zeros((nb, 7))
     poses[:, 6] = 1.0
@@ -58,7 +58,7 @@ def scratch(tree: Tree) -> Scratch:
 
 
 def packed(tree: Tree) -> tuple[Integers, Array, Array]:
-    """A tree and room to work in as three flat arrays: integers, numbers, room. Handing over many arrays costs more than a tick's sums."""
+    """A tree and its work space as three flat arrays: integers, numbers, room. Passing many arrays costs more than a tick's computation."""
     nb, nj, nv, nl = len(tree.bodies), len(tree.joints), len(tree.armature), len(tree.loops)
     sizes = [nb, nj, nv, nl, len(tree.coupled), len(tree.tools), len(tree.prescribed), len(tree.unknown), row_count(tree)]
     integers = [tree.bodies, tree.joints, tree.loops, tree.coupled, tree.tools, tree.prescribed, tree.unknown]
@@ -120,7 +120,7 @@ def unpack(integers, numbers, room):
 
 @njit(cache=True)
 def place(tree, q, w):
-    """Where bodies and joints are at the joint positions ``q`` (nq,)."""
+    """Poses of bodies and axes of joints at the joint positions ``q`` (nq,)."""
     turn, quat, after, r = np.empty(4), np.empty(4), np.empty(4), np.empty(3)
     for b in range(1, tree.bodies.shape[0]):
         p, first, count = tree.bodies[b, 0], tree.bodies[b, 1], tree.bodies[b, 2]
@@ -172,7 +172,7 @@ def place(tree, q, w):
 
 @njit(cache=True)
 def move(tree, v, w):
-    """How the bodies move at the joint rates ``v`` (nv,): velocity and spin in ``w.motion``, from places that are current."""
+    """Velocities of the bodies at the joint rates ``v`` (nv,), linear and angular in ``w.motion``; poses must be current."""
     local = np.empty(3)
     for b in range(1, tree.bodies.shape[0]):
         p, first, count = tree.bodies[b, 0], tree.bodies[b, 1], tree.bodies[b, 2]
@@ -205,7 +205,7 @@ def move(tree, v, w):
 
 @njit(cache=True, inline="always")
 def _carry(at, motion, point, out):
-    """``out``: velocity of the point that moves with a body whose origin ``at`` has ``motion``."""
+    """``out``: velocity of a ``point`` fixed to a body whose origin ``at`` has ``motion``."""
     for i in range(3):
         k, l = (i + 1) % 3, (i + 2) % 3
         out[i] = motion[i] + motion[3 + k] * (point[l] - at[l]) - motion[3 + l] * (point[k] - at[k])
@@ -223,7 +223,7 @@ def tool_pose(tree, w, t, out):
 
 @njit(cache=True)
 def tool_twist(tree, w, t, out):
-    """``out`` (6,): twist of tool ``t`` in W, from places and velocities that are current."""
+    """``out`` (6,): twist of tool ``t`` in W; poses and velocities must be current."""
     b = tree.tools[t]
     point = np.empty(3)
     rotate(w.poses[b, 3:7], tree.tool_frames[t], point)

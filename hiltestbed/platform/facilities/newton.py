@@ -1,9 +1,9 @@
 """Newton's method on a tree with loops, compiled: joints from the poses of the tools, and rates from their twists.
 
-The unknown joints solve, together, the loop closures, the commanded poses of the tools and the prescribed joints: residual r(q) = 0,
-with the Jacobian A of all rows. A step is q <- q - (A^T A + e)^-1 A^T r with e at round-off, which also serves redundant rows (a planar
-linkage closed in space) and redundant joints (a seventh axis moves least). Rates of the joints for given twists of the tools solve the
-same matrix.
+The unknown joints solve the loop closures, the commanded poses of the tools and the prescribed joints simultaneously: residual r(q) = 0,
+with the Jacobian A of all rows. A step is q <- q - (A^T A + e)^-1 A^T r with e at round-off, which also handles redundant rows (a planar
+linkage closed in space) and redundant joints (minimum norm for a seventh axis). Rates of the joints for given twists of the tools are
+solved with the same matrix.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from hiltestbed.jit import njit
 from hiltestbed.platform.facilities.motion import place, tool_pose
 from hiltestbed.platform.facilities.tree import FRAME, FREE, HINGE, SLIDE
 
-DAMPING = 1e-11  # of the largest diagonal term of A^T A
+DAMPING = 1e-11  # e, as a fraction of the largest diagonal term of A^T A
 LONGEST_STEP = 0.2  # [m], [rad] of a joint in one iteration
 CLOSE = 1e-10  # [m], [rad] the largest residual that counts as solved
 ITERATIONS = 40
@@ -90,7 +90,7 @@ def add_turn(tree, w, b, sign, rows, r):
 
 @njit(cache=True)
 def attitude_error(goal, quat, out):
-    """``out`` (3,): rotation vector, in W, that takes the attitude ``goal`` to ``quat`` [rad]."""
+    """``out`` (3,): rotation vector, in W, from the attitude ``goal`` to ``quat`` [rad]."""
     back, q = np.empty(4), np.empty(4)
     for i in range(3):
         back[i] = -goal[i]
@@ -101,7 +101,7 @@ def attitude_error(goal, quat, out):
 
 @njit(cache=True)
 def equations(tree, q, poses, values, w):
-    """Residual and rows at ``q``, for tools at ``poses`` (nt, 7) and prescribed joints at ``values`` (np,); places become current."""
+    """Residual and rows at ``q``, for tools at ``poses`` (nt, 7) and prescribed joints at ``values`` (np,); updates the poses."""
     place(tree, q, w)
     rows, residual = w.rows, w.residual
     rows[:] = 0.0
@@ -133,7 +133,7 @@ def equations(tree, q, poses, values, w):
 
 @njit(cache=True, inline="always")
 def _close_loops(tree, w):
-    """Residual and rows of the loops; returns how many rows they take."""
+    """Residual and rows of the loops; returns the number of rows."""
     ends, turns = w.spare[6:12].reshape((2, 3)), w.spare[12:20].reshape((2, 4))
     r = 0
     for k in range(tree.loops.shape[0]):
@@ -159,8 +159,8 @@ def _close_loops(tree, w):
 def factor(tree, w):
     """Cholesky factor of A^T A over the unknown joints, into ``w.square`` (lower half), within its skyline.
 
-    ``w.first[i]`` is the first column of row i that is not zero: a leg meets its own joints and the platform's alone, and Cholesky's method
-    fills nothing in before it.
+    ``w.first[i]`` is the first nonzero column of row i: a leg is coupled only to its own joints and the platform's, and the Cholesky
+    factor has no fill-in before it.
     """
     u, rows, square, first, filled = tree.unknown.shape[0], w.rows, w.square, w.first, w.filled
     for i in range(u):
@@ -247,9 +247,9 @@ def shift(tree, q, step, scale):
 
 @njit(cache=True)
 def newton(tree, q, poses, values, w, close, most):
-    """Bring ``q`` (nq,) to tools at ``poses`` and prescribed joints at ``values``, in at most ``most`` steps.
+    """Solve for ``q`` (nq,) with tools at ``poses`` and prescribed joints at ``values``, in at most ``most`` steps.
 
-    Returns the largest residual that is left. Rows and their factor are those before the last step, which is then below sqrt(close).
+    Returns the largest remaining residual. Rows and factor are those before the last step, which is below sqrt(close) on convergence.
     """
     worst = math.inf
     for _ in range(most):
@@ -265,9 +265,9 @@ def newton(tree, q, poses, values, w, close, most):
         for d in range(w.step.shape[0]):
             longest = max(longest, abs(w.step[d]))
         shift(tree, q, w.step, -min(1.0, LONGEST_STEP / max(longest, 1e-300)))
-        if longest < close:  # no step brings it nearer: out of reach
+        if longest < close:  # no further progress: out of reach
             break
-        if worst * worst < close and longest * longest < close:  # what is left falls with the square
+        if worst * worst < close and longest * longest < close:  # quadratic convergence: the residual after this step
             worst = longest * longest
             break
     return worst
@@ -275,7 +275,7 @@ def newton(tree, q, poses, values, w, close, most):
 
 @njit(cache=True)
 def rates(tree, w, twists, speeds, out):
-    """``out`` (nv,): joint rates for the tools' ``twists`` (nt, 6) in W and the prescribed joints' ``speeds``, from current factors."""
+    """``out`` (nv,): joint rates for the tools' ``twists`` (nt, 6) in W and the prescribed joints' ``speeds``, from the current factor."""
     r = w.goal.shape[0] - 6 * twists.shape[0] - speeds.shape[0]
     w.goal[:r] = 0.0
     for t in range(twists.shape[0]):
@@ -289,7 +289,7 @@ def rates(tree, w, twists, speeds, out):
 
 @njit(cache=True)
 def ways(tree, w, out):
-    """``out`` (t, nv): joint rates for a unit rate of each task (tools' twists, prescribed joints), from current factors."""
+    """``out`` (t, nv): joint rates for a unit rate of each task (tools' twists, prescribed joints), from the current factor."""
     first = w.goal.shape[0] - out.shape[0]
     for t in range(out.shape[0]):
         w.goal[:] = 0.0

@@ -1,13 +1,13 @@
-"""A platform given by its response alone: a second or third order with a delay, on six axes, without mass or shape.
+"""A platform modelled by its response alone: a second- or third-order system with a delay, on six axes, without mass or geometry.
 
 Each axis follows its command u, the position or the component of the rotation vector, as
 
     order 2   x'' = w^2 (u - x) - 2 zeta w x'
-    order 3   x''' = w^2 (K (u - x) - x') - 2 zeta w x''        (a hydraulic leg: K its gain, w, zeta its oil under its mass)
+    order 3   x''' = w^2 (K (u - x) - x') - 2 zeta w x''        (a hydraulic leg: K its gain, w, zeta the oil with its mass)
 
-u runs linearly over each tick and is late by the delay, any length. Both are advanced exactly for a linear input (matrix exponential of
-the order and its input), so that the result does not depend on how finely a tick is divided. The motion starts at the start pose less
-what the delay holds back, with the approach velocity.
+u is linear over each tick and delayed by any time. Both are advanced exactly for a linear input (matrix exponential of
+the system and its input), so that the result does not depend on the number of substeps. The motion starts at the start pose less the
+distance travelled during the delay, with the approach velocity.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from hiltestbed.platform.facilities.settings import ResponseSettings
 
 
 def nominal(settings: ResponseSettings) -> Response:
-    """What a ledger and a compensation may know of it."""
+    """The nominal response, as used by delay ledger and compensation."""
     band, zeta, gain = (np.array(six(x)) for x in (settings.bandwidth, settings.damping_ratio, settings.gain))
     if settings.order == 3:  # K w^2/(...) lags by 1/K at low frequency
         near = np.sqrt(gain * 2.0 * math.pi * band) / (2.0 * math.pi)
@@ -49,7 +49,7 @@ def six(value: float | Sequence[float]) -> tuple[float, ...]:
 
 
 def advance_matrices(order: int, w: float, zeta: float, gain: float, dt: float) -> Array:
-    """``(3, 5)``: the state (x, x', x'') after ``dt`` [s] from that before (3), the input before, and its rise over the step."""
+    """``(3, 5)``: the state (x, x', x'') after ``dt`` [s] from the state (3) and the input before, and the input's change over the step."""
     from scipy.linalg import expm
 
     a = np.zeros((5, 5))  # state, input, slope of the input
@@ -75,7 +75,7 @@ def _at(ring, axis, when):
 
 @njit(cache=True)
 def _piece(ring, axis, begin, end, e, x, state):
-    """Advance one axis over a piece of time in which the command, late, is linear from ``begin`` to ``end``, both in ticks."""
+    """Advance one axis over an interval in which the delayed command is linear, from ``begin`` to ``end``, both in ticks."""
     before = _at(ring, axis, begin)
     rise = _at(ring, axis, end) - before
     for c in range(3):
@@ -88,10 +88,10 @@ def _piece(ring, axis, begin, end, e, x, state):
 
 @njit(cache=True)
 def _advance(k, pose_cmd, turn_cmd, late, bend, step, ring, state, path, rate):
-    """One tick: the command at t_(k+1) into the ring, then every axis over the m instants of the tick.
+    """One tick: store the command at t_(k+1) in the ring, then advance every axis over the m substeps of the tick.
 
-    bend: (n,) where in the tick the late command passes from one of its lines to the next [ticks]. step: (n, 6, 3, 3, 5) matrices of a
-    whole instant, and of the parts before and after the bend of the instant in which it lies.
+    bend: (n,) time within the tick at which the delayed command passes from one linear piece to the next [ticks]. step: (n, 6, 3, 3, 5)
+    matrices of a whole substep, and of the parts before and after the bend of the substep that contains it.
     """
     m = path.shape[1]
     r, x = np.empty(3), np.empty(3)
@@ -117,12 +117,12 @@ def _advance(k, pose_cmd, turn_cmd, late, bend, step, ring, state, path, rate):
 
 
 class ResponsePath:
-    """Platforms of `n` runs that are a response alone.
+    """Platforms of `n` runs modelled by their response alone.
 
     Attributes:
         path: (n, m, 7) pose of A in P at the m instants of the tick, the last of which is t_(k+1). rate: (n, m, 6) its velocity, and
             the rate of its rotation vector.
-        state: (n, 6, 3) of each axis. ring: (n, slots, 6) commands, that reached at t_j in slot j modulo their number.
+        state: (n, 6, 3) of each axis. ring: (n, slots, 6) commands; that for t_j is in slot j modulo their number.
     """
 
     def __init__(self, settings: Sequence[ResponseSettings], tick: float, substeps: int) -> None:
@@ -135,18 +135,18 @@ class ResponsePath:
         self._bend = self._late - np.floor(self._late)
         self._step = np.zeros((n, 6, 3, 3, 5))
         for i, s in enumerate(settings):
-            before = math.modf(self._bend[i] * substeps)[0] / substeps  # of the instant in which the bend lies
+            before = math.modf(self._bend[i] * substeps)[0] / substeps  # part before the bend of the substep that contains it
             parts = (1.0 / substeps, before, 1.0 / substeps - before)
             for axis, (band, zeta, gain) in enumerate(zip(six(s.bandwidth), six(s.damping_ratio), six(s.gain), strict=True)):
                 for part, share in enumerate(parts):
                     if share > 0.0:
                         self._step[i, axis, part] = advance_matrices(s.order, 2.0 * math.pi * band, zeta, gain, tick * share)
-                    else:  # nothing goes by
+                    else:  # no time passes
                         self._step[i, axis, part, :, :3] = np.eye(3)
         self._ticks = np.zeros(1, dtype=np.int64)
 
     def begin(self, pose: Array, twist: Array) -> None:
-        """Start at ``pose`` (n, 7), less what the delay holds back, on a uniform motion with ``twist`` (n, 6)."""
+        """Start a uniform motion with ``twist`` (n, 6) at ``pose`` (n, 7) less the distance travelled during the delay."""
         self._ticks[0] = 0
         start = np.hstack([pose[:, :3], rotation_vectors(pose[:, 3:])])
         slots = self.ring.shape[1]
@@ -156,7 +156,7 @@ class ResponsePath:
         self.state[:, :, 1], self.state[:, :, 2] = twist, 0.0
 
     def advance(self, pose_cmd: Array) -> Array:
-        """The path (n, m, 7) over the tick whose command (n, 7) is to be reached at its end."""
+        """The path (n, m, 7) over the tick for whose end ``pose_cmd`` (n, 7) is commanded."""
         turn = rotation_vectors(pose_cmd[:, 3:])
         _advance(int(self._ticks[0]), pose_cmd, turn, self._late, self._bend, self._step, self.ring, self.state, self.path, self.rate)
         self._ticks[0] += 1

@@ -1,4 +1,4 @@
-"""A facility as the plant steps it: its composed model, and drives or bodies behind the calls that the plant makes of any rig."""
+"""A facility as stepped by the plant: its composed model, and its drives or bodies with the interface that the plant uses for any rig."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 class Mover(Protocol):
-    """What :class:`Drives` and :class:`Bodies` have in common."""
+    """The common interface of :class:`Drives` and :class:`Bodies`."""
 
     pose: Array
     twist: Array
@@ -42,9 +42,9 @@ class FacilityRig:
     """The rigs of `n` runs on one facility.
 
     Attributes:
-        model: as it is stepped. keeps_history: whether the sensor's readings within a tick stand in MuJoCo's history.
-        moves_passive: see :class:`Facility`. load: what the sensor carries where its passive side moves. target: (n, J) what the driven
-        joints were to be at t_k, from home. units: (J,) of them. watch: over their limits.
+        model: as it is stepped. keeps_history: whether the sensor's readings within a tick are in MuJoCo's history.
+        moves_passive: see :class:`Facility`. load: compensation of the sensor's load if the passive side moves. target: (n, J) commanded
+            positions of the driven joints at t_k, from home. units: (J,) of them. watch: monitor of their limits.
     """
 
     keeps_history = False
@@ -85,7 +85,7 @@ class FacilityRig:
         return self
 
     def tare(self, contacts: Contacts, reading: Array, columns: slice) -> Array:
-        """``(n, 6)`` the sensor's reading at rest; where it moves, its load is taken out of every reading instead."""
+        """``(n, 6)`` the sensor's reading at rest; zero if the sensor moves, whose load is then subtracted from every reading instead."""
         if self.moves_passive:
             return np.zeros_like(reading)
         mount = contacts.mount
@@ -97,31 +97,31 @@ class FacilityRig:
         )
 
     def settle(self, pose: Array, twist: Array, qpos: Array, qvel: Array) -> None:
-        """Put joints and drives into the uniform motion through ``pose`` (n, 7) with ``twist`` (n, 6)."""
+        """Initialise joints and drives in the uniform motion through ``pose`` (n, 7) with ``twist`` (n, 6)."""
         qpos[:] = self.mover.kinematics.home
         self.mover.settle(pose, twist, qpos, qvel)
 
     def aim(self, pose_cmd: Array, twist_cmd: Array, accel_cmd: Array) -> None:
-        """Plan one tick, at whose end ``pose_cmd`` (n, 7) is to be reached; bodies are not told anything."""
+        """Plan one tick, at whose end ``pose_cmd`` (n, 7) is to be reached; freely moving bodies have no command."""
         if self._drives is not None:
             self._drives.aim(pose_cmd, twist_cmd, accel_cmd)
 
     def push(self, sub: int, qpos: Array, qvel: Array, ctrl: Array) -> None:
-        """The inputs for step ``sub`` of the tick."""
+        """Write the inputs for step ``sub`` of the tick."""
         if self._drives is not None:
             self._drives.push(sub, qpos, qvel, ctrl)
         else:
             self._bodies.push(qpos, qvel, self._applied)
 
     def arrive(self) -> None:
-        """The tick is over."""
+        """Complete the tick."""
         if self._drives is not None:
             self._drives.arrive()
 
     def observe(
         self, qpos: Array, qvel: Array, limit: float, pose: Array, twist: Array, joints: Array, diverged: NDArray[np.bool_]
     ) -> bool:
-        """Read relative pose and twist, and the driven joints; True where a run has just left ``limit``, which ``diverged`` names."""
+        """Read relative pose, twist and driven joints; returns whether a run just exceeded ``limit``, and marks it in ``diverged``."""
         lost = self.mover.observe(qpos, qvel, limit, diverged)
         if self.mover.pose is not pose:
             pose[:], twist[:] = self.mover.pose, self.mover.twist
@@ -132,19 +132,19 @@ class FacilityRig:
     def observing(
         self, qpos: Array, qvel: Array, limit: float, shown: tuple[Array, Array, Array], diverged: NDArray[np.bool_]
     ) -> Callable[[], bool] | None:
-        """:meth:`observe` of arrays that stay, those of :meth:`shown`; None where drives see to it in a way of their own."""
+        """:meth:`observe` bound to reused arrays, those of :meth:`shown`; None for drives that override it."""
         mover, whole = self.mover, Bodies if self._drives is None else Drives
         if type(mover).observe is not whole.observe or shown[0] is not mover.pose:
             return None
         return mover.observing(qpos, qvel, limit, diverged)
 
     def shown(self) -> tuple[Array, Array, Array]:
-        """The arrays that :meth:`observe` is given: poses (n, 7), twists (n, 6) and driven joints (n, J) where they are read anyway."""
+        """The arrays that :meth:`observe` fills: poses (n, 7), twists (n, 6) and driven joints (n, J), those of drives or bodies."""
         joints = self.target[:, :0] if self._drives is None else self._drives.joints
         return self.mover.pose, self.mover.twist, joints
 
     def passed(self) -> bool:
-        """Whether a run has passed a limit of its joints at this tick."""
+        """Whether a run has exceeded a limit of its joints at this tick."""
         if self.watch is None or self._drives is None:
             return False
         d = self._drives
@@ -152,7 +152,7 @@ class FacilityRig:
 
 
 class FacilityFollower:
-    """The joints of `n` runs on a facility that follows exactly.
+    """The joints of `n` runs on a facility under exact tracking.
 
     Attributes:
         units: (J,) of the driven joints. qpos: (n, nq) all joints of the model.

@@ -1,7 +1,7 @@
-"""A six-axis industrial arm under the active side, at the flange of which the docking mechanism stands.
+"""A six-axis industrial arm that carries the active docking mechanism on its flange.
 
-Commands go to the controller at its own rate, are interpolated there, and take effect whole cycles later; joints are motor, elastic gear
-and link with friction (:mod:`hiltestbed.platform.facilities.elastic_joint`).
+Commands go to the controller at its own rate, are interpolated there, and take effect whole cycles later; each joint has a motor, an
+elastic gear, a link and friction (:mod:`hiltestbed.platform.facilities.elastic_joint`).
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ TRAVEL_DEG = ((-185, 185), (-140, -5), (-120, 155), (-350, 350), (-125, 125), (-
 SPEED_DEG = (123, 115, 112, 179, 172, 219)  # [deg/s]
 TORQUE = (15e3, 20e3, 12e3, 3e3, 3e3, 1.8e3)  # [N m]
 ACCELERATION = (5.0, 5.0, 6.0, 10.0, 10.0, 12.0)  # [rad/s^2]
-FRICTION_SHARE = (1.0, 1.2, 0.8, 0.2, 0.2, 0.12)  # of the first axis' friction: as their torques
+FRICTION_SHARE = (1.0, 1.2, 0.8, 0.2, 0.2, 0.12)  # friction relative to the first axis, in the ratio of the torques
 PRESLIDING = 3.0e6  # [N m/rad] of the motor's bearings and seals, at the joint
 
 
@@ -42,7 +42,7 @@ def arm_axes(prefix: str = "") -> tuple[Axis, ...]:
 
 
 def pose_arm(spec: mujoco.MjSpec, angles: Array) -> None:
-    """Draw an arm's specification with its motors at ``angles`` (6,) [rad]: these become its home."""
+    """Set the reference configuration of an arm's specification, its home, to the motor angles ``angles`` (6,) [rad]."""
     for j, angle in enumerate(angles):
         joint, rotor = spec.joint(f"a{j + 1}"), spec.body(f"rotor_{j + 1}")
         half = 0.5 * float(angle)
@@ -53,7 +53,7 @@ def pose_arm(spec: mujoco.MjSpec, angles: Array) -> None:
 def arm_rubbing(
     model: mujoco.MjModel, settings: Sequence[Any], axes: Sequence[Axis], step: float, share: Sequence[float]
 ) -> Rubbing | None:
-    """Friction of the motors of every run, where one has any; ``share`` (J,) of the first axis' torque."""
+    """Friction of the motors of every run, None if no run has any; ``share`` (J,) relative to the first axis."""
     numbers = [per_run(settings, f"controller.friction.{name}")[:, None] for name in ("coulomb", "stiction", "stribeck_speed", "viscous")]
     if not (numbers[0].any() or numbers[1].any() or numbers[3].any()):
         return None
@@ -99,7 +99,7 @@ class SerialArm(Facility):
         )  # fmt: skip
 
     def response(self, rate: float, feed: bool) -> Response:
-        """The motors' second order; what the gears add at low frequency is (w/w_gear)^2 and no delay."""
+        """The second-order response of the motors; at low frequency the gears add (w/w_gear)^2 and no delay."""
         controller = self.settings.controller
         return Response((controller.bandwidth,) * 6, (controller.damping_ratio,) * 6, self.settings.command.lag(rate), followed=feed)
 

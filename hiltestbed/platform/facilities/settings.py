@@ -1,6 +1,6 @@
-"""What a scenario says of a facility: every number of a drive as a key with unit, default and source. It needs pydantic alone.
+"""Settings of a facility in a scenario: every parameter of a drive as a key with unit, default and source. Needs only pydantic.
 
-A source in brackets, [recalled], is an order of magnitude from memory, not a figure that was looked up.
+The source [recalled] marks an order of magnitude from memory, not a figure that was looked up.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ SixPositive = Annotated[tuple[Positive, ...], Strict(False), Field(min_length=6,
 
 
 class CommandPath(Strictly):
-    """How commands reach a facility's drives."""
+    """Path of commands to a facility's drives."""
 
     controller_rate: Positive | None = Field(
-        default=None, description="Rate of the facility's own controller [Hz], which interpolates in between; null: that of the loop"
+        default=None, description="Rate of the facility's own controller [Hz], which interpolates between commands; null: the loop's rate"
     )
     delay_cycles: Annotated[int, Field(ge=0, le=200)] = Field(
-        default=0, description="Whole cycles for which the controller holds a command back [-]"
+        default=0, description="Delay of commands in the controller, in whole cycles [-]"
     )
 
     def cycle(self, rate: float) -> int:
@@ -38,11 +38,11 @@ class CommandPath(Strictly):
         return 1 if self.controller_rate is None else max(1, round(rate / self.controller_rate))
 
     def lag(self, rate: float) -> float:
-        """How late the controller is [s]: a pose meant for the end of its tick arrives at the end of a cycle that begins later."""
+        """Lag of the controller [s]: a pose commanded for the end of a tick is reached at the end of a later cycle."""
         return (self.cycle(rate) * (self.delay_cycles + 1) - 1) / rate
 
     def problems(self, rate: float) -> Iterator[tuple[tuple[str | int, ...], str]]:
-        """A controller's cycle is a whole number of ticks."""
+        """Check that the controller's cycle is a whole number of ticks."""
         if self.controller_rate is None:
             return
         ratio = rate / self.controller_rate
@@ -50,22 +50,22 @@ class CommandPath(Strictly):
             near = rate / max(1, round(ratio))
             yield (
                 ("controller_rate",),
-                f"does not divide the loop's rate (got {self.controller_rate:g} Hz in a loop of {rate:g} Hz = {ratio:g} passes a cycle); "
-                f"allowed is the rate over a whole number, such as {near:g}",
+                f"does not divide the loop's rate (got {self.controller_rate:g} Hz in a loop of {rate:g} Hz = {ratio:g} ticks per cycle); "
+                f"allowed is the loop's rate divided by a whole number, such as {near:g}",
             )
 
 
 class Friction(Strictly):
-    """Dry friction of a drive; all zero: none."""
+    """Friction of a drive; all zero: none."""
 
     coulomb: NotNegative = Field(description="Sliding friction [N, N m]")
     stiction: NotNegative = Field(description="Break-away friction [N, N m], at least coulomb")
-    stribeck_speed: Positive = Field(description="Speed at which the break-away excess has fallen to 1/e [m/s, rad/s]")
+    stribeck_speed: Positive = Field(description="Speed at which the excess of the break-away friction has fallen to 1/e [m/s, rad/s]")
     viscous: NotNegative = Field(description="Viscous friction [N s/m, N m s/rad]")
 
 
 class ResponseSettings(Strictly):
-    """A response of each axis in place of simulated drives."""
+    """A response of each axis instead of simulated drives."""
 
     order: Literal[2, 3] = Field(default=2, description="Order of each axis [-]")
     bandwidth: Positive | SixPositive = Field(default=20.0, description="Natural frequency [Hz] of all axes or x, y, z, rx, ry, rz")
@@ -75,33 +75,31 @@ class ResponseSettings(Strictly):
 
     def idle(self, scenario: Scenario) -> Iterator[Problem]:
         if self.order == 2:
-            yield ("gain",), "the response's order is 2, which has none; take order 3"
+            yield ("gain",), "the response's order is 2, which has no gain; take order 3"
 
 
 class Driven(Platform):
-    """A platform of this package that is told where to go."""
+    """A platform of this package that follows commands."""
 
     PARTS: ClassVar[tuple[str, ...]] = ("docstring", "build")
 
     tracking: Literal["servo", "response", "ideal"] = Field(
         default="servo",
-        description="How it follows. servo: its dynamics under its drives; response: a second or third order with a delay in their place; "
+        description="Tracking. servo: dynamics with simulated drives; response: a second- or third-order response with a delay instead; "
         "ideal: the pose reaches the command exactly, one tick later",
     )
-    response: ResponseSettings = Field(
-        default=ResponseSettings(), description="What it answers to its command; with tracking response alone"
-    )
+    response: ResponseSettings = Field(default=ResponseSettings(), description="Response to the command; only with tracking response")
 
     @placeholder
     def build(self) -> Facility:
-        """The facility that these settings describe. Raises InputError for a model of the user's own that does not do."""
+        """The facility that these settings describe. Raises InputError for an unsuitable model of the user."""
         raise NotImplementedError
 
     def facility(self) -> Facility:
         return _built(self, self.stamp())  # type: ignore[arg-type]  # frozen, thus hashable
 
     def stamp(self) -> Hashable:
-        """What of a model may change while its settings stay: nothing of a shipped one."""
+        """State of the model's file, which may change while the settings stay the same; None for a shipped model."""
         return None
 
 
@@ -111,7 +109,7 @@ def _built(settings: Driven, stamp: Hashable) -> Facility:
 
 
 class Physical(Platform):
-    """A hall in which bodies move by themselves."""
+    """A hall in which the bodies move freely."""
 
     PARTS: ClassVar[tuple[str, ...]] = ("docstring", "build")
     physical: ClassVar[bool] = True

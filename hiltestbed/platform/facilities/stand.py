@@ -1,6 +1,6 @@
-"""A facility alone, with a payload on its mount: `n` of them in lockstep, for measurements.
+"""A facility alone, with a payload on its mount: `n` copies in lockstep, for measurements.
 
-What the closed loop's plant does in a tick, without contact: aim, push and step, observe. A wrench may act on the payload.
+A tick is that of the closed loop's plant without contact: aim, push and step, observe. A wrench may act on the payload.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ LIMIT = 1e3  # [m/s], [rad/s] a joint faster than this has diverged
 
 @njit(cache=True)
 def _apply(wrench, body, place, centre, applied):
-    """Put the wrench (n, 6) at A, in W, on the payload's body, whose centre of mass is at ``centre`` (3,) from A, in A."""
+    """Apply the wrench (n, 6) at A, in W, to the payload's body, whose centre of mass is at ``centre`` (3,) from A, in A."""
     r = np.empty(3)
     for i in range(wrench.shape[0]):
         _turned(place[i, 3:7], centre, r)
@@ -51,7 +51,7 @@ class Stand:
     """`n` facilities with a payload.
 
     Attributes:
-        drives: their drives. pose, twist: those of A relative to P, in P, at t_k. diverged: (n,) which runs have.
+        drives: their drives. pose, twist: those of A relative to P, in P, at t_k. diverged: (n,) which runs have diverged.
     """
 
     def __init__(
@@ -66,7 +66,7 @@ class Stand:
         mechanism: Mechanism | None = None,
         threads: int = 0,
     ) -> None:
-        """Args: settings: one a run, the facility's own by default. mechanism: both sides of it; left out: the bumper's active one."""
+        """Args: settings: one per run, by default the facility's own. mechanism: both sides are mounted; None: the bumper's active one."""
         self.facility, self.tick, self.substeps = facility, 1.0 / rate, substeps
         tool = TOOL
         if mechanism is None:
@@ -93,7 +93,7 @@ class Stand:
         self.pose, self.twist = self.drives.pose, self.drives.twist
 
     def reset(self, pose: Array, twist: Array) -> None:
-        """Start in the uniform motion with ``twist`` (n, 6) that is commanded to be at ``pose`` (n, 7)."""
+        """Start in a uniform motion with ``twist`` (n, 6) whose command is at ``pose`` (n, 7)."""
         self.batch.reset(stage=0)
         self.diverged[:] = False
         self.wrench[:] = 0.0
@@ -114,6 +114,6 @@ class Stand:
         self.drives.observe(self.qpos, self.qvel, LIMIT, self.diverged)
 
     def bare_steps(self, count: int) -> None:
-        """``count`` steps with the inputs as they are."""
+        """``count`` steps with unchanged inputs."""
         for _ in range(count):
             self.batch.step()

@@ -1,8 +1,8 @@
 """The Stewart platform: six legs, each a universal joint on the floor, an extensible leg, a spherical joint at the platform.
 
-Two drives: hydraulic cylinders (:mod:`hiltestbed.platform.facilities.hydraulic`), as most docking simulators of this kind have, or
-electric ones (:mod:`hiltestbed.platform.facilities.force_servo`). The reference for the hydraulic one is what Harbin reports for theirs: at
-10 Hz at most 2 dB and 70 degrees.
+Two kinds of drives: hydraulic cylinders (:mod:`hiltestbed.platform.facilities.hydraulic`), as in most docking simulators of this type, or
+electric ones (:mod:`hiltestbed.platform.facilities.force_servo`). The reference for the hydraulic one is the response reported for the
+simulator in Harbin: at most 2 dB and 70 degrees at 10 Hz.
 """
 
 from __future__ import annotations
@@ -82,11 +82,11 @@ class Stewart(Facility):
         return hydraulic.Hydraulic(model, kinematics, tick, substeps, cycles, lates, feed, numbers=numbers, valves=valves, rubbing=rubbing)
 
     def _least(self, model: mujoco.MjModel) -> float:
-        """The least that a leg moves [kg]: its rod and its drive."""
+        """Smallest mass that a leg moves [kg]: its rod and its drive."""
         return float(model.body("rod_0").mass[0] + model.dof_armature[model.joint("leg_0").dofadr[0]])
 
     def response(self, rate: float, feed: bool) -> Response:
-        """At low frequency the third order lags by 1/K; its resonance is that of the oil under the whole platform, axis by axis."""
+        """At low frequency the third-order system lags by 1/K; its resonance is that of the oil with the whole platform, axis by axis."""
         drive = self.settings.drive
         delay = self.settings.command.lag(rate)
         if drive.kind == "electric":
@@ -99,7 +99,7 @@ class Stewart(Facility):
 
 
 def cylinder_numbers(drive: HydraulicDrive, step: float) -> Array:
-    """``(NUMBERS,)`` of a leg, as :mod:`hiltestbed.platform.facilities.hydraulic` counts them."""
+    """``(NUMBERS,)`` parameters of a leg, in the order of :mod:`hiltestbed.platform.facilities.hydraulic`."""
     out = np.empty(hydraulic.NUMBERS)
     out[hydraulic.AREA], out[hydraulic.SUPPLY], out[hydraulic.FLOW] = drive.area, drive.supply, drive.valve.flow
     out[hydraulic.MODULUS], out[hydraulic.DEAD], out[hydraulic.STROKE] = drive.bulk_modulus, drive.dead_volume, STROKE
@@ -110,14 +110,14 @@ def cylinder_numbers(drive: HydraulicDrive, step: float) -> Array:
 
 
 def oil_stiffness(drive: HydraulicDrive, leg: float = 0.0) -> float:
-    """Spring of the oil in a leg that stands ``leg`` [m] from home, its valve shut [N/m]."""
+    """Stiffness of the oil in a leg ``leg`` [m] from home, with its valve shut [N/m]."""
     half = 0.5 * STROKE
     volumes = (drive.dead_volume + drive.area * (half + leg), drive.dead_volume + drive.area * (half - leg))
     return drive.bulk_modulus * drive.area**2 * sum(1.0 / volume for volume in volumes)
 
 
 def oil_modes(drive: HydraulicDrive, facility: Stewart) -> tuple[float, ...]:
-    """Natural frequency [rad/s] of the oil under the bare platform, for each axis by itself: sqrt(k/m) of its own stiffness and mass."""
+    """Natural frequency [rad/s] of the oil with the bare platform, for each axis alone: sqrt(k/m) of its own stiffness and mass."""
     model = compiled(facility.spec())
     kinematics = facility.kinematics(model)
     twists, _ = kinematics.jacobian(kinematics.home)
@@ -127,7 +127,7 @@ def oil_modes(drive: HydraulicDrive, facility: Stewart) -> tuple[float, ...]:
 
 
 def _rubbing(settings: Sequence[Any], axes: NDArray, inputs: NDArray, step: float, moved: float) -> Rubbing | None:
-    """Friction of the legs, where a run has any."""
+    """Friction of the legs; None if no run has any."""
     names = ("coulomb", "stiction", "stribeck_speed", "viscous")
     slide, stick, speed, viscous = (np.tile(per_run(settings, f"drive.friction.{name}")[:, None], (1, 6)) for name in names)
     if not (slide.any() or stick.any() or viscous.any()):

@@ -1,13 +1,13 @@
-"""Two articles on cables: each hangs in a gimbal at its centre of mass, from a pivot in the roof, and a winch holds its weight.
+"""Two articles on cables: each hangs in a gimbal at its centre of mass, from a pivot in the roof, and a winch supports its weight.
 
-What a cable adds to free flight: it pulls back (a pendulum), it has mass, its winch follows the article with friction, inertia and a
-servo that holds the tension not quite, and the gimbal misses the centre of mass. With m the hung mass, m_c the cable's, L from the pivot to
-the gimbal, the small swing has
+Disturbances compared with free flight: a cable pulls back (a pendulum) and has mass, its winch follows the article with friction, inertia
+and an imperfect tension servo, and the gimbal is not exactly at the centre of mass. With m the suspended mass, m_c the cable's, L from the
+pivot to the gimbal, the small swing has
 
     w^2 = (g/L) (1 + m_c/(2 m))/(1 + m_c/(3 m))
 
-since the article does not turn with the cable. The tension is T' = w_t (T_0 - T) with T_0 the weight; the winch takes T from the vertical
-and adds its own mass and friction to it.
+since the article does not rotate with the cable. The tension follows T' = w_t (T_0 - T) with T_0 the weight; the winch applies T along the
+cable and adds its own inertia and friction.
 """
 
 from __future__ import annotations
@@ -29,16 +29,19 @@ from hiltestbed.platform.facilities.facility import MOUNT, per_run
 from hiltestbed.platform.friction import drag
 from hiltestbed.platform.shipped.suspension import SuspensionSettings
 
-PRESLIDING = 2.0e5  # [N/m] of a winch before it breaks away
+PRESLIDING = 2.0e5  # [N/m] stiffness of a winch before break-away
 STRIBECK_SPEED = 0.002  # [m/s]
-BREAKAWAY = 1.3  # of the sliding friction
+BREAKAWAY = 1.3  # ratio of break-away to sliding friction
 HOOK = 2.0  # [kg] gimbal and hook, in models/suspension
 THIN = 0.012  # [m] radius of the cable
 
 
 @njit(cache=True)
 def _push(numbers, rub, dt, hung, dofs, swings, tension, bristles, qvel, applied):
-    """numbers: (n, 3) swing damping, share of a step of the tension servo, tension error. rub: (n, 7). dofs (2,), swings (2, 2)."""
+    """numbers: (n, 3) swing damping, low-pass coefficient per step of the tension servo, tension error. rub: (n, 7) friction.
+
+    dofs (2,): of the winches. swings (2, 2): of the cables' pivots.
+    """
     for i in range(qvel.shape[0]):
         for b in range(dofs.shape[0]):
             goal = hung[b] * GRAVITY * (1.0 + numbers[i, 2])
@@ -52,7 +55,7 @@ class Hung(Bodies):
     """Articles of `n` runs on their cables.
 
     Attributes:
-        tension: (n, b) of each cable [N]. bristles: (n, b, 1) of its winch [m].
+        tension: (n, b) of each cable [N]. bristles: (n, b, 1) deflection of its winch's bristle [m].
     """
 
     def __init__(self, model: mujoco.MjModel, facility: Suspension, settings: Sequence[Any], step: float, tool: str) -> None:
@@ -93,7 +96,7 @@ class Suspension(PhysicalFacility):
     settings: SuspensionSettings
 
     def hangs(self, side: str) -> bool:
-        """Whether an article moves."""
+        """Whether an article can move."""
         return side == "chaser" or self.settings.target == "free"
 
     def spec(self) -> mujoco.MjSpec:
@@ -101,7 +104,7 @@ class Suspension(PhysicalFacility):
         half = 0.5 * s.length
         for side in SIDES:
             place = self.place_of(side)
-            up = np.array([0.0, s.gimbal_offset, 0.0])  # the gimbal over the centre of mass, upright as it hangs at home
+            up = np.array([0.0, s.gimbal_offset, 0.0])  # from the centre of mass to the gimbal, in W, at home
             spec.body(f"{side}_pivot").pos = place[:3] + up + [0.0, s.length, 0.0]
             cable = spec.body(f"{side}_cable")
             thick = max(s.cable_mass, 1e-6)
@@ -141,6 +144,6 @@ def _in_body(vector: Array, place: Array) -> Array:
 
 
 def swing_frequency(settings: SuspensionSettings, mass: float) -> float:
-    """Small swing of a hung mass [kg], gimbal and hook included [rad/s]: the closed form above."""
+    """Small-swing frequency [rad/s] of a suspended mass [kg], gimbal and hook included: the closed form of the module docstring."""
     ratio = settings.cable_mass / mass
     return math.sqrt(GRAVITY / settings.length * (1.0 + 0.5 * ratio) / (1.0 + ratio / 3.0))

@@ -1,8 +1,8 @@
 """The kinematic tree of a compiled MuJoCo model, loop closures included, as arrays for compiled code.
 
-Only what moves is kept: bodies, joints, the equality constraints that close loops (``connect``, ``weld``, ``joint``), and the tools,
-sites whose pose is commanded. Quaternions are x, y, z, w here; MuJoCo's w-first ones are converted on the way in. A tree is constant
-and shared by all runs; what depends on the joints is in :class:`hiltestbed.platform.facilities.motion.Scratch`.
+It contains bodies, joints, the equality constraints that close loops (``connect``, ``weld``, ``joint``), and the tools,
+sites whose pose is commanded. Quaternions are x, y, z, w here; MuJoCo's w-first ones are converted on input. A tree is constant
+and shared by all runs; quantities that depend on the joints are in :class:`hiltestbed.platform.facilities.motion.Scratch`.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ class Tree(NamedTuple):
 
     Attributes:
         bodies: (nb, 3) parent, first joint, number of joints. frames: (nb, 7) pose of a body in its parent, joints at their reference.
-        masses: (nb, 14) mass [kg], centre of mass (3) [m] and inertia about it (9) [kg m^2], in the body's frame, and the part of its
-            weight that a counterweight bears (MuJoCo's gravcomp).
-        joints: (nj, 4) type, body, address of its position, of its rate. axes: (nj, 7) place (3) [m] and axis (3) in its body, reference.
+        masses: (nb, 14) mass [kg], centre of mass (3) [m] and inertia about it (9) [kg m^2], in the body's frame, and the fraction of its
+            weight that a counterweight supports (MuJoCo's gravcomp).
+        joints: (nj, 4) type, body, address of its position, of its rate. axes: (nj, 7) anchor (3) [m] and axis (3) in its body, reference.
         armature: (nv,) [kg, kg m^2].
         loops: (nl, 3) POINT or FRAME, the two bodies. loop_frames: (nl, 2, 7) what coincides, in its body.
         coupled: (ne, 2) joints of which the first is a polynomial of the second (-1: constant). polynomial: (ne, 5).
         tools: (nt,) bodies. tool_frames: (nt, 7) pose of each tool in its body.
-        prescribed: (np,) joints whose value is given. unknown: (u,) degrees of freedom that are solved for; the others stay.
+        prescribed: (np,) joints whose value is given. unknown: (u,) degrees of freedom that are solved for; the others are constant.
     """
 
     bodies: Integers
@@ -54,7 +54,7 @@ class Tree(NamedTuple):
     unknown: Integers
 
     def towards_tools(self) -> Tree:
-        """What places and velocities of the tools depend on when all joints are known: the bodies between them and the world."""
+        """The subtree that determines poses and velocities of the tools for known joints: the bodies between them and the world."""
         kept = {0}
         for b in map(int, self.tools):
             while b > 0:
@@ -156,7 +156,7 @@ def _welded(data: Array) -> Array:
 
 
 def site_pose(m: mujoco.MjModel, data: mujoco.MjData, name: str) -> Array:
-    """``(7,)`` pose of a site in MuJoCo's world, from kinematics that are computed already."""
+    """``(7,)`` pose of a site in MuJoCo's world; its kinematics must have been computed."""
     quat = np.empty(4)
     mujoco.mju_mat2Quat(quat, data.site(name).xmat)
     return np.concatenate([data.site(name).xpos, quat_from_mujoco(quat)])

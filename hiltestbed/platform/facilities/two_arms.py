@@ -1,15 +1,15 @@
-"""Two industrial arms that face each other, one of them on a rail, as at EPOS: the passive side moves too.
+"""Two industrial arms facing each other, one of them on a rail, as at EPOS: the passive side moves too.
 
-Insertion is level here: W's z along the rail, y up, gravity along -y. The active arm stands, the passive one rides on the rail and
-carries force sensor and passive mechanism.
+Insertion is horizontal here: W's z along the rail, y up, gravity along -y. The base of the active arm is fixed, the passive arm moves on
+the rail and carries force sensor and passive mechanism.
 
-How the relative pose (p, R = exp(r)) is shared out, with s the passive side's share:
+Allocation of the relative pose (p, R = exp(r)) to the two sides, with s the passive side's share:
 
-    rail     far(g), g = -p_z: 0 up to HOLD, then growing, from CLEAR on with slope 1: in contact it stands still
+    rail     far(g), g = -p_z: 0 up to HOLD, then growing, from CLEAR on with slope 1: in contact it is at rest
     passive  attitude exp(-s (1 - far') r), position  far z - s R_P p',   p' = p + far z
     active   the rest: its pose in W is that of P in W times (p, R)
 
-so that near the touch the two arms take (1 - s) and s of every motion, and far away the passive arm only rides.
+so that near the touch the two arms perform (1 - s) and s of every motion, and far away the passive arm only moves with the rail.
 """
 
 from __future__ import annotations
@@ -44,15 +44,15 @@ from hiltestbed.platform.shipped.two_arms import TwoArmsSettings
 
 ACTIVE, PASSIVE = "chaser_", "target_"  # prefixes of the two arms' names
 HOME = (0.0, -1.0506357359978915, 1.6113790755209094, 0.0, -0.5607433395296182, 1.5707963267948966)  # [rad], a6 of the passive arm
-HOLD, CLEAR = 0.10, 0.30  # [m] of gap up to which the rail stands, and from which it takes all
+HOLD, CLEAR = 0.10, 0.30  # [m] gap up to which the rail is at rest, and beyond which it performs the whole motion
 RAIL = Axis("rail", "m", -0.3, 24.5, 2.0, 1.0, 2.0e4)
-RAIL_FRICTION = 1.0  # of the first axis' numbers, in N for N m
-SLICE = 1e-4  # [s] over which the shares' motion is taken
+RAIL_FRICTION = 1.0  # the first axis' friction parameters, with N in place of N m
+SLICE = 1e-4  # [s] interval of the difference quotient of the allocated poses
 
 
 @njit(cache=True)
 def far(gap):
-    """What the rail takes of a gap [m], and its slope."""
+    """The rail's share of a gap [m], and its slope."""
     u = (gap - HOLD) / (CLEAR - HOLD)
     if u <= 0.0:
         return 0.0, 0.0
@@ -63,7 +63,7 @@ def far(gap):
 
 @njit(cache=True)
 def share_out(pose, share, active, passive):
-    """Poses (7,) of A and P in W for the relative ``pose`` (7,) of A in P; returns what the rail takes [m]."""
+    """Poses (7,) of A and P in W for the relative ``pose`` (7,) of A in P; returns the rail's position [m]."""
     ride, slope = far(-pose[2])
     r, v = np.empty(3), np.empty(3)
     rotation_vector(pose[3:7], r)
@@ -85,7 +85,7 @@ def share_out(pose, share, active, passive):
 
 @njit(cache=True)
 def _allocate(pose, twist, accel, half, shares, poses, twists, held, speeds):
-    """Tools' poses and twists (n, 2, .) and the rail; the twist is the difference of the shares over a slice about the pose."""
+    """Tools' poses and twists (n, 2, .) and the rail; twists are central differences of the allocated poses over SLICE."""
     speed = np.empty(6)
     moved, before, after = np.empty(7), np.empty((2, 7)), np.empty((2, 7))
     for i in range(pose.shape[0]):
@@ -133,7 +133,7 @@ class TwoArms(Facility):
             spec.attach(arm, prefix=prefix, site=spec.site(stand))
         spec.site(ACTIVE + MOUNT).name = MOUNT
         flange = spec.site(PASSIVE + MOUNT)
-        # The sensor's flange looks along -z of P; P stands SENSOR_HEIGHT before it.
+        # The sensor's flange points along -z of P; P is SENSOR_HEIGHT in front of it.
         down = np.array([0.0, 0.0, SENSOR_HEIGHT, 1.0, 0.0, 0.0, 0.0])
         at = compose(np.array([*flange.pos, *np.array(flange.quat)[[1, 2, 3, 0]]]), inverse_pose(down))
         add_carrier(flange.parent, at)

@@ -1,1 +1,1 @@
-"""The upper 3-PRS platform that carries the passive side, and the nine-axis rig that both platforms make."""
+"""The upper 3-PRS platform that carries the passive side, and the nine-axis rig formed by both platforms."""

@@ -1,15 +1,15 @@
-"""Nine axes for six: how the relative pose is shared out between the upper and the lower platform.
+"""Redundancy resolution of the nine axes: allocation of the relative pose to the upper and the lower platform.
 
-What the upper platform does is a function of the relative pose alone, so that a relative motion that comes back finds the rig as it
-left it, and the lower platform makes up the rest exactly: its pose in W is that of P, then the relative one. With the gap g = -pz and
+The upper platform's pose is a function of the relative pose alone, so that a closed path of the relative pose is a closed path of the
+rig, and the lower platform provides the exact remainder: its pose in W is that of P times the relative one. With the gap g = -pz and
 
     w(g) = smooth step from 0 at DOCKING to 1 at DOCKING + BLEND, twice continuously differentiable
 
-the upper platform's heave u has du/dg = w and its tilt takes the part w of the relative tilt, up to the limit prs3.TILT. So
+the upper platform's heave u has du/dg = w and its tilt is the fraction w of the relative tilt, up to the limit prs3.TILT. So
 
-- within DOCKING of the touch it stands still at home, and the lower platform moves alone;
-- beyond DOCKING + BLEND it follows the gap metre for metre, and the lower platform waits DOCKING + BLEND/2 below its home;
-- near the end of its heave, prs3.HEAVE, it comes to rest likewise.
+- within DOCKING of the touch it stays at home, and the lower platform moves alone;
+- beyond DOCKING + BLEND it follows the gap metre for metre, and the lower platform rests DOCKING + BLEND/2 below its home;
+- near the end of its heave, prs3.HEAVE, it comes to rest in the same way.
 
 At a speed v its acceleration stays below MOST_BENT v^2/BLEND.
 """
@@ -24,8 +24,8 @@ from hiltestbed.frames import Array, quat_mul, rotate, rotation_vector
 from hiltestbed.jit import njit
 from hiltestbed.platform.prs3.geometry import HEAVE, TILT, Upper, place
 
-DOCKING = 0.19  # [m] the cone's rim lies 0.155 m before P's origin; the rest is run in 0.1 s at 0.3 m/s, time to come to rest
-BLEND = 0.10  # [m] the lower platform then waits 0.24 m below home, just within its reach
+DOCKING = 0.19  # [m] the cone's rim is 0.155 m in front of P's origin; the rest takes 0.1 s at 0.3 m/s, enough time to come to rest
+BLEND = 0.10  # [m] the lower platform then rests 0.24 m below home, just within its reach
 MOST_BENT = 1.875  # largest slope of the smooth step: 15/8
 LONGEST = DOCKING + HEAVE  # [m] gap up to which the upper platform follows metre for metre
 
@@ -48,7 +48,7 @@ def _ramp(x):
 
 @njit(cache=True)
 def share(pose, x):
-    """``x`` (3,), the upper platform's coordinates (u, rx, ry), for the relative pose ``(7,)``; unchanged where that is lost."""
+    """``x`` (3,), the upper platform's coordinates (u, rx, ry), for the relative pose ``(7,)``; unchanged if that is not finite."""
     gap = -pose[2]
     if not math.isfinite(pose[0] + pose[1] + gap + pose[3] + pose[4] + pose[5] + pose[6]):
         return
@@ -73,7 +73,7 @@ def compose(pose_WP, pose_PA, pose_WA):
 
 
 def lower_pose(pose: Array) -> Array:
-    """``(n, 7)`` where the lower platform holds A in W for the relative poses ``(n, 7)``."""
+    """``(n, 7)`` poses of A in W on the lower platform for the relative poses ``(n, 7)``."""
     x, pose_WP, out = np.zeros(3), np.empty(7), np.empty_like(pose)
     for i in range(len(pose)):
         share(pose[i], x)

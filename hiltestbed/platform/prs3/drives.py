@@ -1,10 +1,10 @@
-"""The upper platform under its three drives, in MuJoCo, and what its force sensor reads of the payload.
+"""The upper platform with its three drives, in MuJoCo, and the payload's load on the force sensor.
 
-Only runs whose upper platform is away from home are stepped: at home it is clamped. A drive pushes as one of the lower platform does
-(:mod:`hiltestbed.platform.pss33.servo`), with the forces that the planned motion and gravity need fed forward. The payload's weight
-and inertia, as the planned motion would have them (:mod:`hiltestbed.platform.prs3.payload`), are subtracted from the sensor's reading;
-what is left comes from the difference between planned and reached acceleration. The passive mechanism moves with the platform as one
-rigid body: a compliant mount is taken as locked until the upper platform is clamped.
+Only runs whose upper platform is not clamped at home are stepped. The control law of a drive is that of the lower platform
+(:mod:`hiltestbed.platform.pss33.servo`), with feed-forward of the forces for the planned motion and gravity. The payload's weight
+and inertia in the planned motion (:mod:`hiltestbed.platform.prs3.payload`) are subtracted from the sensor's reading;
+the residual is due to the difference between planned and actual acceleration. The passive mechanism moves with the platform as one
+rigid body: a compliant mount is assumed locked until the upper platform is clamped.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 MOVED_PER_DRIVE = 240.0  # [kg] a third of platform, payload and links, carriage and armature
 BANDWIDTH = 25.0  # [Hz] of the position loop, critically damped: longer limbs than the lower platform's
-LOST = 1e3  # [m/s], [rad/s] a joint faster than this has diverged
+SPEED_LIMIT = 1e3  # [m/s], [rad/s] a joint faster than this has diverged
 
 
 @njit(cache=True)
@@ -73,10 +73,10 @@ def _drive_forces(upper, masses, moved, x, pose, spin, accel, slider_accel, forc
 @njit(cache=True)
 def _aim(upper, masses, moved, payload, away, dt, xs, pose, twist, target, velocity, plan, felt):
     """Write ``plan`` (n, m + 1, 3, 3), position, velocity and force of the drives at the start of each substep and at the end, and
-    ``felt`` (n, m + 1, 6), the payload's wrench on the sensor then, in P; move the references on.
+    ``felt`` (n, m + 1, 6), the payload's wrench on the sensor then, in P; update the references.
 
     xs: (n, m, 3) coordinates at the ends of the substeps. pose (n, 7), twist (n, 6) of P, target and velocity (n, 3) of the sliders:
-    planned, at the last end.
+    planned values at the end of the last substep, updated.
     """
     shape, legs = upper
     m = xs.shape[1]
@@ -120,9 +120,9 @@ def _push(away, plan, sub, kp, kv, adr, qpos, qvel, force):
 
 @njit(cache=True)
 def _take_out(away, felt, sub, reading, residual, left):
-    """What the sensor reads beyond its payload, as a wrench of the active side on the passive one; nothing while clamped.
+    """Subtract the payload from the sensor's reading: the residual is a wrench of active on passive side, zero while clamped.
 
-    left: (n, 2) largest force and torque so far.
+    left: (n, 2) largest residual force and torque so far.
     """
     for i in range(reading.shape[0]):
         w = residual[i, sub]
@@ -134,7 +134,7 @@ def _take_out(away, felt, sub, reading, residual, left):
 
 @njit(cache=True)
 def _observe(away, above, adr, free, qpos, qvel, pose, twist, sliders, diverged):
-    """Pose and twist of P in W from the platform's free joint, and the sliders; returns whether a run has just left the numbers."""
+    """Pose and twist of P in W from the platform's free joint, and the sliders; returns whether a run has just diverged."""
     arm, lost = np.empty(3), False
     p, d = free[0], free[1]
     for i in range(qpos.shape[0]):
@@ -143,7 +143,7 @@ def _observe(away, above, adr, free, qpos, qvel, pose, twist, sliders, diverged)
         worst = 0.0
         for k in range(qvel.shape[1]):
             worst = max(worst, abs(qvel[i, k])) if math.isfinite(qvel[i, k]) else math.inf
-        if not worst < LOST or not math.isfinite(qpos[i].sum()):
+        if not worst < SPEED_LIMIT or not math.isfinite(qpos[i].sum()):
             diverged[i] = True
             lost = True
             continue
@@ -167,8 +167,8 @@ class UpperDrives:
     """The driven upper platforms of `n` runs.
 
     Attributes:
-        payload: (13,) what hangs on the sensor (:func:`hiltestbed.platform.prs3.payload.load_of`).
-        residual: (n, m, 6) what is left of the payload in the reading, at the m instants of the tick, in P at P's origin [N, N m].
+        payload: (13,) load on the sensor (:func:`hiltestbed.platform.prs3.payload.load_of`).
+        residual: (n, m, 6) residual of the payload in the reading, at the m instants of the tick, in P at P's origin [N, N m].
         left: (n, 2) its largest force [N] and torque [N m] so far.
     """
 
@@ -204,7 +204,7 @@ class UpperDrives:
         self._parts = (self.upper.shape, self.upper.legs)
 
     def settle(self, i: int, x: Array, rates: Array) -> None:
-        """Put the joints of run ``i`` where a platform is that moves with ``rates`` (3,) through the coordinates ``x`` (3,)."""
+        """Initialise the joints of run ``i`` in a motion with ``rates`` (3,) at the coordinates ``x`` (3,)."""
         self._warmstart[i] = 0.0
         ahead = [self._joints(x + side * self._dt * rates) for side in (-1.0, 0.0, 1.0)]
         self._qpos[i] = ahead[1]
@@ -231,7 +231,7 @@ class UpperDrives:
         return q
 
     def run(self, xs: Array, away: NDArray[np.bool_], going: NDArray[np.intp]) -> None:
-        """One tick through the coordinates ``xs`` (n, m, 3) for the runs ``away`` (n,), whose numbers are ``going``."""
+        """One tick through the coordinates ``xs`` (n, m, 3) for the runs ``away`` (n,), whose indices are ``going``."""
         _aim(
             self._parts, self._masses, self._moved, self.payload, away, self._dt, xs,
             self._pose, self._twist, self._target, self._velocity, self._plan, self._felt,
@@ -241,7 +241,7 @@ class UpperDrives:
             self._push(s, away)
             if going.size:
                 self.batch.step(going)
-            if s > 0:  # a step's reading is that of its start
+            if s > 0:  # a step gives the reading at its start
                 _take_out(away, self._felt, s - 1, self._reading, self.residual, self.left)
         self._push(m, away)
         if going.size:
@@ -252,7 +252,7 @@ class UpperDrives:
         _push(away, self._plan, sub, self.kp, self.kv, self._adr, self._qpos, self._qvel, self._ctrl)
 
     def observe(self, away: NDArray[np.bool_], pose: Array, twist: Array, sliders: Array, diverged: NDArray[np.bool_]) -> bool:
-        """Read pose (n, 7) and twist (n, 6) of P in W, and the sliders (n, 3); True where a run has just diverged."""
+        """Read pose (n, 7) and twist (n, 6) of P in W, and the sliders (n, 3); returns whether a run has just diverged."""
         return _observe(
             away, self.upper.shape[1], self._adr, self._free, self._qpos, self._qvel, pose, twist, sliders, diverged
         )  # fmt: skip

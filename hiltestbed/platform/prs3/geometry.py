@@ -1,5 +1,5 @@
 """Kinematics of the upper platform, a 3-PRS mechanism: three vertical sliders, each with a link on a revolute joint that keeps it in
-the upright plane through the axis, spherical joints at the platform.
+the vertical plane through the platform's axis, and spherical joints at the platform.
 
 It has three degrees of freedom, here ``x = (u, rx, ry)``: the heave u [m] of the anchors' centre and the rotation vector (rx, ry, 0)
 [rad], 0 at home. Each anchor stays in its leg's plane, so that the platform does not twist about the axis (zero torsion: Bonev,
@@ -8,8 +8,8 @@ anchors on the radius r, the parasitic motion
 
     c_x = r/2 (1 - cos theta) cos(2 alpha - 3 phi),   c_y = -r/2 (1 - cos theta) sin(2 alpha - 3 phi)
 
-with alpha the direction of the tilt's axis. Series in theta^2 in place of the quotients: at 0.3 rad, far past the limit of the tilt,
-they are good to 1e-13.
+with alpha the direction of the tilt's axis. The quotients are computed as series in theta^2: at 0.3 rad, far beyond the tilt limit,
+they are accurate to 1e-13.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ RADIUS, ABOVE, COS3, SIN3 = range(4)
 
 @njit(cache=True, inline="always")
 def _series(t):
-    """(1 - cos)/theta^2, its derivative to theta^2, and (theta - sin)/theta^3, for t = theta^2."""
+    """(1 - cos)/theta^2, its derivative with respect to theta^2, and (theta - sin)/theta^3, for t = theta^2."""
     k = 0.5 - t * (1.0 / 24.0 - t * (1.0 / 720.0 - t * (1.0 / 40320.0 - t / 3628800.0)))
     dk = -1.0 / 24.0 + t * (1.0 / 360.0 - t * (1.0 / 13440.0 - t / 907200.0))
     b = 1.0 / 6.0 - t * (1.0 / 120.0 - t * (1.0 / 5040.0 - t / 362880.0))
@@ -149,7 +149,7 @@ class Upper:
     @staticmethod
     @cache
     def load() -> Upper:
-        """The 3-PRS platform as it stands in ``models/prs3``; P's home is W's origin."""
+        """The 3-PRS platform of ``models/prs3``; P's home is W's origin."""
         m = model.load("prs3/prs3").compile()
         data = mujoco.MjData(m)
         mujoco.mj_kinematics(m, data)

@@ -1,9 +1,9 @@
 """The nine-axis rig: the lower platform's six axes and the upper one's three realise one relative pose.
 
-The upper platform goes where the allocation places it (:mod:`hiltestbed.platform.prs3.allocation`); the lower one is sent where the
-relative pose then lies in W. Ports can touch only while the upper platform is clamped at home, where W and P coincide and the lower
-platform is told what it would be told without an upper one, bit for bit. The sensor's wrench is that of the contact and what the moving
-payload leaves: `payload_left` in a run's summary, some 0.05 N of 1177 N.
+The upper platform moves to the pose given by the allocation (:mod:`hiltestbed.platform.prs3.allocation`); the lower one is commanded to
+the resulting pose of A in W. Ports can touch only while the upper platform is clamped at home, where W and P coincide and the lower
+platform's command equals that without an upper one, bit for bit. The sensor's wrench is that of the contact plus the uncompensated rest
+of the moving payload: `payload_left` in a run's summary, some 0.05 N of 1177 N.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def _command(planned, x, was_home, pose, twist, accel, h, before, slope, pose_W,
     """The lower platform's command in W for that of A in P, ``pose`` (n, 7), ``twist`` and ``accel`` (n, 6).
 
     planned (n, 7), x (n, 3): P in W and the upper platform's coordinates at the end of the tick; was_home: (n,) whether these were 0 at
-    its start, moved on. before (n, 7), slope (n, 6): the command of the last tick and its slope, moved on.
+    its start, updated. before (n, 7), slope (n, 6): the command of the last tick and its slope, updated.
     """
     for i in range(pose.shape[0]):
         home = x[i, 0] == 0.0 and x[i, 1] == 0.0 and x[i, 2] == 0.0
@@ -51,9 +51,9 @@ def _command(planned, x, was_home, pose, twist, accel, h, before, slope, pose_W,
 
 @njit(cache=True)
 def _together(ideal, away, h, pose_W, twist_W, place_P, motion_P, lower_wrench, residual, pose, twist, wrench):
-    """Relative pose and twist from those of A and of P in W, and the sensor's wrench from the contact's and what the payload leaves.
+    """Relative pose and twist from those of A and of P in W, and the sensor's wrench as the sum of contact and payload residual.
 
-    ``ideal``: the twist is the slope of the relative pose over the tick ``h`` where the upper platform is away.
+    ``ideal``: while the upper platform is away from home, the twist is the slope of the relative pose over the tick ``h``.
     """
     before = pose.copy()
     relate(pose_W, twist_W, place_P, motion_P, pose, twist)
@@ -80,12 +80,12 @@ class NineAxes:
         self._before, self._slope = np.zeros((n, 7)), np.zeros((n, 6))  # of the command in W
         self._pose_W, self._twist_W, self._accel_W = np.zeros((n, 7)), np.zeros((n, 6)), np.zeros((n, 6))
         self._was_home = np.zeros(n, dtype=bool)
-        self._left = np.zeros((n, 6))  # what the payload left in the reading at t_k
+        self._left = np.zeros((n, 6))  # residual of the payload in the reading at t_k
         self.upper_cmd, self.upper_act = np.zeros((n, 3)), np.zeros((n, 3))
 
     @property
     def model(self) -> mujoco.MjModel:
-        """The lower platform's: what is stepped while the ports touch."""
+        """The lower platform's model, which is the one stepped while the ports touch."""
         return self.lower.model
 
     def bare_steps(self, count: int) -> None:
@@ -115,7 +115,7 @@ class NineAxes:
     def begin(self, pose_cmd: Array, twist_cmd: Array, accel_cmd: Array) -> None:
         """Start the tick towards the relative ``pose_cmd`` (n, 7), with ``twist_cmd`` and ``accel_cmd`` (n, 6).
 
-        The upper platform's tick is computed at once; what is told of it stays that of t_k until :meth:`finish`.
+        The upper platform's tick is computed at once; its published state stays that of t_k until :meth:`finish`.
         """
         upper, lower = self.upper, self.lower
         self._left[:] = upper.residual[:, -1]
@@ -140,7 +140,7 @@ class NineAxes:
         self.upper_cmd[:], self.upper_act[:] = upper.slider_cmd, upper.slider_act
 
     def payload_left(self, i: int) -> dict[str, float] | None:
-        """What weight and inertia of the passive side have left in the sensor's reading of run ``i``, at most; None: not simulated."""
+        """Largest residual of the passive side's weight and inertia in the sensor's reading of run ``i``; None: not simulated."""
         drives = self.upper.drives
         if drives is None:
             return None

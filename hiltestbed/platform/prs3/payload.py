@@ -1,8 +1,8 @@
-"""What a rigid load asks of the platform that carries it: weight and inertia, at P's origin.
+"""Wrench for carrying a rigid load on a moving platform: weight and inertia, at P's origin.
 
-A six-axis sensor that rides on a moving platform feels its payload as well as the contact. With the load's mass m, its centre of mass r
-and its inertia I about it known from weighing, and the platform's motion known from its command, that part can be taken out
-(Newton and Euler, about P's origin):
+A six-axis sensor on a moving platform measures its payload as well as the contact. With the load's mass m, its centre of mass r
+and its inertia I about it known from weighing, and the platform's motion known from its command, that part can be subtracted
+(Newton-Euler, about P's origin):
 
     f = m (a + alpha x r + omega x (omega x r) + g),   t = I alpha + omega x I omega + r x f
 """
@@ -42,10 +42,10 @@ def _inertia_times(load, attitude, v, out):
 
 @njit(cache=True)
 def carry(load, attitude, spin, accel, wrench):
-    """``wrench`` (6,) in W at P's origin that moves ``load`` (13,) and holds its weight.
+    """``wrench`` (6,) in W at P's origin that accelerates ``load`` (13,) and supports its weight.
 
     Args:
-        attitude: (4,) of P in W. spin: (3,) angular velocity of P. accel: (6,) acceleration of P's origin and angular one; all in W.
+        attitude: (4,) of P in W. spin: (3,) angular velocity of P. accel: (6,) linear (of P's origin) and angular acceleration; all in W.
     """
     r, v, w, f = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     rotate(attitude, load[1:4], r)

@@ -1,8 +1,8 @@
-"""The upper platform of `n` rigs: where it holds the passive port, tick by tick, and when it is clamped.
+"""The upper platform of `n` rigs: pose of the passive port, tick by tick, and clamping.
 
-Over a tick its coordinates run along the cubic that reaches the allocated ones (:mod:`hiltestbed.platform.prs3.allocation`) at
-t_(k+1) and leaves them with the velocity that they have there. It is clamped SETTLE after it has come to rest at home, and away as
-soon as it is told to move: docking happens against a platform that cannot yield.
+Over a tick its coordinates follow the cubic that reaches the allocated ones (:mod:`hiltestbed.platform.prs3.allocation`) at
+t_(k+1) and leaves them with their velocity there. It is clamped SETTLE after it has come to rest at home, and released as
+soon as it is commanded to move: docking takes place against a platform that cannot yield.
 """
 
 from __future__ import annotations
@@ -23,18 +23,18 @@ from hiltestbed.platform.prs3.geometry import Upper, inverse, place, slider
 if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario
 
-SETTLE = 0.1  # [s] after which a 25 Hz critically damped loop has 3e-6 of an error left
+SETTLE = 0.1  # [s] after which an error of a critically damped 25 Hz loop has decayed to 3e-6
 
 
 @njit(cache=True)
 def _plan(
     shape, legs, pose, h, settle, diverged, x, rate, speed, still, away, was_away, xs, planned, slope, sliders, reached, twist, slid
 ):  # fmt: skip
-    """Move on to the coordinates for the relative poses ``(n, 7)`` at the end of the tick ``h``; returns whether a run is or was away.
+    """Advance to the coordinates for the relative poses ``(n, 7)`` at the end of the tick ``h``; returns whether a run is or was away.
 
-    x, rate, speed: (n, 3) coordinates, their change over the last tick, and the velocity with which the cubic leaves it. still: (n,)
+    x, rate, speed: (n, 3) coordinates, their mean rate over the last tick, and the velocity of the cubic at its end. still: (n,)
     ticks at home. xs: (n, m, 3) coordinates at the ends of the substeps. planned (n, 7), slope (n, 6): P in W at the end, and its
-    slope over the tick; sliders: (n, 3) then. reached (n, 7), twist (n, 6) and slid (n, 3) become these.
+    slope over the tick; sliders: (n, 3) at the end. reached (n, 7), twist (n, 6) and slid (n, 3) are set to these.
     """
     m = xs.shape[1]
     busy = False
@@ -96,8 +96,8 @@ class UpperPlatform:
         planned: (n, 7) pose of P in W that is to be reached at t_(k+1).
         pose, twist: (n, 7), (n, 6) of P in W as reached; while clamped exactly home.
         slider_cmd, slider_act: (n, 3) its sliders [m], 0 at home.
-        residual: (n, m, 6) what the payload leaves in the sensor's reading, at the m instants of the tick, in P [N, N m].
-        away: (n,) bool, not clamped. x: (n, 3) coordinates, heave [m] and tilts [rad]; rate: (n, 3) their change over the last tick [1/s].
+        residual: (n, m, 6) residual of the payload in the sensor's reading, at the m instants of the tick, in P [N, N m].
+        away: (n,) bool, not clamped. x: (n, 3) coordinates, heave [m] and tilts [rad]; rate: (n, 3) their mean rate over the last tick.
     """
 
     def __init__(self, scenarios: Sequence[Scenario], nthread: int) -> None:
@@ -117,7 +117,7 @@ class UpperPlatform:
         self.residual = self.drives.residual if self.drives else np.zeros((n, first.substeps, 6))
 
     def reset(self, pose: Array, twist: Array) -> None:
-        """Start where the relative ``pose`` (n, 7) needs it, moving as the uniform relative ``twist`` (n, 6) asks."""
+        """Start at the coordinates for the relative ``pose`` (n, 7), with the rates for the uniform relative ``twist`` (n, 6)."""
         _begin(self._shape, pose, twist, self.tick, self.x, self.rate, self.planned, self._slope)
         self._speed[:] = self.rate
         self.away[:] = self.x.any(axis=1)
@@ -133,7 +133,7 @@ class UpperPlatform:
                 self.drives.settle(i, self.x[i], self.rate[i])
 
     def advance(self, pose: Array, diverged: NDArray[np.bool_]) -> bool:
-        """One tick towards the relative ``pose`` (n, 7); True where a run has just ``diverged`` (n,)."""
+        """One tick towards the relative ``pose`` (n, 7); returns whether a run has just ``diverged`` (n,)."""
         busy = _plan(
             self._shape, self._legs, pose, self.tick, self._settle, diverged, self.x, self.rate, self._speed, self._still, self.away,
             self._was_away, self._xs, self.planned, self._slope, self.slider_cmd, self.pose, self.twist, self.slider_act,
@@ -141,7 +141,7 @@ class UpperPlatform:
         return self._drive(self.drives, diverged) if busy and self.drives else False
 
     def _drive(self, drives: UpperDrives, diverged: NDArray[np.bool_]) -> bool:
-        for i in np.flatnonzero(self._was_away & ~self.away & ~diverged):  # clamped: it starts from here next time
+        for i in np.flatnonzero(self._was_away & ~self.away & ~diverged):  # now clamped: its next motion starts from home
             drives.settle(int(i), np.zeros(3), np.zeros(3))
         self._was_away[:] = self.away
         drives.run(self._xs, self.away, np.flatnonzero(self.away))

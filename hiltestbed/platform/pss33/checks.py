@@ -1,4 +1,4 @@
-"""Whether the 3-3 PSS platform can take a scenario's start."""
+"""Checks that the 3-3 PSS platform can reach a scenario's start."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from hiltestbed.validation import Problem
 if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario
 
-UPPER_SPEED = 0.3  # [m/s] up to which the upper platform is clamped before the touch
+UPPER_SPEED = 0.3  # [m/s] highest approach speed at which the upper platform is clamped before the first touch
 
 
 def _workspace(scenario: Scenario) -> tuple[float, float]:
@@ -21,7 +21,7 @@ def _workspace(scenario: Scenario) -> tuple[float, float]:
 
 
 def start_problems(scenario: Scenario) -> Iterator[Problem]:
-    """The platform reaches as far as its workspace around the nominal first touch, and no further; its controller's cycle is whole."""
+    """The start must be in the workspace around the nominal first touch, and the controller's cycle a whole number of ticks."""
     for path, message in pss33_of(scenario).command.problems(scenario.rate):
         yield ("rig", "platform", "command", *path), message
     approach, (reach, turn) = scenario.approach, _workspace(scenario)
@@ -38,7 +38,7 @@ def start_problems(scenario: Scenario) -> Iterator[Problem]:
 
 
 def _nine_axis_problems(scenario: Scenario) -> Iterator[Problem]:
-    """With the upper platform the gap may be as long as its heave; the lower platform's part of the start must be in its workspace."""
+    """With the upper platform the gap may be as large as its heave; the lower platform's share of the start must be in its workspace."""
     import numpy as np
 
     from hiltestbed.frames import quat_from_attitude_deg, rotation_vectors
@@ -53,7 +53,7 @@ def _nine_axis_problems(scenario: Scenario) -> Iterator[Problem]:
     if not abs(approach.velocity[2]) <= UPPER_SPEED:
         yield (
             ("approach", "velocity", 2),
-            f"is faster than the upper platform comes to rest before the touch (got {approach.velocity[2]:g} m/s); "
+            f"is too fast for the upper platform to come to rest before the touch (got {approach.velocity[2]:g} m/s); "
             f"allowed is -{UPPER_SPEED:g} to {UPPER_SPEED:g} m/s",
         )
     pose = np.array([[*approach.offset, -approach.gap, *quat_from_attitude_deg(approach.attitude_deg)]])
@@ -63,6 +63,6 @@ def _nine_axis_problems(scenario: Scenario) -> Iterator[Problem]:
         where = ", ".join(f"{value:.3g}" for value in lower[0, :3])
         yield (
             ("approach",),
-            f"starts outside the workspace (the lower platform would stand at {where} m, turned by up to {turn.max():.3g} deg); allowed "
+            f"starts outside the workspace (the lower platform would be at {where} m, rotated by up to {turn.max():.3g} deg); allowed "
             f"are {reach:g} m and {widest:g} deg on each axis: take a smaller offset or attitude_deg",
         )

@@ -1,8 +1,8 @@
-"""Inverse dynamics of the 3-3 PSS platform in its sliders: what the drives must push for a given motion, gravity included.
+"""Inverse dynamics of the 3-3 PSS platform in its sliders: the drive forces for a given motion, gravity included.
 
 Platform with mechanism as one rigid body, links as uniform rods between carriage and anchor (consistent mass m/3, m/6, m/3, half
-the weight at each end), carriages with their drives' armature. Velocity-dependent terms are left out: at 0.3 m/s and 0.2 rad/s they
-are below 1 N of some 7000.
+the weight at each end), carriages with their drives' armature. Velocity-dependent terms are neglected: at 0.3 m/s and 0.2 rad/s they
+are below 1 N of some 7000 N.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ def load_constants(m: mujoco.MjModel, tool: str = "active_A") -> Array:
 
 @njit(cache=True)
 def invert(a, out):
-    """``out = a^-1`` (6, 6) by Gauss-Jordan with row pivoting; ``a`` is overwritten. A singular platform gives huge numbers."""
+    """``out = a^-1`` (6, 6) by Gauss-Jordan with row pivoting; ``a`` is overwritten. A singular matrix gives huge numbers."""
     n = a.shape[0]
     out[:] = 0.0
     for i in range(n):
@@ -70,7 +70,7 @@ def invert(a, out):
 def drive_forces(limbs, load, pose, inverse, accel, force):
     """``force`` (6,) [N] of the drives at the pose ``(7,)`` for slider accelerations ``accel`` (6,) [m/s^2].
 
-    ``inverse`` (6, 6) takes slider rates to the twist of A in W; the principle of virtual work turns wrenches back by its transpose.
+    ``inverse`` (6, 6) maps slider rates to the twist of A in W; by virtual work its transpose maps wrenches to slider forces.
     """
     mass, link, carriage, armature = load[0], load[13], load[14], load[15]
     a = np.empty(6)

@@ -1,4 +1,4 @@
-"""The 3-3 PSS platform as a facility among others: what is measured on all of them is measured on it in the same way."""
+"""The 3-3 PSS platform with the interface of a facility, so that all measurements of facilities work on it as well."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from hiltestbed.platform.pss33.settings import Pss33
 
 
 class SliderDrives(Drives):
-    """Drives of the six sliders: the servo of the plant, about A."""
+    """Drives of the six sliders: the servo of the plant, with A as the controlled point."""
 
     def __init__(
         self,

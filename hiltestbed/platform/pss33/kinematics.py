@@ -1,7 +1,7 @@
 """Kinematics of the 3-3 PSS platform: six limbs, each an actuated slider, a link with a spherical joint at both ends.
 
 A limb's slider moves along the unit vector a through b (the far end of the link at home, s = 0); the link of length L ends at the
-platform's anchor p. Then |p - b - s a| = L gives the one root that is home at s = 0 (Merlet, Parallel Robots, 2006, ch. 4):
+platform's anchor p. Of the roots of |p - b - s a| = L, the one that is home at s = 0 is (Merlet, Parallel Robots, 2006, ch. 4):
 
     s = a.(p - b) - sqrt(L^2 - |perp|^2),   perp = (p - b) - a a.(p - b)
 
@@ -22,14 +22,14 @@ from hiltestbed.frames import Array, rotate
 from hiltestbed.jit import njit
 from hiltestbed.platform import model
 
-STEEPEST = 0.05  # cosine between link and slider at which rates are taken where a link does not reach: keeps them finite
+STEEPEST = 0.05  # smallest cosine between link and slider in the rates: keeps them finite for a link that does not reach
 
 
 @njit(cache=True)
 def slider(limb, pose, arm):
     """Slider position [m] of one limb at the pose ``(7,)`` of A in W; ``arm`` (3,) becomes the anchor from A's origin, in W.
 
-    A link that does not reach is taken at its longest reach sideways.
+    A link that does not reach the anchor is treated as perpendicular to its slider.
     """
     rotate(pose[3:7], limb[6:9], arm)
     along = across = 0.0
@@ -126,12 +126,12 @@ class Platform:
     @staticmethod
     @cache
     def load() -> Platform:
-        """The 3-3 PSS platform as it stands in ``models/pss33``; A's home is W's origin."""
+        """The 3-3 PSS platform of ``models/pss33``; A's home is W's origin."""
         return Platform.from_model(model.load("pss33/pss33").compile())
 
     @staticmethod
     def from_model(m: mujoco.MjModel) -> Platform:
-        """The constants of any compiled model that holds the platform."""
+        """The constants of any compiled model that contains the platform."""
         data = mujoco.MjData(m)
         mujoco.mj_kinematics(m, data)
         limbs = np.empty((6, 16))

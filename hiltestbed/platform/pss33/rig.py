@@ -1,4 +1,4 @@
-"""The 3-3 PSS platform as the plant steps it: its model in the frame, and its servo."""
+"""The 3-3 PSS platform as stepped by the plant: its model in the frame, and its servo."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ UNITS = ("m",) * 6
 
 
 class Pss33Rig(Servo):
-    """The rigs of `n` runs; see :class:`hiltestbed.platform.facilities.rig.FacilityRig` for what the plant asks of it."""
+    """The rigs of `n` runs; see :class:`hiltestbed.platform.facilities.rig.FacilityRig` for the interface to the plant."""
 
     keeps_history, moves_passive = True, False
     load = watch = None
@@ -44,7 +44,7 @@ class Pss33Rig(Servo):
         return self
 
     def tare(self, contacts: Contacts, reading: Array, columns: slice) -> Array:
-        """``(n, 6)`` the reading of the sensor at rest, the active side a metre away."""
+        """``(n, 6)`` the sensor's reading at rest, with the active side one metre away."""
         self.batch.bind("qpos")[:, self.model.joint("platform").qposadr[0] + 2] -= 1.0
         contacts.balance()
         self.batch.forward()
@@ -53,21 +53,21 @@ class Pss33Rig(Servo):
     def observing(
         self, qpos: Array, qvel: Array, limit: float, shown: tuple[Array, Array, Array], diverged: NDArray[np.bool_]
     ) -> Callable[[], bool] | None:
-        """:meth:`observe` of arrays that stay."""
+        """:meth:`observe` bound to arrays that are reused."""
         return self._seen.on(qpos, qvel, limit, *shown, diverged)
 
     def shown(self) -> tuple[Array, Array, Array]:
-        """The arrays that :meth:`observe` is given: poses (n, 7), twists (n, 6) and sliders (n, 6)."""
+        """The arrays that :meth:`observe` fills: poses (n, 7), twists (n, 6) and sliders (n, 6)."""
         n = len(self.target)
         return np.zeros((n, 7)), np.zeros((n, 6)), np.zeros((n, 6))
 
     def passed(self) -> bool:
-        """The limits of this platform are keys of the scenario's safety section."""
+        """False: the limits of this platform are keys of the scenario's safety section."""
         return False
 
 
 class Pss33Follower:
-    """The sliders of rigs that follow exactly."""
+    """The sliders of rigs under exact tracking."""
 
     units = UNITS
 

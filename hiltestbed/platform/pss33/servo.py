@@ -1,13 +1,13 @@
-"""The motion platform under its six drives.
+"""The motion platform with its six drives.
 
-Over a tick each slider's reference runs along the cubic that starts from the last reference with its velocity, reaches the commanded
+Over a tick each slider's reference follows the cubic that starts from the last reference with its velocity, reaches the commanded
 pose at t_(k+1), and leaves it with the velocity that the numerical model will have there: that of the tick plus half a tick of its
-acceleration, since a semi-implicit velocity belongs to the middle of its tick. A controller with a cycle of several ticks, or one that
-holds commands back, interpolates as :mod:`hiltestbed.platform.facilities.reference` says. A drive pushes
+acceleration, since a semi-implicit velocity belongs to the middle of its tick. A controller with a cycle of several ticks, or with a
+delay, interpolates as described in :mod:`hiltestbed.platform.facilities.reference`. The force of a drive is
 
-    f = kp (s_ref - s) + kv (s_ref' - s') + f_ff,   f_ff what the motion and gravity need (:mod:`hiltestbed.platform.pss33.dynamics`)
+    f = kp (s_ref - s) + kv (s_ref' - s') + f_ff,   f_ff the inverse dynamics (:mod:`hiltestbed.platform.pss33.dynamics`)
 
-with velocity and acceleration taken as differences at the physics step, so that without contact MuJoCo's own integrator lands on the
+with velocity and acceleration as differences at the physics step, so that without contact MuJoCo's integrator reproduces the
 reference.
 """
 
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from hiltestbed.platform.pss33.settings import Pss33
     from hiltestbed.scenario import Scenario
 
-# A drive's share of what moves up and down: platform and mechanism 350 kg, three links, carriages and armatures of 97 kg, over 3.
+# A drive's share of the mass moved in heave: platform and mechanism 350 kg, three links, carriages and armatures of 97 kg, over 3.
 MOVED_PER_DRIVE = 214.0  # [kg]
 
 
@@ -42,9 +42,9 @@ MOVED_PER_DRIVE = 214.0  # [kg]
 def _aim(limbs, load, feed, k, cycles, lates, h, pose_cmd, twist_cmd, accel_cmd, target, ring, span, velocity, plan, ahead):
     """Write ``plan`` (n, m, 3, 6), position, velocity and force at the start of each substep of tick ``k``, and its end ``ahead`` (n, 6).
 
-    cycles, lates: (n,) of the controllers. target: (n, 6) slider references [m]; velocity: the difference at the last substep, moved on.
+    cycles, lates: (n,) of the controllers. target: (n, 6) slider references [m]; velocity: difference at the last substep, updated.
     ring, span: see :func:`hiltestbed.platform.facilities.reference.sample`.
-    Without ``feed`` (n,) the drives are told the position alone, on a straight line.
+    Without ``feed`` (n,) only positions are commanded, interpolated linearly.
     """
     n, m = plan.shape[0], plan.shape[1]
     dt = h / m
@@ -87,7 +87,7 @@ def _aim(limbs, load, feed, k, cycles, lates, h, pose_cmd, twist_cmd, accel_cmd,
 
 @njit(cache=True)
 def _push(plan, sub, kp, kv, step, adr, qpos, qvel, force):
-    """``force`` (n, 6) [N] of the drives at the start of substep ``sub``; ``step`` (n,) [m] of an encoder, 0 for none."""
+    """``force`` (n, 6) [N] of the drives at the start of substep ``sub``; ``step`` (n,) encoder resolution [m], 0: not quantised."""
     for i in range(force.shape[0]):
         for j in range(6):
             s = qpos[i, adr[0, j]]
@@ -124,7 +124,7 @@ def _settle(limbs, pose, twist, target, speed, velocity, qpos, qvel, adr, platfo
 
 @njit(cache=True)
 def _observe(qpos, qvel, adr, platform, centre, limit, pose, twist, sliders, diverged):
-    """Pose, twist and sliders from the joints; returns whether a run has left ``limit`` or the numbers just now."""
+    """Pose, twist and sliders from the joints; returns whether a run has just exceeded ``limit`` or become non-finite."""
     arm, turn = np.empty(3), np.empty(3)
     lost = False
     p, d = platform[0], platform[1]
@@ -156,7 +156,7 @@ def _observe(qpos, qvel, adr, platform, centre, limit, pose, twist, sliders, div
 
 
 class Servo:
-    """References and inputs of the drives of `n` rigs, and what the joints of the model say.
+    """References and inputs of the drives of `n` rigs, and the readings of the model's joints.
 
     Attributes:
         target: (n, 6) slider references at t_k [m].
@@ -195,14 +195,14 @@ class Servo:
         self._seen = Call(_observe, GIVEN, GIVEN, self._adr, self._free, self.platform.centre, *(GIVEN,) * 5)
 
     def add_friction(self, scenarios: Sequence[Scenario], applied: Array) -> None:
-        """Let the scenarios' actuators rub: into the generalised forces ``applied`` (n, nv), where one has friction at all."""
+        """Add the friction of the scenarios' actuators to the generalised forces ``applied`` (n, nv), if any has friction."""
         friction = DriveFriction([pss33_of(s).actuator for s in scenarios], self._adr[1], self._least, self._step)
         if friction.acts:
             self._friction, self._applied = friction, applied
 
     def settle(self, pose: Array, twist: Array, qpos: Array, qvel: Array) -> None:
-        """Put the joints and the references where they are in the uniform motion with ``twist`` (n, 6) that is commanded to be at
-        ``pose`` (n, 7): behind it by what the controller is late."""
+        """Initialise joints and references in a uniform motion with ``twist`` (n, 6) whose command is at ``pose`` (n, 7): the platform
+        is behind by the controller's lag."""
         lag = self.tick * (self._cycles * (self._lates + 1) - 1)
         self._start[:] = pose
         for i in np.flatnonzero(lag):
@@ -213,7 +213,7 @@ class Servo:
         )  # fmt: skip
         self._ticks[0] = 0
         self._span[:, :, 0], self._span[:, :, 1] = self.target[:, None], self.speed[:, None]
-        for back in range(1, self._ring.shape[1]):  # commands that are still held back
+        for back in range(1, self._ring.shape[1]):  # commands that are still delayed
             ahead = self.tick * self._cycles * (self._lates + 1 - back)
             self._ring[:, -back % self._ring.shape[1], 0] = self.target + self.speed * ahead[:, None]
             self._ring[:, -back % self._ring.shape[1], 1] = self.speed
@@ -221,24 +221,24 @@ class Servo:
             self._friction.settle(qvel)
 
     def aim(self, pose_cmd: Array, twist_cmd: Array, accel_cmd: Array) -> None:
-        """Plan one tick, for whose end ``pose_cmd`` (n, 7) is meant."""
+        """Plan one tick; ``pose_cmd`` (n, 7) is the commanded pose at its end."""
         self._aimed.on(pose_cmd, twist_cmd, accel_cmd)(int(self._ticks[0]))
         self._ticks[0] += 1
 
     def arrive(self) -> None:
-        """The tick is over: its end is where the next one starts."""
+        """Complete the tick: its end is the start of the next one."""
         self.target[:] = self._ahead
 
     def state(self) -> dict[str, NDArray[Any]]:
-        """The arrays that make up the state between two ticks; written back, the drives go on from there."""
+        """The arrays of the state between two ticks; restoring them resumes the drives from there."""
         return {"sliders": self.target, "slope": self.velocity, "held": self._ring, "between": self._span, "cycle": self._ticks}
 
     def push(self, sub: int, qpos: Array, qvel: Array, force: Array) -> None:
-        """``force`` (n, 6) [N] of the drives for substep ``sub`` of the tick, from the joints as they stand."""
+        """``force`` (n, 6) [N] of the drives for substep ``sub`` of the tick, from the current joint state."""
         self._pushed.on(qpos, qvel, force)(sub)
         if self._friction:
             self._friction.act(qvel, self._applied)
 
     def observe(self, qpos: Array, qvel: Array, limit: float, pose: Array, twist: Array, sliders: Array, diverged: Array) -> bool:
-        """Read pose, twist and sliders; True where a run has just left ``limit`` [m/s, rad/s], which ``diverged`` then names."""
+        """Read pose, twist and sliders; returns whether a run has just exceeded ``limit`` [m/s, rad/s], and marks it in ``diverged``."""
         return self._seen.on(qpos, qvel, limit, pose, twist, sliders, diverged)()

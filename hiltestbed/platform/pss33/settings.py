@@ -1,4 +1,4 @@
-"""Settings of the 3-3 PSS platform: six sliders on guides, a link to each."""
+"""Settings of the 3-3 PSS platform: six sliders on guides, each with a link to the platform."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ if TYPE_CHECKING:
 
 
 class Actuator(Strictly):
-    """The drive of each slider of the platform, and the friction that each of its motors works against.
+    """The drive of each slider of the platform, and the friction of each of its motors.
 
-    The numbers are those of a preloaded screw with its guide: 0.5 % of the 40 kN that a drive gives, break-away 1.5 times that, the
-    Stribeck speed of oiled steel, and a viscous part that equals the sliding one at 0.5 m/s.
+    The defaults are those of a preloaded screw with its guide: sliding friction 0.5 % of a drive's 40 kN, break-away 1.5 times that, the
+    Stribeck speed of oiled steel, and a viscous part that equals the sliding friction at 0.5 m/s.
     """
 
     kind: Literal["ideal", "single", "dual"] = Field(
         default="ideal",
-        description="Motors of a drive. ideal: without friction; single: one; dual: two summed by a differential screw, kept turning",
+        description="Motors of a drive. ideal: without friction; single: one; dual: two, added by a differential screw, that always turn",
     )
     coulomb: NotNegative = Field(default=200.0, description="Sliding friction of a motor [N]")
     stiction: NotNegative = Field(default=300.0, description="Break-away friction of a motor [N], at least coulomb")
@@ -37,7 +37,7 @@ class Actuator(Strictly):
     )
     viscous: NotNegative = Field(default=400.0, description="Viscous friction of a motor [N s/m]")
     bias_speed: Positive = Field(
-        default=0.3, description="Speed at which both motors of a dual drive turn at rest, in terms of the slider [m/s]"
+        default=0.3, description="Speed of both motors of a dual drive while the slider is at rest, as slider speed [m/s]"
     )
 
     def idle(self, scenario: Scenario) -> Iterator[Problem]:
@@ -45,7 +45,7 @@ class Actuator(Strictly):
             names = ("coulomb", "stiction", "stribeck_speed", "viscous", "bias_speed")
             yield from (((name,), "the actuator's kind is ideal, a drive without friction; take kind single or dual") for name in names)
         elif self.kind == "single":
-            yield ("bias_speed",), "the actuator's kind is single, whose motor stands at rest; take kind dual"
+            yield ("bias_speed",), "the actuator's kind is single, whose motor has no bias speed; take kind dual"
 
     @model_validator(mode="after")
     def _breaks_away(self) -> Actuator:
@@ -55,16 +55,18 @@ class Actuator(Strictly):
 
 
 class Limits(Strictly):
-    """What a drive of the platform can do; measurements of the workspace end at these, runs at those of the section ``safety``."""
+    """Limits of a drive of the platform; they bound workspace measurements, while runs are bounded by the section ``safety``."""
 
     stroke: Positive = Field(default=0.72, description="Largest travel of a slider from home [m]; that of the guides in models/pss33")
     speed: Positive = Field(default=2.0, description="Highest speed of a slider [m/s]; a screw of 40 mm lead at 3000 rpm")
     acceleration: Positive = Field(default=20.0, description="Highest acceleration of a slider [m/s^2]; 40 kN on 2 t")
-    force: Positive = Field(default=4.0e4, description="Largest force of a drive [N]; static load, docking load and 1 m/s^2, four times")
+    force: Positive = Field(
+        default=4.0e4, description="Largest force of a drive [N]; four times the sum of static load, docking load and 1 m/s^2"
+    )
 
 
 class Workspace(Strictly):
-    """How far from home a start may be; home is at the nominal first touch."""
+    """Largest distance of a start from home; home is at the nominal first touch."""
 
     translation: Positive = Field(default=0.25, description="Reach from home along each axis [m]")
     rotation_deg: Positive = Field(default=10.0, description="Reach from home about each axis [deg]")
@@ -72,38 +74,36 @@ class Workspace(Strictly):
 
 @register
 class Pss33(Platform):
-    """Platform of the 3-3 PSS kind: six sliders, each with a link to the platform; drives under computed torque."""
+    """Platform of the 3-3 PSS kind: six sliders, each with a link to the platform; drives with computed-torque control."""
 
     states_limits: ClassVar[bool] = False
     carries_upper: ClassVar[bool] = True
     drives: ClassVar[tuple[str, ...]] = ("bandwidth", "damping_ratio", "encoder_resolution", "command", "actuator")
     distorts: ClassVar[str] = (
-        "Computed torque with feed-forward takes the drives' lag out of free motion; in contact the position loops yield like springs, so "
-        "that A stands short of its command by force over stiffness. What is left is the delay of the force sensor, which a lead of "
-        "the force removes, as at Shanghai Jiao Tong University."
+        "Computed torque with feed-forward removes the drives' lag in free motion; in contact the position loops yield like springs, so "
+        "that A deviates from its command by force over stiffness. What remains is the delay of the force sensor, which a phase lead "
+        "of the force removes, as at Shanghai Jiao Tong University."
     )
 
     kind: Literal["pss33"] = Field(default="pss33", description="Motion platform. pss33: 3-3 PSS, six sliders")
     tracking: Literal["servo", "response", "ideal"] = Field(
         default="servo",
-        description="How it follows. servo: its dynamics under its drives; response: a second or third order with a delay in their place; "
+        description="Tracking. servo: dynamics with simulated drives; response: a second- or third-order response with a delay instead; "
         "ideal: the pose reaches the command exactly, one tick later",
     )
-    response: ResponseSettings = Field(
-        default=ResponseSettings(), description="What it answers to its command; with tracking response alone"
-    )
+    response: ResponseSettings = Field(default=ResponseSettings(), description="Response to the command; only with tracking response")
     bandwidth: Positive = Field(
         default=40.0,
         description="Bandwidth of the drives' position loop [Hz]; the default is a quarter of the first mode of a large rig's limbs",
     )
     damping_ratio: Positive = Field(default=1.0, description="Damping ratio of the drives' position loop [-]")
     encoder_resolution: NotNegative = Field(
-        default=0.0, description="Resolution of a slider's encoder [m]; 0: as fine as can be; linear scales have 1e-8 to 1e-6"
+        default=0.0, description="Resolution of a slider's encoder [m]; 0: not quantised; linear scales have 1e-8 to 1e-6"
     )
-    command: CommandPath = Field(default=CommandPath(), description="Controller of the drives: its rate, and the cycles it holds back")
-    limits: Limits = Field(default=Limits(), description="What a drive can do")
-    workspace: Workspace = Field(default=Workspace(), description="How far from home a start may be")
-    actuator: Actuator = Field(default=Actuator(), description="Motors and friction of the drives; with tracking servo alone")
+    command: CommandPath = Field(default=CommandPath(), description="Controller of the drives: its rate, and its delay in cycles")
+    limits: Limits = Field(default=Limits(), description="Limits of a drive")
+    workspace: Workspace = Field(default=Workspace(), description="Largest distance of a start from home")
+    actuator: Actuator = Field(default=Actuator(), description="Motors and friction of the drives; only with tracking servo")
 
     def facility(self) -> Facility:
         from hiltestbed.platform.pss33.facility import Pss33Facility
@@ -136,7 +136,7 @@ class Pss33(Platform):
 
 
 def pss33_of(scenario: Scenario) -> Pss33:
-    """The settings of a scenario's platform, which is this one."""
+    """The settings of a scenario's platform, which must be of this kind."""
     platform = scenario.rig.platform
     assert isinstance(platform, Pss33)
     return platform

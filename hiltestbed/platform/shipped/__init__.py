@@ -1,1 +1,1 @@
-"""The platforms that ship, one file each: what a scenario says of it, and the facility that it is."""
+"""The shipped platforms, one file each: the settings in a scenario, and the facility that they describe."""

@@ -1,4 +1,4 @@
-"""Two spacecraft that float on a flat floor."""
+"""Two spacecraft floating on a flat floor."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ class AirBearingSettings(Physical):
     """Two articles on a flat floor: full physical simulation in the plane."""
 
     distorts: ClassVar[str] = (
-        "No loop and no delay, but three degrees of freedom of six, a floor that is not level, hoses that pull, and the mass of what "
-        "floats under each article: the reduced mass of the contact is not that in orbit."
+        "No loop and no delay, but only three of six degrees of freedom, a floor that is not level, hoses that pull, and the mass of the "
+        "air-bearing carriage under each article: the reduced mass of the contact is not that in orbit."
     )
 
     kind: Literal["air_bearing"]
-    target: Literal["free", "fixed"] = Field(default="free", description="Whether the target floats, too, or is bolted down")
-    float_mass: NotNegative = Field(default=60.0, description="Mass of what carries an article, pads, bottles, frame [kg]; an estimate")
+    target: Literal["free", "fixed"] = Field(default="free", description="Target. free: it floats as well; fixed: it is bolted down")
+    float_mass: NotNegative = Field(default=60.0, description="Mass of an article's carriage: pads, bottles, frame [kg]; an estimate")
     tilt: Vector2 = Field(
         default=(0.0, 4.2e-5),
         description="Tilt of the floor along x and z [rad]; 0.005 inch in 10 feet, as the Air Bearing Floor at NASA Johnson",
@@ -35,7 +35,7 @@ class AirBearingSettings(Physical):
     )
     pad_radius: Positive = Field(default=0.6, description="Radius of the pads about the article's centre [m]")
     friction: Annotated[float, Field(ge=0, le=0.01)] = Field(
-        default=1e-5, description="Friction coefficient of the pads [-]; 1e-5 is what makers state [recalled]"
+        default=1e-5, description="Friction coefficient of the pads [-]; 1e-5 according to makers [recalled]"
     )
     hose_stiffness: NotNegative = Field(default=0.5, description="Stiffness of an air line, along x and z [N/m]; 0: bottles on board")
     hose_damping: NotNegative = Field(default=0.5, description="Damping of an air line [N s/m]")

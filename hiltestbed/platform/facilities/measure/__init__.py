@@ -1,7 +1,7 @@
-"""What a rig is, measured on its model: workspace, response, modes, stiffness.
+"""Measurements on the model of a rig: workspace, response, modes, stiffness.
 
-Every function takes a facility and asks nothing of its kind. The rig carries a payload, the bumper's active half unless one is given, and
-commands and wrenches are those of A, the tip of the mechanism.
+Every function takes a facility of any kind. The rig carries a payload, by default the bumper's active side, and
+commands and wrenches refer to A, the tip of the mechanism.
 """
 
 from hiltestbed.platform.facilities.measure.frequency_response import FrequencyResponse, frequency_response

@@ -1,7 +1,7 @@
 """Frequency response of a facility in six axes: stepped sines, one run of a batch for each axis and frequency.
 
-Reached over commanded pose of A, from a least-squares fit of sine, cosine and mean over whole cycles after the transient. What the other
-axes do meanwhile is the cross response. Command and answer are samples at t_k: no hold is in between.
+Ratio of reached to commanded pose of A, from a least-squares fit of sine, cosine and mean over whole cycles after the transient. The motion
+of the other axes is the cross response. Command and response are samples at t_k, without a hold in between.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ from hiltestbed.platform.facilities.stand import Stand
 if TYPE_CHECKING:
     from hiltestbed.contact.settings import Mechanism
 
-AMPLITUDE = 2e-3  # [m]; a rotation has this over LEVER
-PULL = 4.0  # [m/s^2] that a sine may ask for
-CYCLES = 3  # fitted
-LEAD_IN = 1.0  # [s] of transient, the first half of which the sine grows
+AMPLITUDE = 2e-3  # [m]; divided by LEVER for a rotation
+PULL = 4.0  # [m/s^2] largest acceleration of a sine
+CYCLES = 3  # number of cycles fitted
+LEAD_IN = 1.0  # [s] transient, in the first half of which the sine's amplitude grows
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class FrequencyResponse:
     """Response of A to its command.
 
     Attributes:
-        frequency: (F,) [Hz]. own: (6, F) complex ratio of each axis. cross: (6, F) largest share that another axis makes of the amplitude.
+        frequency: (F,) [Hz]. own: (6, F) complex ratio of each axis. cross: (6, F) largest relative amplitude of another axis.
     """
 
     frequency: Array
@@ -45,7 +45,7 @@ class FrequencyResponse:
         return 20.0 * np.log10(np.abs(self.own))
 
     def phase_deg(self) -> Array:
-        """(6, F) [deg], without jumps."""
+        """(6, F) [deg], unwrapped."""
         return np.degrees(np.unwrap(np.angle(self.own), axis=1))
 
     def delay(self, axis: int = 2) -> float:
@@ -53,7 +53,7 @@ class FrequencyResponse:
         return float(-np.angle(self.own[axis, 0]) / (2.0 * math.pi * self.frequency[0]))
 
     def bandwidth(self, axis: int = 2, phase_deg: float = 90.0) -> float:
-        """Frequency [Hz] at which the answer first lags by ``phase_deg`` or has fallen by 3 dB, between those measured; inf: above all."""
+        """Frequency [Hz] at which the response first lags by ``phase_deg`` or falls by 3 dB, interpolated; inf: above all measured."""
         low = np.minimum(3.0 + self.gain_db()[axis], phase_deg + self.phase_deg()[axis])
         below = np.flatnonzero(low < 0.0)
         if not len(below):
@@ -81,7 +81,7 @@ def frequency_response(
     """Measure at the frequencies [Hz], about home. Axes that are left out are NaN.
 
     Args:
-        feed: feed-forward of velocity and acceleration. friction: of the drives; without it the answer is linear.
+        feed: feed-forward of velocity and acceleration. friction: of the drives; without it the response is linear.
     """
     f = np.asarray(frequency, dtype=float)
     count = len(axes) * len(f)
@@ -130,6 +130,6 @@ def _drive(stand: Stand, axis: NDArray[np.intp], w: Array, size: Array, ticks: i
 
 
 def _grown(t: float) -> float:
-    """Share of the amplitude: a smooth start over half the lead-in."""
+    """Fraction of the amplitude at time ``t`` [s]: a smooth start over half the lead-in."""
     u = min(2.0 * t / LEAD_IN, 1.0)
     return u * u * (3.0 - 2.0 * u)

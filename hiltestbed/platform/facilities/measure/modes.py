@@ -1,7 +1,7 @@
-"""Modes of a rig under its drives: the one-tick map, linearised by central differences, a run of a batch for each perturbed state.
+"""Modes of a rig with active drives: the one-tick map, linearised by central differences, one run of a batch for each perturbed state.
 
-The state is what the loops leave free of positions and velocities, and the drives' own (pressures, spools). With the command held, the map
-z_(k+1) = Phi z_k has the eigenvalues e^(s h): |s| is a mode's natural frequency, -Re s/|s| its damping ratio. Friction is left out.
+The state consists of positions and velocities that the loops allow, and the drives' own state (pressures, spools). With a constant command,
+the map z_(k+1) = Phi z_k has the eigenvalues e^(s h): |s| is a mode's natural frequency, -Re s/|s| its damping ratio. Friction is omitted.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from hiltestbed.platform.facilities.stand import Stand
 if TYPE_CHECKING:
     from hiltestbed.contact.settings import Mechanism
 
-NUDGE = 1e-6  # [m], [rad], and per second of a velocity
-SLOWEST = 0.05  # [Hz]
-LIGHTLY = 0.95  # damping ratio below which a motion is a mode
-SETTLE = 0.5  # [s] into the static balance
-STILL = 1e-3  # of the drives' own state, where it is 0 at rest: their scale
+NUDGE = 1e-6  # [m], [rad], and per second for a velocity: size of a perturbation
+SLOWEST = 0.05  # [Hz] lowest frequency of a mode
+LIGHTLY = 0.95  # damping ratio below which a motion counts as a mode
+SETTLE = 0.5  # [s] time to reach static equilibrium
+STILL = 1e-3  # scale of components of the drives' own state that are 0 at rest
 
 
 @dataclass(frozen=True)
@@ -33,8 +33,8 @@ class Mode:
     """A mode of the rig.
 
     Attributes:
-        frequency: natural [Hz]. damping_ratio: [-]. shape: (6,) how A moves in it, largest component 1, rotations times 0.5 m.
-        motion: the same in words.
+        frequency: natural [Hz]. damping_ratio: [-]. shape: (6,) motion of A, largest component 1, rotations times 0.5 m.
+        motion: the shape in words.
     """
 
     frequency: float
@@ -52,7 +52,7 @@ def modes(
     substeps: int = 2,
     mechanism: Mechanism | None = None,
 ) -> tuple[Mode, ...]:
-    """The modes below ``highest`` [Hz] at home, the slowest first."""
+    """The modes below ``highest`` [Hz] at home, in order of frequency."""
     probe = Stand(facility, 1, feed=feed, rate=rate, substeps=substeps, mechanism=mechanism)
     allowed = probe.drives.kinematics.allowed(probe.drives.kinematics.home)
     own = probe.drives.feedback().shape[1]
@@ -76,7 +76,7 @@ def modes(
 
 
 def _map(probe: Stand, stand: Stand, allowed: Array, count: int) -> Array:
-    """``(N, N)`` the map over one tick, of positions and velocities in the allowed motions and of the drives' state."""
+    """``(N, N)`` one-tick map of positions and velocities in the allowed motions and of the drives' state."""
     n, free = 2 * count, allowed.shape[1]
     pose, still = np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (n, 1)), np.zeros((n, 6))
     probe.drives.release()
@@ -110,7 +110,7 @@ def _map(probe: Stand, stand: Stand, allowed: Array, count: int) -> Array:
 
 
 def _shape(kinematics, rates: Array) -> Array:
-    """How A moves relative to P at complex joint rates, at the phase of its largest component."""
+    """Motion of A relative to P for complex joint rates, at the phase of its largest component."""
     parts = [kinematics.twists(kinematics.home, np.ascontiguousarray(x)) for x in (rates.real, rates.imag)]
     twist = parts[0][0] + 1j * parts[1][0]
     if len(parts[0]) == 2:

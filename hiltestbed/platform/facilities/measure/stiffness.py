@@ -1,4 +1,4 @@
-"""How a rig yields to a wrench at A: at rest, and to a sine."""
+"""Compliance of a rig to a wrench at A: static, and for a sine."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _SIZE = np.array([FORCE] * 3 + [TORQUE] * 3)
 def static_compliance(facility: Facility, *, friction: bool = False, settle: float = 3.0, rate: float = 2000.0, substeps: int = 2) -> Array:
     """``(6, 6)`` displacement of A, relative to P, for a unit force or torque on each axis, after ``settle`` [s] [m/N, rad/N, ...].
 
-    Half the difference between push and pull, so that the weight falls out.
+    Half the difference between push and pull, so that the weight cancels.
     """
     stand = Stand(facility, 12, rate=rate, substeps=substeps)
     if not friction:
@@ -50,7 +50,7 @@ def dynamic_stiffness(
     substeps: int = 2,
     mechanism: Mechanism | None = None,
 ) -> NDArray[np.complex128]:
-    """``(6, F)`` complex stiffness of each axis at A, force over displacement, the command held [N/m, N m/rad]."""
+    """``(6, F)`` complex stiffness of each axis at A, force over displacement, with a constant command [N/m, N m/rad]."""
     f = np.asarray(frequency, dtype=float)
     n = 6 * len(f)
     stand = Stand(facility, n, rate=rate, substeps=substeps, mechanism=mechanism)
@@ -62,7 +62,7 @@ def dynamic_stiffness(
     ticks = math.ceil((LEAD_IN + CYCLES / f.min()) * rate)
     record = np.empty((ticks, n))
     for k in range(ticks):
-        t = (k + 0.5) / rate  # the wrench is held over a tick
+        t = (k + 0.5) / rate  # the wrench is constant over a tick
         stand.wrench[runs, axis] = _grown(t) * _SIZE[axis] * np.sin(w * t)
         stand.advance(pose, still, still)
         record[k] = np.hstack([stand.pose[:, :3], rotation_vectors(stand.pose[:, 3:])])[runs, axis]

@@ -1,4 +1,4 @@
-"""How far a facility reaches from home, along and about each axis of A, and what ends it."""
+"""Reach of a facility from home, along and about each axis of A, and what limits it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from hiltestbed.platform.facilities.facility import Facility
 from hiltestbed.platform.facilities.kinematics import AXES
 from hiltestbed.platform.facilities.stand import Stand
 
-STRIDE = (0.02, math.radians(1.0))  # [m], [rad] between two places that are looked at
+STRIDE = (0.02, math.radians(1.0))  # [m], [rad] between two poses that are checked
 FURTHEST = (3.0, math.radians(180.0))
 HALVINGS = 6  # of the last stride: to 0.3 mm and 0.02 deg
 
@@ -22,7 +22,7 @@ class Reach:
     """Reach from home along one axis.
 
     Attributes:
-        axis: x, y, z, rx, ry, rz. low, high: [m, rad]. stops: what ends it below and above; empty where it was not looked further.
+        axis: x, y, z, rx, ry, rz. low, high: [m, rad]. stops: what limits it below and above; empty at the end of the search range.
     """
 
     axis: str
@@ -32,7 +32,7 @@ class Reach:
 
 
 def workspace(facility: Facility, stand: Stand | None = None) -> tuple[Reach, ...]:
-    """The reach of A from home in six axes, the others held: where a joint's travel, a singularity or the reach ends it."""
+    """The reach of A from home in six axes, the others constant: up to a joint's travel, a singularity or the limit of reach."""
     drives = (stand or Stand(facility)).drives
     out = []
     for k, axis in enumerate(AXES):
@@ -42,7 +42,7 @@ def workspace(facility: Facility, stand: Stand | None = None) -> tuple[Reach, ..
 
 
 def _walk(drives, k: int, sign: float) -> tuple[float, str]:
-    """How far A goes from home in one direction, and what stops it."""
+    """Distance that A can move from home in one direction, and what limits it."""
     kind = k // 3
     stride, most = STRIDE[kind], FURTHEST[kind]
     reached, far = 0.0, stride
@@ -68,7 +68,7 @@ def _walk(drives, k: int, sign: float) -> tuple[float, str]:
 
 
 def _look(drives, k: int, shift: float, q: Array) -> tuple[str, Array]:
-    """What stands in the way of A at ``shift`` from home along axis ``k``, starting from joints ``q`` nearby."""
+    """Why A cannot be at ``shift`` from home along axis ``k`` (empty: it can), and the joints, solved from nearby joints ``q``."""
     step, pose = np.zeros(6), np.empty((1, 7))
     step[k] = shift
     home = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
