@@ -30,6 +30,7 @@ from hiltestbed.diagnosis.readings import (
     wrench_link_of,
 )
 from hiltestbed.diagnosis.residual import Residual, square
+from hiltestbed.diagnosis.richer import Richer
 from hiltestbed.diagnosis.search import Explanation, Progress, Search
 from hiltestbed.diagnosis.settings import DETECTION, LEAST_COMPARED, MOST_NOISE, RECORD_LEFT
 from hiltestbed.diagnosis.stiction import stick_starts
@@ -98,9 +99,9 @@ def investigate(dataset: MeasuredDataset, progress: Progress | None = None) -> F
     return Findings(layout, found, missing, whole)
 
 
-def _candidates(scales: Scales, links: Sequence[str]) -> tuple[Candidate, ...]:
-    """The hypotheses of every effect that acts on one of ``links``."""
-    return tuple(c for effect in EFFECTS.values() if effect.link in links for c in effect.candidates(scales))
+def _candidates(scales: Scales, links: Sequence[str], rich: bool = False) -> tuple[Candidate, ...]:
+    """The hypotheses of every effect that acts on one of ``links``; of those that are ``rich`` in numbers, or of the others."""
+    return tuple(c for effect in EFFECTS.values() if effect.link in links and effect.rich == rich for c in effect.candidates(scales))
 
 
 def _told(progress: Progress | None, link: str) -> Progress | None:
@@ -112,7 +113,10 @@ def _explain_platform(layout: Layout, link: PlatformLink, progress: Progress | N
     noise = min((level for c in link.channels[:3] if (level := layout.noise.get(c))), default=0.0)
     scales = replace(layout.scales, sticks=stick_starts(link, noise, layout.scales.substeps))
     search = Search(_candidates(scales, ("platform",)), progress=progress, reread=place_under)
-    return in_its_place(Residual(link), search)
+    found = in_its_place(Residual(link), search)
+    richer = Richer(search, _candidates(scales, ("platform",), rich=True))
+    other = richer.in_place_of(found)
+    return found if other is found else in_its_place(other.residual, search, lambda there: richer.in_place_of(found, there))
 
 
 def _explain_axis(layout: Layout, progress: Progress | None) -> tuple[Explanation, AxisLink]:

@@ -56,6 +56,7 @@ class Effect(Strictly):
         resembles: effects that it is easily taken for. repeats: whether two of its kind act together; else a second one is refused.
         leading: the parameter that says how large it is. vanishes: whether a smaller effect has a larger parameter (a limit).
         jumps: a parameter in which a prediction is not smooth, or "".
+        rich: whether it has so many numbers that it is sought only where effects with fewer leave more than noise.
     """
 
     PARTS: ClassVar[tuple[str, ...]] = ("docstring", "link", "equation", "reference", "apply", "candidates")
@@ -69,6 +70,7 @@ class Effect(Strictly):
     leading: ClassVar[str] = ""
     vanishes: ClassVar[bool] = False
     jumps: ClassVar[str] = ""
+    rich: ClassVar[bool] = False
 
     _variant: Mapping[str, Any] = PrivateAttr(default_factory=dict)
 
