@@ -116,7 +116,11 @@ def _explain_platform(layout: Layout, link: PlatformLink, progress: Progress | N
     found = in_its_place(Residual(link), search)
     richer = Richer(search, _candidates(scales, ("platform",), rich=True))
     other = richer.in_place_of(found)
-    return found if other is found else in_its_place(other.residual, search, lambda there: richer.in_place_of(found, there))
+    there = found.residual if other is found else place_under(other.residual, other.chosen)
+    if there is other.residual:
+        return other
+    placed = richer.in_place_of(found, there)
+    return other if placed is found else placed
 
 
 def _explain_axis(layout: Layout, progress: Progress | None) -> tuple[Explanation, AxisLink]:

@@ -1,7 +1,8 @@
 """An effect with many numbers, where effects with fewer leave more than noise, or where it does alone what several of them do.
 
 Where such an effect is at work, those with fewer numbers stand in for parts of it, and each of them pays. It is therefore sought without
-them: alone, and beside those of the causes found that it does not resemble. What it makes needless goes.
+them: alone, and beside those of the causes found that it does not resemble. What it makes needless goes. It has to lower the
+residual of runs that were left out as well, since so many numbers bend to much that is no drive.
 """
 
 from __future__ import annotations
@@ -11,9 +12,10 @@ from dataclasses import dataclass, replace
 
 from hiltestbed.diagnosis.adequacy import JITTER, noise_alone
 from hiltestbed.diagnosis.fit import Fit, fit, inflation, nothing, refit
+from hiltestbed.diagnosis.grow import carried
 from hiltestbed.diagnosis.residual import Residual
 from hiltestbed.diagnosis.search import Explanation, Search, with_rivals
-from hiltestbed.diagnosis.settings import MOST_CAUSES, PARTNERS, SELECTION_INADEQUATE
+from hiltestbed.diagnosis.settings import MOST_CAUSES, PARTNERS, SELECTION_INADEQUATE, WORTH_IN_PART
 from hiltestbed.effects.search import Candidate
 
 
@@ -43,7 +45,7 @@ class Richer:
             better = best.score < found.chosen.score and noise_alone(self.search.judge(residual, best.effects()))
         else:
             best, tried = self._several(residual, singles, known)
-            better = known.score - best.score > SELECTION_INADEQUATE * inflation(best)
+            better = _pays(best, known) and carried(residual, known) - carried(residual, best) >= WORTH_IN_PART
         if not better:
             return found
         leftovers = self.search.judge(residual, best.effects())

@@ -91,7 +91,7 @@ def test_a_drive_beside_a_limit_of_the_speed_leaves_the_limit_and_takes_the_plac
 
 
 def test_what_a_lag_explains_stays_a_lag() -> None:
-    """Whether it leaves noise alone or, beside something without a name, more."""
+    """Alone, and beside a limit of the speed."""
     one = explained_by(Residual(link([effect("platform.lag", bandwidth=3.0)])), "platform.lag")
     assert one.adequate
     assert richer().in_place_of(one) is one
@@ -108,3 +108,14 @@ def test_what_it_resembles_is_not_sought_beside_it() -> None:
     further = Search((*candidates(), *candidates(rich=True))).extend(residual, drive)
     assert further
     assert not {f.causes[-1].kind for f in further} & {*EFFECTS["platform.drive"].resembles, "platform.drive"}
+
+
+def test_a_lag_beside_something_without_a_name_is_not_taken_for_a_drive() -> None:
+    """A chirp of 20 um that no effect makes bends the numbers of a drive, and what is bent does not carry over."""
+    clean, t = link([effect("platform.lag", bandwidth=3.0)]), np.arange(ROWS) * H
+    runs = [
+        replace(run, measured=run.measured + 2e-5 * np.sin(2 * np.pi * 4.0 * t**1.3 + i)[:, None]) for i, run in enumerate(clean.runs)
+    ]
+    found = explained_by(Residual(PlatformLink(runs, clean.commands, clean.deflection)), "platform.lag")
+    assert not found.adequate
+    assert richer().in_place_of(found) is found
