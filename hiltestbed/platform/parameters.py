@@ -25,8 +25,7 @@ class PlatformParameters:
         delay: [s]. speed: limit [m/s]. play, stick: [m]. scale: (3,) factor on x, y, z.
         lag: natural frequency [rad/s] and damping ratio of each second-order response.
         mode: natural frequency [rad/s] and damping ratio of each structural mode that is shaken at its base.
-        drive: (3, NUMBERS) on x, y, z the numbers of a controller against dry friction, see :mod:`hiltestbed.platform.drive`; a frequency of
-            0 for none.
+        drive: (3, NUMBERS) of a controller against dry friction on x, y, z, see :mod:`hiltestbed.platform.drive`; 0 for none.
         instants: a tick at which a platform that sticks may move; 0: those of the physics.
         step: what it answers to a step of the command, packed, see :func:`hiltestbed.piecewise.packed`; without knots: the step itself.
     """

@@ -69,7 +69,7 @@ def richer() -> Richer:
 
 
 def test_a_drive_is_found_with_its_numbers_where_a_lag_stood_in_for_it() -> None:
-    stood_in = explained_by(Residual(link([effect("platform.drive", **DRIVE)])), "platform.lag")
+    stood_in = explained_by(Residual(link([effect("platform.drive", None, **DRIVE)])), "platform.lag")
     assert not stood_in.adequate
     found = richer().in_place_of(stood_in)
     assert found.adequate
@@ -82,7 +82,7 @@ def test_a_drive_is_found_with_its_numbers_where_a_lag_stood_in_for_it() -> None
 
 
 def test_a_drive_beside_a_limit_of_the_speed_leaves_the_limit_and_takes_the_place_of_the_lag() -> None:
-    hidden = [effect("platform.drive", **DRIVE), effect("platform.speed_limit", speed=6e-3)]
+    hidden = [effect("platform.drive", None, **DRIVE), effect("platform.speed_limit", speed=6e-3)]
     stood_in = explained_by(Residual(link(hidden)), "platform.speed_limit", "platform.lag", "platform.backlash")
     assert not stood_in.adequate
     found = richer().in_place_of(stood_in)
@@ -102,7 +102,7 @@ def test_what_a_lag_explains_stays_a_lag() -> None:
 
 
 def test_what_it_resembles_is_not_sought_beside_it() -> None:
-    residual = Residual(link([effect("platform.drive", **DRIVE), effect("platform.backlash", width=2e-4)]))
+    residual = Residual(link([effect("platform.drive", None, **DRIVE), effect("platform.backlash", width=2e-4)]))
     cause = next(c for c in candidates(rich=True) if "offset" in c.names)
     drive = fit(residual, (cause,), cause.grid)
     further = Search((*candidates(), *candidates(rich=True))).extend(residual, drive)
@@ -113,9 +113,7 @@ def test_what_it_resembles_is_not_sought_beside_it() -> None:
 def test_a_lag_beside_something_without_a_name_is_not_taken_for_a_drive() -> None:
     """A chirp of 20 um that no effect makes bends the numbers of a drive, and what is bent does not carry over."""
     clean, t = link([effect("platform.lag", bandwidth=3.0)]), np.arange(ROWS) * H
-    runs = [
-        replace(run, measured=run.measured + 2e-5 * np.sin(2 * np.pi * 4.0 * t**1.3 + i)[:, None]) for i, run in enumerate(clean.runs)
-    ]
+    runs = [replace(run, measured=run.measured + 2e-5 * np.sin(2 * np.pi * 4.0 * t**1.3 + i)[:, None]) for i, run in enumerate(clean.runs)]
     found = explained_by(Residual(PlatformLink(runs, clean.commands, clean.deflection)), "platform.lag")
     assert not found.adequate
     assert richer().in_place_of(found) is found

@@ -10,8 +10,8 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.signal import TransferFunction, lsim
 
-from hiltestbed.effects import EFFECTS
 from hiltestbed.platform.drive import RATE, STATE, drive_over
+from hiltestbed.platform.effects.drive import PlatformDrive
 from hiltestbed.platform.parameters import PlatformParameters
 from hiltestbed.platform.response import second_order
 from hiltestbed.replay import replay_platform
@@ -22,7 +22,9 @@ H = 0.02  # [s] a tick, a part of a time constant of the drives here
 ROUND_OFF = 2e-15  # [m] of motions of some 30 mm: a few units in the last place of each of 500 ticks
 
 
-def numbers(w: float, zeta: float, r: float = 0.0, o: float = 0.0, a: float = math.inf, ti: float = math.inf, static: float = 1.0) -> np.ndarray:
+def numbers(
+    w: float, zeta: float, r: float = 0.0, o: float = 0.0, a: float = math.inf, ti: float = math.inf, static: float = 1.0
+) -> np.ndarray:
     return np.array([w, zeta, r, o, a, ti, static])
 
 
@@ -172,8 +174,8 @@ def test_an_integrator_that_stops_at_each_switch_finds_the_same(drive: np.ndarra
     np.testing.assert_allclose(reached(u, drive), expected, atol=2e-9)
 
 
-def _driven(s: Scenario, commands: np.ndarray, **given: float) -> np.ndarray:
-    parameters = PlatformParameters.believed(s).with_effects([EFFECTS["platform.drive"](kind="platform.drive", **given)])
+def _driven(s: Scenario, commands: np.ndarray, drive: PlatformDrive) -> np.ndarray:
+    parameters = PlatformParameters.believed(s).with_effects([drive])
     return replay_platform([s], [parameters], commands[None], np.zeros(1, dtype=int))[0]
 
 
@@ -181,20 +183,20 @@ def test_an_axis_that_is_never_told_to_move_sags_under_a_load_beyond_its_frictio
     base = scenario("ideal")
     s = base.model_copy(update={"approach": base.approach.model_copy(update={"velocity": (0.0, 0.0, 0.0)})})
     command = np.tile([*s.approach.offset, -s.approach.gap, 0.0, 0.0, 0.0, 1.0], (3000, 1))
-    held = _driven(s, command, bandwidth=10.0, friction=2e-4, offset=1e-4)
+    held = _driven(s, command, PlatformDrive(bandwidth=10.0, friction=2e-4, offset=1e-4))
     np.testing.assert_array_equal(held, np.tile(command[0, :3], (3000, 1)))
-    sunk = _driven(s, command, bandwidth=10.0, damping_ratio=1.0, friction=2e-4, offset=5e-4)
+    sunk = _driven(s, command, PlatformDrive(bandwidth=10.0, damping_ratio=1.0, friction=2e-4, offset=5e-4))
     np.testing.assert_allclose(sunk[-1] - command[0, :3], 3e-4, atol=1e-9)  # o - r: it creeps there and never swings past
 
 
 def test_what_it_is_worth_is_the_lateness_of_a_slow_motion() -> None:
     """2 zeta/w; with an integral part that of its phase, which is behind a slow swing by less."""
     s, w = scenario("ideal"), 2.0 * math.pi * 10.0
-    effect = EFFECTS["platform.drive"](kind="platform.drive", bandwidth=10.0, damping_ratio=0.5)
+    effect = PlatformDrive(bandwidth=10.0, damping_ratio=0.5)
     assert effect.worth(s, 1.0) == pytest.approx(1.0 / w)
     t = np.arange(4000) * 5e-3
     u = np.sin(3.0 * t)
-    slow = EFFECTS["platform.drive"](kind="platform.drive", bandwidth=10.0, damping_ratio=0.5, integral_time=0.5)
+    slow = PlatformDrive(bandwidth=10.0, damping_ratio=0.5, integral_time=0.5)
     late = slow.worth(s, 3.0)
     assert late is not None
     x = reached(u, numbers(w, 0.5, ti=0.5), dt=5e-3)[2000:]

@@ -47,9 +47,7 @@ def test_it_is_the_exact_answer_to_a_command_that_is_linear_over_a_tick() -> Non
     lag, lagged, none = np.empty((1, 5)), np.zeros((1, 2)), np.zeros((0, 2))
     second_order(w, 0.7, H, 0.0, lag[0])
     goal, memory, undriven, mode = command(np.arange(401))[:, 0], np.zeros(MEMORY), np.zeros(NUMBERS), np.zeros((0, 5))
-    effect = [
-        follow(goal[k], goal[k + 1], H, np.inf, 0.0, 0.0, undriven, lag, mode, undriven, lagged, none, memory) for k in range(400)
-    ]
+    effect = [follow(goal[k], goal[k + 1], H, np.inf, 0.0, 0.0, undriven, lag, mode, undriven, lagged, none, memory) for k in range(400)]
     twin = reached(ResponseSettings(bandwidth=12.0, damping_ratio=0.7), 2)
     np.testing.assert_allclose(twin[:, -1, 0], effect, atol=1e-12)
 
