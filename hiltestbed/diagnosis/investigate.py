@@ -41,6 +41,7 @@ from hiltestbed.diagnosis.readings import (
     wrench_link_of,
 )
 from hiltestbed.diagnosis.residual import Residual, square
+from hiltestbed.diagnosis.richer import Richer
 from hiltestbed.diagnosis.search import Explanation, Progress, Search
 from hiltestbed.diagnosis.settings import DETECTION, MAX_NOISE_SIGMA, MAX_SKEW_RESIDUAL, MIN_COMPARED
 from hiltestbed.diagnosis.stiction import stick_starts
@@ -111,9 +112,9 @@ def investigate(dataset: MeasuredDataset, progress: Progress | None = None) -> F
     return Findings(layout, found, missing, whole)
 
 
-def _candidates(scales: Scales, links: Sequence[str]) -> tuple[Candidate, ...]:
-    """The hypotheses of every effect that acts on one of ``links``."""
-    return tuple(c for effect in EFFECTS.values() if effect.link in links for c in effect.candidates(scales))
+def _candidates(scales: Scales, links: Sequence[str], rich: bool = False) -> tuple[Candidate, ...]:
+    """The hypotheses of every effect that acts on one of ``links``: of the ``rich`` effects, or of all others."""
+    return tuple(c for effect in EFFECTS.values() if effect.link in links and effect.rich == rich for c in effect.candidates(scales))
 
 
 def _label(progress: Progress | None, link: str) -> Progress | None:
@@ -125,7 +126,14 @@ def _explain_platform(layout: Layout, link: PlatformLink, progress: Progress | N
     noise = min((level for c in link.channels[:3] if (level := layout.noise.get(c))), default=0.0)
     scales = replace(layout.scales, sticks=stick_starts(link, noise, layout.scales.substeps))
     search = Search(_candidates(scales, ("platform",)), progress=progress, reread=timing_under)
-    return explain_with_timing(Residual(link), search)
+    found = explain_with_timing(Residual(link), search)
+    richer = Richer(search, _candidates(scales, ("platform",), rich=True))
+    other = richer.in_place_of(found)
+    there = found.residual if other is found else timing_under(other.residual, other.chosen)
+    if there is other.residual:
+        return other
+    placed = richer.in_place_of(found, there)
+    return other if placed is found else placed
 
 
 def _explain_axis(layout: Layout, progress: Progress | None) -> tuple[Explanation, AxisLink]:

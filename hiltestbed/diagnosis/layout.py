@@ -35,6 +35,7 @@ from hiltestbed.measured import MeasuredDataset, MeasuredRun
 from hiltestbed.measured.driven import is_driven
 from hiltestbed.replay import Engaged
 from hiltestbed.replay.compensation import needs
+from hiltestbed.scenario import Scenario
 from hiltestbed.signals import GROUPS
 
 GAP_MEMORY = 0.05  # chosen: [s] for which a missing sample is taken to affect platform, contact and compensation
@@ -138,10 +139,22 @@ def platform_link(layout: Layout, rows: Sequence[int]) -> PlatformLink:
     assert layout.deflection is not None  # else the link is missing
     runs, commands, away = [], [], []
     for run, found, n in zip(layout.runs, layout.deflection, rows, strict=True):
-        runs.append(_pose_run(run, layout.noise, found.doubt[:n], n))
+        one = _pose_run(run, layout.noise, found.doubt[:n], n)
+        runs.append(replace(one, scenario=_from_where_it_stood(run)) if "wrench" in layout.missing else one)
         commands.append(np.ascontiguousarray(run.record.filled("pose_cmd")[:n]))
         away.append(found.away[:n])
     return PlatformLink(runs, commands, away)
+
+
+def _from_where_it_stood(run: MeasuredRun) -> Scenario:
+    """The scenario of a platform that is moved without an approach: it begins where the record has it, a load's droop off its command."""
+    scenario, first = run.scenario, run.record.data["pose_act"][0, :3]
+    approach = scenario.approach
+    if any(approach.velocity):
+        return scenario
+    begin = np.where(np.isfinite(first), first, (*approach.offset, -approach.gap))
+    moved = approach.model_copy(update={"offset": (float(begin[0]), float(begin[1])), "gap": -float(begin[2])})
+    return scenario.model_copy(update={"approach": moved})
 
 
 def compensation_link(layout: Layout, rows: Sequence[int]) -> CompensationLink:

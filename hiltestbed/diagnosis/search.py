@@ -210,8 +210,7 @@ class Search:
 
     def _rate(self, residual: Residual, base: Fit) -> list[tuple[float, Candidate, list[Array]]]:
         """The largest reduction of chi-square by each candidate beside `base`, linearised at each start, and the starts worth a descent."""
-        taken = {c.kind for c in base.causes}
-        wanted = [c for c in self.candidates if c.kind not in taken]
+        wanted = [c for c in self.candidates if not any(_overlap(c, known) for known in base.causes)]
         starts = [[np.clip(np.array(s, dtype=float), c.low, c.high) for s in c.grid] for c in wanted]
         basis, known = _orthonormal(base.jacobian), base.effects()
         tried = [[*known, c.at(theta)] for c, grid in zip(wanted, starts, strict=True) for theta in grid]
@@ -228,6 +227,12 @@ class Search:
             if best > MIN_LINEAR_GAIN * inflation(base) * 0.5:
                 out.append((best, c, [grid[i] for i in order]))
         return out
+
+
+def _overlap(c: Candidate, other: Candidate) -> bool:
+    """Whether two hypotheses are of one effect, or one of them of an effect rich in numbers, of which the other would be a part."""
+    parts = [a.kind in b.effect.resembles for a, b in ((c, other), (other, c)) if b.effect.rich]
+    return c.kind == other.kind or any(parts)
 
 
 def _beaten(c: Candidate, base: Fit, fits: Sequence[Fit]) -> bool:

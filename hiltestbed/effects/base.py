@@ -56,6 +56,7 @@ class Effect(Strictly):
         resembles: effects that it is easily mistaken for. repeats: whether two of its kind may act together; else a second one is refused.
         leading: the parameter that sets its size. vanishes: whether the effect becomes smaller as that parameter grows (a limit).
         jumps: the parameter on which the prediction depends discontinuously, or "".
+        rich: whether it has so many parameters that it is tried only where effects with fewer leave more than noise.
     """
 
     PARTS: ClassVar[tuple[str, ...]] = ("docstring", "link", "equation", "reference", "apply", "candidates")
@@ -69,6 +70,7 @@ class Effect(Strictly):
     leading: ClassVar[str] = ""
     vanishes: ClassVar[bool] = False
     jumps: ClassVar[str] = ""
+    rich: ClassVar[bool] = False
 
     _variant: Mapping[str, Any] = PrivateAttr(default_factory=dict)
 

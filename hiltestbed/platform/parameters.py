@@ -11,6 +11,7 @@ import numpy as np
 from hiltestbed.effects.base import Effect
 from hiltestbed.frames import Array
 from hiltestbed.piecewise import packed
+from hiltestbed.platform.drive import NUMBERS
 
 if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario
@@ -24,6 +25,7 @@ class PlatformParameters:
         delay: [s]. speed: limit [m/s]. play, stick: [m]. scale: (3,) factor on x, y, z.
         lag: natural frequency [rad/s] and damping ratio of each second-order response.
         mode: natural frequency [rad/s] and damping ratio of each structural mode that is shaken at its base.
+        drive: (3, NUMBERS) of a controller against dry friction on x, y, z, see :mod:`hiltestbed.platform.drive`; 0 for none.
         instants: a tick at which a platform that sticks may move; 0: those of the physics.
         step: what it answers to a step of the command, packed, see :func:`hiltestbed.piecewise.packed`; without knots: the step itself.
     """
@@ -36,6 +38,7 @@ class PlatformParameters:
     scale: Array = field(default_factory=lambda: np.ones(3))
     lag: list[tuple[float, float]] = field(default_factory=list)
     mode: list[tuple[float, float]] = field(default_factory=list)
+    drive: Array = field(default_factory=lambda: np.zeros((3, NUMBERS)))
     instants: int = 0
     step: Array = field(default_factory=lambda: packed(()))
 
@@ -54,14 +57,15 @@ class PlatformParameters:
 
 @dataclass(frozen=True)
 class Response:
-    """The parameters of n platforms as the kernels take them: delay, speed, play, stick (n,), scale (n, 3), lag and mode (n, S, 2),
-    a frequency of 0 for none, step (n, PACKED)."""
+    """The parameters of n platforms as the kernels take them: delay, speed, play, stick (n,), scale (n, 3), drive (n, 3, NUMBERS),
+    lag and mode (n, S, 2), a frequency of 0 for none, step (n, PACKED)."""
 
     delay: Array
     speed: Array
     play: Array
     stick: Array
     scale: Array
+    drive: Array
     lag: Array
     mode: Array
     step: Array
@@ -78,4 +82,4 @@ def stack(platforms: Sequence[PlatformParameters]) -> Response:
         return np.array([getattr(p, name) for p in platforms], dtype=float)
 
     lag, mode = filled([p.lag for p in platforms]), filled([p.mode for p in platforms])
-    return Response(rows("delay"), rows("speed"), rows("play"), rows("stick"), rows("scale"), lag, mode, rows("step"))
+    return Response(rows("delay"), rows("speed"), rows("play"), rows("stick"), rows("scale"), rows("drive"), lag, mode, rows("step"))

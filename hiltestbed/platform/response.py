@@ -1,9 +1,9 @@
 """What the motion platform makes of its command, on the three translations.
 
 The command runs linearly over each tick to `pose_cmd`; before the start it is the uniform approach. It passes, in this order, a
-transport delay, a response that was learned, a speed limit, second-order lags, structural modes shaken at their base, play, stiction
-and a scale error. Lags and modes are linear, and their input is linear between two instants: they are advanced exactly,
-so that the result does not depend on how finely a tick is divided.
+transport delay, a response that was learned, a speed limit, a drive against dry friction, second-order lags, structural modes shaken at
+their base, play, stiction and a scale error. Their input is linear between two instants: drives, lags and modes are advanced exactly, so
+that the result does not depend on how finely a tick is divided.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ import numpy as np
 from hiltestbed.effects.table import by_link
 from hiltestbed.frames import Array
 from hiltestbed.jit import njit
+from hiltestbed.platform.drive import PLACE, RATE, STATE, W, drive_over
 from hiltestbed.platform.parameters import PlatformParameters, stack
 from hiltestbed.platform.step_response import longest_memory, summed_over
 
@@ -74,15 +75,19 @@ def _limited(held, before, after, dt, speed):
 
 
 @njit(cache=True)
-def follow(before, after, dt, speed, play, stick, lag, mode, lagged, shaken, memory):
+def follow(before, after, dt, speed, play, stick, drive, lag, mode, driven, lagged, shaken, memory):
     """One axis over dt, the (already delayed) command running from `before` to `after` [m].
 
-    lag, mode: (S, 5) from `second_order`, a first number of 0 for none. lagged, shaken: (S, 2) and memory: (MEMORY,) state, changed in
-    place. Returns the position reached [m], before the scale error.
+    drive: (NUMBERS,), a frequency of 0 for none. lag, mode: (S, 5) from `second_order`, a first number of 0 for none. driven: (STATE,),
+    lagged, shaken: (S, 2) and memory: (MEMORY,) state, changed in place. Returns the position reached [m], before the scale error.
     """
     if speed < np.inf:
         held = memory[LIMITED]
         memory[LIMITED] = after = _limited(held, before, after, dt, speed)
+        before = held
+    if drive[W] > 0.0:
+        held = driven[PLACE]
+        after = drive_over(before, after, dt, drive, driven)
         before = held
     for s in range(lag.shape[0]):
         if lag[s, 0] != 0.0:
@@ -131,6 +136,7 @@ class PlatformResponse:
         self.ring = np.zeros((n, slots, 3))  # command reached at t_j in slot j modulo its length
         self.sums = np.zeros((n, slots, 3))  # its integral over time, likewise
         self.memory = np.zeros((n, 3, MEMORY))
+        self.driven = np.zeros((n, 3, STATE))
         self.lagged, self.shaken = np.zeros((n, 3, p.lag.shape[1], 2)), np.zeros((n, 3, p.mode.shape[1], 2))
         self.lag_kernel, self.mode_kernel = np.zeros((*p.lag.shape[:2], 5)), np.zeros((*p.mode.shape[:2], 5))
         for kernel, numbers, base in ((self.lag_kernel, p.lag, 0.0), (self.mode_kernel, p.mode, 1.0)):
@@ -146,6 +152,8 @@ class PlatformResponse:
             self.sums[i, -back % self.ring.shape[1]] = self.tick * back * (0.5 * velocity * self.tick * back - start)
         there, moving = summed_over(self.parameters.step[i], start - velocity * self.parameters.delay[i], velocity)
         self.memory[i] = there[:, None]
+        self.driven[i] = 0.0
+        self.driven[i, :, PLACE], self.driven[i, :, RATE] = there, moving
         self.lagged[i, ..., 0] = self.shaken[i, ..., 0] = there[:, None]
         self.lagged[i, ..., 1] = self.shaken[i, ..., 1] = moving[:, None]
 
@@ -154,7 +162,7 @@ class PlatformResponse:
         p = self.parameters
         advance_paths(
             k, pose_cmd, self.ring, self.sums, p.step, self._late, self.tick / self.substeps, p.speed, p.play, p.stick, p.scale,
-            self.lag_kernel, self.mode_kernel, self.lagged, self.shaken, self.memory, self.path,
+            p.drive, self.lag_kernel, self.mode_kernel, self.driven, self.lagged, self.shaken, self.memory, self.path,
         )  # fmt: skip
         return self.path
 
@@ -196,7 +204,9 @@ def _answered(ring, sums, step, axis, at, h):
 
 
 @njit(cache=True)
-def advance_paths(k, pose_cmd, ring, sums, step, late, dt, speed, play, stick, scale, lag, mode, lagged, shaken, memory, path):
+def advance_paths(
+    k, pose_cmd, ring, sums, step, late, dt, speed, play, stick, scale, drive, lag, mode, driven, lagged, shaken, memory, path
+):  # fmt: skip
     """The paths (n, m, 3) of one tick, from t_k, on the commands ``pose_cmd`` (n, >= 3); see :class:`PlatformResponse`."""
     substeps = path.shape[1]
     for i in range(path.shape[0]):
@@ -208,7 +218,8 @@ def advance_paths(k, pose_cmd, ring, sums, step, late, dt, speed, play, stick, s
             for s in range(substeps):
                 after = _answered(ring[i], sums[i], step[i], axis, k + (s + 1.0) / substeps - late[i], substeps * dt)
                 reached = follow(
-                    before, after, dt, speed[i], play[i], stick[i], lag[i], mode[i], lagged[i, axis], shaken[i, axis], memory[i, axis]
-                )
+                    before, after, dt, speed[i], play[i], stick[i], drive[i, axis], lag[i], mode[i], driven[i, axis], lagged[i, axis],
+                    shaken[i, axis], memory[i, axis],
+                )  # fmt: skip
                 path[i, s, axis] = scale[i, axis] * reached
                 before = after

@@ -10,6 +10,7 @@ import numpy as np
 
 from hiltestbed.frames import Array
 from hiltestbed.jit import njit
+from hiltestbed.platform.drive import FRICTION, OFFSET, PLACE, RATE, STATE, STATIC, W
 from hiltestbed.platform.parameters import stack
 from hiltestbed.platform.response import MEMORY, follow, second_order
 
@@ -44,7 +45,7 @@ def replay_platform(
     out = np.empty((len(run), commands.shape[1], 3))
     _replay(
         commands, np.asarray(run), start, velocity, tick, late, at_start != 0.0, parts, count, steps, p.step, p.speed, p.play, p.stick,
-        p.scale, lag, mode, out,
+        p.scale, p.drive, lag, mode, out,
     )  # fmt: skip
     return out
 
@@ -76,18 +77,21 @@ def _kernels(numbers: Array, steps: Array, count: np.ndarray, base: float) -> Ar
 
 
 @njit(cache=True)
-def _replay(commands, run, start, velocity, h, late, at_start, parts, count, steps, response, speed, play, stick, scale, lag, mode, out):
+def _replay(
+    commands, run, start, velocity, h, late, at_start, parts, count, steps, response, speed, play, stick, scale, drive, lag, mode, out
+):  # fmt: skip
+    driven = np.zeros(STATE)
     lagged, shaken, memory = np.zeros((lag.shape[2], 2)), np.zeros((mode.shape[2], 2)), np.zeros(MEMORY)
     sums = np.zeros(commands.shape[1] + 1)
     for i in range(len(run)):
         for axis in range(3):
             command = commands[run[i], :, axis]
             learned = response[i]
-            if learned[0] == 0.0 and _still(command, start[i, axis], velocity[i, axis]):
+            if learned[0] == 0.0 and _still(command, start[i, axis], velocity[i, axis]) and not _sags(drive[i, axis]):
                 out[i, :, axis] = start[i, axis]
                 out[i, 1:, axis] *= scale[i, axis]
                 continue
-            if learned[0] == 0.0 and _sticks_alone(speed[i], play[i], stick[i], lag[i], mode[i], late[i]):
+            if learned[0] == 0.0 and _sticks_alone(speed[i], play[i], stick[i], drive[i, axis], lag[i], mode[i], late[i]):
                 _stick(
                     command, start[i, axis], velocity[i, axis], h, int(round(late[i])), count[i], stick[i], scale[i, axis], out[i, :, axis]
                 )
@@ -99,8 +103,9 @@ def _replay(commands, run, start, velocity, h, late, at_start, parts, count, ste
             rest = start[i, axis] if at_start[i] else rest
             share = learned[len(learned) // 2 + int(learned[0])] if learned[0] > 0.0 else 1.0
             memory[:] = rest
-            lagged[:, 0] = shaken[:, 0] = rest
-            lagged[:, 1] = shaken[:, 1] = share * velocity[i, axis]
+            driven[:] = 0.0
+            driven[PLACE] = lagged[:, 0] = shaken[:, 0] = rest
+            driven[RATE] = lagged[:, 1] = shaken[:, 1] = share * velocity[i, axis]
             out[i, 0, axis] = start[i, axis]
             for k in range(out.shape[1] - 1):
                 reached = before
@@ -111,16 +116,24 @@ def _replay(commands, run, start, velocity, h, late, at_start, parts, count, ste
                     else:
                         after = _answered(command, sums, learned, start[i, axis], velocity[i, axis], at, h)
                     reached = follow(
-                        before, after, steps[i, s], speed[i], play[i], stick[i], lag[i, s], mode[i, s], lagged, shaken, memory
+                        before, after, steps[i, s], speed[i], play[i], stick[i], drive[i, axis], lag[i, s], mode[i, s], driven, lagged,
+                        shaken, memory,
                     )  # fmt: skip
                     before = after
                 out[i, k + 1, axis] = scale[i, axis] * reached
 
 
 @njit(cache=True)
-def _sticks_alone(speed, play, stick, lag, mode, late):
+def _sticks_alone(speed, play, stick, drive, lag, mode, late):
     """Whether a platform has only stiction and a delay of whole ticks."""
-    return stick > 0.0 and play == 0.0 and speed == np.inf and not lag[:, :, 0].any() and not mode[:, :, 0].any() and late == round(late)
+    linear = not lag[:, :, 0].any() and not mode[:, :, 0].any() and drive[W] == 0.0
+    return stick > 0.0 and play == 0.0 and speed == np.inf and linear and late == round(late)
+
+
+@njit(cache=True)
+def _sags(drive):
+    """Whether an axis moves under its load without being commanded to."""
+    return drive[W] > 0.0 and abs(drive[OFFSET]) > drive[STATIC] * drive[FRICTION]
 
 
 @njit(cache=True)

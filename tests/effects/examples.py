@@ -39,6 +39,7 @@ EXAMPLES: dict[str, dict[str, Any]] = {
     "platform.mode": {"frequency": 25.0, "damping_ratio": 0.05},
     "platform.scale": {"factor": 1.05, "axis": "z"},
     "platform.speed_limit": {"speed": 0.02},
+    "platform.drive": {"bandwidth": 20.0, "damping_ratio": 0.6, "friction": 5.0e-5, "offset": 1.0e-4, "acceleration_limit": 1.0},
     "platform.response": {"step": [[0.0, 0.1], [0.004, 0.6], [0.012, 1.15], [0.03, 1.0]]},
     "dynamics.mass": {"factor": 1.2, "body": "target"},
     "dynamics.inertia": {"factor": 1.4, "body": "chaser"},

@@ -1,0 +1,211 @@
+"""A position controller that works against dry friction with a limited force, over a stretch of a straight command.
+
+    x'' = sat(w^2 (u - x + q), a_max) - 2 zeta w x' - w^2 r sgn(x') + w^2 o,    q' = (u - x)/T_i
+
+Everything is divided by the moving mass: r is the Coulomb force and o the load over the gain of the controller, both as following errors.
+At rest the axis holds while the force of drive and load is no more than the static friction.
+
+Between two instants at which the axis stops, breaks loose, reverses, or meets or leaves the limit of its force the law is linear. There
+it is advanced by its Taylor series, to round-off, and these instants are found to round-off as the zeros that they are. So the result
+does not depend on how finely a command is divided. What would not be seen: a stop within a time constant in
+which the acceleration turns round twice, which takes an integral part that is faster than the axis.
+"""
+
+from __future__ import annotations
+
+import math
+
+from hiltestbed.jit import njit
+
+W, ZETA, FRICTION, OFFSET, LIMIT, INTEGRAL, STATIC = range(7)  # numbers of a drive: [rad/s], -, m, m, m/s^2, s, -
+NUMBERS = 7
+PLACE, RATE, SUM = 0, 1, 2  # its state: x [m], x' [m/s], q [m]
+STATE = 3
+
+ORDER = 19  # of the series: a piece is at most one time constant long, and 1/20! is 4e-19
+MOST_PIECES = 100_000  # of one stretch: numbers that are no drive end, too
+SPEED, ACCELERATION, ERROR, ERROR_RATE = 0, 1, 2, 3  # whose zero is sought
+
+
+@njit(cache=True, inline="always")
+def _slide(law, x, v, q, u, rate, t):
+    """Position, speed and integral after t of an axis that moves one way; ``law``: see :func:`_law`; the command is u + rate t."""
+    stiffness, damping, push, integral, follows = law
+    xk, vk, qk, uk = x, v, q, u
+    for k in range(ORDER):
+        part = t / (k + 1.0)
+        force = stiffness * (follows * (uk - xk + qk) + push) - damping * vk
+        qk = part * integral * (uk - xk)
+        xk = part * vk
+        vk = part * force
+        uk = rate * t if k == 0 else 0.0
+        push = 0.0
+        x += xk
+        v += vk
+        q += qk
+    return x, v, q
+
+
+@njit(cache=True, inline="always")
+def _law(numbers, side, bound):
+    """The linear law of an axis that moves to ``side``, the force of its drive free (``bound`` 0) or at its upper or lower limit.
+
+    Returns: w^2, 2 zeta w, what pushes beside the controller as a following error, 1/T_i, 1 where the controller's force is free.
+    """
+    stiffness = numbers[W] * numbers[W]
+    push = numbers[OFFSET] - side * numbers[FRICTION]
+    if bound != 0.0:
+        push += bound * numbers[LIMIT] / stiffness
+    return stiffness, 2.0 * numbers[ZETA] * numbers[W], push, 1.0 / numbers[INTEGRAL], 1.0 if bound == 0.0 else 0.0
+
+
+@njit(cache=True, inline="always")
+def _of(what, law, level, x, v, q, u, rate):
+    """A quantity and its slope: speed, acceleration, the error that the controller acts on above ``level``, or its rate."""
+    stiffness, damping, push, integral, follows = law
+    a = stiffness * (follows * (u - x + q) + push) - damping * v
+    closing = rate - v + integral * (u - x)
+    if what == SPEED:
+        return v, a
+    if what == ACCELERATION:
+        return a, stiffness * follows * closing - damping * a
+    if what == ERROR:
+        return u - x + q - level, closing
+    return closing, integral * (rate - v) - a
+
+
+@njit(cache=True)
+def _after(what, law, level, x, v, q, u, rate, t):
+    """The same after t."""
+    x, v, q = _slide(law, x, v, q, u, rate, t)
+    return _of(what, law, level, x, v, q, u + rate * t, rate)
+
+
+@njit(cache=True)
+def _zero(what, law, level, x, v, q, u, rate, low, high):
+    """When between ``low`` and ``high``, where it has different signs, a quantity is zero: Newton's steps, halves where one leads out."""
+    rises = _after(what, law, level, x, v, q, u, rate, high)[0] > 0.0
+    t = 0.5 * (low + high)
+    for _ in range(100):
+        value, slope = _after(what, law, level, x, v, q, u, rate, t)
+        if (value > 0.0) == rises:
+            high = t
+        else:
+            low = t
+        last = t
+        t = last - value / slope if slope != 0.0 else low
+        if not low < t < high:
+            t = 0.5 * (low + high)
+        if abs(t - last) <= 1e-16 * high:
+            break
+    return t
+
+
+@njit(cache=True)
+def _falls(what, law, level, sign, starts, x, v, q, u, rate, t, x1, v1, q1):
+    """When within t ``sign`` times SPEED or ERROR first falls below zero; infinite where it does not. Its slope changes sign once at most.
+
+    starts: whether it is zero now, but for round-off, and begins to grow. x1, v1, q1: the state after t.
+    """
+    now, slope = _of(what, law, level, x, v, q, u, rate)
+    then, last = _of(what, law, level, x1, v1, q1, u + rate * t, rate)
+    now, slope, then, last = sign * now, sign * slope, sign * then, sign * last
+    if now < 0.0 and slope > 0.0:
+        starts = True
+    if starts:
+        if then >= 0.0:
+            return math.inf
+        top = _zero(what + 1, law, 0.0, x, v, q, u, rate, 0.0, t)
+        above = sign * _after(what, law, level, x, v, q, u, rate, top)[0] > 0.0
+        return _zero(what, law, level, x, v, q, u, rate, top, t) if above else t
+    if now < 0.0:
+        return 0.0
+    if then < 0.0:
+        return _zero(what, law, level, x, v, q, u, rate, 0.0, t)
+    if slope < 0.0 < last:
+        least = _zero(what + 1, law, 0.0, x, v, q, u, rate, 0.0, t)
+        if sign * _after(what, law, level, x, v, q, u, rate, least)[0] < 0.0:
+            return _zero(what, law, level, x, v, q, u, rate, 0.0, least)
+    return math.inf
+
+
+@njit(cache=True, inline="always")
+def _passes(c0, c1, c2):
+    """The first time from now on after which c0 + c1 t + c2 t^2 is above zero."""
+    if c0 > 0.0 or (c0 == 0.0 and (c1 > 0.0 or (c1 == 0.0 and c2 > 0.0))):
+        return 0.0
+    inside = c1 * c1 - 4.0 * c2 * c0
+    if inside < 0.0 or (c1 <= 0.0 and c2 <= 0.0):
+        return math.inf
+    if c1 > 0.0:
+        return -2.0 * c0 / (c1 + math.sqrt(inside))
+    return (math.sqrt(inside) - c1) / (2.0 * c2)
+
+
+@njit(cache=True)
+def _breaks_loose(numbers, x, q, u, rate, bound):
+    """After which time an axis at rest begins to move, and to which side; ``bound``: of the drive's force, as a following error."""
+    hold, offset, integral = numbers[FRICTION] * numbers[STATIC], numbers[OFFSET], 1.0 / numbers[INTEGRAL]
+    error, closing, bend = u - x + q, rate + integral * (u - x), 0.5 * integral * rate
+    up = _passes(error - (hold - offset), closing, bend) if hold - offset < bound else math.inf
+    down = _passes(-error - (hold + offset), -closing, -bend) if hold + offset < bound else math.inf
+    if up <= down:
+        return up, 1.0
+    return down, -1.0
+
+
+@njit(cache=True)
+def drive_over(before, after, dt, numbers, state):
+    """The position [m] of an axis after dt, its command running straight from ``before`` to ``after`` [m].
+
+    numbers: (NUMBERS,) of the drive. state: (STATE,), changed in place.
+    """
+    rate, w, integral = (after - before) / dt, numbers[W], 1.0 / numbers[INTEGRAL]
+    longest = 1.0 / (w * (numbers[ZETA] + math.sqrt(1.0 + numbers[ZETA] * numbers[ZETA])) + integral)
+    most = numbers[LIMIT] / (w * w)
+    dry = numbers[FRICTION] > 0.0
+    x, v, q = state[PLACE], state[RATE], state[SUM]
+    side = math.copysign(1.0, v) if dry else 0.0
+    bound = _bound(before - x + q, most)
+    left, starts = dt, False
+    for _ in range(MOST_PIECES):
+        if not left > 0.0:
+            break
+        u = after - rate * left
+        if dry and v == 0.0 and not starts:
+            wait, side = _breaks_loose(numbers, x, q, u, rate, most)
+            starts, wait = wait < left, min(wait, left)
+            q += integral * wait * (u - x + 0.5 * rate * wait)
+            left -= wait
+            bound = _bound(u + rate * wait - x + q, most)
+            continue
+        law = _law(numbers, side, bound)
+        piece = min(longest, left)
+        x1, v1, q1 = _slide(law, x, v, q, u, rate, piece)
+        stops = _falls(SPEED, law, 0.0, side, starts, x, v, q, u, rate, piece, x1, v1, q1) if dry else math.inf
+        turned, then = math.inf, 0.0
+        if most < math.inf and bound != 0.0:
+            turned = _falls(ERROR, law, bound * most, bound, False, x, v, q, u, rate, piece, x1, v1, q1)
+        elif most < math.inf:
+            high = _falls(ERROR, law, most, -1.0, False, x, v, q, u, rate, piece, x1, v1, q1)
+            low = _falls(ERROR, law, -most, 1.0, False, x, v, q, u, rate, piece, x1, v1, q1)
+            turned, then = min(high, low), (1.0 if high < low else -1.0)
+        event = min(stops, turned)
+        if event < math.inf:
+            piece = event
+            x1, v1, q1 = _slide(law, x, v, q, u, rate, piece)
+        x, v, q = x1, v1, q1
+        left -= piece
+        starts = starts and piece == 0.0
+        if event < math.inf and stops <= turned:
+            v, starts = 0.0, False
+        elif event < math.inf:
+            bound = then
+    state[PLACE], state[RATE], state[SUM] = x, v, q
+    return x
+
+
+@njit(cache=True, inline="always")
+def _bound(error, most):
+    """Whether the force of the drive is at its upper (1) or lower (-1) limit, or free (0)."""
+    return 1.0 if error > most else (-1.0 if error < -most else 0.0)

@@ -1,0 +1,90 @@
+"""The platform is a controller that works against dry friction, with a force that is limited."""
+
+from __future__ import annotations
+
+import cmath
+import math
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Literal
+
+from pydantic import Field
+
+from hiltestbed.effects.base import Effect, quantity
+from hiltestbed.effects.search import Candidate, Scales, candidate
+from hiltestbed.platform.effects.response import pace
+from hiltestbed.platform.effects.tracking import AXES
+from hiltestbed.plugins import register
+
+if TYPE_CHECKING:
+    from hiltestbed.platform.parameters import PlatformParameters
+    from hiltestbed.scenario import Scenario
+
+FARTHEST = 0.5  # of the travel, that friction and load may leave an axis off its command
+STOPS = (0.002, 0.02)  # of the travel, by which an axis stops short: starts of a search
+
+
+@register
+class PlatformDrive(Effect):
+    """A position controller that works against dry friction and a load, with a limited force."""
+
+    kind: Literal["platform.drive"] = "platform.drive"
+    bandwidth: float = quantity(
+        "Hz", "Natural frequency of the moving mass on the controller's gain", gt=0.0, le=2000.0, search=(0.5, 400.0), ratio=True
+    )
+    damping_ratio: float = quantity("-", "Damping ratio", default=0.7, ge=0.0, le=20.0, search=(0.05, 5.0), ratio=True)
+    friction: float = quantity(
+        "m", "Coulomb friction over the controller's gain, the error at which the axis stops", default=0.0, ge=0.0, search=(0.0, 2e-3)
+    )
+    offset: float = quantity("m", "Load over the controller's gain, by which the axis droops", default=0.0, search=(-2e-3, 2e-3))
+    acceleration_limit: float | None = quantity(
+        "m/s^2", "Limit of the drive's force over the moving mass; none by default", default=None, gt=0.0, search=(1e-3, 1e3), ratio=True
+    )
+    integral_time: float | None = quantity(
+        "s", "Time of the controller's integral part; none by default", default=None, gt=0.0, search=(5e-3, 100.0), ratio=True
+    )
+    static: float = quantity("-", "Static over Coulomb friction", default=1.0, ge=1.0, le=10.0)
+    axis: Literal["all", "x", "y", "z"] = Field(default="all", description="Axis of translation that is driven so, or all three alike")
+    link = "platform"
+    equation = (
+        "x'' = sat(w^2 (x_cmd - x + q), acceleration_limit) - 2 damping_ratio w x' - w^2 friction sgn(x') + w^2 offset, "
+        "q' = (x_cmd - x)/integral_time, w = 2 pi bandwidth; at rest it holds while what drives it is at most w^2 static friction"
+    )
+    reference = "position controller against Coulomb friction"
+    resembles = ("platform.lag", "platform.backlash", "platform.friction", "platform.mode")
+    leading = "friction"
+    rich = True
+
+    def apply(self, p: PlatformParameters) -> None:
+        limit, integral = (math.inf if number is None else number for number in (self.acceleration_limit, self.integral_time))
+        numbers = (2.0 * math.pi * self.bandwidth, self.damping_ratio, self.friction, self.offset, limit, integral, self.static)
+        p.drive[slice(None) if self.axis == "all" else AXES.index(self.axis)] = numbers
+
+    def worth(self, scenario: Scenario, frequency: float) -> float:
+        """That of its linear part: what friction and a limited force add depends on the amplitude."""
+        w, s = 2.0 * math.pi * self.bandwidth, 1j * frequency
+        if self.integral_time is None:
+            return 2.0 * self.damping_ratio / w
+        gain = w * w * (1.0 + 1.0 / (self.integral_time * s))
+        return -cmath.phase(gain / (s * s + 2.0 * self.damping_ratio * w * s + gain)) / frequency
+
+    @classmethod
+    def candidates(cls, scales: Scales) -> Iterator[Candidate]:
+        slow, travel = pace(scales.tick), max(scales.travel, 1e-3)
+        far = max(2e-3, FARTHEST * travel)
+        bounds = {
+            "bandwidth": (2.0 * slow, 400.0), "friction": (0.0, far), "offset": (-far, far),
+            "acceleration_limit": (1e-2 * scales.fast**2 / travel, 1e2 * scales.fast / scales.tick),
+            "integral_time": (5.0 * scales.tick, 100.0 * max(scales.duration, 1.0)),
+        }  # fmt: skip
+        linear = {"bandwidth": [slow * f for f in (5, 12, 30, 75, 180)], "damping_ratio": [0.3, 1.0]}
+        dry = linear | {"friction": [part * travel for part in STOPS]}
+        few = {"bandwidth": [slow * f for f in (12, 40, 120)], "damping_ratio": [0.6], "friction": [STOPS[0] * travel]}
+        limits = [part * scales.fast**2 / travel for part in (0.3, 1.0, 3.0, 10.0)]
+        for grid in (
+            linear,
+            dry,
+            dry | {"offset": [0.0]},
+            few | {"offset": [0.0], "acceleration_limit": limits},
+            few | {"integral_time": [20.0 * scales.tick, 200.0 * scales.tick]},
+        ):
+            yield candidate(cls, grid, bounds={name: bounds[name] for name in grid if name in bounds})
