@@ -39,7 +39,7 @@ def judged(folder: Path, seed: int, nuisances: Nuisances, *hidden: str) -> tuple
 @pytest.mark.parametrize(
     ("channel", "rows", "seed", "links"),
     [
-        ("pose_cmd", 1.0, 810014, {"platform": -1.0}),
+        slow("pose_cmd", 1.0, 810014, {"platform": -1.0}),
         slow("wrench_meas", -0.4, 810001, {"compensation": 0.4, "wrench": -0.4}),
         ("wrench_comp", -0.4, 810005, {"compensation": -0.4, "dynamics": 0.4}),
         slow("pose_act", -1.0, 810011, {"platform": -1.0}),
