@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hiltestbed import diagnose, run, write_run
+from hiltestbed import diagnose, write_run
 from hiltestbed.diagnosis import investigate
 from hiltestbed.diagnosis.find import judge
 from hiltestbed.diagnosis.verdict import Verdict
@@ -17,6 +17,7 @@ from hiltestbed.measured import load_dataset
 from hiltestbed.platform.plant import Plant
 from hiltestbed.scenario import Scenario, load_scenario, scenario_sha256
 from hiltestbed.simulation import simulate
+from tests.running import run
 from tests.slow import SLOW, slow
 
 ACTIVE = """<mujoco><worldbody>
@@ -172,7 +173,8 @@ def recorded(folder: Path, **more: object) -> Path:
     entries, noise = [], {"sensor.noise": 0.1, "sensor.torque_noise": 0.01, "approach.gap": 0.045, "duration": 0.7}
     believed = {"approach.gap": 0.045} | {key: value for key, value in more.items() if key != "effects"}
     for seed, speed in enumerate((0.1, 0.08)):
-        write_run(run(mine(folder, **noise, **{"approach.velocity.2": speed, "seed": seed}, **more)), folder / f"run{seed}", rerun=False)
+        changed = {**noise, "approach.velocity.2": speed, "seed": seed, **more}
+        write_run(run(mine(folder, **changed)), folder / f"run{seed}", rerun=False, report=False)
         entries.append({"file": f"run{seed}/trace.parquet", "set": {"approach.velocity": [0, 0, speed], **believed}})
     (folder / "data.yaml").write_text(json.dumps({"scenario": "mine.yaml", "runs": entries}))
     return folder / "data.yaml"
