@@ -27,6 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hiltestbed.frames import Array
+from hiltestbed.jit import njit
 
 if TYPE_CHECKING:
     from hiltestbed.rig_response import RigResponse
@@ -50,18 +51,29 @@ def bounce(response: RigResponse, mass: float, stiffness: float, damping: float,
     t = np.linspace(0.0, span, STEPS + 1)
     dt = float(t[1])
     g = dt * (_carried(response, lag, t - delay) / mass + _yielded(response, t))
-    force, place, work = np.zeros(len(t)), 0.0, 0.0
-    force[0] = damping  # at a speed of 1 m/s
-    for j in range(1, len(t)):
-        free = t[j] - float(force[1:j] @ g[j - 1 : 0 : -1]) - 0.5 * force[0] * g[j]
-        force[j] = max(0.0, stiffness * free + damping * (free - place) / dt)
-        if free <= 0.0:
-            force[j] = 0.0
-            break
-        work += 0.5 * (force[j] + force[j - 1]) * (free - place)
-        place = free
+    force = np.zeros(len(t))
+    work = _met(t, g, dt, float(stiffness), float(damping), force)
     after = 1.0 - dt * (float(force.sum()) - 0.5 * force[0]) / mass
     return Bounce(float(-after), float(2.0 * work / mass - (1.0 - after * after)))
+
+
+@njit(cache=True)
+def _met(t, g, dt, stiffness, damping, force):
+    """The force of the contact at ``t`` (N,) after an approach at 1 m/s into ``force`` (N,), zeros, and the work that is done on it."""
+    place, work = 0.0, 0.0
+    force[0] = damping
+    for j in range(1, len(t)):
+        answered = 0.0
+        for i in range(1, j):
+            answered += force[i] * g[j - i]
+        free = t[j] - answered - 0.5 * force[0] * g[j]
+        if free <= 0.0:
+            break
+        pushed = stiffness * free + damping * (free - place) / dt
+        force[j] = pushed if pushed > 0.0 else 0.0
+        work += 0.5 * (force[j] + force[j - 1]) * (free - place)
+        place = free
+    return work
 
 
 def lag_of(response: RigResponse) -> float:

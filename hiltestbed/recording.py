@@ -166,8 +166,15 @@ def write_trace(trace: RunTrace, path: Path) -> None:
     for name, values in columns.items():
         kind = pa.bool_() if values.dtype == bool else pa.float64()
         fields.append(pa.field(name, kind, metadata=about_column(name, trace.joints)))
-    arrays = [pa.array(np.ascontiguousarray(v)) for v in columns.values()]
+    arrays = [pa.Array.from_buffers(field.type, len(v), [None, _buffer(v)]) for field, v in zip(fields, columns.values(), strict=True)]
     pq.write_table(pa.table(arrays, schema=pa.schema(fields)), path, compression="zstd", compression_level=1, use_dictionary=False)
+
+
+def _buffer(values: np.ndarray) -> pa.Buffer:
+    """A column as Arrow has it in memory. ``pa.array`` makes the same of it, but imports pandas first: a quarter of a second."""
+    import pyarrow as pa
+
+    return pa.py_buffer(np.packbits(values, bitorder="little") if values.dtype == bool else np.ascontiguousarray(values, dtype=float))
 
 
 def read_trace(path: Path) -> RunTrace:

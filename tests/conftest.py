@@ -2,13 +2,17 @@
 
 And which files come first, where several workers take a file at a time: those that compile the kernels that the others need, a rig to each
 worker so that none is compiled twice, then the longest, so that at the end no worker waits for another.
+
+At the end of a file the C library gives back to the system what has been freed: by itself it keeps what lies below any block that is still
+in use, hundreds of megabytes a file of long runs and batches.
 """
 
 from __future__ import annotations
 
+import ctypes
 import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
 
 import pytest
@@ -16,6 +20,7 @@ import pytest
 from hiltestbed import cli, plugins
 
 HERE = Path(__file__).parent
+_TRIM = getattr(ctypes.CDLL(None), "malloc_trim", None) if sys.platform == "linux" else None  # of glibc
 QUICK = (  # files and folders below tests
     "campaign/test_designs.py",
     "campaign/test_schema.py",
@@ -45,6 +50,12 @@ FIRST = (
     "test_ledger.py",  # the loop, with every compensation
     "diagnosis/test_naming.py",  # the replay
     "test_docking.py",  # latches
+    "diagnosis/test_timing.py",
+    "replay/test_played.py",
+    "contact/test_users_mechanism.py",
+    "diagnosis/test_search.py",
+    "diagnosis/test_as_logged.py",
+    "test_first_bounce.py",
     "docs/test_pages.py",
     "diagnosis/test_driven.py",
     "plugins/test_examples.py",
@@ -78,6 +89,14 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             place = item.path.relative_to(HERE).as_posix()
             if not any(place == quick or place.startswith(f"{quick}/") for quick in QUICK):
                 item.add_marker(pytest.mark.slow)
+
+
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> Generator[None, object, object]:
+    result = yield
+    if _TRIM is not None and (nextitem is None or nextitem.path != item.path):
+        _TRIM(0)
+    return result
 
 
 @pytest.fixture

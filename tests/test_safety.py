@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hiltestbed import load_scenario, run
+from hiltestbed import load_scenario
 from hiltestbed.platform.pss33.kinematics import Platform, inverse
 from hiltestbed.safety import LIMITS
 from hiltestbed.scenario import Scenario
+from tests.running import run
 
 SCENARIOS = Path(__file__).parents[1] / "scenarios"
 UNWATCHED: dict[str, Any] = {f"safety.{limit}": None for limit in LIMITS}

@@ -26,6 +26,7 @@ class Kept:
 
     def __init__(self) -> None:
         self._exerted: OrderedDict[ContactKey, Array] = OrderedDict()
+        self._size = 0  # [byte] of all entries
 
     def get(self, key: ContactKey) -> Array | None:
         """The wrenches for ``key``, or None if they are not cached."""
@@ -33,10 +34,11 @@ class Kept:
 
     def keep(self, key: ContactKey, exerted: Array) -> None:
         """Store the wrenches as the latest entry, and discard the oldest ones."""
+        before = self._exerted.pop(key, None)
         self._exerted[key] = exerted
-        self._exerted.move_to_end(key)
-        while len(self._exerted) > 1 and sum(a.nbytes for a in self._exerted.values()) > KEPT:
-            self._exerted.popitem(last=False)
+        self._size += exerted.nbytes - (0 if before is None else before.nbytes)
+        while len(self._exerted) > 1 and self._size > KEPT:
+            self._size -= self._exerted.popitem(last=False)[1].nbytes
 
 
 @dataclass(frozen=True)

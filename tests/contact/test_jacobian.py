@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from hiltestbed import load_scenario, run
+from hiltestbed import load_scenario
 from hiltestbed.contact.sides import sides_of
 from hiltestbed.loop import Loop
 from hiltestbed.platform.plant import Plant
 from hiltestbed.signals import AXES
+from tests.running import run
 from tests.slow import slow
 
 SCENARIOS = Path(__file__).parents[2] / "scenarios"

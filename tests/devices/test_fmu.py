@@ -113,7 +113,7 @@ SHORT = {"duration": 0.9, "compensation.force.kind": "none", "identification": {
 def test_the_rig_of_a_scenario_in_fmpy_bounces_as_the_run_does(tmp_path: Path) -> None:
     from hiltestbed.numerical_model.model import NumericalModel
     from hiltestbed.scenario import dump_scenario, load_scenario
-    from hiltestbed.simulation import run
+    from tests.running import run
 
     scenario = load_scenario(RIG, SHORT)
     file = tmp_path / "scenario.yaml"
@@ -183,7 +183,7 @@ def _vehicles(folder: Path, half: int) -> Path:
 
 def test_a_numerical_model_of_the_users_own_makes_the_same_run(tmp_path: Path) -> None:
     from hiltestbed.scenario import load_scenario
-    from hiltestbed.simulation import run
+    from tests.running import run
 
     own = {"numerical_model": {"kind": "fmu", "file": str(_vehicles(tmp_path, 0))}}
     ours, theirs = run(load_scenario(RIG, SHORT)), run(load_scenario(RIG, SHORT | own))
@@ -201,7 +201,7 @@ def test_the_half_tick_of_a_force_that_is_held_is_what_the_ledger_says(tmp_path:
 
     from hiltestbed.ledger import contact_frequency
     from hiltestbed.scenario import load_scenario
-    from hiltestbed.simulation import run
+    from tests.running import run
 
     slower = SHORT | {"rate": 500.0, "physics_rate": 4000.0}
     exact = {"numerical_model": {"kind": "fmu", "file": str(_vehicles(tmp_path, 1))}}
@@ -224,7 +224,7 @@ def test_the_bounce_of_a_users_model_is_foretold_with_the_vehicles_that_are_give
 
 def test_an_fmu_that_starts_elsewhere_is_refused(tmp_path: Path) -> None:
     from hiltestbed.scenario import load_scenario
-    from hiltestbed.simulation import run
+    from tests.running import run
 
     own = {"numerical_model": {"kind": "fmu", "file": str(_vehicles(tmp_path, 0))}, "approach.velocity": [0.0, 0.0, 0.01]}
     with pytest.raises(InputError, match="starts elsewhere than approach says"):

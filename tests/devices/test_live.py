@@ -15,8 +15,8 @@ import pytest
 from hiltestbed.devices.recorder import discard
 from hiltestbed.recording import read_run, write_run
 from hiltestbed.signals import CYCLE
-from hiltestbed.simulation import run
 from tests.devices.lockstep import SCENARIOS, played, scenario_of, urls_of
+from tests.running import run
 from tests.slow import SLOW
 
 

@@ -18,7 +18,7 @@ from tests.slow import slow
     ("noise", "seed"),
     [
         (("digits", 4.0), 610027),  # a command in few digits is a rough path
-        (("digits", 5.0), 610026),  # a pair that is latched from the start, and turns freely
+        slow(("digits", 5.0), 610026),  # a pair that is latched from the start, and turns freely
         slow(("converter_steps", 1.0), 620012),  # forces across that stay within two steps
         slow(("log_rate", 250.0), 610036),  # seven ticks of eight without a row
         slow(("log_rate", 500.0), 610035),

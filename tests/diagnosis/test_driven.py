@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hiltestbed import load_scenario, run
+from hiltestbed import load_scenario
 from hiltestbed.diagnosis.find import find
 from hiltestbed.diagnosis.investigate import investigate
 from hiltestbed.diagnosis.layout import lay_out
@@ -18,6 +18,7 @@ from hiltestbed.diagnosis.yielding import deflection
 from hiltestbed.measured import MeasuredDataset, load_dataset
 from hiltestbed.recording import write_trace
 from hiltestbed.yaml_source import dump_yaml
+from tests.running import run
 from tests.slow import SLOW
 
 SCENARIO = Path(__file__).parents[2] / "scenarios" / "reference-bumper.yaml"

@@ -10,6 +10,7 @@ from scipy import signal
 
 from hiltestbed.diagnosis.low_pass import LowPass, low_pass_between
 from hiltestbed.frames import Array
+from tests.slow import slow
 
 ROWS, FINER = 1500, 16
 
@@ -22,7 +23,10 @@ def forces(seed: int, finer: int = 1) -> Array:
     return np.column_stack([bounce, 0.2 * bounce]) + np.repeat(rng.standard_normal((ROWS, 2)), finer, axis=0)
 
 
-@pytest.mark.parametrize(("order", "cutoff"), [(1, 0.02), (2, 0.02), (4, 0.02), (6, 0.02), (2, 0.1), (4, 0.1), (6, 0.1)])
+@pytest.mark.parametrize(
+    ("order", "cutoff"),
+    [slow(1, 0.02), (2, 0.02), slow(4, 0.02), slow(6, 0.02), slow(2, 0.1), slow(4, 0.1), (6, 0.1)],
+)
 @pytest.mark.parametrize("prompt", [True, False])
 def test_an_analogue_filter_is_found(order: int, cutoff: float, prompt: bool) -> None:
     """Sixteen samples a row stand for a filter before the converter: near half the rate a digital one of the next order is the same."""

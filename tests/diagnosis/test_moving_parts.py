@@ -8,10 +8,11 @@ from typing import Any
 
 import pytest
 
-from hiltestbed import diagnose, run, write_run
+from hiltestbed import diagnose, write_run
 from hiltestbed.diagnosis.result import Finding
 from hiltestbed.gallery import find_scenario
 from hiltestbed.scenario import load_scenario
+from tests.running import run
 from tests.slow import SLOW
 
 pytestmark = SLOW
@@ -23,7 +24,7 @@ def found(folder: Path, name: str, duration: float, effects: list[dict[str, Any]
     for seed, part in enumerate((1.0, 0.8)):
         velocity = [part * v for v in load_scenario(file).approach.velocity]
         scenario = load_scenario(file, set={"duration": duration, "approach.velocity": velocity, "seed": seed, "effects": effects})
-        write_run(run(scenario), folder / f"run{seed}", rerun=False)
+        write_run(run(scenario), folder / f"run{seed}", rerun=False, report=False)
         entries.append({"file": f"run{seed}/trace.parquet", "set": {"approach.velocity": velocity}})
     (folder / "data.yaml").write_text(json.dumps({"scenario": str(file), "runs": entries}))
     return diagnose(folder / "data.yaml").finding

@@ -25,6 +25,7 @@ from hiltestbed.diagnosis.stiction import refined_sticks, stick_starts
 from hiltestbed.effects import EFFECTS
 from hiltestbed.effects.search import Scales, candidate
 from hiltestbed.frames import Array
+from tests.slow import SLOW, slow
 
 from .made import NOISE, POSE_NOISE, H, contact_link, effect, platform_link, reread, scenario
 
@@ -83,8 +84,8 @@ AMONG_OTHERS = pytest.mark.xfail(reason="few jumps at one speed: other numbers o
 @pytest.mark.parametrize(
     ("instants", "stick"),
     [
-        (2, 1.1e-4), (3, 4.7e-5), (7, 9.1e-5), (33, 6.3e-5), (60, 8.46e-5), (171, 2.9e-5),
-        pytest.param(57, 8.46e-5, marks=AMONG_OTHERS), pytest.param(86, 8.46e-5, marks=AMONG_OTHERS),
+        (2, 1.1e-4), slow(3, 4.7e-5), slow(7, 9.1e-5), (33, 6.3e-5), slow(60, 8.46e-5), slow(171, 2.9e-5),
+        pytest.param(57, 8.46e-5, marks=[SLOW, AMONG_OTHERS]), pytest.param(86, 8.46e-5, marks=[SLOW, AMONG_OTHERS]),
     ],
 )  # fmt: skip
 def test_a_stick_is_found_however_finely_a_tick_is_divided(instants: int, stick: float) -> None:

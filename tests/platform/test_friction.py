@@ -13,8 +13,8 @@ from hiltestbed.platform.friction import DriveFriction
 from hiltestbed.platform.plant import Plant
 from hiltestbed.platform.pss33.settings import Pss33
 from hiltestbed.scenario import Scenario, scenario_from
-from hiltestbed.simulation import run
 from tests.platform.rigs import pose, scenario
+from tests.running import run
 
 COULOMB, STICTION, STRIBECK, VISCOUS, BIAS = 200.0, 300.0, 0.005, 400.0, 0.3
 DT, MASS = 2.5e-4, 85.0  # a step of the physics; carriage and armature

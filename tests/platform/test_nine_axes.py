@@ -16,9 +16,9 @@ from hiltestbed.platform.prs3.nine_axes import NineAxes
 from hiltestbed.platform.prs3.payload import carry
 from hiltestbed.platform.pss33.dynamics import GRAVITY
 from hiltestbed.scenario import Scenario, scenario_from
-from hiltestbed.simulation import run
 from hiltestbed.state import arrays_of
 from tests.platform.rigs import scenario
+from tests.running import run
 from tests.slow import slow
 
 

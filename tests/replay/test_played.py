@@ -17,6 +17,7 @@ from hiltestbed.replay.played import step_between
 from hiltestbed.scenario import Scenario, load_scenario
 from tests.effects.examples import example
 from tests.replay.recorded import QUIET, SCENARIOS, Recorded, record
+from tests.slow import slow
 
 EXACT = 1e-9  # of the peak: the same solver on the same path
 UNDER_SERVO = 1e-4  # of the peak: joints that rub creep by how their carrier yields; found are 6e-7, 2.5e-5 and 1.4e-5
@@ -61,7 +62,7 @@ def test_under_a_servo_the_rows_and_their_rates_tell_what_happens_between_them(n
     np.testing.assert_allclose(played(recorded).believed(0).wrench[:, -1], truth, atol=UNDER_SERVO * peak)
 
 
-@pytest.mark.parametrize("name", DOCKINGS)
+@pytest.mark.parametrize("name", ["ring with petals", slow("head on a sprung rod"), slow("jaws that close")])
 def test_free_flight_is_gone_through_once(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """What is resumed where it ends, on however many threads, is what is carried along the whole path, to the bit.
 
@@ -89,7 +90,7 @@ def test_free_flight_is_gone_through_once(name: str, monkeypatch: pytest.MonkeyP
     assert not any(f.holds(plant) for f in flights if f is not None)
 
 
-@pytest.mark.parametrize("name", ["head on a sprung rod", "jaws that close"])
+@pytest.mark.parametrize("name", ["head on a sprung rod", slow("jaws that close")])
 def test_drives_bear_what_touches_and_what_moves_on_them(name: str) -> None:
     """The rig with its parts at rest goes where it went, under the wrench of the sensor and the rate of momentum of its parts.
 

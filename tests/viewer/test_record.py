@@ -19,11 +19,11 @@ from hiltestbed.platform.pss33.kinematics import Platform
 from hiltestbed.result import Run
 from hiltestbed.scenario import Scenario
 from hiltestbed.signals import RunTrace
-from hiltestbed.simulation import run
 from hiltestbed.viewer import write_recording
 from hiltestbed.viewer.forces import force_scale
 from hiltestbed.viewer.frames import CONTACT, FREE, frame_rows
 from hiltestbed.viewer.plots import contact_phases
+from tests.running import run
 
 SINGLE = 1e-6  # poses and arrows are in single precision: 6e-8 of a metre or two
 

@@ -1,0 +1,71 @@
+"""A process that goes on and on needs no more memory than at first: what a run, its folder or a diagnosis took is given back."""
+
+from __future__ import annotations
+
+import gc
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from hiltestbed import diagnose, load_scenario, run, run_batch, write_run
+from hiltestbed.result import Run
+from tests.diagnosis.recorded import recorded
+from tests.slow import SLOW
+
+STATUS = Path("/proc/self/status")
+LINUX = pytest.mark.skipif(not STATUS.exists(), reason="needs the resident size that Linux tells")
+AT_FIRST = 3  # times, after which modules, kernels and models that are kept once a process are there
+
+
+def resident() -> float:
+    """[byte] of the memory that this process holds."""
+    return next(1024.0 * int(line.split()[1]) for line in STATUS.read_text().splitlines() if line.startswith("VmRSS"))
+
+
+def grown(once: Callable[[int], object], times: int) -> float:
+    """[byte] by which the process grows in so many ``times`` more."""
+    for i in range(AT_FIRST):
+        once(i)
+    gc.collect()
+    before = resident()
+    for i in range(times):
+        once(AT_FIRST + i)
+    gc.collect()
+    return resident() - before
+
+
+def size_of(done: Run) -> int:
+    """[byte] of the trace of a run."""
+    assert done.trace is not None
+    return sum(column.nbytes for column in done.trace.columns().values())
+
+
+def short(seed: int, name: str = "04-bumper-delay-compensated"):
+    return load_scenario(name, {"duration": 0.25, "seed": seed})
+
+
+@LINUX
+def test_runs_leave_nothing_behind() -> None:
+    """Half of what thirty runs would grow by if each kept its trace: physics, loop and buffers are larger."""
+    most = 0.5 * 30 * size_of(run_batch([short(0)], trace=True)[0])
+    assert grown(lambda i: run_batch([short(i)], trace=True), 30) < most
+
+
+@LINUX
+@SLOW
+def test_folders_leave_nothing_behind(tmp_path: Path) -> None:
+    """Nor the stability that a run is told, or its report with two pictures of some 800 x 400 points of 4 byte.
+
+    Without the recording, of each of which the rerun library itself keeps some 5 MB for as long as the process lives.
+    """
+    kept = 2 * 800 * 400 * 4 + size_of(run(short(0)))
+    assert grown(lambda i: write_run(run(short(i)), tmp_path / "run", rerun=False), 20) < 0.5 * 20 * kept
+
+
+@LINUX
+@SLOW
+def test_diagnoses_leave_nothing_behind(tmp_path: Path) -> None:
+    """Each holds some hundred replays of two records of 800 rows, six columns of 8 byte and more: 8 MB. A tenth a diagnosis would show."""
+    file = recorded(tmp_path, [{"kind": "sensor.delay", "delay": 0.002}])
+    assert grown(lambda i: diagnose(file), 10) < 0.1 * 10 * 100 * 2 * 800 * 6 * 8
