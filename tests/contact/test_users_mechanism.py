@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from hiltestbed import diagnose, write_run
+from hiltestbed.campaign.sweep import sweep
 from hiltestbed.diagnosis import investigate
 from hiltestbed.diagnosis.find import judge
 from hiltestbed.diagnosis.verdict import Verdict
@@ -132,6 +133,20 @@ def refused(folder: Path, side: str, text: str) -> str:
     with pytest.raises(InputError) as error:
         mine(folder)
     return str(error.value)
+
+
+def test_it_runs_in_a_campaign(folder: Path) -> None:
+    """A stiffness of one of its pairs is varied like any key: each case is the run alone."""
+    vary = "{mechanism.pairs.0.stiffness: {values: [3.0e4, 6.0e4]}, approach.velocity.2: {values: [0.06, 0.08]}}"
+    (folder / "campaign.yaml").write_text(f"scenario: mine.yaml\nset: {{duration: 1.2}}\nvary: {vary}\ndesign: {{kind: grid}}\n")
+    found = sweep(folder / "campaign.yaml", folder / "out").to_pandas().set_index(["mechanism.pairs.0.stiffness", "approach.velocity.2"])
+    peaks = []
+    for (stiffness, speed), case in found.iterrows():  # type: ignore[misc]
+        changes = {"duration": 1.2, "mechanism.pairs.0.stiffness": stiffness, "approach.velocity": [0.0, 0.0, speed]}
+        peaks.append(simulate([mine(folder, **changes)]).figures[0].peak_force)
+        assert case["status"] == "completed"
+        assert case["peak_force"] == peaks[-1]
+    assert len(set(peaks)) == 4
 
 
 def test_bad_files_are_refused(folder: Path) -> None:

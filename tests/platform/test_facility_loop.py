@@ -11,6 +11,7 @@ import pytest
 
 import hiltestbed
 from hiltestbed import load_scenario, read_run
+from hiltestbed.campaign.sweep import sweep
 from hiltestbed.diagnosis.find import judge
 from hiltestbed.diagnosis.investigate import investigate
 from hiltestbed.errors import InputError
@@ -19,10 +20,11 @@ from hiltestbed.measured import load_dataset
 from hiltestbed.recording import write_run, write_trace
 from hiltestbed.scenario import Scenario, dump_scenario
 from hiltestbed.signals import Trace
-from hiltestbed.simulation import run_batch
+from hiltestbed.simulation import run_batch, simulate
 from hiltestbed.snapshot import Snapshots, restore
 from tests.platform.halls import GANTRY
 from tests.running import run
+from tests.slow import slow
 
 SCENARIOS = Path(__file__).parents[2] / "scenarios"
 K, C = 5.0e4, 200.0
@@ -83,6 +85,20 @@ def test_a_run_alone_is_the_run_in_a_batch_bit_for_bit(kind, gantry) -> None:
     assert alone is not None
     for name, column in alone.columns().items():
         assert np.array_equal(column, together.columns()[name], equal_nan=column.dtype.kind == "f"), name
+
+
+@pytest.mark.parametrize("kind", ["stewart", "air_bearing", *map(slow, ("serial_arm", "two_arms", "mjcf", "suspension"))])
+def test_a_campaign_runs_on_it(kind, gantry, tmp_path) -> None:
+    """Its cases are the runs alone."""
+    base = bounce(kind, gantry, None if kind in PHYSICAL else "servo", {"approach.gap": 1e-3, "duration": 0.2})
+    (tmp_path / "base.yaml").write_text(dump_scenario(base))
+    (tmp_path / "campaign.yaml").write_text(
+        "scenario: base.yaml\nvary:\n  approach.velocity.2: {values: [0.02, 0.04]}\ndesign: {kind: grid}\n"
+    )
+    found = sweep(tmp_path / "campaign.yaml", tmp_path / "out").to_pandas()
+    alone = simulate([load_scenario(tmp_path / "base.yaml", set={"approach.velocity.2": v}) for v in (0.02, 0.04)]).figures
+    assert found["peak_force"].tolist() == [f.peak_force for f in alone]
+    assert found["peak_force"].is_monotonic_increasing
 
 
 @pytest.mark.parametrize("kind", ["stewart", "two_arms", "suspension"])
