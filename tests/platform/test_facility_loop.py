@@ -206,7 +206,7 @@ def test_a_fault_in_a_rig_of_the_users_own_is_named(gantry, tmp_path) -> None:
     assert cause.fit.effects()[cause.index].parameters()["factor"] == pytest.approx(1.15, abs=0.01)
 
 
-@pytest.mark.parametrize("kind", ["pss33", "stewart"])
+@pytest.mark.parametrize("kind", ["pss33", slow("stewart")])
 def test_a_response_in_place_of_drives_is_the_second_order_with_its_delay(kind) -> None:
     """A property of the platform: the same bounce as the two effects that make a perfect platform lag and come late."""
     keys = {"rate": 2000.0, "physics_rate": 4000.0, "mechanism.contact.stiffness": 1e4, "duration": 2.0, "rig.platform.kind": kind}
