@@ -75,19 +75,15 @@ def _limited(held, before, after, dt, speed):
 
 
 @njit(cache=True)
-def follow(before, after, dt, speed, play, stick, drive, lag, mode, driven, lagged, shaken, memory):
+def follow(before, after, dt, speed, play, stick, lag, mode, lagged, shaken, memory):
     """One axis over dt, the (already delayed) command running from `before` to `after` [m].
 
-    drive: (NUMBERS,), a frequency of 0 for none. lag, mode: (S, 5) from `second_order`, a first number of 0 for none. driven: (STATE,),
-    lagged, shaken: (S, 2) and memory: (MEMORY,) state, changed in place. Returns the position reached [m], before the scale error.
+    lag, mode: (S, 5) from `second_order`, a first number of 0 for none. lagged, shaken: (S, 2) and memory: (MEMORY,) state, changed in
+    place. Returns the position reached [m], before the scale error.
     """
     if speed < np.inf:
         held = memory[LIMITED]
         memory[LIMITED] = after = _limited(held, before, after, dt, speed)
-        before = held
-    if drive[W] > 0.0:
-        held = driven[PLACE]
-        after = drive_over(before, after, dt, drive, driven)
         before = held
     for s in range(lag.shape[0]):
         if lag[s, 0] != 0.0:
@@ -107,6 +103,21 @@ def follow(before, after, dt, speed, play, stick, drive, lag, mode, driven, lagg
             memory[HELD] = after
         after = memory[HELD]
     return after
+
+
+@njit(cache=True)
+def behind_drive(before, after, dt, speed, drive, driven, memory):
+    """Where an axis behind its limit of the speed and its drive stands before and after dt: what the rest of its response is led by.
+
+    Apart from :func:`follow`, which is given no limit then: drives are rare, and that function is called once a row of every hypothesis.
+    drive: (NUMBERS,). driven: (STATE,) and memory: (MEMORY,) state, changed in place.
+    """
+    if speed < np.inf:
+        held = memory[LIMITED]
+        memory[LIMITED] = after = _limited(held, before, after, dt, speed)
+        before = held
+    held = driven[PLACE]
+    return held, drive_over(before, after, dt, drive, driven)
 
 
 class PlatformResponse:
@@ -217,9 +228,12 @@ def advance_paths(
             before = _answered(ring[i], sums[i], step[i], axis, k - late[i], substeps * dt)
             for s in range(substeps):
                 after = _answered(ring[i], sums[i], step[i], axis, k + (s + 1.0) / substeps - late[i], substeps * dt)
+                led, goal, limit = before, after, speed[i]
+                if drive[i, axis, W] > 0.0:
+                    led, goal = behind_drive(before, after, dt, limit, drive[i, axis], driven[i, axis], memory[i, axis])
+                    limit = np.inf
                 reached = follow(
-                    before, after, dt, speed[i], play[i], stick[i], drive[i, axis], lag[i], mode[i], driven[i, axis], lagged[i, axis],
-                    shaken[i, axis], memory[i, axis],
-                )  # fmt: skip
+                    led, goal, dt, limit, play[i], stick[i], lag[i], mode[i], lagged[i, axis], shaken[i, axis], memory[i, axis]
+                )
                 path[i, s, axis] = scale[i, axis] * reached
                 before = after

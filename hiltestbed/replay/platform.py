@@ -12,7 +12,7 @@ from hiltestbed.frames import Array
 from hiltestbed.jit import njit
 from hiltestbed.platform.drive import FRICTION, OFFSET, PLACE, RATE, STATE, STATIC, W
 from hiltestbed.platform.parameters import stack
-from hiltestbed.platform.response import MEMORY, follow, second_order
+from hiltestbed.platform.response import MEMORY, behind_drive, follow, second_order
 
 if TYPE_CHECKING:
     from hiltestbed.platform.parameters import PlatformParameters
@@ -85,13 +85,13 @@ def _replay(
     sums = np.zeros(commands.shape[1] + 1)
     for i in range(len(run)):
         for axis in range(3):
-            command = commands[run[i], :, axis]
+            command, driving = commands[run[i], :, axis], drive[i, axis]
             learned = response[i]
-            if learned[0] == 0.0 and _still(command, start[i, axis], velocity[i, axis]) and not _sags(drive[i, axis]):
+            if learned[0] == 0.0 and _still(command, start[i, axis], velocity[i, axis]) and not _sags(driving):
                 out[i, :, axis] = start[i, axis]
                 out[i, 1:, axis] *= scale[i, axis]
                 continue
-            if learned[0] == 0.0 and _sticks_alone(speed[i], play[i], stick[i], drive[i, axis], lag[i], mode[i], late[i]):
+            if learned[0] == 0.0 and _sticks_alone(speed[i], play[i], stick[i], driving, lag[i], mode[i], late[i]):
                 _stick(
                     command, start[i, axis], velocity[i, axis], h, int(round(late[i])), count[i], stick[i], scale[i, axis], out[i, :, axis]
                 )
@@ -115,10 +115,11 @@ def _replay(
                         after = _commanded(command, start[i, axis], velocity[i, axis], at, h)
                     else:
                         after = _answered(command, sums, learned, start[i, axis], velocity[i, axis], at, h)
-                    reached = follow(
-                        before, after, steps[i, s], speed[i], play[i], stick[i], drive[i, axis], lag[i, s], mode[i, s], driven, lagged,
-                        shaken, memory,
-                    )  # fmt: skip
+                    led, goal, limit = before, after, speed[i]
+                    if driving[W] > 0.0:
+                        led, goal = behind_drive(before, after, steps[i, s], limit, driving, driven, memory)
+                        limit = np.inf
+                    reached = follow(led, goal, steps[i, s], limit, play[i], stick[i], lag[i, s], mode[i, s], lagged, shaken, memory)
                     before = after
                 out[i, k + 1, axis] = scale[i, axis] * reached
 

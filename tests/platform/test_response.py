@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from scipy.signal import TransferFunction, lsim
 
-from hiltestbed.platform.drive import NUMBERS
 from hiltestbed.platform.plant import Plant
 from hiltestbed.platform.response import MEMORY, follow, second_order
 from hiltestbed.scenario import scenario_from
@@ -57,10 +56,10 @@ def test_a_limit_of_the_speed_does_not_hang_on_how_finely_a_tick_is_divided() ->
 
     def reached(parts: int) -> np.ndarray:
         none, memory, out = np.zeros((0, 5)), np.zeros(MEMORY), []
-        state, undriven = np.zeros((0, 2)), np.zeros(NUMBERS)
+        state = np.zeros((0, 2))
         for before, after in pairwise(command):
             for a, b in pairwise(np.linspace(before, after, parts + 1)):
-                at = follow(a, b, dt / parts, limit, 0.0, 0.0, undriven, none, none, undriven, state, state, memory)
+                at = follow(a, b, dt / parts, limit, 0.0, 0.0, none, none, state, state, memory)
             out.append(at)
         return np.array(out)
 

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from scipy.signal import lsim, lti
 
-from hiltestbed.platform.drive import NUMBERS
 from hiltestbed.platform.facilities.response import ResponsePath, nominal, transfer
 from hiltestbed.platform.facilities.settings import ResponseSettings
 from hiltestbed.platform.response import MEMORY, follow, second_order
@@ -46,8 +45,8 @@ def test_it_is_the_exact_answer_to_a_command_that_is_linear_over_a_tick() -> Non
     np.testing.assert_allclose(reached(settings, 2)[:, -1, 2], expected, atol=1e-10)
     lag, lagged, none = np.empty((1, 5)), np.zeros((1, 2)), np.zeros((0, 2))
     second_order(w, 0.7, H, 0.0, lag[0])
-    goal, memory, undriven, mode = command(np.arange(401))[:, 0], np.zeros(MEMORY), np.zeros(NUMBERS), np.zeros((0, 5))
-    effect = [follow(goal[k], goal[k + 1], H, np.inf, 0.0, 0.0, undriven, lag, mode, undriven, lagged, none, memory) for k in range(400)]
+    goal, memory = command(np.arange(401))[:, 0], np.zeros(MEMORY)
+    effect = [follow(goal[k], goal[k + 1], H, np.inf, 0.0, 0.0, lag, np.zeros((0, 5)), lagged, none, memory) for k in range(400)]
     twin = reached(ResponseSettings(bandwidth=12.0, damping_ratio=0.7), 2)
     np.testing.assert_allclose(twin[:, -1, 0], effect, atol=1e-12)
 

@@ -42,7 +42,7 @@ class PlatformDrive(Effect):
     integral_time: float | None = quantity(
         "s", "Time of the controller's integral part; none by default", default=None, gt=0.0, search=(5e-3, 100.0), ratio=True
     )
-    static: float = quantity("-", "Static over Coulomb friction", default=1.0, ge=1.0, le=10.0)
+    static: float | None = quantity("-", "Static over Coulomb friction; 1 by default", default=None, ge=1.0, le=10.0)
     axis: Literal["all", "x", "y", "z"] = Field(default="all", description="Axis of translation that is driven so, or all three alike")
     link = "platform"
     equation = (
@@ -56,7 +56,8 @@ class PlatformDrive(Effect):
 
     def apply(self, p: PlatformParameters) -> None:
         limit, integral = (math.inf if number is None else number for number in (self.acceleration_limit, self.integral_time))
-        numbers = (2.0 * math.pi * self.bandwidth, self.damping_ratio, self.friction, self.offset, limit, integral, self.static)
+        static = 1.0 if self.static is None else self.static
+        numbers = (2.0 * math.pi * self.bandwidth, self.damping_ratio, self.friction, self.offset, limit, integral, static)
         p.drive[slice(None) if self.axis == "all" else AXES.index(self.axis)] = numbers
 
     def worth(self, scenario: Scenario, frequency: float) -> float:
