@@ -3,7 +3,7 @@
 - *touch*: the axial force exceeds five standard deviations of its noise in two successive readings. By noise alone this has a
   probability of (2.9e-7)^2 per tick: once in 4e5 years at 2 kHz.
 - *seat*: the stiffness over the last samples exceeds a multiple (``seat_ratio``) of the initial one: the probe is in its socket, or a
-  buffer on its stop. Reported if the excess exceeds ``SEAT_SIGMA`` of its standard deviations in ``CONFIRM`` successive readings.
+  buffer on its stop. Reported if the excess is above ``SEAT_SIGMA`` of its standard deviations in ``CONFIRM`` successive readings.
 - *capture*: the axial force pulls, beyond five standard deviations, in ``CONFIRM`` successive readings, which a contact alone cannot do.
 - *wear*: k and c of a contact compared with those of earlier contacts, by Hotelling's T^2 with the covariances that the identification
   reports: an alarm if the chi-squared probability with two degrees of freedom is below ``false_alarm_rate`` (D. C. Montgomery,
