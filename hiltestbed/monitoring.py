@@ -1,13 +1,13 @@
-"""Process monitoring of a docking, and from docking to docking, by the identified stiffness and damping.
+"""Process monitoring during a docking and from one docking to the next, by the identified stiffness and damping.
 
 - *touch*: the axial force exceeds five standard deviations of its noise in two successive readings. By noise alone this has a
   probability of (2.9e-7)^2 per tick: once in 4e5 years at 2 kHz.
-- *seat*: the stiffness over the last samples has risen to a multiple of the initial one (``seat_ratio``): the probe is in its socket, or
-  a buffer on its stop. Reported if the rise exceeds ``SEAT_SIGMA`` of its standard deviations in ``CONFIRM`` successive readings.
+- *seat*: the stiffness over the last samples exceeds a multiple (``seat_ratio``) of the initial one: the probe is in its socket, or a
+  buffer on its stop. Reported if the excess is above ``SEAT_SIGMA`` of its standard deviations in ``CONFIRM`` successive readings.
 - *capture*: the axial force pulls, beyond five standard deviations, in ``CONFIRM`` successive readings, which a contact alone cannot do.
 - *wear*: k and c of a contact compared with those of earlier contacts, by Hotelling's T^2 with the covariances that the identification
   reports: an alarm if the chi-squared probability with two degrees of freedom is below ``false_alarm_rate`` (D. C. Montgomery,
-  Introduction to Statistical Quality Control, 7th ed. 2012, chapter 11). The rate is correct if the reported deviations are.
+  Introduction to Statistical Quality Control, 7th ed. 2012, chapter 11). The rate is correct if the reported standard deviations are.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class ProcessMonitor:
 
     Attributes:
         touch, seat, capture: ``(n,)`` time [s] of each event, NaN before it.
-        first_stiffness: ``(n,)`` [N/m] at the beginning of the first contact, NaN before it is known.
+        first_stiffness: ``(n,)`` [N/m] at the beginning of the first contact, NaN before it is estimated.
     """
 
     def __init__(self, scenarios: Sequence[Scenario]) -> None:

@@ -2,13 +2,13 @@
 
     x'' = sat(w^2 (u - x + q), a_max) - 2 zeta w x' - w^2 r sgn(x') + w^2 o,    q' = (u - x)/T_i
 
-Everything is divided by the moving mass: r is the Coulomb force and o the load over the gain of the controller, both as following errors.
-At rest the axis holds while the force of drive and load is no more than the static friction.
+All terms are divided by the moving mass. r is the Coulomb force and o the load, each over the controller's gain, so that both are following
+errors [m]. At rest the axis holds while the sum of drive force and load does not exceed the static friction.
 
-Between two instants at which the axis stops, breaks loose, reverses, or meets or leaves the limit of its force the law is linear. There
-it is advanced by its Taylor series, to round-off, and these instants are found to round-off as the zeros that they are. So the result
-does not depend on how finely a command is divided. What would not be seen: a stop within a time constant in
-which the acceleration turns round twice, which takes an integral part that is faster than the axis.
+The law is linear between the instants at which the axis stops, breaks loose, reverses, or reaches or leaves its force limit. In between,
+the state is advanced by its Taylor series to round-off; the instants themselves are found to round-off by root finding. The result
+therefore does not depend on how finely a command is divided. Limitation: a stop is missed if the acceleration reverses twice within a
+time constant, which requires an integral part that is faster than the axis.
 """
 
 from __future__ import annotations
@@ -17,19 +17,19 @@ import math
 
 from hiltestbed.jit import njit
 
-W, ZETA, FRICTION, OFFSET, LIMIT, INTEGRAL, STATIC = range(7)  # numbers of a drive: [rad/s], -, m, m, m/s^2, s, -
+W, ZETA, FRICTION, OFFSET, LIMIT, INTEGRAL, STATIC = range(7)  # parameters of a drive: [rad/s], -, m, m, m/s^2, s, -
 NUMBERS = 7
 PLACE, RATE, SUM = 0, 1, 2  # its state: x [m], x' [m/s], q [m]
 STATE = 3
 
 ORDER = 19  # of the series: a piece is at most one time constant long, and 1/20! is 4e-19
-MOST_PIECES = 100_000  # of one stretch: numbers that are no drive end, too
-SPEED, ACCELERATION, ERROR, ERROR_RATE = 0, 1, 2, 3  # whose zero is sought
+MAX_PIECES = 100_000  # per call: it ends with unphysical parameters as well
+SPEED, ACCELERATION, ERROR, ERROR_RATE = 0, 1, 2, 3  # quantities whose zeros are sought; SPEED and ERROR precede their rates
 
 
 @njit(cache=True, inline="always")
 def _slide(law, x, v, q, u, rate, t):
-    """Position, speed and integral after t of an axis that moves one way; ``law``: see :func:`_law`; the command is u + rate t."""
+    """Position, speed and integral after t of an axis that does not reverse; ``law``: see :func:`_law`; the command is u + rate t."""
     stiffness, damping, push, integral, follows = law
     xk, vk, qk, uk = x, v, q, u
     for k in range(ORDER):
@@ -48,9 +48,9 @@ def _slide(law, x, v, q, u, rate, t):
 
 @njit(cache=True, inline="always")
 def _law(numbers, side, bound):
-    """The linear law of an axis that moves to ``side``, the force of its drive free (``bound`` 0) or at its upper or lower limit.
+    """The linear law of an axis that moves in direction ``side``, its drive force unlimited (``bound`` 0) or at its upper or lower limit.
 
-    Returns: w^2, 2 zeta w, what pushes beside the controller as a following error, 1/T_i, 1 where the controller's force is free.
+    Returns: w^2, 2 zeta w, the constant force as a following error [m], 1/T_i, 1 if the controller's force is unlimited.
     """
     stiffness = numbers[W] * numbers[W]
     push = numbers[OFFSET] - side * numbers[FRICTION]
@@ -61,7 +61,7 @@ def _law(numbers, side, bound):
 
 @njit(cache=True, inline="always")
 def _of(what, law, level, x, v, q, u, rate):
-    """A quantity and its slope: speed, acceleration, the error that the controller acts on above ``level``, or its rate."""
+    """A quantity and its slope: speed, acceleration, the controller's error minus ``level``, or the rate of that error."""
     stiffness, damping, push, integral, follows = law
     a = stiffness * (follows * (u - x + q) + push) - damping * v
     closing = rate - v + integral * (u - x)
@@ -76,14 +76,14 @@ def _of(what, law, level, x, v, q, u, rate):
 
 @njit(cache=True)
 def _after(what, law, level, x, v, q, u, rate, t):
-    """The same after t."""
+    """A quantity and its slope, see :func:`_of`, after t."""
     x, v, q = _slide(law, x, v, q, u, rate, t)
     return _of(what, law, level, x, v, q, u + rate * t, rate)
 
 
 @njit(cache=True)
 def _zero(what, law, level, x, v, q, u, rate, low, high):
-    """When between ``low`` and ``high``, where it has different signs, a quantity is zero: Newton's steps, halves where one leads out."""
+    """Zero of a quantity between ``low`` and ``high``, where its signs differ: Newton steps, bisection where one leaves the bracket."""
     rises = _after(what, law, level, x, v, q, u, rate, high)[0] > 0.0
     t = 0.5 * (low + high)
     for _ in range(100):
@@ -103,9 +103,9 @@ def _zero(what, law, level, x, v, q, u, rate, low, high):
 
 @njit(cache=True)
 def _falls(what, law, level, sign, starts, x, v, q, u, rate, t, x1, v1, q1):
-    """When within t ``sign`` times SPEED or ERROR first falls below zero; infinite where it does not. Its slope changes sign once at most.
+    """Time within t at which ``sign`` times SPEED or ERROR first falls below zero, else infinite; its slope changes sign at most once.
 
-    starts: whether it is zero now, but for round-off, and begins to grow. x1, v1, q1: the state after t.
+    starts: whether it is zero now, up to round-off, and begins to grow. x1, v1, q1: the state after t.
     """
     now, slope = _of(what, law, level, x, v, q, u, rate)
     then, last = _of(what, law, level, x1, v1, q1, u + rate * t, rate)
@@ -131,7 +131,7 @@ def _falls(what, law, level, sign, starts, x, v, q, u, rate, t, x1, v1, q1):
 
 @njit(cache=True, inline="always")
 def _passes(c0, c1, c2):
-    """The first time from now on after which c0 + c1 t + c2 t^2 is above zero."""
+    """The first time t >= 0 at which c0 + c1 t + c2 t^2 becomes positive; infinite if it never does."""
     if c0 > 0.0 or (c0 == 0.0 and (c1 > 0.0 or (c1 == 0.0 and c2 > 0.0))):
         return 0.0
     inside = c1 * c1 - 4.0 * c2 * c0
@@ -144,7 +144,7 @@ def _passes(c0, c1, c2):
 
 @njit(cache=True)
 def _breaks_loose(numbers, x, q, u, rate, bound):
-    """After which time an axis at rest begins to move, and to which side; ``bound``: of the drive's force, as a following error."""
+    """Time after which an axis at rest begins to move, and its direction; ``bound``: force limit as a following error [m]."""
     hold, offset, integral = numbers[FRICTION] * numbers[STATIC], numbers[OFFSET], 1.0 / numbers[INTEGRAL]
     error, closing, bend = u - x + q, rate + integral * (u - x), 0.5 * integral * rate
     up = _passes(error - (hold - offset), closing, bend) if hold - offset < bound else math.inf
@@ -156,9 +156,9 @@ def _breaks_loose(numbers, x, q, u, rate, bound):
 
 @njit(cache=True)
 def drive_over(before, after, dt, numbers, state):
-    """The position [m] of an axis after dt, its command running straight from ``before`` to ``after`` [m].
+    """The position [m] of an axis after dt, for a command that runs linearly from ``before`` to ``after`` [m].
 
-    numbers: (NUMBERS,) of the drive. state: (STATE,), changed in place.
+    numbers: (NUMBERS,) parameters of the drive. state: (STATE,), updated in place.
     """
     rate, w, integral = (after - before) / dt, numbers[W], 1.0 / numbers[INTEGRAL]
     longest = 1.0 / (w * (numbers[ZETA] + math.sqrt(1.0 + numbers[ZETA] * numbers[ZETA])) + integral)
@@ -168,7 +168,7 @@ def drive_over(before, after, dt, numbers, state):
     side = math.copysign(1.0, v) if dry else 0.0
     bound = _bound(before - x + q, most)
     left, starts = dt, False
-    for _ in range(MOST_PIECES):
+    for _ in range(MAX_PIECES):
         if not left > 0.0:
             break
         u = after - rate * left
@@ -207,5 +207,5 @@ def drive_over(before, after, dt, numbers, state):
 
 @njit(cache=True, inline="always")
 def _bound(error, most):
-    """Whether the force of the drive is at its upper (1) or lower (-1) limit, or free (0)."""
+    """Whether the drive force is at its upper (1) or lower (-1) limit, or within both (0)."""
     return 1.0 if error > most else (-1.0 if error < -most else 0.0)

@@ -1,4 +1,4 @@
-"""The numbers of a platform's response: what its settings and its effects make of the way from command to pose."""
+"""Parameters of a platform's response from command to pose, from its settings and its effects."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ if TYPE_CHECKING:
 
 @dataclass
 class PlatformParameters:
-    """One platform at a tick of ``tick`` [s]; an element that does nothing has the neutral number.
+    """One platform at a tick of ``tick`` [s]; the default of each parameter has no effect.
 
     Attributes:
         delay: [s]. speed: limit [m/s]. play, stick: [m]. scale: (3,) factor on x, y, z.
         lag: natural frequency [rad/s] and damping ratio of each second-order response.
-        mode: natural frequency [rad/s] and damping ratio of each structural mode that is shaken at its base.
+        mode: natural frequency [rad/s] and damping ratio of each structural mode that is excited at its base.
         drive: (3, NUMBERS) of a controller against dry friction on x, y, z, see :mod:`hiltestbed.platform.drive`; 0 for none.
-        instants: a tick at which a platform that sticks may move; 0: those of the physics.
-        step: what it answers to a step of the command, packed, see :func:`hiltestbed.piecewise.packed`; without knots: the step itself.
+        instants: number of instants per tick at which a sticking platform may move; 0: the physics steps.
+        step: response to a step of the command, packed, see :func:`hiltestbed.piecewise.packed`; without knots: the step itself.
     """
 
     tick: float
@@ -44,11 +44,11 @@ class PlatformParameters:
 
     @classmethod
     def believed(cls, scenario: Scenario) -> PlatformParameters:
-        """What a scenario's settings say, without any effect."""
+        """The parameters of a scenario's settings alone, without effects."""
         return cls(scenario.tick)
 
     def with_effects(self, effects: Iterable[Effect]) -> PlatformParameters:
-        """The same object after the effects of the platform among ``effects`` have changed it."""
+        """This object, changed by the platform effects among ``effects``."""
         for effect in effects:
             if effect.link == "platform":
                 effect.apply(self)
@@ -57,8 +57,8 @@ class PlatformParameters:
 
 @dataclass(frozen=True)
 class Response:
-    """The parameters of n platforms as the kernels take them: delay, speed, play, stick (n,), scale (n, 3), drive (n, 3, NUMBERS),
-    lag and mode (n, S, 2), a frequency of 0 for none, step (n, PACKED)."""
+    """Parameters of n platforms as kernel inputs: delay, speed, play, stick (n,), scale (n, 3), drive (n, 3, NUMBERS),
+    lag and mode (n, S, 2), a frequency of 0 meaning none, step (n, PACKED)."""
 
     delay: Array
     speed: Array
@@ -72,7 +72,7 @@ class Response:
 
 
 def stack(platforms: Sequence[PlatformParameters]) -> Response:
-    """Several platforms as arrays with the run as leading axis."""
+    """Parameters of several platforms as arrays with the run as leading axis."""
 
     def filled(rows: list[list[tuple[float, float]]]) -> Array:
         longest = max(len(r) for r in rows)

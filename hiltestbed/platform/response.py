@@ -1,8 +1,8 @@
-"""What the motion platform makes of its command, on the three translations.
+"""Response of the motion platform to its command, on the three translations.
 
-The command runs linearly over each tick to `pose_cmd`; before the start it is the uniform approach. It passes, in this order, a
-transport delay, a response that was learned, a speed limit, a drive against dry friction, second-order lags, structural modes shaken at
-their base, play, stiction and a scale error. Their input is linear between two instants: drives, lags and modes are advanced exactly, so
+The command is linear over each tick and ends at `pose_cmd`; before the start it is the uniform approach. It passes through, in this order,
+a transport delay, a learned response, a speed limit, a drive against dry friction, second-order lags, structural modes excited at their
+base, play, stiction and a scale error. Their input is linear between two instants: drives, lags and modes are advanced exactly, so
 that the result does not depend on how finely a tick is divided.
 """
 
@@ -24,7 +24,7 @@ from hiltestbed.platform.step_response import longest_memory, summed_over
 if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario
 
-LIMITED, PLAYED, HELD, MEMORY = 0, 1, 2, 3  # positions that an axis remembers [m]
+LIMITED, PLAYED, HELD, MEMORY = 0, 1, 2, 3  # state of an axis [m]: outputs of speed limit, play and stiction
 
 
 @njit(cache=True)
@@ -51,7 +51,7 @@ def second_order(w, zeta, dt, base, out):
 
 @njit(cache=True, inline="always")
 def _advance_second_order(e, before, after, dt, state):
-    """One response over dt on an input that runs from ``before`` to ``after``; ``state`` (2,) position and rate, moved on."""
+    """One response over dt to an input that runs from ``before`` to ``after``; ``state`` (2,) position and rate, updated in place."""
     rate = (after - before) / dt
     error = state[0] - (before - e[4] * rate)
     slip = state[1] - rate
@@ -62,23 +62,23 @@ def _advance_second_order(e, before, after, dt, state):
 
 @njit(cache=True, inline="always")
 def _limited(held, before, after, dt, speed):
-    """Where an axis that is no faster than ``speed`` is after dt, from ``held``, its command running from ``before`` to ``after``.
+    """Position after dt of an axis limited to ``speed``, starting at ``held``, while its command runs from ``before`` to ``after``.
 
-    As fast as it may towards the command; once it has met it, with it, or as fast as it may after it where it is faster.
+    It moves towards the command at the limit. Once it has met the command it follows it, at the limit where the command is faster.
     """
     step = speed * dt
     way = after - before
     if abs(way) > step and (before - held) * way < 0.0 and abs(before - held) < abs(way) + step:
-        met = (before - held) / (math.copysign(step, before - held) - way)  # part of dt, after which it turns back
+        met = (before - held) / (math.copysign(step, before - held) - way)  # fraction of dt after which it meets the command and reverses
         return held + math.copysign(step, way) * (1.0 - 2.0 * met)
     return held + min(max(after - held, -step), step)
 
 
 @njit(cache=True)
 def follow(before, after, dt, speed, play, stick, lag, mode, lagged, shaken, memory):
-    """One axis over dt, the (already delayed) command running from `before` to `after` [m].
+    """One axis over dt, while its (already delayed) command runs from `before` to `after` [m].
 
-    lag, mode: (S, 5) from `second_order`, a first number of 0 for none. lagged, shaken: (S, 2) and memory: (MEMORY,) state, changed in
+    lag, mode: (S, 5) from `second_order`; a first element of 0 means none. lagged, shaken: (S, 2) and memory: (MEMORY,) state, updated in
     place. Returns the position reached [m], before the scale error.
     """
     if speed < np.inf:
@@ -107,10 +107,10 @@ def follow(before, after, dt, speed, play, stick, lag, mode, lagged, shaken, mem
 
 @njit(cache=True)
 def behind_drive(before, after, dt, speed, drive, driven, memory):
-    """Where an axis behind its limit of the speed and its drive stands before and after dt: what the rest of its response is led by.
+    """Output of an axis's speed limit and drive before and after dt: the input of :func:`follow`, which then gets no speed limit.
 
-    Apart from :func:`follow`, which is given no limit then: drives are rare, and that function is called once a row of every hypothesis.
-    drive: (NUMBERS,). driven: (STATE,) and memory: (MEMORY,) state, changed in place.
+    It is separate from :func:`follow` because drives are rare and that function is called for every row of every hypothesis.
+    drive: (NUMBERS,). driven: (STATE,) and memory: (MEMORY,) state, updated in place.
     """
     if speed < np.inf:
         held = memory[LIMITED]
@@ -121,17 +121,17 @@ def behind_drive(before, after, dt, speed, drive, driven, memory):
 
 
 class PlatformResponse:
-    """The platforms of `n` runs: from the commanded pose to the positions within the tick that follows.
+    """The platforms of `n` runs: from the commanded pose to the positions within the following tick.
 
     Attributes:
         path: (n, m, 3) position of A in P at the m instants of the tick, the last of which is t_(k+1) [m].
-        active: whether any platform does anything to its command; else the path is the command's own.
+        active: whether any platform alters its command; otherwise the path equals the command.
     """
 
     def __init__(
         self, scenarios: Sequence[Scenario], parameters: Sequence[PlatformParameters] | None = None, substeps: int | None = None
     ) -> None:
-        """``parameters``: of each run, by default those of its effects; ``substeps``: instants a tick, by default the physics'."""
+        """``parameters``: of each run, by default from its effects; ``substeps``: instants per tick, by default the physics steps."""
         n, first = len(scenarios), scenarios[0]
         self.tick = 1.0 / first.rate
         self.substeps = first.substeps if substeps is None else substeps
@@ -145,7 +145,7 @@ class PlatformResponse:
         self.path = np.zeros((n, self.substeps, 3))
         slots = math.ceil(float(self._late.max()) + longest_memory(p.step) / self.tick) + 3
         self.ring = np.zeros((n, slots, 3))  # command reached at t_j in slot j modulo its length
-        self.sums = np.zeros((n, slots, 3))  # its integral over time, likewise
+        self.sums = np.zeros((n, slots, 3))  # its integral over time up to t_j [m s]
         self.memory = np.zeros((n, 3, MEMORY))
         self.driven = np.zeros((n, 3, STATE))
         self.lagged, self.shaken = np.zeros((n, 3, p.lag.shape[1], 2)), np.zeros((n, 3, p.mode.shape[1], 2))
@@ -157,7 +157,7 @@ class PlatformResponse:
             self.begin(i, np.array([*s.approach.offset, -s.approach.gap]), np.asarray(s.approach.velocity, dtype=float))
 
     def begin(self, i: int, start: Array, velocity: Array) -> None:
-        """Put the platform of run ``i`` on a uniform motion that is at ``start`` (3,) [m] with ``velocity`` (3,) [m/s] at t = 0."""
+        """Initialise the platform of run ``i`` with a uniform motion: at ``start`` (3,) [m] with ``velocity`` (3,) [m/s] at t = 0."""
         for back in range(self.ring.shape[1]):
             self.ring[i, -back % self.ring.shape[1]] = start - velocity * self.tick * back
             self.sums[i, -back % self.ring.shape[1]] = self.tick * back * (0.5 * velocity * self.tick * back - start)
@@ -169,7 +169,7 @@ class PlatformResponse:
         self.lagged[i, ..., 1] = self.shaken[i, ..., 1] = moving[:, None]
 
     def advance(self, k: int, pose_cmd: Array) -> Array:
-        """The path (n, m, 3) from t_k to t_(k+1) on the command (n, 7) to be reached at t_(k+1)."""
+        """The path (n, m, 3) from t_k to t_(k+1), for the commanded pose (n, 7) of t_(k+1)."""
         p = self.parameters
         advance_paths(
             k, pose_cmd, self.ring, self.sums, p.step, self._late, self.tick / self.substeps, p.speed, p.play, p.stick, p.scale,
@@ -180,7 +180,7 @@ class PlatformResponse:
 
 @njit(cache=True, inline="always")
 def _ring_at(ring, axis, at):
-    """The command at the tick ``at``, linear between ticks."""
+    """The command at the (fractional) tick ``at``, linear between ticks."""
     first = math.floor(at)
     part = at - first
     low = ring[int(first) % ring.shape[0], axis]
@@ -191,7 +191,7 @@ def _ring_at(ring, axis, at):
 
 @njit(cache=True, inline="always")
 def _sum_at(ring, sums, axis, at, h):
-    """The integral of the command over time up to the tick ``at`` [m s]."""
+    """The integral of the command over time up to the (fractional) tick ``at`` [m s]."""
     first = math.floor(at)
     part = at - first
     slot, after = int(first) % ring.shape[0], int(first + 1) % ring.shape[0]
@@ -201,7 +201,7 @@ def _sum_at(ring, sums, axis, at, h):
 
 @njit(cache=True)
 def _answered(ring, sums, step, axis, at, h):
-    """The command at the tick ``at`` after the packed ``step`` response, exactly: the command is linear over each tick."""
+    """Output of the packed ``step`` response at the (fractional) tick ``at``; exact, as the command is linear over each tick."""
     n, most = int(step[0]), (len(step) - 1) // 2
     if n == 0:
         return _ring_at(ring, axis, at)
@@ -218,7 +218,7 @@ def _answered(ring, sums, step, axis, at, h):
 def advance_paths(
     k, pose_cmd, ring, sums, step, late, dt, speed, play, stick, scale, drive, lag, mode, driven, lagged, shaken, memory, path
 ):  # fmt: skip
-    """The paths (n, m, 3) of one tick, from t_k, on the commands ``pose_cmd`` (n, >= 3); see :class:`PlatformResponse`."""
+    """Write the paths (n, m, 3) of one tick from t_k, for the commands ``pose_cmd`` (n, >= 3); see :class:`PlatformResponse`."""
     substeps = path.shape[1]
     for i in range(path.shape[0]):
         for axis in range(3):

@@ -1,17 +1,16 @@
-"""Two simulated records of one axis that a motor drives, with code that shares nothing with hiltestbed.
+"""Two simulated records of one motor-driven axis, made by code that is independent of hiltestbed.
 
-A mass on a ball screw, its position controlled by a proportional law around a velocity loop, the voltage held from one millisecond to
-the next::
+A mass on a ball screw under a proportional position controller around a velocity loop; the voltage is held over each millisecond::
 
     M x'' = gtau u - viscous x' - coulomb sgn(x') - offset,    u = kv (kp (x_ref - x) - x'), |u| <= 10 V
 
-Between two samples the force is constant, so that the velocity is an exponential between the instants at which it changes its sign, and
-the position follows in closed form; at rest the mass holds until the force exceeds the dry friction. No step size, no smoothed sign.
+Between two samples the force is constant. The velocity is therefore an exponential between its sign changes, and the position follows
+in closed form; at rest the mass holds until the force exceeds the dry friction. There is no step size and no smoothed sign function.
 
     python generate.py FOLDER [--ripple N] [--seed N]
 
-The figures are those that A. Janot, M. Gautier and M. Brunot publish of the electro-mechanical positioning system (EMPS, Workshop on
-Nonlinear System Identification Benchmarks, 2019). The records are not theirs: course and noise are made up here.
+The parameters are those that A. Janot, M. Gautier and M. Brunot publish for the electro-mechanical positioning system (EMPS, Workshop on
+Nonlinear System Identification Benchmarks, 2019). The records are not theirs: course and noise are defined here.
 """
 
 from __future__ import annotations
@@ -27,14 +26,14 @@ import pyarrow.parquet as pq
 
 RATE, SECONDS = 1000, 24.8  # [Hz], [s]
 KP, KV, GTAU, VOLTS = 160.0, 243.0, 35.15, 10.0  # [1/s], [V s/m], [N/V], [V]
-STEP = 5e-8  # [m] of the encoder
+STEP = 5e-8  # [m] resolution of the encoder
 
 
 @dataclass(frozen=True)
 class Axis:
-    """Mass [kg], friction [N s/m], [N], offset [N], and a ripple of the force over the place [N] that nothing models.
+    """Mass [kg], viscous [N s/m] and dry friction [N], offset [N], and a force ripple over position [N] that no fitted model contains.
 
-    asymmetry: part by which viscous friction is less forward and more back.
+    asymmetry: fraction by which viscous friction is lower forward and higher backward. pitch: wavelength of the ripple [m].
     """
 
     mass: float = 95.109
@@ -47,7 +46,7 @@ class Axis:
     pitch: float = 0.01
 
     def advance(self, x: float, v: float, force: float, seconds: float) -> tuple[float, float]:
-        """Place and speed after ``seconds`` under a constant force."""
+        """Position [m] and velocity [m/s] after ``seconds`` under a constant force."""
         drive = force - self.offset - self.ripple * math.sin(2.0 * math.pi * x / self.pitch)
         while seconds > 0.0:
             if v == 0.0:
@@ -59,7 +58,7 @@ class Axis:
             net = drive - (self.coulomb if direction > 0.0 else -self.coulomb_back)
             viscous = self.viscous * (1.0 - self.asymmetry * direction)
             span, stops = seconds, False
-            if net * direction < 0.0:  # it slows down
+            if net * direction < 0.0:  # the mass decelerates
                 end = self._stop(v, net, viscous)
                 span, stops = (end, True) if end <= seconds else (seconds, False)
             x, v = self._glide(x, v, net, span, viscous)
@@ -83,7 +82,7 @@ class Axis:
 
 
 def trapezoids(t: np.ndarray) -> np.ndarray:
-    """[m] there and back by 24, 120 and 220 mm at up to 0.13 m/s, over and over."""
+    """Position [m]: strokes of 30, 90 and 190 mm forth and back at up to 0.124 m/s, repeated."""
     place, start, out = 0.0, 0.0, np.zeros_like(t)
     moves = [(0.03, 0.04), (-0.03, 0.04), (0.09, 0.08), (-0.09, 0.08), (0.19, 0.124), (-0.19, 0.124)] * 4
     for way, speed in moves:
@@ -100,13 +99,13 @@ def trapezoids(t: np.ndarray) -> np.ndarray:
 
 
 def pulses(t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """[m] slow swings of another course, and [N] pulses of force beside them."""
+    """Another course of slow swings [m], and force pulses added to the motor force [N]."""
     place = 0.1 * (1.0 - np.cos(2 * np.pi * 0.16 * t)) + 0.02 * np.sin(2 * np.pi * 0.41 * t) ** 2
     return place, 60.0 * ((t % 2.3 > 1.0) & (t % 2.3 < 1.02)) - 60.0 * ((t % 2.3 > 1.7) & (t % 2.3 < 1.72))
 
 
 def record(axis: Axis, course: np.ndarray, pushes: np.ndarray, noise: float = 0.0, seed: int = 0) -> dict[str, np.ndarray]:
-    """Time, force of the motor and position, one row a sample: what was read at t_k and the force from t_k on."""
+    """Time, motor force and position, one row per sample: the position read at t_k and the force from t_k on."""
     rng = np.random.default_rng(seed)
     x, v, before = course[0], 0.0, course[0]
     read, force = np.zeros(len(course)), np.zeros(len(course))
@@ -120,7 +119,7 @@ def record(axis: Axis, course: np.ndarray, pushes: np.ndarray, noise: float = 0.
 
 
 def records(axis: Axis, noise: float = 0.0, seed: int = 0) -> dict[str, dict[str, np.ndarray]]:
-    """Both records of an axis, by their names."""
+    """Both records of an axis, by name."""
     t = np.arange(round(SECONDS * RATE)) / RATE
     swings, pushes = pulses(t)
     return {"trapezoids": record(axis, trapezoids(t), 0.0 * t, noise, seed), "pulses": record(axis, swings, pushes, noise, seed + 1)}
@@ -129,7 +128,7 @@ def records(axis: Axis, noise: float = 0.0, seed: int = 0) -> dict[str, dict[str
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
-    parser.add_argument("--ripple", type=float, default=0.0, help="force over the place [N], that no friction law holds")
+    parser.add_argument("--ripple", type=float, default=0.0, help="force ripple over position [N], which no friction law describes")
     parser.add_argument("--seed", type=int, default=0)
     given = parser.parse_args()
     given.folder.mkdir(parents=True, exist_ok=True)

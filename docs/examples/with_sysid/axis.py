@@ -1,11 +1,11 @@
-"""The axis that a motor drives: mass, viscous and dry friction and offset by mujoco.sysid and by hiltestbed, of the same two records.
+"""A motor-driven axis: mass, viscous and dry friction and offset from the same two records, by mujoco.sysid and by hiltestbed.
 
     pip install 'mujoco[sysid]'
     python axis.py [--ripple N] [--pitch M]
 
-mujoco.sysid gets a MuJoCo model of a slide with damping, frictionloss and a constant force, in three forms: as its examples have it; with
-stiff friction and a delay of the sensor as a fifth number; and with Runge-Kutta's step, held against the state itself. The second and third
-answer to what a reader finds out who looks why the first is 0.3 % off: a rollout stamps a sensor one step late.
+mujoco.sysid gets a MuJoCo model of a slide with damping, frictionloss and a constant force, in three forms: as in its examples; with stiff
+friction and a sensor delay as a fifth parameter; and with stiff friction, a Runge-Kutta integrator, and the state itself in place of the
+sensor. The last two avoid the errors of the first: soft friction, and a rollout that stamps a sensor reading one step late.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ def parameters() -> sysid.ParameterDict:
 
 
 def fitted(name: str, records: dict[str, Record], integrator: str, friction: str, delay: bool = False, state: bool = False) -> Side:
-    """One form of model on both records, and on each to predict the other."""
+    """Fit of one form of the model to both records, and to each one to predict the other."""
     spec = mujoco.MjSpec.from_string(MODEL.format(integrator=integrator, friction=friction))
     seen = "way_qpos" if state else "position"
 
@@ -139,8 +139,8 @@ def _named(found: Any) -> dict[str, tuple[float, float]]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--ripple", type=float, default=0.0, help="force over the place [N], that no friction law holds")
-    parser.add_argument("--pitch", type=float, default=0.01, help="[m] of the ripple")
+    parser.add_argument("--ripple", type=float, default=0.0, help="force ripple over position [N], which no friction law describes")
+    parser.add_argument("--pitch", type=float, default=0.01, help="wavelength of the ripple [m]")
     given = parser.parse_args()
     axis = generate.Axis(ripple=given.ripple, pitch=given.pitch)
     true = {"mass": axis.mass, "viscous": axis.viscous, "coulomb": axis.coulomb, "offset": axis.offset}

@@ -1,13 +1,14 @@
-"""A bumper stiffer and with more damping than believed: both numbers by mujoco.sysid and by hiltestbed, of the same three records.
+"""A bumper with more stiffness and damping than believed: both parameters from the same three records, by mujoco.sysid and by hiltestbed.
 
     pip install 'mujoco[sysid]'
     python contact.py [--seed N]
 
-A mass of 100 kg meets a spring and a damper at three speeds; position and force are written down in closed form, up to where the force has
-fallen to zero, at 2 kHz, with white noise on both and no delay. Both know mass, gap and speeds, believe 100 kN/m and 300 N s/m, and start
-there. mujoco.sysid plays a ball on a plane with the contact's stiffness and damping in ``solref`` (direct, at an impedance of 1e-4, so that
-the force is k x + c v), by Runge-Kutta's method; its residuals are in units of the noise, which it is told, the position is compared with
-the state and the force with the instant at which MuJoCo computes it, a step before the one that a rollout stamps it with.
+A mass of 100 kg meets a spring and a damper at three speeds. Position and force are computed in closed form at 2 kHz; the contact ends
+where the force has fallen to zero. Both signals have white noise and no delay. Both programs are given mass, gap and speeds, and start from
+the nominal 100 kN/m and 300 N s/m. mujoco.sysid simulates a ball on a plane with the contact's stiffness and damping in ``solref`` (direct,
+at an impedance of 1e-4, so that the force is k x + c v), with a Runge-Kutta integrator. Its residuals are in units of the noise, which is
+given to it. The position is compared with the state, and the force at the instant at which MuJoCo computes it, one step before its stamp in
+a rollout.
 """
 
 from __future__ import annotations
@@ -69,7 +70,7 @@ Record = tuple[np.ndarray, np.ndarray, np.ndarray]  # t, position, force
 
 
 def bounce(speed: float) -> Record:
-    """Time [s], place past the touch [m] and force [N] of a mass that meets the bumper."""
+    """Time [s], position relative to the touch [m] and force [N] of a mass that meets the bumper."""
     k, c = TRUE.values()
     d = 0.5 * c / MASS
     w = math.sqrt(k / MASS - d * d)
@@ -105,7 +106,7 @@ def parameters() -> sysid.ParameterDict:
 
 
 def fitted(given: list[Record], finer: int) -> Side:
-    """mujoco.sysid with ``finer`` steps a row."""
+    """Fit by mujoco.sysid with ``finer`` integration steps per row."""
     step = 1.0 / (finer * RATE)
     spec = mujoco.MjSpec.from_string(MODEL.format(step=step, mass=MASS))
 
@@ -132,7 +133,7 @@ def fitted(given: list[Record], finer: int) -> Side:
         return sysid.build_residual_fn(models_sequences=sequences, build_model=build, modify_residual=difference)
 
     every = list(range(len(given)))
-    side, _ = by_sysid(f"sysid, {finer} step{'s' if finer > 1 else ''} a row", parameters(), residual(every))
+    side, _ = by_sysid(f"sysid, {finer} step{'s' if finer > 1 else ''} per row", parameters(), residual(every))
     return side
 
 

@@ -1,4 +1,4 @@
-"""What both comparisons with mujoco.sysid need: a fit of its own with intervals and processor time, one of hiltestbed, and a table."""
+"""Common code of the comparisons with mujoco.sysid: fits by mujoco.sysid and hiltestbed with intervals and processor time, and a table."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ logging.getLogger("absl").setLevel(logging.ERROR)
 
 @dataclass
 class Side:
-    """What one way of fitting says.
+    """Result of one method.
 
     Attributes:
-        found: parameter to its estimate and half of its 95 % interval. seconds: of processor time, all threads. left: [mm] rms on each
+        found: estimate and half of the 95 % interval of each parameter. seconds: processor time of all threads. left: rms [mm] on each
         record that was left out of the fit.
     """
 
@@ -41,14 +41,14 @@ class Side:
 
 @contextlib.contextmanager
 def timed() -> Iterator[Callable[[], float]]:
-    """Seconds of processor time since."""
+    """A function that returns the processor time [s] since the block was entered."""
     began = time.process_time()
     yield lambda: time.process_time() - began
 
 
 def by_sysid(name: str, params: sysid.ParameterDict, residual: Callable[..., Any]) -> tuple[Side, np.ndarray]:
-    """mujoco.sysid's own optimiser and intervals, and where it ended."""
-    with timed() as seconds, contextlib.redirect_stdout(io.StringIO()):  # it writes a line an iteration
+    """A fit with mujoco.sysid's own optimiser and intervals, and the parameter vector at which it ended."""
+    with timed() as seconds, contextlib.redirect_stdout(io.StringIO()):  # it prints a line per iteration
         fitted, result = sysid.optimize(params, residual, verbose=False)
         spent = seconds()
     left, _, _ = residual(result.x, fitted)
@@ -58,7 +58,7 @@ def by_sysid(name: str, params: sysid.ParameterDict, residual: Callable[..., Any
 
 
 def by_diagnosis(dataset: Path) -> tuple[Diagnosis, float]:
-    """A whole diagnosis: every effect is weighed, and each record left out in turn. The first compiles or loads the kernels."""
+    """A whole diagnosis: every effect is tested, each record left out in turn. The first, untimed call compiles or loads the kernels."""
     diagnose(dataset)
     with timed() as seconds:
         found = diagnose(dataset)
@@ -66,7 +66,7 @@ def by_diagnosis(dataset: Path) -> tuple[Diagnosis, float]:
 
 
 def by_fit(residual: Residual, causes: Sequence[Candidate], start: Sequence[float]) -> tuple[Mapping[str, tuple[float, float]], float]:
-    """The same parameters from the same start, as mujoco.sysid is told them: names of them all to estimate and half of the interval."""
+    """A fit of given causes from a given start, as in mujoco.sysid: estimate and half interval by parameter, and processor time [s]."""
     with timed() as seconds:
         found = fit(residual, causes, [start], tries=1)
         ends = intervals(residual, found).ends
@@ -76,7 +76,7 @@ def by_fit(residual: Residual, causes: Sequence[Candidate], start: Sequence[floa
 
 
 def of_diagnosis(found: Diagnosis) -> dict[str, tuple[float, float]]:
-    """What a diagnosis names, by effect and parameter: estimate and half of the interval."""
+    """Estimate and half of the interval of the causes that a diagnosis names, by effect and parameter."""
     causes = found.finding.causes or found.finding.partial
     out = {}
     for cause in causes:
@@ -93,7 +93,7 @@ def scaled(pair: tuple[float, float], by: float) -> tuple[float, float]:
 
 
 def table(title: str, true: Mapping[str, float], sides: Sequence[Side]) -> str:
-    """Markdown: a row a side, each estimate with half of its interval and how far it is from the truth."""
+    """Markdown table with a row per method: each estimate with half of its interval and its deviation from the true value."""
     rows = [f"**{title}**", "", "| | " + " | ".join(true) + " | left out [mm] | s CPU |", "|---|" + "---|" * (len(true) + 2)]
     rows.append("| true | " + " | ".join(f"{v:g}" for v in true.values()) + " | | |")
     for side in sides:

@@ -1,4 +1,4 @@
-"""The platform is a controller that works against dry friction, with a force that is limited."""
+"""The platform is moved by a position controller with a limited force, against dry friction."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from hiltestbed.platform.parameters import PlatformParameters
     from hiltestbed.scenario import Scenario
 
-FARTHEST = 0.5  # of the travel, that friction and load may leave an axis off its command
-STOPS = (0.002, 0.02)  # of the travel, by which an axis stops short: starts of a search
+MAX_ERROR = 0.5  # share of the travel: largest following error that friction or load may cause
+STOPS = (0.002, 0.02)  # share of the travel by which an axis stops short of its command: starting values of the search
 
 
 @register
@@ -33,21 +33,22 @@ class PlatformDrive(Effect):
     )
     damping_ratio: float = quantity("-", "Damping ratio", default=0.7, ge=0.0, le=20.0, search=(0.05, 5.0), ratio=True)
     friction: float = quantity(
-        "m", "Coulomb friction over the controller's gain, the error at which the axis stops", default=0.0, ge=0.0, search=(0.0, 2e-3)
+        "m", "Coulomb friction over the controller's gain: following error at which the axis stops", default=0.0, ge=0.0, search=(0.0, 2e-3)
     )
-    offset: float = quantity("m", "Load over the controller's gain, by which the axis droops", default=0.0, search=(-2e-3, 2e-3))
+    offset: float = quantity("m", "Load over the controller's gain: offset of the axis from its command", default=0.0, search=(-2e-3, 2e-3))
     acceleration_limit: float | None = quantity(
-        "m/s^2", "Limit of the drive's force over the moving mass; none by default", default=None, gt=0.0, search=(1e-3, 1e3), ratio=True
+        "m/s^2", "Force limit of the drive over the moving mass; none by default", default=None, gt=0.0, search=(1e-3, 1e3), ratio=True
     )
     integral_time: float | None = quantity(
-        "s", "Time of the controller's integral part; none by default", default=None, gt=0.0, search=(5e-3, 100.0), ratio=True
+        "s", "Integral time of the controller; none by default", default=None, gt=0.0, search=(5e-3, 100.0), ratio=True
     )
-    static: float | None = quantity("-", "Static over Coulomb friction; 1 by default", default=None, ge=1.0, le=10.0)
-    axis: Literal["all", "x", "y", "z"] = Field(default="all", description="Axis of translation that is driven so, or all three alike")
+    static: float | None = quantity("-", "Ratio of static to Coulomb friction; 1 by default", default=None, ge=1.0, le=10.0)
+    axis: Literal["all", "x", "y", "z"] = Field(default="all", description="Axis of translation with this drive, or all three")
     link = "platform"
     equation = (
         "x'' = sat(w^2 (x_cmd - x + q), acceleration_limit) - 2 damping_ratio w x' - w^2 friction sgn(x') + w^2 offset, "
-        "q' = (x_cmd - x)/integral_time, w = 2 pi bandwidth; at rest it holds while what drives it is at most w^2 static friction"
+        "q' = (x_cmd - x)/integral_time, w = 2 pi bandwidth; "
+        "at rest it holds while |sat(w^2 (x_cmd - x + q), acceleration_limit) + w^2 offset| <= w^2 static friction"
     )
     reference = "position controller against Coulomb friction"
     resembles = ("platform.lag", "platform.backlash", "platform.friction", "platform.mode")
@@ -61,7 +62,7 @@ class PlatformDrive(Effect):
         p.drive[slice(None) if self.axis == "all" else AXES.index(self.axis)] = numbers
 
     def worth(self, scenario: Scenario, frequency: float) -> float:
-        """That of its linear part: what friction and a limited force add depends on the amplitude."""
+        """Delay of the linear part: the contribution of friction and force limit depends on the amplitude."""
         w, s = 2.0 * math.pi * self.bandwidth, 1j * frequency
         if self.integral_time is None:
             return 2.0 * self.damping_ratio / w
@@ -71,7 +72,7 @@ class PlatformDrive(Effect):
     @classmethod
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:
         slow, travel = pace(scales.tick), max(scales.travel, 1e-3)
-        far = max(2e-3, FARTHEST * travel)
+        far = max(2e-3, MAX_ERROR * travel)
         bounds = {
             "bandwidth": (2.0 * slow, 400.0), "friction": (0.0, far), "offset": (-far, far),
             "acceleration_limit": (1e-2 * scales.fast**2 / travel, 1e2 * scales.fast / scales.tick),

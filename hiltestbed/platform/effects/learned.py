@@ -1,4 +1,4 @@
-"""The platform's response as it was learned from data, where no effect with a name does it."""
+"""The platform's response as learned from data, where no named effect explains it."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 def _after_the_step(pairs: Pairs) -> Pairs:
     if pairs[0][0] < 0.0:
-        raise PydanticCustomError("cause", "a platform answers to no step that is still to come (got {time} s)", {"time": pairs[0][0]})
+        raise PydanticCustomError("cause", "a platform cannot respond before the step (got {time} s)", {"time": pairs[0][0]})
     return pairs
 
 
@@ -30,11 +30,11 @@ Step = Annotated[Curve, Field(min_length=2), AfterValidator(_after_the_step)]
 
 @register
 class LearnedResponse(Effect):
-    """A linear response of the platform, one for all three axes, as the answer to a step of its command."""
+    """A linear response of the platform, common to all three axes, given as its response to a step of the command."""
 
     kind: Literal["platform.response"] = "platform.response"
     step: Step = quantity(
-        "s, -", "Knots of the part of a step that is reached over the time since it; none before the first, constant past the last"
+        "s, -", "Knots of the step response: time since the step, fraction reached; zero before the first knot, constant after the last"
     )
     link = "platform"
     equation = "x(t) = integral of s(t - t') x_cmd'(t') dt', s piecewise linear"
@@ -50,5 +50,5 @@ class LearnedResponse(Effect):
 
     @classmethod
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:
-        """None: it is learned where the effects with a name leave more than noise, see :mod:`hiltestbed.diagnosis.learned`."""
+        """None: it is learned where the named effects leave more than noise, see :mod:`hiltestbed.diagnosis.learned`."""
         return iter(())

@@ -1,4 +1,4 @@
-"""The platform answers late, slowly, or rings."""
+"""The platform responds late or slowly, or rings."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ if TYPE_CHECKING:
     from hiltestbed.platform.parameters import PlatformParameters
     from hiltestbed.scenario import Scenario
 
-LONGEST = 20.0  # ticks: as far as a delay is searched on a slow loop
-SLOW = 500.0  # [Hz] of the loop, below which the responses that are searched slow down with it
+LONGEST = 20.0  # ticks: longest delay that is searched for on a slow loop
+SLOW = 500.0  # [Hz] loop rate below which the frequencies that are searched are lowered in proportion
 LAG_DAMPING = 0.7
-AHEAD = "ahead"  # [s] part of a variant: a response that is integrated step by step answers to the command at the end of its step
+AHEAD = "ahead"  # [s] part of a variant: a response integrated in time steps uses the command at the end of its step
 
 
 def pace(tick: float) -> float:
-    """By what the frequencies that are searched are slower on a slow loop."""
+    """Factor by which the frequencies that are searched are lowered on a slow loop."""
     return min(1.0, 1.0 / (SLOW * tick))
 
 

@@ -1,4 +1,4 @@
-"""The platform goes elsewhere than it is told: play, stiction, a scale error, a limit of its speed."""
+"""The platform does not reach its commanded position: play, stiction, a scale error, a speed limit."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ if TYPE_CHECKING:
     from hiltestbed.platform.parameters import PlatformParameters
 
 AXES = ("x", "y", "z")
-FINE = 20  # instants a tick of a platform that jumps when it must, in place of at the instants of the physics
+FINE = 20  # instants per tick at which a sticking platform may move, searched beside the number of physics steps
 
 
 @register
 class PlatformBacklash(Effect):
-    """Play that is crossed at each reversal."""
+    """Play that is taken up at each reversal."""
 
     kind: Literal["platform.backlash"] = "platform.backlash"
-    width: float = quantity("m", "Whole play", ge=0.0, search=(0.0, 2e-3))
+    width: float = quantity("m", "Total width of the play", ge=0.0, search=(0.0, 2e-3))
     link = "platform"
     equation = "x = min(max(x, x_cmd - width/2), x_cmd + width/2)"
     reference = "play operator"
@@ -45,7 +45,7 @@ class PlatformFriction(Effect):
     """The platform moves in jumps."""
 
     kind: Literal["platform.friction"] = "platform.friction"
-    stick: float = quantity("m", "Distance of the command from the axis at which it moves", ge=0.0, search=(0.0, 1e-3))
+    stick: float = quantity("m", "Distance between command and axis at which the axis moves", ge=0.0, search=(0.0, 1e-3))
     link = "platform"
     equation = "x holds until |x_cmd - x| > stick, then x = x_cmd, and holds again"
     reference = "stiction"
@@ -70,7 +70,7 @@ class PlatformScale(Effect):
     """One axis of translation is scaled."""
 
     kind: Literal["platform.scale"] = "platform.scale"
-    factor: float = quantity("-", "Reached over commanded translation", gt=0.0, search=(0.8, 1.25), ratio=True)
+    factor: float = quantity("-", "Ratio of actual to commanded translation", gt=0.0, search=(0.8, 1.25), ratio=True)
     axis: Literal["x", "y", "z"] = Field(default="z", description="Axis of translation that is scaled")
     link = "platform"
     equation = "x_axis = factor x_cmd_axis"
@@ -89,13 +89,13 @@ class PlatformScale(Effect):
 
 @register
 class PlatformSpeedLimit(Effect):
-    """Each axis follows no faster than a limit."""
+    """Each axis follows its command no faster than a limit."""
 
     kind: Literal["platform.speed_limit"] = "platform.speed_limit"
-    speed: float = quantity("m/s", "Highest speed of each axis", gt=0.0, search=(1e-3, 1.0), ratio=True)
+    speed: float = quantity("m/s", "Maximum speed of each axis", gt=0.0, search=(1e-3, 1.0), ratio=True)
     link = "platform"
     equation = "|x'| <= speed"
-    reference = "limit of an actuator"
+    reference = "actuator rate limit"
     resembles = ("platform.lag",)
     repeats = True
     leading = "speed"
