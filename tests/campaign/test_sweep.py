@@ -95,7 +95,7 @@ def interrupted(file: Path) -> None:
     os.killpg(process.pid, signal.SIGINT)
     _, err = process.communicate(timeout=DEADLINE)
     assert process.returncode == 1
-    assert b"the same command goes on" in err
+    assert b"the same command resumes" in err
     assert b"Traceback" not in err
     wait_for(lambda: is_gone(process.pid), "the workers to end")
 
