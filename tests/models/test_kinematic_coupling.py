@@ -27,7 +27,7 @@ def wrench(shift: np.ndarray) -> np.ndarray:
 def test_a_seat_is_six_springs_that_do_not_act_on_each_other() -> None:
     """The sum of k J^T J over six points, J = (n, p x n): k diag(3/2, 3/2, 3) and k R^2 diag(3/2, 3/2, 3), nothing beside the diagonal.
 
-    A turned pair's forces also move with their points, by PRELOAD over R of the stiffness at most: 8e-4.
+    A turned pair's forces also move with their points, by PRELOAD/R of the stiffness at most (8e-4): of an entry of 3, three times that.
     """
     steps = np.diag([SHIFT] * 3 + [SHIFT / R] * 3)
     found = np.stack([(wrench(s) - wrench(-s)) / (2.0 * s.sum()) for s in steps], axis=1)
