@@ -93,7 +93,7 @@ def _carried(response: RigResponse, lag: float, t: Array) -> Array:
     if lag < 0.0:  # a lead: the mirror image
         ramp, second = 2.0 * after - ramp, 2.0 - second
     rest = (response.follows[1:] - second) / -(w**2)
-    return np.where(t > 0.0, ramp + _summed(response, rest, after), 0.0)
+    return np.where(t > 0.0, ramp + _summed(response, rest, t), 0.0)
 
 
 def _yielded(response: RigResponse, t: Array) -> Array:
@@ -102,8 +102,14 @@ def _yielded(response: RigResponse, t: Array) -> Array:
 
 
 def _summed(response: RigResponse, lines: NDArray[np.complex128], t: Array) -> Array:
-    """The inverse transform of values at the lines above 0 Hz, for responses that decay within half a period of the line spacing."""
+    """The inverse transform of values at the lines above 0 Hz, for responses that decay within half a period of the line spacing.
+
+    ``t`` (N,) is evenly spaced, so that its N sums are products of about sqrt(N) coarse and sqrt(N) fine rotations of each line.
+    """
     spacing = float(response.frequency[1] - response.frequency[0])
-    turns = np.outer(t, 2.0 * math.pi * response.frequency[1:])
-    total = spacing * (2.0 * (np.cos(turns) @ lines.real - np.sin(turns) @ lines.imag) + lines[0].real)
+    turns = 2j * math.pi * response.frequency[1:]
+    block = math.isqrt(len(t) - 1) + 1
+    fine = np.exp(np.outer(turns, (t[1] - t[0]) * np.arange(block)))
+    swing = (np.exp(np.outer(t[::block], turns)) * lines) @ fine
+    total = spacing * (2.0 * swing.real.ravel()[: len(t)] + lines[0].real)
     return np.where(t < 0.5 / spacing, total, 0.0)

@@ -5,8 +5,9 @@ from __future__ import annotations
 import socket
 from collections.abc import Callable
 from contextlib import suppress
+from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.random import Generator
@@ -16,20 +17,23 @@ from hiltestbed.bench.robustness.kills import good_set, kill
 from hiltestbed.bench.robustness.values import value_of
 from hiltestbed.errors import HiltestbedError, InputError
 
+if TYPE_CHECKING:
+    from hiltestbed.check import Kind
+
 SURVIVED, REFUSED, REMARKED = "survived", "refused", "remarked"
 Trial = Callable[[Generator, Path], str]
 MOST_TICKS, MOST_INSTANTS = 600, 12_000  # limits of a scenario that is run, to save time
 ROWS = 200
 SUFFIXES = ("csv", "parquet", "h5", "mat", "mf4", "tdms", "mcap")
-_schemas: dict[str, dict[str, Any]] = {}
 _seeds: dict[str, bytes] = {}
 _good: dict[str, Any] = {}
 
 
-def _schema(kind: str) -> dict[str, Any]:
+@cache
+def _schema(kind: Kind) -> dict[str, Any]:
     from hiltestbed.check import json_schema
 
-    return _schemas.setdefault(kind, json_schema(kind))  # type: ignore[arg-type]
+    return json_schema(kind)
 
 
 def _shipped(rng: Generator) -> dict[str, Any]:
