@@ -12,7 +12,7 @@ from hiltestbed.frames import Array
 from hiltestbed.jit import njit
 from hiltestbed.platform.drive import FRICTION, OFFSET, PLACE, RATE, STATE, STATIC, W
 from hiltestbed.platform.parameters import stack
-from hiltestbed.platform.response import MEMORY, behind_drive, follow, second_order
+from hiltestbed.platform.response import HELD, LIMITED, MEMORY, PLAYED, behind_drive, follow, second_order
 
 if TYPE_CHECKING:
     from hiltestbed.platform.parameters import PlatformParameters
@@ -27,7 +27,8 @@ def replay_platform(
     """``(L, N, 3)`` positions of A in P [m] at t_k that platforms reach on recorded commands.
 
     The law is that of the loop (:func:`hiltestbed.platform.response.follow`). A tick is divided at the kinks of the delayed command,
-    between which the responses are exact; for a platform with stiction, at the instants at which it may move.
+    between which the responses are exact; for a platform with stiction, at the instants at which it may move, unless it cannot move within
+    the tick (:func:`_held_throughout`).
 
     Args:
         scenarios, parameters: of each lane. commands: ``(R, N, >= 3)`` pose_cmd; row k is to be reached at t_(k+1).
@@ -40,12 +41,15 @@ def replay_platform(
     parts, count = _instants(scenarios, parameters, late)
     steps = np.diff(parts, axis=1, prepend=0.0) * tick
     lag, mode = _kernels(p.lag, steps, count, 0.0), _kernels(p.mode, steps, count, 1.0)
+    ends, w = _straight(p.stick, late, count), np.concatenate([p.lag[..., 0], p.mode[..., 0]], axis=1)
+    long = np.diff(ends, axis=1) / count[:, None] * tick
+    lag_long, mode_long = (_kernels(x, long, (long > 0.0).sum(axis=1), base) for x, base in ((p.lag, 0.0), (p.mode, 1.0)))
     start = np.array([[*s.approach.offset, -s.approach.gap] for s in scenarios])
     velocity = np.array([s.approach.velocity for s in scenarios], dtype=float)
     out = np.empty((len(run), commands.shape[1], 3))
     _replay(
         commands, np.asarray(run), start, velocity, tick, late, at_start != 0.0, parts, count, steps, p.step, p.speed, p.play, p.stick,
-        p.scale, p.drive, lag, mode, out,
+        p.scale, p.drive, lag, mode, ends, long, lag_long, mode_long, w, out,
     )  # fmt: skip
     return out
 
@@ -67,6 +71,18 @@ def _instants(scenarios: Sequence[Scenario], parameters: Sequence[PlatformParame
     return parts, count
 
 
+def _straight(stick: Array, late: Array, count: np.ndarray) -> np.ndarray:
+    """``(L, 4)`` ends of up to three groups of instants, for lanes with stiction: the delayed command is straight over each group."""
+    bend = late - np.floor(late)
+    within = (stick > 0.0) & (np.minimum(bend, 1.0 - bend) >= WHOLE)
+    bent = np.minimum(np.floor(bend * count).astype(int), count - 1)  # the instants between which the command bends
+    ends = np.tile(count[:, None], (1, 4))
+    ends[:, 0] = 0
+    ends[within, 1] = np.where(bent > 0, bent, 1)[within]
+    ends[within, 2] = np.where(bent > 0, bent + 1, count)[within]
+    return ends
+
+
 def _kernels(numbers: Array, steps: Array, count: np.ndarray, base: float) -> Array:
     """``(L, M, S, 5)`` exact propagators of each response over each step; ``numbers`` (L, S, 2) natural frequency and damping ratio."""
     out = np.zeros((len(numbers), steps.shape[1], numbers.shape[1], 5))
@@ -78,9 +94,11 @@ def _kernels(numbers: Array, steps: Array, count: np.ndarray, base: float) -> Ar
 
 @njit(cache=True)
 def _replay(
-    commands, run, start, velocity, h, late, at_start, parts, count, steps, response, speed, play, stick, scale, drive, lag, mode, out
+    commands, run, start, velocity, h, late, at_start, parts, count, steps, response, speed, play, stick, scale, drive, lag, mode,
+    ends, long, lag_long, mode_long, w, out,
 ):  # fmt: skip
     driven = np.zeros(STATE)
+    saved = np.zeros((len(w[0]), 2))
     lagged, shaken, memory = np.zeros((lag.shape[2], 2)), np.zeros((mode.shape[2], 2)), np.zeros(MEMORY)
     sums = np.zeros(commands.shape[1] + 1)
     for i in range(len(run)):
@@ -107,9 +125,20 @@ def _replay(
             driven[PLACE] = lagged[:, 0] = shaken[:, 0] = rest
             driven[RATE] = lagged[:, 1] = shaken[:, 1] = share * velocity[i, axis]
             out[i, 0, axis] = start[i, axis]
+            simple = learned[0] == 0.0 and stick[i] > 0.0 and np.count_nonzero(w[i]) <= 1 and driving[W] == 0.0
             for k in range(out.shape[1] - 1):
                 reached = before
-                for s in range(count[i]):
+                s = piece = 0
+                while s < count[i]:
+                    if simple and s == ends[i, piece]:
+                        piece += 1
+                        after = _commanded(command, start[i, axis], velocity[i, axis], k + ends[i, piece] / count[i] - late[i], h)
+                        if _held_throughout(
+                            before, after, long[i, piece - 1], speed[i], play[i], stick[i], lag_long[i, piece - 1], mode_long[i, piece - 1],
+                            w[i], lagged, shaken, saved, memory,
+                        ):  # fmt: skip
+                            before, reached, s = after, memory[HELD], ends[i, piece]
+                            continue
                     at = k + parts[i, s] - late[i]
                     if learned[0] == 0.0:  # the usual case, separate because the other call costs as much as the rest of the step
                         after = _commanded(command, start[i, axis], velocity[i, axis], at, h)
@@ -121,6 +150,7 @@ def _replay(
                         limit = np.inf
                     reached = follow(led, goal, steps[i, s], limit, play[i], stick[i], lag[i, s], mode[i, s], lagged, shaken, memory)
                     before = after
+                    s += 1
                 out[i, k + 1, axis] = scale[i, axis] * reached
 
 
@@ -129,6 +159,42 @@ def _sticks_alone(speed, play, stick, drive, lag, mode, late):
     """Whether a platform has only stiction and a delay of whole ticks."""
     linear = not lag[:, :, 0].any() and not mode[:, :, 0].any() and drive[W] == 0.0
     return stick > 0.0 and play == 0.0 and speed == np.inf and linear and late == round(late)
+
+
+@njit(cache=True)
+def _held_throughout(before, after, h, speed, play, stick, lag, mode, w, lagged, shaken, saved, memory):
+    """Whether a platform with stiction provably keeps its position over a whole tick; its state is then advanced, otherwise unchanged.
+
+    A lag or mode of natural frequency w responds to a command of constant rate u' with y' = u' + z', and w^2 z^2 + z'^2 never grows: |y'|
+    stays below L = |u'| + sqrt(w^2 z^2 + z'^2) at the start. Between two instants y is therefore no further from the held position than at
+    the nearer one plus L h/2. A speed limit must not act within the tick, nor play with a response that may reverse.
+    """
+    if speed < np.inf and (memory[LIMITED] != before or abs(after - before) > speed * h):
+        return False
+    rate = (after - before) / h
+    fastest = abs(rate)
+    position, n = before, len(lag)
+    for s in range(len(w)):
+        if w[s] > 0.0:
+            kernel, state = (lag[s], lagged[s]) if s < n else (mode[s - n], shaken[s - n])
+            position = state[0]
+            swing = math.hypot(w[s] * (position - before + kernel[4] * rate), state[1] - rate)
+            if play > 0.0 and swing > fastest:
+                return False
+            fastest += swing
+    margin = stick - 0.5 * fastest * h
+    if play > 0.0:
+        position = memory[PLAYED]
+    if abs(position - memory[HELD]) > margin:
+        return False
+    limited, played = memory[LIMITED], memory[PLAYED]
+    saved[:n], saved[n:] = lagged, shaken
+    reached = follow(before, after, h, speed, play, 0.0, lag, mode, lagged, shaken, memory)
+    if abs(reached - memory[HELD]) > margin:
+        lagged[:], shaken[:] = saved[:n], saved[n:]
+        memory[LIMITED], memory[PLAYED] = limited, played
+        return False
+    return True
 
 
 @njit(cache=True)

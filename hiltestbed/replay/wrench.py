@@ -116,7 +116,8 @@ def shifted(values: Array, ticks: float, held: bool = True) -> Array:
         rows = np.clip(rows, 0.0, last)
     low = np.clip(np.floor(rows).astype(int), 0, last if held else last - 1)
     part = (rows - low)[:, None]
-    return values[low] + part * (values[np.minimum(low + 1, last)] - values[low])
+    here = values.take(low, axis=0)  # a third of the time of an index
+    return here + part * (values.take(np.minimum(low + 1, last), axis=0) - here)
 
 
 @njit(cache=True)
