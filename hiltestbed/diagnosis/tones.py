@@ -9,21 +9,26 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.stats import gamma
 
+from hiltestbed.diagnosis.settings import SIGNIFICANCE_LEVEL
 from hiltestbed.frames import Array
 
 MAX_TONES = 6  # that are sought
-MIN_LINE_SIGMA = 10.0  # chosen: standard deviations of the mean power of the periodograms, by which a line must exceed its surroundings
 MIN_POWER_RATIO = 3.0  # chosen: times the power around it, in any case
+SURROUNDINGS = 100  # chosen: independent values of the periodograms from which the power around a line is estimated: to some 10 %
 MIN_SHARED_POWER = 0.8  # chosen: share of the power that remains in the mean over the runs if they share a phase
 FREQUENCIES_TRIED = 41  # chosen: within a line's width
 
 
 def tones_of(flat: Sequence[Array]) -> list[float]:
     """[rad] a row of the tones in noisy readings (n, C) of each run, strongest first."""
-    size = 1 << (max(len(x) for x in flat) - 1).bit_length() + 1
+    size = 1 << (max(len(x) for x in flat) - 1).bit_length() + 3  # so fine that a tone is removed to a hundredth of its power
     counted = [x for x in flat if len(x)]
     count = len(counted) * counted[0].shape[1]
+    longest = max(len(x) for x in counted)
+    least, width = _least_ratio(count, longest // 2), 2 * size // longest
+    reach = 1 + max(4, math.ceil(SURROUNDINGS / (4 * count)))
     found: list[float] = []
     left = list(counted)
     for _ in range(MAX_TONES):
@@ -31,13 +36,18 @@ def tones_of(flat: Sequence[Array]) -> list[float]:
         for x in left:
             power += (np.abs(np.fft.rfft(x / np.maximum(x.std(axis=0), 1e-300), size, axis=0)) ** 2).sum(axis=1)
         at = int(np.argmax(power))
-        width = 2 * size // max(len(x) for x in counted)
-        beside = np.concatenate([power[max(0, at - 5 * width) : max(0, at - width)], power[at + width : at + 5 * width]])
-        if at < width or not len(beside) or power[at] < max(MIN_POWER_RATIO, 1.0 + MIN_LINE_SIGMA / math.sqrt(count)) * np.median(beside):
+        beside = np.concatenate([power[max(0, at - reach * width) : max(0, at - width)], power[at + width : at + reach * width]])
+        if at < width or not len(beside) or power[at] < least * np.median(beside):
             break
         found.append(2.0 * math.pi * at / size)
         left = without_tones(left, found[-1:])
     return found
+
+
+def _least_ratio(count: int, frequencies: int) -> float:
+    """Power of a line over the median around it, which noise without lines exceeds at one of the ``frequencies`` by chance in
+    :data:`SIGNIFICANCE_LEVEL` of all sets: the sum of ``count`` periodograms of noise follows a gamma distribution of that shape."""
+    return max(MIN_POWER_RATIO, float(gamma.isf(SIGNIFICANCE_LEVEL / max(frequencies, 1), count) / gamma.median(count)))
 
 
 def without_tones(flat: Sequence[Array], tones: Sequence[float]) -> list[Array]:

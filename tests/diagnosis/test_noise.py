@@ -12,6 +12,7 @@ from scipy.signal import lfilter
 from hiltestbed.diagnosis.aside import Aside
 from hiltestbed.diagnosis.floors import white_outside
 from hiltestbed.diagnosis.noise import ForceNoise, force_noise, softened
+from hiltestbed.diagnosis.tones import tones_of
 from hiltestbed.frames import Array
 from hiltestbed.measured import MeasuredRun
 
@@ -73,6 +74,18 @@ def test_what_all_runs_share_of_offsets_that_differ_is_no_bias_where_chance_make
     apart = rng.standard_normal((RUNS, 6)) * SIGMA
     noise = found([n + o for n, o in zip(white(8), apart, strict=True)])
     assert (noise.baseline, np.abs(noise.offset).max()) == (0, 0.0)
+
+
+@pytest.mark.parametrize(("runs", "channels"), [(1, 1), (2, 1), (1, 2), (1, 6), (3, 6)])
+def test_white_noise_has_no_tones_however_few_the_readings(runs: int, channels: int) -> None:
+    """The largest of a thousand values of one periodogram is ten times their median: a fixed ratio finds tones in half of all records."""
+    rng = np.random.default_rng(runs + 10 * channels)
+    for n in (100, 300, 1500):
+        for _ in range(40):
+            assert tones_of([rng.standard_normal((n, channels)) for _ in range(runs)]) == []
+    hum = 0.5 * np.sin(0.7 * np.arange(1500) + 1.0)[:, None]
+    (w,) = tones_of([rng.standard_normal((1500, channels)) + hum for _ in range(runs)])
+    assert w == pytest.approx(0.7, abs=np.pi / 1500)
 
 
 def test_mains_of_another_phase_in_each_run_are_tones_and_their_frequency_is_told_to_a_part_of_a_turn() -> None:
