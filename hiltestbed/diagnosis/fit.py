@@ -71,6 +71,11 @@ class Fit:
         start = sum(len(c.names) for c in self.causes[:index])
         return self.theta[start : start + len(self.causes[index].names)]
 
+    def of(self, causes: Sequence[Candidate]) -> Array:
+        """Theta of the same ``causes`` in another order."""
+        keys = [c.key for c in self.causes]
+        return np.concatenate([self.part(keys.index(c.key)) for c in causes])
+
     def without(self, index: int) -> tuple[tuple[Candidate, ...], Array]:
         """The other causes, and their theta."""
         rest = [i for i in range(len(self.causes)) if i != index]
@@ -170,7 +175,7 @@ def _descend(run: Run, causes: tuple[Candidate, ...], theta: Array, r: Array, ch
         if better is None:
             break
         gain, theta, r, chi2, damping = chi2 - better[2], *better
-        if gain < CONVERGED_CHI2 * max(1.0, chi2 / len(r)) or gain < 1e-7 * chi2:
+        if gain < max(_resolution(chi2, r), 1e-7 * chi2):
             break
         if step >= MIN_STEPS and chi2 - max(gain, before) * (MAX_ITERATIONS - step) > known:
             break
@@ -198,6 +203,11 @@ def _step(run: Run, theta: Array, chi2: float, damping: float, gradient: Array, 
     return None
 
 
+def _resolution(chi2: float, r: Array) -> float:
+    """Change of chi-square below which a fit has converged; it scales with the misfit, like the thresholds on differences of chi-square."""
+    return CONVERGED_CHI2 * max(1.0, chi2 / len(r))
+
+
 def _polish(run: Run, found: Fit, low: Array, high: Array) -> Fit:
     """Scan and pattern search on the parameters in which chi-square has jumps, where a gradient is no guide."""
     jumpy = [c.effect.jumps == name for c in found.causes for name in c.names]
@@ -211,7 +221,7 @@ def _polish(run: Run, found: Fit, low: Array, high: Array) -> Fit:
             results = run(tried)
             costs = [square(row) for row in results]
             best = int(np.argmin(costs))
-            if costs[best] < chi2 - CONVERGED_CHI2:
+            if costs[best] < chi2 - _resolution(chi2, r):
                 theta, r, chi2 = tried[best], results[best], costs[best]
             else:
                 step *= 0.4

@@ -132,7 +132,7 @@ def _explain_platform(layout: Layout, link: PlatformLink, progress: Progress | N
     there = found.residual if other is found else timing_under(other.residual, other.chosen)
     if there is other.residual:
         return other
-    placed = richer.in_place_of(found, there)
+    placed = replace(richer, search=search.after(other)).in_place_of(found, there)
     return other if placed is found else placed
 
 
@@ -145,7 +145,7 @@ def _explain_axis(layout: Layout, progress: Progress | None) -> tuple[Explanatio
     if explanation.chosen.causes:
         again = link.restarted(explanation.chosen.effects())
         if refit(Residual(again.over(DISPLACEMENT_SPAN)), explanation.chosen).chi2 < MAX_RESTART_CHI2 * explanation.chosen.chi2:
-            return search.explain(Residual(again.over(DISPLACEMENT_SPAN))), again
+            return search.after(explanation).explain(Residual(again.over(DISPLACEMENT_SPAN))), again
     return explanation, link
 
 
@@ -183,19 +183,19 @@ def _investigate_wrench(layout: Layout, found: dict[str, Explanation], whole: di
     residual = Residual(link)
     search = Search(candidates, special=(jitter_beside, hum_beside), progress=_label(progress, "contact and sensor"), reread=reinterpreted)
     late = given[0] if given else None
-    explanation = explain_with_timing(residual, search, lambda there: search.explain(there, late), not given and timing_departs(found))
+    explanation = explain_with_timing(residual, search, lambda s, there: s.explain(there, late), not given and timing_departs(found))
     if levered := other_lever(explanation):
         residual = Residual(levered)
         given = given and (_stamped_late(layout, levered, found["compensation"]) or given)
-        explanation = search.explain(residual, given[0] if given else None)
+        explanation = search.after(explanation).explain(residual, given[0] if given else None)
     if not given and (stepped := other_steps(explanation)):
-        explanation = search.explain(Residual(stepped))
+        explanation = search.after(explanation).explain(Residual(stepped))
     if not given and (pointed := with_point_contact(explanation)):
-        explanation = search.explain(Residual(pointed))
+        explanation = search.after(explanation).explain(Residual(pointed))
     if given and not explanation.adequate and _other_reading_betters(explanation, given[1]):
         explanation = search.explain(residual, given[1])
     elif not given and (other := with_time_grid(explanation)):
-        explanation = search.explain(Residual(other))
+        explanation = search.after(explanation).explain(Residual(other))
     if given:
         explanation = replace(explanation, candidates=(*candidates, *given[0].causes))
     chosen = wrench_link_of(explanation.residual)

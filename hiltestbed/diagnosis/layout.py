@@ -147,12 +147,17 @@ def platform_link(layout: Layout, rows: Sequence[int]) -> PlatformLink:
 
 
 def _from_where_it_stood(run: MeasuredRun) -> Scenario:
-    """The scenario of a platform that is moved without an approach: it begins where the record has it, a load's droop off its command."""
+    """The scenario of a platform that is moved without an approach: it begins where the record has it, a load's droop off its command.
+
+    An axis without a command on record stands still where the replay has it.
+    """
     scenario, first = run.scenario, run.record.data["pose_act"][0, :3]
     approach = scenario.approach
     if any(approach.velocity):
         return scenario
-    begin = np.where(np.isfinite(first), first, (*approach.offset, -approach.gap))
+    uncommanded = [name in run.record.absent for name in GROUPS["pose_cmd"].columns[:3]]
+    believed = np.where(uncommanded, run.record.filled("pose_cmd")[0, :3], (*approach.offset, -approach.gap))
+    begin = np.where(np.isfinite(first), first, believed)
     moved = approach.model_copy(update={"offset": (float(begin[0]), float(begin[1])), "gap": -float(begin[2])})
     return scenario.model_copy(update={"approach": moved})
 

@@ -6,8 +6,8 @@ Takes a `Residual` and the candidates; gives an `Explanation`.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -105,6 +105,12 @@ class Search:
     progress: Progress | None = None
     reread: Reread | None = None  # called with the best cause alone, before further ones are sought
     beside: float = SELECTION  # threshold of a further cause where those found leave only noise; infinite: none is sought
+    before: Mapping[frozenset[tuple], Fit] = field(default_factory=dict)  # fits under another timing or interpretation, by their causes
+
+    def after(self, found: Explanation) -> Search:
+        """The same search of a link with another timing or interpretation than in ``found``: from its estimates, where there are any."""
+        fits = {frozenset(c.key for c in f.causes): f for f in (*found.more, *found.singles)}
+        return replace(self, before={**self.before, **fits})
 
     def explain(self, residual: Residual, given: Fit | None = None) -> Explanation:
         """The explanation of a link; given: a fit with the cause that another link has shown, which then is one of its causes."""
@@ -203,8 +209,12 @@ class Search:
                 break
             if self.progress:
                 self.progress(" + ".join([*base.kinds, c.kind]))
-            together = [np.concatenate([base.theta, s]) for s in starts]
-            fits.append(fit(residual, (*base.causes, c), together, tries=2 if base.causes else 3, known=near))
+            causes, together = (*base.causes, c), [np.concatenate([base.theta, s]) for s in starts]
+            earlier = self.before.get(frozenset(cause.key for cause in causes))
+            if earlier is not None and (base.causes or c.effect.rich):  # simple effects alone are sought anew: it takes little
+                fits.append(fit(residual, causes, [earlier.of(causes), *together], tries=1, known=near))
+                continue
+            fits.append(fit(residual, causes, together, tries=2 if base.causes else 3, known=near))
         fits += [f for make in special if (f := make(residual, base)) is not None]
         return sorted(fits, key=_order)
 

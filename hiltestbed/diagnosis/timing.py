@@ -25,7 +25,7 @@ from hiltestbed.effects.base import Effect
 from hiltestbed.effects.search import Candidate
 from hiltestbed.frames import Array
 
-Explain = Callable[[Residual], Explanation]
+Explain = Callable[[Search, Residual], Explanation]
 Weigh = Callable[[Residual], Residual]
 
 MAX_STAMP_SHIFT_ROWS = 2.25  # derived: two channels, each stamped up to a row off; a record with more is refused
@@ -62,28 +62,27 @@ LINK_CHANNELS = {
 
 
 def explain_with_timing(
-    residual: Residual, search: Search, explain: Explain | None = None, off: bool = True, weigh: Weigh = lambda r: r
+    residual: Residual, search: Search, explain: Explain = Search.explain, off: bool = True, weigh: Weigh = lambda r: r
 ) -> Explanation:
     """The explanation of a link with the timing under which it explains most; with the believed timing where that is no worse.
 
     Args:
-        search: of the link. explain: called in place of ``search.explain``, if given.
+        search: of the link. explain: called in place of `Search.explain`, if given.
         off: whether anything shows that the facility's clocks are off; if not, the believed timing is kept.
         weigh: weights under which the timing of a computed channel is fitted: rows interpolated between others do not have their noise.
     """
-    explain = explain or search.explain
     if not off:
-        return explain(residual)
+        return explain(search, residual)
     if not noise_alone(search.judge(residual, ())) and (alone := _timing_alone(residual, search, weigh)):
         residual = alone
-    found = explain(residual)
+    found = explain(search, residual)
     for _ in range(MAX_ROUNDS):
         place = _timing_of_explanation(found, weigh)
         if place is None:
             return found
         link = found.residual.link
         way = np.abs(_in_rows(place, link) - _in_rows(link.timing, link)).max()
-        found = explain(_without_ends(Residual(link.with_timing(place))))
+        found = explain(search.after(found), _without_ends(Residual(link.with_timing(place))))
         if way < CONVERGED_ROWS:
             break
     return found
