@@ -23,9 +23,8 @@ BENCHES = {  # name of a benchmark, and the module with its function of the same
     "robustness": "hiltestbed.bench.robustness.run",
     "throughput": "hiltestbed.bench.throughput",
 }
-LASTING = ("diagnosis", "robustness")  # benchmarks with a time limit
+LASTING = {"diagnosis": ".sets.jsonl", "robustness": ".trials.jsonl"}  # benchmarks with a time limit: suffix of the file of what is done
 LONG = ", ".join(LASTING)
-KEPT = ".sets.jsonl"  # suffix of the file beside the folder of a diagnosis benchmark that holds the finished sets
 
 
 @app.command()
@@ -66,7 +65,7 @@ def bench(
     refuse_foreign(folder, BENCH)
     tell_of_compiling()
     more: dict[str, Any] = {k: v for k, v in (("minutes", minutes), ("workers", workers)) if v is not None}
-    keep = {"keep": folder.with_name(folder.name + KEPT)} if name == "diagnosis" else {}
+    keep = {"keep": folder.with_name(folder.name + LASTING[name])} if name in LASTING else {}
     try:
         with count_bar(f"bench {name}") as progress:
             result = getattr(import_module(BENCHES[name]), name)(quick=quick, progress=progress, **chosen, **more, **keep)

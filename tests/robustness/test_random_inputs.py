@@ -15,7 +15,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from hiltestbed.bench.robustness.run import robustness
+from hiltestbed.bench.kept import Kept
+from hiltestbed.bench.robustness.run import STRETCH, robustness
 from hiltestbed.bench.robustness.trials import TRIALS, mutated
 from hiltestbed.bench.robustness.values import value_of
 from hiltestbed.campaign.schema import campaign_from
@@ -101,6 +102,22 @@ def test_the_long_part_tells_what_it_did() -> None:
     assert result.summary["tried"] == sum(r["tried"] for r in result.records)
     assert result.summary["failed"] == 0
     assert {r["kind"] for r in result.records} == set(TRIALS)
+
+
+def test_trials_go_on_where_they_were_stopped(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    keep, added = tmp_path / "bench.trials.jsonl", []
+    before = Kept(keep, lambda record: (record["kind"], record["number"]))
+    for number in range(5):
+        before.add({"kind": "packet", "number": number, "ended": "survived", "wall": 0.1})
+    before.add({"kind": "packet", "number": 5, "fault": "the process ends with -11", "place": "ends with -11"})
+    before.add({"kind": STRETCH, "number": 0, "wall": 120.0})
+    monkeypatch.setattr("hiltestbed.bench.robustness.run.TARGETS", dict.fromkeys(TRIALS, 0) | {"packet": 9})
+    monkeypatch.setattr(Kept, "add", lambda self, record: added.append(record))
+    result = robustness(minutes=5.0, workers=1, keep=keep)
+    assert [t["number"] for t in added if t["kind"] == "packet"] == [6, 7, 8]
+    assert (result.summary["tried"], result.summary["failed"]) == (9, 1)
+    assert result.summary["minutes"] == pytest.approx(2.0 + added[-1]["wall"] / 60.0, abs=0.01)
+    assert not keep.exists()
 
 
 def test_a_quaternion_without_length_has_no_rotation() -> None:

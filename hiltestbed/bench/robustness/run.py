@@ -1,4 +1,7 @@
-"""`hiltestbed bench robustness [--for MINUTES] [--workers N]`: random trials, in processes that may crash or hang."""
+"""`hiltestbed bench robustness [--for MINUTES] [--workers N]`: random trials, in processes that may crash or hang.
+
+How each trial ended is saved as it ends, so that the same command goes on where it was stopped.
+"""
 
 from __future__ import annotations
 
@@ -18,6 +21,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from hiltestbed.bench.kept import Kept
 from hiltestbed.bench.result import BenchResult
 from hiltestbed.bench.robustness.trials import REFUSED, REMARKED, SURVIVED, TRIALS
 from hiltestbed.kernels import cores
@@ -57,14 +61,23 @@ class Tally:
 
 
 def robustness(
-    quick: bool = False, progress: Progress | None = None, minutes: float | None = None, workers: int | None = None
+    quick: bool = False,
+    progress: Progress | None = None,
+    minutes: float | None = None,
+    workers: int | None = None,
+    keep: Path | None = None,
 ) -> BenchResult:
-    """Trials of every kind, in ``workers`` processes, until the numbers in ``TARGETS`` are reached or the time is up."""
+    """Trials of every kind, in ``workers`` processes, until the numbers in ``TARGETS`` are reached or the time is up.
+
+    ``keep``: file to which the trials are saved as they end, to go on from.
+    """
     limit = 60.0 * (minutes if minutes is not None else QUICK if quick else LONG)
     start = time.monotonic()
     count = workers or cores()
+    kept = Kept(keep, lambda record: (record["kind"], record["number"]))
     with tempfile.TemporaryDirectory(prefix="hiltestbed-") as shared, ThreadPoolExecutor(count) as pool:
-        work = _Work({kind: Tally() for kind in TRIALS}, start + limit, Path(shared))
+        work = _Work({kind: Tally() for kind in TRIALS}, start + limit, Path(shared), kept)
+        work.take_up()
         running = [pool.submit(work.go_on) for _ in range(count)]
         try:
             while not all(one.done() for one in running):
@@ -74,22 +87,47 @@ def robustness(
         except BaseException:
             work.until = 0.0
             raise
+        finally:
+            with work.lock:
+                kept.add({"kind": STRETCH, "number": work.stretches, "wall": time.monotonic() - start})
         for one in running:
             one.result()
-    return _result(work.tallies, time.monotonic() - start, count)
+    if all(tally.tried >= TARGETS[kind] for kind, tally in work.tallies.items()):
+        kept.done()
+    return _result(work.tallies, work.earlier + time.monotonic() - start, count)
 
 
 POLL = 0.05  # [s]
+STRETCH = "stretch"  # kind of the record of one command's duration
 
 
 @dataclass
 class _Work:
-    """The remaining trials, from which one thread per worker takes batches."""
+    """The remaining trials, from which one thread per worker takes batches.
+
+    Attributes:
+        tallies: of each kind. until: end of the time. shared: folder of all workers. kept: trials that have ended.
+        stretches, earlier: number and duration [s] of the commands before, on which this one goes on.
+    """
 
     tallies: dict[str, Tally]
     until: float
     shared: Path
+    kept: Kept
+    stretches: int = 0
+    earlier: float = 0.0
     lock: threading.Lock = field(default_factory=threading.Lock)
+
+    def take_up(self) -> None:
+        """Count the trials of the commands before."""
+        for record in self.kept.records.values():
+            if record["kind"] == STRETCH:
+                self.stretches, self.earlier = self.stretches + 1, self.earlier + record["wall"]
+                continue
+            tally = self.tallies[record["kind"]]
+            tally.following = max(tally.following, record["number"] + 1)
+            tally.wall += record.get("wall", 0.0)
+            _count(tally, record)
 
     def go_on(self) -> None:
         """Run batches of the kind that is furthest behind, until all are done."""
@@ -117,31 +155,33 @@ class _Work:
                     continue
                 with self.lock:
                     if "lost" not in message:
-                        following, current = message["number"] + 1, None
-                        self._ended(kind, tally, message)
+                        record, current = {"kind": kind, **message}, None
                     elif message["lost"] != "time is up":
-                        number = following if current is None else current
-                        following = number + 1
-                        self._lost(kind, tally, number, message["lost"])
+                        record = _lost(kind, following if current is None else current, message["lost"])
+                    else:
+                        continue
+                    following = int(record["number"]) + 1
+                    tally.busy -= 1
+                    _count(tally, record)
+                    self.kept.add(record)
         with self.lock:
             tally.busy -= first + count - following
             tally.wall += time.monotonic() - begin
 
-    def _ended(self, kind: str, tally: Tally, message: dict[str, Any]) -> None:
-        tally.tried += 1
-        tally.busy -= 1
-        if "fault" in message:
-            tally.fault(kind, message["number"], message["place"], message["fault"])
-        else:
-            tally.ended[message["ended"]] += 1
 
-    def _lost(self, kind: str, tally: Tally, number: int, how: str) -> None:
-        tally.tried += 1
-        tally.busy -= 1
-        if kind in CONTAINED and how != "hangs":
-            tally.ended["contained"] += 1
-        else:
-            tally.fault(kind, number, how, f"the process {how}")
+def _lost(kind: str, number: int, how: str) -> dict[str, Any]:
+    """The record of a trial whose process was lost."""
+    contained = kind in CONTAINED and how != "hangs"
+    ended = {"ended": "contained"} if contained else {"fault": f"the process {how}", "place": how}
+    return {"kind": kind, "number": number, **ended}
+
+
+def _count(tally: Tally, record: dict[str, Any]) -> None:
+    tally.tried += 1
+    if "fault" in record:
+        tally.fault(record["kind"], record["number"], record["place"], record["fault"])
+    else:
+        tally.ended[record["ended"]] += 1
 
 
 FIRST = 0.01  # fraction of a kind's target in its first batch, so that every kind gets its share of a short time
