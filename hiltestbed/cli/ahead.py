@@ -16,6 +16,8 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from hiltestbed.kernels import compiled, cores
 
 if TYPE_CHECKING:
@@ -39,23 +41,30 @@ def begin(scenario: Path, sets: list[str] | None, case: int | None) -> None:
 
 
 def compile_later_blocks(scenario: Scenario) -> None:
-    """Call the blocks of a loop that do not depend on its rig, then the measurement of the rig that follows a run."""
+    """Call the blocks of a loop that do not depend on its rig, then the recording's, and the measurement of the rig that follows a run.
+
+    The identification takes longest and comes first: it is done when the run reaches it. The loop itself comes last, since the run compiles
+    the start of its numerical model meanwhile.
+    """
+    from hiltestbed.identification.settings import IDENTIFIERS
     from hiltestbed.loop import Loop
     from hiltestbed.rig_response import measured_response
     from hiltestbed.signals import Trace
+    from hiltestbed.viewer.spacecraft import place_chaser
 
-    loop = Loop([scenario], side=_no_rig)
-    if loop.identification:
-        loop.identification.update(loop.sensor.reading, loop.plant.pose_act, loop.plant.twist_act)
-    loop._kept(Trace(1, 1, scenario.rate, loop.plant.units))(0)
-    loop.safety.passed(loop.plant, loop._pose_before, loop.tally.energy)
+    sensor, rig, safety = side = _no_rig([scenario])
+    if estimate := IDENTIFIERS[scenario.identification.kind].start([scenario]):
+        estimate.source.captured = rig.captured
+        estimate.update(sensor.reading, rig.pose_act, rig.twist_act)
+    place_chaser(np.zeros((1, 7)), np.zeros((2, 7)), np.zeros((1, 7)), np.zeros((1, 7)))
+    safety.passed(rig, rig.pose_act.copy(), np.zeros(1))
+    loop = Loop([scenario], side=lambda scenarios, nthread: side)
+    loop._kept(Trace(1, 1, scenario.rate, rig.units))(0)
     measured_response(scenario)
 
 
-def _no_rig(scenarios: Sequence[Scenario], nthread: int) -> Side:
+def _no_rig(scenarios: Sequence[Scenario]) -> Side:
     """Static arrays with the shapes and types of a rig's."""
-    import numpy as np
-
     from hiltestbed.safety import Safety
     from hiltestbed.sensor.sensor import Sensor
 

@@ -44,12 +44,12 @@ def body_poses(scenario: Scenario, rows: NDArray[np.intp], pose_cmd: Array, wren
         model.advance(((total[row + 1] - total[done]) / ticks)[None])
         done += ticks
         out[TARGET, f] = model.centres()[0, TARGET]
-    _place_chaser(out[TARGET], model.port[0], pose_cmd[rows], out[CHASER])
+    place_chaser(out[TARGET], model.port[0], pose_cmd[rows], out[CHASER])
     return out
 
 
 @njit(cache=True)
-def _place_chaser(target, port, pose, out):
+def place_chaser(target, port, pose, out):
     """``out`` (frames, 7): the chaser's poses, from the target's poses, the ports in their bodies, and the poses of A in P."""
     q_P, q_A, inverse, r, s = np.empty(4), np.empty(4), np.empty(4), np.empty(3), np.empty(3)
     inverse[:3] = -port[CHASER, 3:6]
