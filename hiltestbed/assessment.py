@@ -49,7 +49,8 @@ def monitored(summary: dict[str, Any]) -> tuple[str, str] | None:
         note = ""
     else:
         note = "worn" if wear["alarm"] else "not worn"
-        note += f": stiffness {100.0 * wear['stiffness_change']:+.2g} %, damping {100.0 * wear['damping_change']:+.2g} %"
+        changed = {name: wear[f"{name}_change"] for name in ("stiffness", "damping")}
+        note += ": " + ", ".join(f"{name} {100.0 * change:+.2g} %" for name, change in changed.items() if change is not None)
     return ", ".join(f"{name} at {at:.3f} s" for at, name in events) or "nothing", note
 
 

@@ -102,24 +102,25 @@ class Wear:
     Attributes:
         alarm: True if the deviation is less probable than the false-alarm rate.
         probability: of a deviation this large without wear.
-        stiffness_change, damping_change: relative change of the contact from the baseline.
+        stiffness_change, damping_change: relative change of the contact from the baseline; None from a damping of zero.
     """
 
     alarm: bool
     probability: float
     stiffness_change: float
-    damping_change: float
+    damping_change: float | None
 
 
 def wear(baseline: Sequence[ContactEstimate], contact: ContactEstimate, false_alarm_rate: float = 0.01) -> Wear:
     """Compare a contact with a baseline of at least one contact; the baseline is their weighted mean."""
-    squares, change = 0.0, {}
+    squares, change = 0.0, dict[str, float | None]()
     for name in ("stiffness", "damping"):
         values = np.array([getattr(b, name) for b in baseline])
         weights = np.array([getattr(b, f"{name}_sd") for b in baseline]) ** -2.0
         mean, variance = float(np.sum(weights * values) / np.sum(weights)), 1.0 / float(np.sum(weights))
         departure = getattr(contact, name) - mean
         squares += departure**2 / (variance + getattr(contact, f"{name}_sd") ** 2)
-        change[name] = departure / mean
+        change[name] = departure / mean if mean > 0.0 else None
     probability = math.exp(-0.5 * squares)  # survival function of chi-squared with two degrees of freedom
+    assert change["stiffness"] is not None  # a stiffness is positive
     return Wear(probability < false_alarm_rate, probability, change["stiffness"], change["damping"])

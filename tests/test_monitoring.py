@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from hiltestbed import load_scenario
+from hiltestbed.assessment import monitored
 from hiltestbed.bench.contacts import Contact, bounce
 from hiltestbed.loop import Loop
 from hiltestbed.monitoring import ProcessMonitor, wear
@@ -105,3 +106,11 @@ def test_wear_is_told_and_its_false_alarms_are_as_rare_as_promised() -> None:
     found = [wear(baseline, one, false_alarm_rate=0.001) for one in worn]
     assert all(f.alarm for f in found)
     assert np.mean([f.stiffness_change for f in found]) == pytest.approx(-0.01, abs=0.001)
+
+
+def test_a_contact_without_damping_has_no_relative_change_of_it() -> None:
+    elastic = ContactEstimate(stiffness=2e4, damping=0.0, stiffness_sd=10.0, damping_sd=1.0)
+    found = wear([elastic], ContactEstimate(stiffness=2.2e4, damping=5.0, stiffness_sd=10.0, damping_sd=1.0))
+    assert (found.stiffness_change, found.damping_change) == (pytest.approx(0.1), None)
+    events = dict.fromkeys(("touch", "seat", "capture"), None)
+    assert monitored({"monitoring": {**events, "wear": asdict(found)}}) == ("nothing", "worn: stiffness +10 %")

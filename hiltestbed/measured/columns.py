@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from hiltestbed.frames import Array
 
 # Errors that third-party parsers raise, besides their own, if the bytes contradict the header.
-BROKEN = (OSError, EOFError, ValueError, LookupError, TypeError, AttributeError, RuntimeError, OverflowError, struct.error)
+BROKEN = (OSError, EOFError, ValueError, LookupError, TypeError, AttributeError, NameError, RuntimeError, OverflowError, struct.error)
 SAMPLE_LIMIT = 32_000_000  # numbers that may be loaded from one file: 256 MB
 
 

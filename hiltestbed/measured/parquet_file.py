@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Set
 from pathlib import Path
 
-from hiltestbed.measured.columns import Columns, as_numbers, refuse_large, unreadable
+from hiltestbed.measured.columns import BROKEN, Columns, as_numbers, refuse_large, unreadable
 
 
 def read(path: Path, wanted: Set[str]) -> Columns:
@@ -19,7 +19,7 @@ def read(path: Path, wanted: Set[str]) -> Columns:
             columns = [name for name in names if name in wanted]
             refuse_large(path, file.metadata.num_rows, len(columns))
             table = file.read(columns)
-    except (pa.ArrowInvalid, pa.ArrowNotImplementedError, OSError) as error:
+    except (pa.ArrowException, *BROKEN) as error:
         raise unreadable(path, f"is not a whole Parquet file ({error})", "copy or record it again") from error
     data = {name: as_numbers(path, name, table.column(name).to_numpy()) for name in columns}
     return Columns(names, data)

@@ -69,6 +69,19 @@ def test_an_integral_part_leaves_no_error_under_a_load() -> None:
     assert reached(np.zeros(1500), numbers(25.0, 0.7, o=1e-3, ti=0.3))[-1] == pytest.approx(0.0, abs=1e-9)
 
 
+@pytest.mark.parametrize(("bandwidth", "zeta"), [(5.0, 0.7), (80.0, 0.05), (0.3, 4.0)])
+def test_a_controller_that_is_unstable_by_itself_is_refused(bandwidth: float, zeta: float) -> None:
+    """The limit is where a pole of s^3 + 2 zeta w s^2 + w^2 s + w^2/T_i reaches the imaginary axis."""
+    w, s = 2.0 * math.pi * bandwidth, scenario("ideal")
+    least = 1.0 / (2.0 * zeta * w)
+    for part, allowed in ((0.99, False), (1.01, True)):
+        poles = np.roots([1.0, 2.0 * zeta * w, w * w, w * w / (part * least)])
+        assert bool((poles.real < 0.0).all()) is allowed
+        why = PlatformDrive(bandwidth=bandwidth, damping_ratio=zeta, integral_time=part * least).unfit(s)
+        assert (why is None) is allowed
+    assert "allowed is more than" in (PlatformDrive(bandwidth=5.0, damping_ratio=0.0, integral_time=1.0).unfit(s) or "")
+
+
 @pytest.mark.parametrize("offset", [0.0, 8e-4, -3e-3])
 def test_it_comes_to_rest_within_its_friction_of_where_the_load_lets_it(offset: float) -> None:
     r, rng = 5e-4, np.random.default_rng(3)

@@ -9,6 +9,8 @@ import pytest
 
 from hiltestbed.bench.robustness import kills
 from hiltestbed.bench.robustness.kills import COMMANDS, Command, KillError, kill
+from hiltestbed.check import look_at
+from hiltestbed.measured import load_dataset
 from tests.slow import slow
 
 KILLED, INTERRUPTED = 2, 0  # seeds of a trial that ends a command so, and gives it again
@@ -58,3 +60,11 @@ def test_a_traceback_is_excused_only_before_the_programs_first_line(files, excus
         + "KeyboardInterrupt\n"
     )
     assert kills.in_pythons_own_start(err) is excused
+
+
+def test_the_commands_are_given_inputs_without_faults(tmp_path: Path) -> None:
+    """A command that refuses its input cannot be interrupted at its work."""
+    (tmp_path / "worker").mkdir()
+    inputs = kills.prepared(tmp_path / "worker")
+    assert not look_at(inputs / "campaign.yaml").faults
+    load_dataset(inputs / "set" / "dataset.yaml")

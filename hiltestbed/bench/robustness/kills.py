@@ -170,11 +170,13 @@ def prepared(folder: Path) -> Path:
     inputs = folder.parent / "kill"
     if not inputs.exists():
         from hiltestbed.gallery import shipped
+        from hiltestbed.yaml_source import dump_yaml, read_source
 
         made = Path(tempfile.mkdtemp(dir=folder))
         (made / "campaign.yaml").write_text(CAMPAIGN.format(base=shipped("scenarios") / "02-bumper.yaml"), encoding="utf-8")
         shutil.copytree(good_set(folder.parent), made / "set")
-        (made / "set" / "dataset.yaml").write_text("scenario: nominal.yaml\nruns:\n  - file: run_0.parquet\n", encoding="utf-8")
+        whole = read_source(made / "set" / "dataset.yaml").data
+        (made / "set" / "dataset.yaml").write_text(dump_yaml(whole | {"runs": whole["runs"][:1]}), encoding="utf-8")
         _in_place(made, inputs)
     return inputs
 

@@ -61,6 +61,18 @@ class PlatformDrive(Effect):
         numbers = (2.0 * math.pi * self.bandwidth, self.damping_ratio, self.friction, self.offset, limit, integral, static)
         p.drive[slice(None) if self.axis == "all" else AXES.index(self.axis)] = numbers
 
+    def unfit(self, scenario: Scenario) -> str | None:
+        """By Routh's criterion s^3 + 2 zeta w s^2 + w^2 s + w^2/T_i is stable if 2 zeta w T_i > 1."""
+        if self.integral_time is None:
+            return None
+        least = math.inf if self.damping_ratio == 0.0 else 1.0 / (4.0 * math.pi * self.damping_ratio * self.bandwidth)
+        if self.integral_time > least:
+            return None
+        return (
+            f"is unstable by itself with an integral_time of {self.integral_time:g} s; allowed is more than "
+            f"1/(4 pi damping_ratio bandwidth) = {least:g} s: give a longer one, or more bandwidth or damping"
+        )
+
     def worth(self, scenario: Scenario, frequency: float) -> float:
         """Delay of the linear part: the contribution of friction and force limit depends on the amplitude."""
         w, s = 2.0 * math.pi * self.bandwidth, 1j * frequency
