@@ -171,8 +171,8 @@ def _cure(source: str, ledger: list[dict[str, Any]]) -> str:
         )
     if source.startswith("platform."):
         return (
-            "remove it with --set 'compensation.motion={kind: feedforward}', or with --set 'compensation.force={kind: resynchronised}', "
-            "which also compensates the platform"
+            "remove it with --set 'compensation.force={kind: resynchronised}', which also compensates the platform; the lag of a servo "
+            "without feed-forward also with --set 'compensation.motion={kind: feedforward}'"
         )
     if any(entry["source"] == "compensation.resynchronised" for entry in ledger):
         return "no further compensation removes it; make it smaller"

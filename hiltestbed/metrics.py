@@ -19,6 +19,9 @@ from hiltestbed.scenario import Scenario
 
 SETTLE_TIME_CONSTANTS = 5.0  # of the low-pass, after which the rebound speed is taken: exp(-5) = 0.7 % of the last force remains
 SETTLE_TICKS = 4  # additional ticks, for the sensor's interpolation and the lead's memory
+STILL_ACTING = 0.02  # chosen: share of the largest force used in a contact, above which a compensation still acts after it
+ABOVE_NOISE = 2.0  # chosen: times the largest force used before the contact, which is noise, that such a compensation also exceeds
+LONGEST_WAIT = 2.0  # chosen: times the contact's duration, for which it is waited for; not at all for one that adds a force of its own
 
 
 @dataclass(frozen=True)
@@ -60,6 +63,7 @@ class Tally:
         n, first = len(scenarios), scenarios[0]
         self.tick = 1.0 / first.rate
         self._settle = np.array([settle_ticks(s) for s in scenarios], dtype=np.int64)
+        self._wait = np.array([0.0 if s.compensation.force.adds_force else LONGEST_WAIT for s in scenarios])
         self.energy = np.zeros(n)
         self.peak_force = np.zeros(n)
         self.peak_error = np.zeros(n)
@@ -70,15 +74,19 @@ class Tally:
         self._last_tick = np.full(n, -1, dtype=np.int64)
         self._speeds = np.full((n, 2, 6), np.nan)  # twists of the numerical model before the first contact, and after it
         self._first_impulse = np.zeros((n, 6))  # of the wrench that was used in the first contact, about A
+        self._peak_used = np.zeros((n, 2))  # [N] its largest force before that contact and since
+        self._later_impulse = np.zeros((n, 6))  # of that wrench since the rebound speed was last taken
+        self._quiet = np.zeros(n, dtype=np.int64)  # successive ticks in which it no longer acts
+        self._settled = np.zeros(n, dtype=bool)
         self._wrench = np.zeros((n, 6))
         self._pose = np.zeros((n, 7))
         self._twist = np.zeros((n, 6))
         self._started = np.zeros(n, dtype=bool)
         self._tracking = np.zeros((n, 5))  # vv, vF, FF, ev, eF along z, in contact
         self._update = Call(
-            _update, ..., self.tick, *(GIVEN,) * 7, self._settle, self.energy, self.peak_force, self.peak_error, self.impulse,
-            self.contact_ticks, self.contacts, self.first_tick, self._last_tick, self._speeds, self._first_impulse, self._wrench,
-            self._pose, self._twist, self._tracking,
+            _update, ..., self.tick, *(GIVEN,) * 7, self._settle, self._wait, self.energy, self.peak_force, self.peak_error, self.impulse,
+            self.contact_ticks, self.contacts, self.first_tick, self._last_tick, self._speeds, self._first_impulse, self._peak_used,
+            self._later_impulse, self._quiet, self._settled, self._wrench, self._pose, self._twist, self._tracking,
         )  # fmt: skip
 
     def start(self, twist: Array) -> None:
@@ -107,8 +115,8 @@ class Tally:
 
     @property
     def rebounded(self) -> NDArray[np.bool_]:
-        """``(n,)`` runs whose rebound speed is known."""
-        return ~np.isnan(self._speeds[:, 1, 2])
+        """``(n,)`` runs whose rebound speed is known, and changes no more."""
+        return self._settled
 
     def first_contact(self, i: int) -> tuple[Array, Array, Array]:
         """Of run ``i``: impulse (6,) about A of the wrench used in the first contact; twists (6,) before and after it, or NaN."""
@@ -150,7 +158,10 @@ def along_impulse(impulse: Array, before: Array, after: Array) -> float | None:
 
 
 def settle_ticks(scenario: Scenario) -> int:
-    """Ticks from the separation of the ports until the end of the force has reached the numerical model."""
+    """Ticks from the separation of the ports until the end of the force has reached the numerical model.
+
+    While a compensation still acts after that (:data:`STILL_ACTING`), the rebound speed is taken again.
+    """
     sensor, force = scenario.sensor, scenario.compensation.force
     lowpass = 0.0 if sensor.lowpass is None else SETTLE_TIME_CONSTANTS / (2.0 * math.pi * sensor.lowpass)
     lag = SETTLE_TIME_CONSTANTS * force.memory()
@@ -192,6 +203,7 @@ def _update(
     used,
     twist_cmd,
     settle,
+    wait,
     energy,
     peak_force,
     peak_error,
@@ -202,6 +214,10 @@ def _update(
     last_tick,
     speeds,
     first_impulse,
+    peak_used,
+    later_impulse,
+    quiet,
+    settled,
     wrench_before,
     rig_pose_before,
     twist_before,
@@ -232,6 +248,7 @@ def _update(
                     speeds[i, 0, j] = twist_before[i, j]
             if last_tick[i] < 0 or k - last_tick[i] > settle[i]:
                 contacts[i] += 1
+                settled[i] = contacts[i] > 1
             last_tick[i] = k
             contact_ticks[i] += 1
             e, v, f = pose_before[i, 2] - pose[i, 2], twist[i, 2], wrench[i, 2]
@@ -240,12 +257,21 @@ def _update(
             tracking[i, 2] += f * f
             tracking[i, 3] += e * v
             tracking[i, 4] += e * f
-        elif contacts[i] == 1 and k - last_tick[i] == settle[i]:
+        force = math.sqrt(paid[0] ** 2 + paid[1] ** 2 + paid[2] ** 2)
+        if contacts[i] == 0:
+            peak_used[i, 0] = max(peak_used[i, 0], force)
+        if contacts[i] == 1 and not settled[i]:
+            over = k - last_tick[i] - settle[i]
+            peak_used[i, 1] = max(peak_used[i, 1], force)
+            acts = wait[i] > 0.0 and force > max(STILL_ACTING * peak_used[i, 1], ABOVE_NOISE * peak_used[i, 0])
+            quiet[i] = 0 if acts else quiet[i] + 1
+            if over == 0 or (over > 0 and acts):
+                speeds[i, 1] = twist_cmd[i]
+                first_impulse[i] += later_impulse[i]
+                later_impulse[i] = 0.0
             for j in range(6):
-                speeds[i, 1, j] = twist_cmd[i, j]
-        if contacts[i] == 1 and math.isnan(speeds[i, 1, 2]):
-            for j in range(6):
-                first_impulse[i, j] += h * paid[j]
+                later_impulse[i, j] += h * paid[j]
+            settled[i] = over >= 0 and (quiet[i] > settle[i] or over >= wait[i] * contact_ticks[i])
         for j in range(6):
             wrench_before[i, j] = felt[j]
             twist_before[i, j] = twist_cmd[i, j]

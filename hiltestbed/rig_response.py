@@ -1,7 +1,7 @@
 """Response G of a scenario's rig to its command and compliance Y to a force, on six axes, measured on the simulated rig itself.
 
-Effects and friction of its drives are included. For each axis, one run follows a sum of sines along the axis, and one holds its position
-under a force that is a sum of sines.
+Effects and friction of its drives are included, and a motion compensation that changes the command without measurements. For each axis,
+one run follows a sum of sines along the axis, and one holds its position under a force that is a sum of sines.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hiltestbed.compensation.motion import MotionCommand
 from hiltestbed.frames import Array, rotation_vectors
 from hiltestbed.platform.plant import Plant
 from hiltestbed.scenario import Scenario, resolved, scenario_from
@@ -108,7 +109,9 @@ def _quiet(scenario: Scenario) -> str:
         "safety": dict.fromkeys(data["safety"]), "effects": [e for e in data["effects"] if e["kind"].startswith("platform.")],
         "approach": {"gap": 0.0, "velocity": [0.0, 0.0, 0.0]}, "spacecraft": {"chaser": body, "target": body},
     }  # fmt: skip
-    quiet["compensation"] = {"force": {"kind": "none"}, "motion": {"kind": "feedforward" if scenario.compensation.motion.feeds else "none"}}
+    motion = scenario.compensation.motion
+    plain = {"kind": "feedforward" if motion.feeds else "none"}
+    quiet["compensation"] = {"force": {"kind": "none"}, "motion": data["compensation"]["motion"] if motion.open_loop else plain}
     quiet["rig"] = data["rig"] | {"upper": {"kind": "fixed"}}
     quiet["mechanism"] = {k: v for k, v in data["mechanism"].items() if k != "latch"}
     if isinstance(quiet["mechanism"].get("contact"), dict):
@@ -174,10 +177,18 @@ def _measure(scenario: Scenario, axes: Sequence[int]) -> SixAxisResponse:
     put(wave(np.zeros(1), 0)[0], wave(np.zeros(1), 1)[0], 0.0)
     accel[:] = 0.0
     plant.reset(pose, twist)
+    changed = MotionCommand([scenario] * runs) if scenario.compensation.motion.open_loop else None
+    if changed:
+        changed.start(twist)
+    nothing: Any = None  # such a method reads no measurement
     reached = np.empty((2 * period, runs, 6))
     for k in range(2 * period):
         put(place[k], speed[k], bend[k])
-        plant.advance(pose, twist, accel)
+        if changed:
+            changed.update(pose, twist, nothing)
+            plant.advance(changed.pose, changed.twist, changed.acceleration)
+        else:
+            plant.advance(pose, twist, accel)
         reached[k, :, :3] = plant.pose_act[:, :3]
         reached[k, :, 3:] = rotation_vectors(plant.pose_act[:, 3:])
     answer = np.fft.rfft(reached[period:], axis=0)[lines]

@@ -116,9 +116,16 @@ def stability(scenario: Scenario) -> dict[str, Any] | None:
     corrects = scenario.compensation.force.corrects_platform or scenario.compensation.motion.corrects_force
     left = force_path_delay(scenario, compensated=True)
     if not corrects and left == bare[0].delay:
-        return _as_summary([replace(judged, compensated=True) for judged in bare]) | {"uncompensated": without}
-    found = worst_of(scenario, left, compensated=True, exact=corrects)
-    return _as_summary(found) | {"uncompensated": without} if found is not None else None
+        found = [replace(judged, compensated=True) for judged in bare]
+    else:
+        found = worst_of(scenario, left, compensated=True, exact=corrects)
+    if found is None:
+        return None
+    motion = scenario.compensation.motion
+    if motion.depends_on_measurements:
+        verdict = f"not judged with {motion.kind}, which changes the command by measurements; without it {found[0].sentence()}"
+        return _unjudged(verdict) | {"uncompensated": without}
+    return _as_summary(found) | {"uncompensated": without}
 
 
 def _unjudged(verdict: str) -> dict[str, Any]:

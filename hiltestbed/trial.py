@@ -57,7 +57,9 @@ class FirstContact:
         links = ("contact",) if ideal else ("contact", "platform")
         pairs = zip(scenario.effects, self._data["effects"], strict=True)
         self._effects = [keys for effect, keys in pairs if effect.link in links]
-        self._feeds, self._inverse = scenario.compensation.motion.feeds, mobility(scenario)
+        self._inverse, motion = mobility(scenario), scenario.compensation.motion
+        plain = {"kind": "feedforward" if motion.feeds else "none"}
+        self._motion = self._data["compensation"]["motion"] if motion.open_loop else plain
         speed = max(float(np.linalg.norm(scenario.approach.velocity)), APPROACH / LEAD[1])
         self._mass, self._lead = effective_mass(scenario), min(touch, max(APPROACH / speed, LEAD[0]))
         self._own = self._lasts(scenario.mechanism.contact.stiffness, scenario.sensor.delay)
@@ -85,8 +87,8 @@ class FirstContact:
             except ZeroDivisionError:  # a denominator is zero or has overflowed, with numbers far from those of any rig
                 return None
             if loop.k % CHECK_INTERVAL == 0 and loop.tally.rebounded[0] and loop.alive[0]:
-                return self._ended(loop)
-        return None
+                break
+        return self._ended(loop) if loop.alive[0] else None
 
     def _ended(self, loop: Loop) -> Bounce | None:
         impulse, before, after = loop.tally.first_contact(0)
@@ -107,7 +109,7 @@ class FirstContact:
             "numerical_model": {"kind": "free_flyers"},
             "duration": self._lead + SLIDING_FACTOR * min(lasts, max(self._own, data["duration"])),
             "identification": {"kind": "none"}, "monitoring": None,
-            "compensation": {"force": {"kind": "none"}, "motion": {"kind": "feedforward" if self._feeds else "none"}},
+            "compensation": {"force": {"kind": "none"}, "motion": self._motion},
             "safety": dict.fromkeys(data["safety"]), "effects": self._effects,
         }  # fmt: skip
         if self._ideal:

@@ -191,6 +191,27 @@ def test_a_probe_that_meets_the_cone_off_the_axis_turns_both_bodies() -> None:
     assert way.mass == pytest.approx(1.0 / total, rel=1e-6)
 
 
+def test_a_command_through_the_inverse_of_the_platform_is_judged_as_it_runs() -> None:
+    """The platform's response times its inverse is 1 to second order: the lag of 2 zeta/w = 15 ms, by far too much, is gone."""
+    rig = {"rig.platform.tracking": "response", "rig.platform.response": {"bandwidth": 15.0, "damping_ratio": 0.7}, "sensor.noise": 0.0}
+    inverse = {"compensation.motion": {"kind": "inverse_model", "bandwidth": 15.0, "damping_ratio": 0.7}}
+    found = {}
+    for name, changes in {"none": {"compensation.motion": {"kind": "none"}}, "inverse": inverse}.items():
+        summary = run(load_scenario(SCENARIOS / "02-bumper.yaml", {"compensation.force": {"kind": "phase_lead"}} | rig | changes)).summary
+        found[name] = summary["stability"]
+        assert found[name]["rebound"] == pytest.approx(summary["cor"], rel=1e-3)
+        assert found[name]["stable"] is (summary["cor"] < 1.0)
+    assert (found["none"]["stable"], found["inverse"]["stable"]) == (False, True)
+
+
+def test_what_changes_the_command_by_measurements_is_not_judged() -> None:
+    changes = {"compensation.motion": {"kind": "adaptive_time_series"}, "compensation.force": {"kind": "phase_lead"}}
+    found = stability(load_scenario(SCENARIOS / "02-bumper.yaml", changes))
+    assert found is not None
+    assert found["stable"] is None
+    assert found["verdict"].startswith("not judged with adaptive_time_series, which changes the command by measurements; without it")
+
+
 def test_what_adds_a_force_of_its_own_is_not_judged() -> None:
     said = stability(load_scenario(SCENARIOS / "20-facing-arms.yaml"))
     assert said is not None

@@ -182,7 +182,10 @@ def bounce(scenarios: list[Scenario], nthread: int = 1, trace: bool = False) -> 
                 break
     if rows is not None:
         rows.length[:] = loop.k
-    return Bounce([loop.tally.figures(i) for i in range(len(scenarios))], velocity, start, loop, rows)
+    figures = [loop.tally.figures(i) for i in range(len(scenarios))]
+    at_the_end = ~seen & np.array([f.rebound_speed is not None for f in figures])
+    velocity[at_the_end] = craft.v[at_the_end]
+    return Bounce(figures, velocity, start, loop, rows)
 
 
 def effective_contact(contact: Contact) -> float:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Protocol, runtime_checkable
 import numpy as np
 
 from hiltestbed.compensation.measurement import Measurement
-from hiltestbed.compensation.motion_methods.contact_correction import correct_for_platform
+from hiltestbed.compensation.motion_methods.contact_correction import Gate, correct_for_platform
 from hiltestbed.compensation.settings import FORCE_METHODS, MOTION_METHODS
 from hiltestbed.errors import HiltestbedError, InputError
 from hiltestbed.frames import Array
@@ -74,10 +74,11 @@ class PoseBlock(Protocol):
 class ForceDrive:
     """Corrects the wrench, drives the numerical model with it and commands the model's motion."""
 
-    def __init__(self, model: NumericalModel, method: ForceBlock, corrects_force: bool = False) -> None:
+    def __init__(self, model: NumericalModel, method: ForceBlock, gate: Gate | None = None) -> None:
+        """``gate``: of the contacts in which the force is corrected for the platform's tracking error; None: it is not."""
         self.model = model
         self.method = method
-        self._corrects = corrects_force
+        self._gate = gate
         self.pose = model.pose
         self.twist = model.twist
         self.wrench = np.zeros_like(model.twist)
@@ -106,8 +107,8 @@ class ForceDrive:
 
     def advance(self, measurement: Measurement) -> None:
         self.wrench[:] = self._looked_at(measurement) if self._foreign else self.method.compensate(measurement)
-        if self._corrects:
-            correct_for_platform(measurement, self.pose, self.twist, self.wrench)
+        if self._gate is not None:
+            correct_for_platform(measurement, self.pose, self.twist, self._gate, self.wrench)
         self.model.advance(self.wrench)
 
 
@@ -117,4 +118,5 @@ def make_drive(scenarios: Sequence[Scenario], model: NumericalModel) -> Drive:
     method = FORCE_METHODS[compensation.force.kind].start(scenarios, model)
     if isinstance(method, Drive):
         return method
-    return ForceDrive(model, method, MOTION_METHODS[compensation.motion.kind].corrects_force)
+    corrects = MOTION_METHODS[compensation.motion.kind].corrects_force
+    return ForceDrive(model, method, Gate(scenarios) if corrects else None)

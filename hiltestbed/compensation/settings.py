@@ -76,6 +76,16 @@ class MotionMethod(Strictly):
     tells_model_pose: ClassVar[bool] = False
     corrects_force: ClassVar[bool] = False
 
+    @property
+    def open_loop(self) -> bool:
+        """Whether it changes the command without measurements, so that it is part of the rig's response to that command."""
+        return not (self.reads or self.tells_model_pose or self.feeds)
+
+    @property
+    def depends_on_measurements(self) -> bool:
+        """Whether it changes the command by measurements, which the rig's response to its command does not contain."""
+        return bool(self.reads) and not self.corrects_force
+
     @classmethod
     def start(cls, scenarios: Sequence[Scenario]) -> PoseBlock | None:
         """The method for ``n`` runs; None if the pose is commanded unchanged."""

@@ -83,7 +83,8 @@ def start_of(record: Record, found: Survey, scenario: Scenario, name: str) -> St
         return None
     begin, end = float(np.median(values[known[:3]])), float(np.median(values[known[-3:]]))
     travel, expected = end - begin, velocity * float(record.t[known[-1]] - record.t[known[0]])
-    begin_at += velocity * float(record.t[known[0]])  # if the record begins late
+    reached = float(record.t[1]) if name.startswith("pose_cmd") else 0.0  # a command is reached a tick later
+    begin_at += velocity * (float(record.t[known[1]]) + reached)  # the median of three rows is where the second is
 
     def ratio(measured: float, given: float) -> float | None:
         return measured / given if abs(given) > 1e-6 and max(abs(measured), abs(given)) > CLEAR * sigma else None

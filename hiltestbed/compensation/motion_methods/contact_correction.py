@@ -8,7 +8,8 @@ spring and damper.
 
 from __future__ import annotations
 
-from typing import ClassVar, Literal
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
 
@@ -16,8 +17,12 @@ from hiltestbed.compensation.measurement import Measurement
 from hiltestbed.compensation.settings import Input, MotionMethod
 from hiltestbed.frames import Array, rotate, twist_between
 from hiltestbed.identification.held import add_moment
+from hiltestbed.identification.samples import GATE_SIGMA
 from hiltestbed.jit import njit
 from hiltestbed.plugins import register
+
+if TYPE_CHECKING:
+    from hiltestbed.scenario import Scenario
 
 
 @register
@@ -30,21 +35,34 @@ class ContactCorrection(MotionMethod):
     corrects_force: ClassVar[bool] = True
 
 
-def correct_for_platform(measurement: Measurement, pose: Array, twist: Array, wrench: Array) -> None:
+class Gate:
+    """Contact as seen by the axial force of ``n`` runs: from the reading that exceeds its noise to the first that does not push.
+
+    Attributes:
+        threshold: (n,) [N]. touching: (n,) bool.
+    """
+
+    def __init__(self, scenarios: Sequence[Scenario]) -> None:
+        self.threshold = np.array([GATE_SIGMA * s.sensor.noise for s in scenarios])
+        self.touching = np.zeros(len(scenarios), dtype=bool)
+
+
+def correct_for_platform(measurement: Measurement, pose: Array, twist: Array, gate: Gate, wrench: Array) -> None:
     """Add to ``wrench`` (n, 6) the contact force at ``pose`` (n, 7) and ``twist`` (n, 6), commanded for t_k, less that at the rig's state.
 
-    Axes without an estimate are not corrected.
+    Axes without an estimate are not corrected, nor is anything outside a contact: noise is none, and the platform still lags after one.
     """
     m = measurement
-    _correct(pose, twist, m.wrench, m.pose, m.twist, m.stiffness, m.damping, m.captured, m.lever, wrench)
+    _correct(pose, twist, gate.threshold, gate.touching, m.wrench, m.pose, m.twist, m.stiffness, m.damping, m.captured, m.lever, wrench)
 
 
 @njit(cache=True)
-def _correct(pose, twist, reading, pose_act, twist_act, stiffness, damping, captured, lever, wrench):
+def _correct(pose, twist, threshold, touching, reading, pose_act, twist_act, stiffness, damping, captured, lever, wrench):
     offset, speed, force = np.empty(6), np.empty(6), np.empty(6)
     at = np.empty(3)
     for i in range(wrench.shape[0]):
-        if reading[i, 2] <= 0.0:
+        touching[i] = captured[i] or reading[i, 2] > (0.0 if touching[i] else threshold[i])
+        if not touching[i]:
             continue
         twist_between(pose_act[i], pose[i], 1.0, offset)
         speed[:] = twist[i] - twist_act[i]
