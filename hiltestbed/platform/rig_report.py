@@ -79,7 +79,10 @@ class RigFigures:
         r = self.response
         band = [r.bandwidth(k) for k in range(6)]
         first = self.modes[0] if self.modes else None
+        platform = self.scenario.rig.platform
+        tracking = getattr(platform, "tracking", "")
         return [
+            *([("these are the drives", f"with tracking {tracking} a run does not use them")] if platform.prescribed else []),
             *((f"reach {w.axis}", f"{_shown(k, w.low):.4g} to {_shown(k, w.high):.4g} {_unit(k)}") for k, w in enumerate(self.reach)),
             (
                 "bandwidth x, y, z, rx, ry, rz",

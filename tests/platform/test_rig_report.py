@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -35,7 +36,11 @@ def test_the_folder_holds_figures_and_drawings(tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(rig_report, "SLOWEST", 5.0)
     monkeypatch.setattr(rig_report, "POINTS", 4)
     scenario = load_scenario(SCENARIOS / "21-own-rig.yaml")
-    folder = write_rig(measure_rig(scenario), tmp_path / "rig")
+    figures = measure_rig(scenario)
+    unused = replace(figures, scenario=load_scenario(SCENARIOS / "21-own-rig.yaml", {"rig.platform.tracking": "ideal"}))
+    told = ("these are the drives", "with tracking ideal a run does not use them")
+    assert (told in figures.lines(), told in unused.lines()) == (False, True)
+    folder = write_rig(figures, tmp_path / "rig")
     about = json.loads((folder / "rig.json").read_text())
     assert {"workspace.png", "response.png", "stiffness.png", "report.html"} <= {p.name for p in folder.iterdir()}
     assert [w["axis"] for w in about["workspace"]] == ["x", "y", "z", "rx", "ry", "rz"]
