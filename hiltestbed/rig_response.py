@@ -109,9 +109,7 @@ def _quiet(scenario: Scenario) -> str:
         "safety": dict.fromkeys(data["safety"]), "effects": [e for e in data["effects"] if e["kind"].startswith("platform.")],
         "approach": {"gap": 0.0, "velocity": [0.0, 0.0, 0.0]}, "spacecraft": {"chaser": body, "target": body},
     }  # fmt: skip
-    motion = scenario.compensation.motion
-    plain = {"kind": "feedforward" if motion.feeds else "none"}
-    quiet["compensation"] = {"force": {"kind": "none"}, "motion": data["compensation"]["motion"] if motion.open_loop else plain}
+    quiet["compensation"] = {"force": {"kind": "none"}, "motion": scenario.compensation.motion.of_the_rig()}
     quiet["rig"] = data["rig"] | {"upper": {"kind": "fixed"}}
     quiet["mechanism"] = {k: v for k, v in data["mechanism"].items() if k != "latch"}
     if isinstance(quiet["mechanism"].get("contact"), dict):

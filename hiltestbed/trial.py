@@ -57,9 +57,7 @@ class FirstContact:
         links = ("contact",) if ideal else ("contact", "platform")
         pairs = zip(scenario.effects, self._data["effects"], strict=True)
         self._effects = [keys for effect, keys in pairs if effect.link in links]
-        self._inverse, motion = mobility(scenario), scenario.compensation.motion
-        plain = {"kind": "feedforward" if motion.feeds else "none"}
-        self._motion = self._data["compensation"]["motion"] if motion.open_loop else plain
+        self._inverse, self._motion = mobility(scenario), scenario.compensation.motion.of_the_rig()
         speed = max(float(np.linalg.norm(scenario.approach.velocity)), APPROACH / LEAD[1])
         self._mass, self._lead = effective_mass(scenario), min(touch, max(APPROACH / speed, LEAD[0]))
         self._own = self._lasts(scenario.mechanism.contact.stiffness, scenario.sensor.delay)

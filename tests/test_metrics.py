@@ -19,7 +19,8 @@ from hiltestbed.loop import Loop
 @pytest.mark.parametrize("noise", [0.0, 0.3])
 def test_the_coefficient_of_restitution_is_that_of_the_last_speed(force: dict[str, Any], noise: float) -> None:
     """An extrapolation through three delays of 20 ms goes on for 60 ms after a contact of 65 ms, and still adds a tenth of the speed. It
-    amplifies noise of 0.3 N to some 10 N at most, so that up to 20 N, for some 10 ms, may pass for noise: 1 % of the momentum of 15 N s."""
+    amplifies noise of 0.3 N to some 10 N at most, so that up to 20 N may pass for noise: in the last 6 ms, 1 % of the 12 N s that 400 kg
+    have at 0.03 m/s."""
     scenario = load_scenario(
         shipped("scenarios") / "02-bumper.yaml", {"sensor.delay": 0.02, "sensor.noise": noise, "compensation.force": force}
     )

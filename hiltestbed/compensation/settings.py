@@ -81,6 +81,10 @@ class MotionMethod(Strictly):
         """Whether it changes the command without measurements, so that it is part of the rig's response to that command."""
         return not (self.reads or self.tells_model_pose or self.feeds)
 
+    def of_the_rig(self) -> dict[str, Any]:
+        """The section with which the rig is simulated alone: what acts without measurements, feed-forward or the method itself."""
+        return self.model_dump(mode="json") if self.open_loop else {"kind": "feedforward" if self.feeds else "none"}
+
     @property
     def depends_on_measurements(self) -> bool:
         """Whether it changes the command by measurements, which the rig's response to its command does not contain."""

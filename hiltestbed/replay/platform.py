@@ -163,11 +163,12 @@ def _sticks_alone(speed, play, stick, drive, lag, mode, late):
 
 @njit(cache=True)
 def _held_throughout(before, after, h, speed, play, stick, lag, mode, w, lagged, shaken, saved, memory):
-    """Whether a platform with stiction provably keeps its position over a whole tick; its state is then advanced, otherwise unchanged.
+    """Whether a platform with stiction provably keeps its position over h, in which its command is straight; its state is then advanced,
+    otherwise unchanged.
 
     A lag or mode of natural frequency w responds to a command of constant rate u' with y' = u' + z', and w^2 z^2 + z'^2 never grows: |y'|
     stays below L = |u'| + sqrt(w^2 z^2 + z'^2) at the start. Between two instants y is therefore no further from the held position than at
-    the nearer one plus L h/2. A speed limit must not act within the tick, nor play with a response that may reverse.
+    the nearer one plus L h/2. A speed limit must not act meanwhile, nor play with a response that may reverse.
     """
     if speed < np.inf and (memory[LIMITED] != before or abs(after - before) > speed * h):
         return False

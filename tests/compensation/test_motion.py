@@ -8,7 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from hiltestbed import load_scenario, run
 from hiltestbed.bench.contacts import Contact, bounce
+from hiltestbed.gallery import shipped
 from hiltestbed.scenario import Scenario
 from hiltestbed.simulation import log_error, reference_scenario
 from hiltestbed.state import arrays_of
@@ -46,6 +48,18 @@ def test_the_lag_of_the_platform_is_taken_out(motion: dict[str, object]) -> None
 def test_correcting_the_force_makes_up_for_a_lagging_platform() -> None:
     contact = Contact(2.0, 0.0, 0.05, tracking="servo")
     assert abs(_error(_with(contact, {"kind": "contact_correction"}))) < 0.1 * _error(_with(contact, {"kind": "none"}))
+
+
+def test_after_a_contact_noise_is_not_corrected_for_the_lag() -> None:
+    """Half of all noise reads as a push: times k and a lag of 1 mm it pulled the vehicles by up to 90 N, long after they had parted."""
+    result = run(load_scenario(shipped("scenarios") / "26-force-compensation.yaml"))
+    assert result.trace is not None
+    apart = np.flatnonzero(result.trace.contact.ravel())[-1] + 40  # 20 ms: the delay of 5 ms, and the memory of the lead
+    used = result.trace.data["wrench_comp"].reshape(-1, 6)[apart:, 2]
+    assert len(used) > 500
+    assert np.abs(used).max() < 15.0, "the lead of the noise of 0.38 N, and nothing else"
+    last = -float(result.trace.data["twist_cmd"][-1].ravel()[2]) / 0.03
+    assert result.summary["cor"] == pytest.approx(last, abs=2e-3)
 
 
 def test_the_adaptive_series_finds_the_platforms_response() -> None:

@@ -73,6 +73,7 @@ MISTAKES = {
     "another speed": (_moved("pose_cmd.pz", 0.0, 0.005), "pose_cmd.pz", "begins at 0.035 m/s", "{approach.velocity.2: 0.035}"),
     "another start": (_moved("pose_cmd.pz", -0.002), "pose_cmd.pz", "by its approach the scenario is at", "set: {approach.gap: 0.00"),
     "a reached pose from elsewhere": (_moved("pose_act.pz", 0.25), "pose_act.pz", "by its approach", "{pose_act.pz: {offset: -0.25}}"),
+    "a command from elsewhere": (_moved("pose_cmd.pz", 0.002), "pose_cmd.pz", "by its approach", "{pose_cmd.pz: {offset: -0.002}}"),
     "time in ms": (_scaled("t", 1e3), "t", "lasts 599 s", "{t: {scale: 0.001}}"),
 }  # fmt: skip
 
