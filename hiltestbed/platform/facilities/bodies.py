@@ -24,6 +24,7 @@ from hiltestbed.bound import GIVEN, Call
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array, twist_between
 from hiltestbed.jit import njit
+from hiltestbed.platform.divergence import has_diverged
 from hiltestbed.platform.facilities.drives import UPRIGHT, relative
 from hiltestbed.platform.facilities.facility import MOUNT, MOUNT_HOME, NOMINAL, TOOL_HOME, Facility, Response, add_carrier
 from hiltestbed.platform.facilities.inverse_dynamics import joint_forces
@@ -58,12 +59,7 @@ def _read(integers, numbers, room, qpos, qvel, limit, place_A, motion_A, place_P
     for i in range(qpos.shape[0]):
         if diverged[i]:
             continue
-        worst = 0.0
-        for k in range(qvel.shape[1]):
-            worst = max(worst, abs(qvel[i, k])) if math.isfinite(qvel[i, k]) else math.inf
-        for k in range(qpos.shape[1]):
-            worst = worst if math.isfinite(qpos[i, k]) else math.inf
-        if not worst < limit:
+        if has_diverged(qpos[i], qvel[i], limit):
             diverged[i] = True
             lost = True
             continue

@@ -10,7 +10,6 @@ both sides overrides :meth:`Drives.allocate`.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from functools import cached_property
 from typing import Any
@@ -23,6 +22,7 @@ from hiltestbed.bound import GIVEN, Call, bound, together
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array, pose_between, pose_step, rotate_back
 from hiltestbed.jit import njit
+from hiltestbed.platform.divergence import has_diverged
 from hiltestbed.platform.facilities.friction import Rubbing
 from hiltestbed.platform.facilities.inverse_dynamics import drive_forces, joint_forces, weights
 from hiltestbed.platform.facilities.kinematics import Kinematics
@@ -116,12 +116,7 @@ def _observe(
     for i in range(qpos.shape[0]):
         if diverged[i]:
             continue
-        worst = 0.0
-        for k in range(qvel.shape[1]):
-            worst = max(worst, abs(qvel[i, k])) if math.isfinite(qvel[i, k]) else math.inf
-        for k in range(qpos.shape[1]):
-            worst = worst if math.isfinite(qpos[i, k]) else math.inf
-        if not worst < limit:
+        if has_diverged(qpos[i], qvel[i], limit):
             diverged[i] = True
             lost = True
             continue

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from hiltestbed.bound import GIVEN, Call
 from hiltestbed.frames import Array, pose_step, rotate, rotate_back
 from hiltestbed.jit import njit
+from hiltestbed.platform.divergence import has_diverged
 from hiltestbed.platform.facilities.reference import LEAVE, START, cubic, sample
 from hiltestbed.platform.friction import DriveFriction
 from hiltestbed.platform.pss33.dynamics import drive_forces, invert, load_constants
@@ -131,12 +132,7 @@ def _observe(qpos, qvel, adr, platform, centre, limit, pose, twist, sliders, div
     for i in range(qpos.shape[0]):
         if diverged[i]:
             continue
-        worst = 0.0
-        for k in range(qvel.shape[1]):
-            worst = max(worst, abs(qvel[i, k])) if math.isfinite(qvel[i, k]) else math.inf
-        for k in range(qpos.shape[1]):
-            worst = worst if math.isfinite(qpos[i, k]) else math.inf
-        if not worst < limit:
+        if has_diverged(qpos[i], qvel[i], limit):
             diverged[i] = True
             lost = True
             continue
