@@ -10,7 +10,7 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
+from scipy.ndimage import maximum_filter1d, uniform_filter1d
 
 from hiltestbed.diagnosis.links import DynamicsLink, Link
 from hiltestbed.diagnosis.settings import SMOOTHING_ROWS
@@ -21,6 +21,8 @@ from hiltestbed.measured.record import Record
 MAX_GAP_ROWS = 5  # chosen: consecutive rows that are interpolated; a longer gap has no known error
 MONTE_CARLO_DRAWS = 12  # chosen: replays; they give a spread to a fifth
 GAP_SIGMA = 3.0  # chosen: standard deviations; the losses of a run make one departure, which does not average out
+KINK_ROWS = 5  # chosen: ticks over which the error of a kink spreads
+KINK_RATIO = 7.0  # derived: of a bend to their median in noise, exceeded by 2e-6 of them
 NEIGHBOUR_ROWS = 21  # chosen: rows around a lost one whose second differences stand for its own
 
 
@@ -62,6 +64,22 @@ def bridging_noise(
 def interpolation_errors(runs: Sequence[MeasuredRun], group: str, rows: Sequence[int]) -> list[Array]:
     """``(N, parts)`` interpolation error of each run, see `bends` of :class:`Record`; 0 where all rows of the group are ticks."""
     return [r.record.bends.get(group, np.zeros(r.record.data[group].shape))[:n] for r, n in zip(runs, rows, strict=True)]
+
+
+def kink_errors(record: Record, group: str) -> Array:
+    """``(ticks, parts)`` error of linear interpolation where a channel bends within a row, as a force does at a touch; 0 elsewhere.
+
+    The spline through the samples departs from the polygon there, by at least a third of the error of the polygon (simulated for rates of
+    the log from a quarter to 1.3 of the loop's, samples interpolated by the logger or not). What noise does to the spline everywhere is
+    no kink.
+    """
+    bends = record.bends.get(group)
+    if bends is None:
+        return np.zeros(record.data[group].shape)
+    size = np.abs(bends)
+    usual = np.array([float(np.median(x[x > 0.0])) if x.any() else 0.0 for x in size.T])
+    peak = maximum_filter1d(size, KINK_ROWS, axis=0)
+    return np.where(peak > KINK_RATIO * usual, peak, 0.0)
 
 
 def rms_differences(link: Link, other: Link) -> list[Array]:

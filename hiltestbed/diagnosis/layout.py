@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hiltestbed.diagnosis.bridged import bridging_noise, interpolation_errors, lost, only_short_gaps, rms_differences
+from hiltestbed.diagnosis.bridged import bridging_noise, interpolation_errors, kink_errors, lost, only_short_gaps, rms_differences
 from hiltestbed.diagnosis.driven import regression
 from hiltestbed.diagnosis.floors import floors
 from hiltestbed.diagnosis.lacking import every_run_has, lacking
@@ -207,7 +207,9 @@ def dynamics_link(layout: Layout, rows: Sequence[int]) -> DynamicsLink:
     missing = [lost(r.record, "wrench_comp")[:n] & b for (r, n), b in zip(pairs, bridged, strict=True)]
     bends = interpolation_errors(layout.runs, "wrench_comp", rows)
     floors = np.array([layout.noise.get(name, 0.0) for name in GROUPS["wrench_comp"].columns])
+    half_digits = [math.sqrt(3.0) * _pose_rounding(r, "pose_cmd")[:n] for r, n in pairs]  # that a written pose is off by at most
     noise = bridging_noise(DynamicsLink(runs, wrenches), wrenches, missing, bends, floors)
+    noise = [np.hypot(a, b) for a, b in zip(noise, half_digits, strict=True)]
     runs = [replace(run, sigma=np.hypot(run.sigma, CORRELATION_FACTOR * s)) for run, s in zip(runs, noise, strict=True)]
     if any(b.any() for b in bends):
         coherent = [w + np.abs(b) for w, b in zip(wrenches, bends, strict=True)]  # interpolation errors may add up in the motion
@@ -253,7 +255,7 @@ def _force_run(run: MeasuredRun, layout: Layout, i: int, rows: int, least: Array
     level = np.maximum([layout.noise.get(name, 0.0) for name in GROUPS["wrench_meas"].columns], least) * layout.force.colour
     reading = np.nan_to_num(run.record.data["wrench_meas"][:rows]) - layout.force.offset[i]
     level = np.hypot(np.hypot(level, layout.force.share * reading), run.record.rounding("wrench_meas")[:rows])
-    level = level * _repetition_factor(run, "wrench_meas", rows)
+    level = np.hypot(level * _repetition_factor(run, "wrench_meas", rows), kink_errors(run.record, "wrench_meas")[:rows])
     sigma = np.where(run.record.valid["wrench_meas"][:rows], level, np.inf)
     sigma[:, [few_levels(run, name) for name in GROUPS["wrench_meas"].columns]] = np.inf
     path = next((g for g in ("pose_act", "pose_cmd") if run.record.has(g)), None)
@@ -281,12 +283,17 @@ def _pose_run(run: MeasuredRun, noise: Mapping[str, float], doubt: Array, rows: 
     valid = run.record.valid["pose_act"][:rows]
     level = np.maximum([noise.get(f"pose_act.{part}", 0.0) for part in ("px", "py", "pz", *ROTATIONS)], MIN_POSE_NOISE)
     counted = np.concatenate([valid[:, :3], np.repeat(np.all(valid[:, 3:], axis=1)[:, None], 3, axis=1)], axis=1)
-    rounding, as_one = run.record.rounding("pose_act")[:rows], _repetition_factor(run, "pose_act", rows)
-    level = np.hypot(level, np.column_stack([rounding[:, :3], 2.0 * rounding[:, 3:6]])) * as_one[:, :6]
+    level = np.hypot(level, _pose_rounding(run, "pose_act")[:rows]) * _repetition_factor(run, "pose_act", rows)[:, :6]
     sigma = np.where(counted, np.hypot(level, doubt), np.inf)
     sigma[run.record.unknown("pose_cmd", GAP_MEMORY)[:rows]] = np.inf
     sigma[:UNUSED_END_ROWS] = sigma[run.record.ticks - UNUSED_END_ROWS :] = np.inf  # row 0 is the start, and stamps may be off by rows
     return LinkRun(run.scenario, np.nan_to_num(flat_pose(run.record.data["pose_act"][:rows])), sigma, run.touching(rows))
+
+
+def _pose_rounding(run: MeasuredRun, group: str) -> Array:
+    """(ticks, 6) 1 sigma of the rounding error of a written pose, as position and small rotation vector."""
+    rounding = run.record.rounding(group)
+    return np.column_stack([rounding[:, :3], 2.0 * rounding[:, 3:6]])
 
 
 def _computed_run(run: MeasuredRun, values: Array, level: float, rows: int, given: str, memory: float | None) -> LinkRun:

@@ -1,7 +1,8 @@
 """Stage "layout": noise model of the recorded force, from free flight: colour, outliers, offsets, noise in proportion to the reading.
 
 The noise is taken for white, of one level, unless free flight, where a sensor reads nothing else, contradicts that beyond chance. A hum,
-a drift and a bias that all runs share stay in the record: they are effects, not noise.
+a drift and a bias that all runs share stay in the record: they are effects, not noise. A mechanism that is latched from the start never
+flies freely: there the axes that do not move take the place of free flight, less what they share with the axes that do.
 """
 
 from __future__ import annotations
@@ -29,9 +30,11 @@ from hiltestbed.diagnosis.settings import (
 from hiltestbed.diagnosis.tones import phases_differ, tones_of, without_tones
 from hiltestbed.frames import Array
 from hiltestbed.measured import MeasuredRun
+from hiltestbed.measured.noise import white_noise
 from hiltestbed.signals import GROUPS
 
 CHANNELS = GROUPS["wrench_meas"].columns
+POSE_PARTS = ("px", "py", "pz", "qx", "qy", "qz")  # of the axes of CHANNELS
 TOUCH_MARGIN_ROWS = 2  # chosen: before the first touch, that are not counted as free
 CONTACT_MARGIN_ROWS = 6  # chosen: after a touch and before its end, whose differences show the touch
 MAX_LAG = 64  # chosen: rows over which a correlation is summed
@@ -41,6 +44,7 @@ FEW_STEPS = 2.5  # chosen: range of a channel in steps of its converter, below w
 MIN_DITHER = 1.0  # chosen: noise in steps, above which the quantisation error is independent of the signal and of the row before
 STEP_TOLERANCE = 1.01  # chosen: relative error of a step that is estimated from a record
 SETTLING_TIME = 0.05  # chosen: [s] after a contact in which a reading still shows it
+MAX_REST = 0.02  # chosen: share of the largest motion of a latched mechanism, below which an axis counts as at rest
 OUTLIER_SIGMA = 4.0  # derived: robust standard deviations, beyond which 6e-5 of normal samples lie
 THIRD_DIFFERENCE_VARIANCE = 20.0  # derived: of third differences of unit white noise: 1 + 9 + 9 + 1
 NORMAL_SQUARE_VARIANCE = 2.0  # derived: of the square of a unit normal sample
@@ -114,33 +118,95 @@ def force_noise(runs: Sequence[MeasuredRun], logged: LowPass | None = None) -> F
 def _noise(runs: Sequence[MeasuredRun], logged: LowPass | None) -> ForceNoise:
     """The noise without its quantisation."""
     still = ForceNoise(np.zeros(6), logged.colour if logged else 1.0, False, tuple(np.zeros(6) for _ in runs), 0.0)
-    free = [_free(run) for run in runs]
+    latched = runs[0].scenario.mechanism.captured
+    measured = [j for j in range(6) if not any(undithered(run, CHANNELS[j]) for run in runs)]
+    moved = sorted({j for run in runs for j in _moved(run)}) if latched else []
+    still_rows = [_at_rest(run, moved) for run in runs] if latched else []
+    free = [readings for _, readings in still_rows] if latched else [_free(run) for run in runs]
     if sum(len(x) for x in free) < MIN_NOISE_ROWS:
         return still
-    columns = [j for j in range(6) if _moves(free, j) and not any(undithered(run, CHANNELS[j]) for run in runs)]
+    columns = [j for j in measured if j not in moved and _moves(free, j)]
     if not columns:
         return still
+    if latched:
+        apart = [(_places(rows, run.record.ticks), x[:, columns], rows) for run, (rows, x) in zip(runs, still_rows, strict=True)]
+    else:
+        apart = [_contact_free(run, columns) for run in runs]
     flat, start = _straightened(free, columns)
     tones = [] if logged else tones_of(flat)  # filtered noise is not flat about a tone
-    aside = phases_differ(flat, tones, [_contact_free(run, columns)[1:] for run in runs])
+    aside = phases_differ(flat, tones, [a[1:] for a in apart])
     flat = without_tones(flat, tones)
     scale = np.array([1.4826 * np.median(np.abs(np.concatenate([x[:, i] for x in flat]))) for i in range(len(columns))])
     z = [x / np.where(scale > 0.0, scale, 1.0) for x in flat]
     heavy = _heavy([x[:: logged.stride] for x in z] if logged else z)
     colour = logged.colour if logged else _colour(z)
+    rows, fitted = sum(map(len, flat)), 1 + sum(1 + 2 * len(tones) for x in flat if len(x))
+    lost = math.sqrt(rows / max(rows - fitted, 1))  # of the deviation, by the lines and tones that were fitted
     level, tail = np.zeros(6), NORMAL_SQUARE_VARIANCE
-    if heavy or colour > 1.0 or aside:
-        level[columns] = [_level(np.concatenate([x[:, i] for x in flat]), heavy) for i in range(len(columns))]
+    if heavy or colour > 1.0:
+        level[columns] = [lost * _level(np.concatenate([x[:, i] for x in flat]), heavy) for i in range(len(columns))]
+    elif aside:
+        level[columns] = _white_levels(without_tones([a[1] for a in apart], aside, [a[2] for a in apart]))
     if heavy:
         squares = np.concatenate([softened(x / level[columns], True).ravel() ** 2 for x in flat])
         tail = max(NORMAL_SQUARE_VARIANCE, float(np.var(squares)))
-    spread = np.array([float(np.std(np.concatenate([x[:, i] for x in flat]))) for i in range(len(columns))]) * colour
-    if baselines_differ([_contact_free(run, columns)[:2] for run in runs], spread):
-        return ForceNoise(level, colour, heavy, still.offset, _share(runs, columns, scale), tail, BASELINE_DEGREE, aside)
-    offset, (apart, degree) = [np.zeros(6) for _ in runs], _offsets([len(x) for x in flat], start, spread)
-    for o, found in zip(offset, apart, strict=True):
-        o[columns] = found
-    return ForceNoise(level, colour, heavy, tuple(offset), _share(runs, columns, scale), tail, degree, aside)
+    white = np.sqrt(np.mean([[white_noise(column) ** 2 for column in run.record.data["wrench_meas"].T] for run in runs], axis=0))
+    if level.any() and moved:  # noise of these shows in third differences alone: as much above these as in the other channels
+        level[moved] = white[moved] * float(np.median(level[columns] / white[columns]))
+    pressed = [j for j in moved if j in measured] if latched else columns
+    share = _share(runs, pressed, white[pressed] if latched else scale)
+    spread = lost * np.array([float(np.std(np.concatenate([x[:, i] for x in flat]))) for i in range(len(columns))]) * colour
+    if baselines_differ([a[:2] for a in apart], spread):
+        return ForceNoise(level, colour, heavy, still.offset, share, tail, BASELINE_DEGREE, aside)
+    offset, (found, degree) = [np.zeros(6) for _ in runs], _offsets([len(x) for x in flat], start, spread)
+    if latched and any(f.any() for f in found):  # the offset of an axis that moves is not known
+        return ForceNoise(level, colour, heavy, still.offset, share, tail, 0, aside)
+    for o, f in zip(offset, found, strict=True):
+        o[columns] = f
+    return ForceNoise(level, colour, heavy, tuple(offset), share, tail, degree, aside)
+
+
+def _white_levels(readings: Sequence[Array]) -> Array:
+    """(C,) white noise of the readings (M, C) of all runs, by third differences."""
+    weight = np.array([float(len(x)) for x in readings])
+    squares = np.array([[white_noise(column) ** 2 for column in x.T] for x in readings])
+    return np.asarray(np.sqrt(weight @ squares / weight.sum()))
+
+
+def _moved(run: MeasuredRun) -> list[int]:
+    """Axes that move in a latched mechanism: by more than their noise, and by a share of what the one that moves most does [m, rad].
+
+    An axis whose pose is not on record may move.
+    """
+    group = "pose_act" if run.record.has("pose_act") else "pose_cmd"
+    names = [f"{group}.{part}" for part in POSE_PARTS]
+    ranges = [float(np.ptp(x[np.isfinite(x)])) if run.record.has(n) and len(x := run.record.column(n)) else math.inf for n in names]
+    ranges = [r if j < 3 else 2.0 * r for j, r in enumerate(ranges)]
+    most = max((r for r in ranges if r < math.inf), default=0.0)
+    return [j for j, r in enumerate(ranges) if r == math.inf or (r > MAX_REST * most and names[j] in run.survey.excited)]
+
+
+def _at_rest(run: MeasuredRun, moved: Sequence[int]) -> tuple[Array, Array]:
+    """Rows (n,) of a latched mechanism, and the readings (n, 6) there less what they share with those of the axes that ``moved``, which may
+    reach them a row earlier or later."""
+    record = run.record
+    if not record.has("wrench_meas") or len(moved) == len(CHANNELS):
+        return np.zeros(0), np.zeros((0, 6))
+    values = record.data["wrench_meas"]
+    there = np.isfinite(values).any(axis=0)
+    rows = np.flatnonzero(np.isfinite(values[:, there]).all(axis=1))
+    values = np.where(there, values, 0.0)[rows]
+    if not moved or len(values) < MIN_NOISE_ROWS:
+        return rows.astype(float), values
+    beside = np.concatenate([values[2:, moved], values[1:-1, moved], values[:-2, moved]], axis=1)
+    beside -= beside.mean(axis=0)
+    shared = beside @ np.linalg.lstsq(beside, values[1:-1] - values[1:-1].mean(axis=0), rcond=None)[0]
+    return rows[1:-1].astype(float), values[1:-1] - shared
+
+
+def _places(rows: Array, ticks: int) -> Array:
+    """Rows of a run, scaled from -1 to 1."""
+    return 2.0 * rows / max(ticks - 1, 1) - 1.0
 
 
 def _free(run: MeasuredRun) -> Array:
@@ -182,7 +248,8 @@ def _contact_free(run: MeasuredRun, columns: Sequence[int]) -> tuple[Array, Arra
     values = record.data["wrench_meas"][:, columns]
     apart = ~run.survey.touching(len(values), round((run.scenario.sensor.delay + SETTLING_TIME) * run.scenario.rate))
     apart &= np.isfinite(values).all(axis=1)
-    return np.linspace(-1.0, 1.0, len(values))[apart], values[apart], np.flatnonzero(apart).astype(float)
+    rows = np.flatnonzero(apart).astype(float)
+    return _places(rows, len(values)), values[apart], rows
 
 
 def _straightened(free: Sequence[Array], columns: Sequence[int]) -> tuple[list[Array], Array]:

@@ -104,6 +104,7 @@ class Search:
     special: tuple[Special, ...] = ()
     progress: Progress | None = None
     reread: Reread | None = None  # called with the best cause alone, before further ones are sought
+    bounded: bool = False  # the residual's level is a bound on an error and no noise: what stays below it shows nothing
     beside: float = SELECTION  # threshold of a further cause where those found leave only noise; infinite: none is sought
     before: Mapping[frozenset[tuple], Fit] = field(default_factory=dict)  # fits under another timing or interpretation, by their causes
 
@@ -118,6 +119,8 @@ class Search:
         null = refit(residual, given) if given else null_fit(residual)
         before = self.judge(residual, null.effects())
         adequate_null = noise_alone(before)
+        if self.bounded and adequate_null and not given:
+            return Explanation(residual, self.candidates, null, null, True, False, before, before)
         least = SELECTION if given and adequate_null else DETECTION  # threshold of a cause, in units of the misfit
         singles = self.extend(residual, null, worth=least if adequate_null else 0.0)
         if singles and (downweighted := residual.downweighted(singles[0].effects())) is not residual:

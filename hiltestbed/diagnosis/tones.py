@@ -50,11 +50,13 @@ def _least_ratio(count: int, frequencies: int) -> float:
     return max(MIN_POWER_RATIO, float(gamma.isf(SIGNIFICANCE_LEVEL / max(frequencies, 1), count) / gamma.median(count)))
 
 
-def without_tones(flat: Sequence[Array], tones: Sequence[float]) -> list[Array]:
-    """Readings less the tones, each with its own amplitude and phase in each run and channel."""
+def without_tones(flat: Sequence[Array], tones: Sequence[float], rows: Sequence[Array] | None = None) -> list[Array]:
+    """Readings (n, C) less the tones, each with its own amplitude and phase in each run and channel; ``rows``: (n,) their numbers, where
+    these are not successive."""
     if not tones:
         return list(flat)
-    return [x - _part(np.arange(len(x), dtype=float), x, tones) if len(x) > 2 * len(tones) else x for x in flat]
+    at = rows if rows is not None else [np.arange(len(x), dtype=float) for x in flat]
+    return [x - _part(r, x - x.mean(axis=0), tones) if len(x) > 2 * len(tones) else x for x, r in zip(flat, at, strict=True)]
 
 
 def phases_differ(flat: Sequence[Array], tones: Sequence[float], apart: Sequence[tuple[Array, Array]]) -> tuple[float, ...]:
