@@ -17,7 +17,7 @@ from hiltestbed.diagnosis.floors import floors
 from hiltestbed.diagnosis.lacking import every_run_has, lacking
 from hiltestbed.diagnosis.links import CompensationLink, DynamicsLink, LinkRun, PlatformLink, WrenchLink, flat_pose
 from hiltestbed.diagnosis.low_pass import LowPass, low_pass_between
-from hiltestbed.diagnosis.noise import ForceNoise, few_levels, force_noise, undithered
+from hiltestbed.diagnosis.noise import POSE_PARTS, ForceNoise, few_levels, force_noise, undithered
 from hiltestbed.diagnosis.scales import scales_of
 from hiltestbed.diagnosis.settings import (
     COMPENSATION_FLOOR,
@@ -207,7 +207,7 @@ def dynamics_link(layout: Layout, rows: Sequence[int]) -> DynamicsLink:
     missing = [lost(r.record, "wrench_comp")[:n] & b for (r, n), b in zip(pairs, bridged, strict=True)]
     bends = interpolation_errors(layout.runs, "wrench_comp", rows)
     floors = np.array([layout.noise.get(name, 0.0) for name in GROUPS["wrench_comp"].columns])
-    half_digits = [math.sqrt(3.0) * _pose_rounding(r, "pose_cmd")[:n] for r, n in pairs]  # that a written pose is off by at most
+    half_digits = [math.sqrt(3.0) * np.hypot(_pose_rounding(r, "pose_cmd"), _pose_steps(r, "pose_cmd"))[:n] for r, n in pairs]  # at most
     noise = bridging_noise(DynamicsLink(runs, wrenches), wrenches, missing, bends, floors)
     noise = [np.hypot(a, b) for a, b in zip(noise, half_digits, strict=True)]
     runs = [replace(run, sigma=np.hypot(run.sigma, CORRELATION_FACTOR * s)) for run, s in zip(runs, noise, strict=True)]
@@ -294,6 +294,12 @@ def _pose_rounding(run: MeasuredRun, group: str) -> Array:
     """(ticks, 6) 1 sigma of the rounding error of a written pose, as position and small rotation vector."""
     rounding = run.record.rounding(group)
     return np.column_stack([rounding[:, :3], 2.0 * rounding[:, 3:6]])
+
+
+def _pose_steps(run: MeasuredRun, group: str) -> Array:
+    """(6,) 1 sigma of the quantisation error of a pose, as position and small rotation vector."""
+    steps = [run.record.steps.get(f"{group}.{part}", 0.0) for part in POSE_PARTS]
+    return np.array(steps) * np.array([1.0, 1.0, 1.0, 2.0, 2.0, 2.0]) / math.sqrt(12.0)
 
 
 def _computed_run(run: MeasuredRun, values: Array, level: float, rows: int, given: str, memory: float | None) -> LinkRun:
