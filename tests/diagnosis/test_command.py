@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import pytest
 
 from hiltestbed.cli import main
+from hiltestbed.diagnosis.diagnose import diagnose
 
 from .recorded import recorded
 
@@ -49,3 +51,18 @@ def test_a_folder_with_other_things_is_refused_before_the_work(tmp_path: Path, m
     (tmp_path / "notes.txt").write_text("mine")
     assert command(monkeypatch, str(tmp_path / "missing.yaml"), "--out", str(tmp_path)) == 2
     assert [f.name for f in tmp_path.iterdir()] == ["notes.txt"]
+
+
+def test_progress_says_which_link_of_how_many_and_which_step_is_left(tmp_path: Path) -> None:
+    """The links in their order, each begun before it is searched, then the closing steps in theirs."""
+    told: list[str] = []
+    diagnose(recorded(tmp_path, [{"kind": "contact.stiffness", "factor": 1.2}]), told.append)
+    links = [re.match(r"link (\d) of (\d), ([a-z ]+): ", text) for text in told]
+    begun = {m[1]: m[3] for m in links if m}
+    assert begun == {"1": "platform", "2": "compensation", "3": "contact and sensor", "4": "numerical model"}
+    assert [m[1] for m in links if m] == sorted(m[1] for m in links if m)
+    assert {m[2] for m in links if m} == {"4"}
+    steps = [m[1] for text in told if (m := re.match(r"closing step (\d) of 4: ", text))]
+    assert steps == sorted(steps)
+    assert set(steps) == {"1", "2", "3"}
+    assert not links[-1]
