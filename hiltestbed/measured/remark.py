@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -46,7 +46,28 @@ class Remark:
         return replace(self, severity="note", text=f"{self.text} (accepted by the dataset: {self.check})")
 
     @property
+    def finding(self) -> tuple[object, ...]:
+        """What the remark says, whichever channel it is about."""
+        return (self.severity, self.run, self.file, self.text, self.fix.replace(self.channel, "CHANNEL"), self.check)
+
+    @property
     def remedy(self) -> str:
         """The fix, and the key that accepts the data unchanged if that is possible."""
         anyway = f"to use the data as they are, accept: [{self.check}]" if self.severity == "error" and self.check else ""
         return "; ".join(part for part in (self.fix, anyway) if part)
+
+
+def together(remarks: Iterable[Remark]) -> list[Remark]:
+    """The remarks, those that differ in their channel only as one that names all of them, at the place of the first."""
+    groups: dict[tuple[object, ...], list[Remark]] = {}
+    for remark in remarks:
+        groups.setdefault(remark.finding, []).append(remark)
+    return [_joined(group) for group in groups.values()]
+
+
+def _joined(alike: list[Remark]) -> Remark:
+    first, channels = alike[0], list(dict.fromkeys(remark.channel for remark in alike))
+    if len(channels) == 1:
+        return first
+    fix = f"{first.fix}; likewise for {', '.join(channels[1:])}" if first.fix and first.channel in first.fix else first.fix
+    return replace(first, channel=", ".join(channels), fix=fix)
