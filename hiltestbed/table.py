@@ -93,6 +93,8 @@ def print_diagnosis(result: dict[str, Any], folder: Path) -> None:
     """Prints the main results of diagnosis.json and the path of the report to standard output."""
     console = Console(highlight=False)
     console.print(f"[bold]{escape(result['name'])}: {result['verdict']}[/bold]\n{escape(result['sentence'])}", soft_wrap=False)
+    for text in result["overridden"]:
+        console.print(text, markup=False)
     heldout, loop = result["heldout"], result["closed_loop"]
     if heldout:
         low, high = (100.0 * v for v in heldout["ci95"])

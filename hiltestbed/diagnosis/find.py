@@ -93,6 +93,7 @@ def find(findings: Findings, progress: Progress | None = None) -> Finding:
         heldout=gain_of(findings, nearest if verdict.verdict == "named_in_part" else verdict.causes),
         ranking=tuple(r for n, e in departed.items() for r in _ranking(n, e)),
         isolability=_isolability(findings, progress),
+        unsized=_unsized(findings),
         left=left,
         not_judged={LINK_NAMES[name]: why for name, why in verdict.not_judged.items()},
         partial=tuple(cause_of(findings, c, certain) for c in nearest),
@@ -259,6 +260,14 @@ def _isolability(findings: Findings, progress: Progress | None) -> tuple[Isolabl
                 e.residual, e.candidates, labelled(progress, f"closing step 2 of {CLOSING_STEPS}: sizes, {LINK_NAMES[name]}")
             )
     return tuple(out)
+
+
+def _unsized(findings: Findings) -> dict[str, str]:
+    """Link to the reason why no sizes can be stated for its effects."""
+    why = "what was found there leaves more than noise, in which smaller effects hide"
+    return {LINK_NAMES[n]: why for n, e in findings.explanations.items() if not e.adequate} | {
+        LINK_NAMES[name]: f"it was not judged: {reason}" for name, reason in findings.missing.items()
+    }
 
 
 __all__ = ["EFFECTS", "cause_of", "find", "gain_of", "judges"]

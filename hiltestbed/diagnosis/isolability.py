@@ -24,8 +24,8 @@ BISECTIONS = 12
 
 
 def isolability(residual: Residual, candidates: Sequence[Candidate], progress: Progress | None = None) -> tuple[Isolable, ...]:
-    """One entry for each effect among the candidates, for its first hypothesis."""
-    first = {c.kind: c for c in reversed(candidates)}
+    """One entry for each effect among the candidates, for the hypothesis (of an axis, a body) that shows most at its largest size."""
+    first = _clearest(residual, candidates)
     found = {
         kind: (c, *smallest) for (kind, c), smallest in zip(first.items(), _smallest(residual, list(first.values()), progress), strict=True)
     }
@@ -41,6 +41,17 @@ def isolability(residual: Residual, candidates: Sequence[Candidate], progress: P
         unit = c.effect.unit(name.partition(".")[0]) if name else ""
         out.append(Isolable(kind, name, unit, size, same, max(likeness.values(), default=0.0)))
     return tuple(out)
+
+
+def _clearest(residual: Residual, candidates: Sequence[Candidate]) -> dict[str, Candidate]:
+    """Of each effect, in reverse order, the hypothesis that changes the residual most at the largest size that is searched."""
+    changes = _changes(residual, residual(()), candidates, np.array([1.0 if c.names else 0.0 for c in candidates]))
+    found: dict[str, tuple[float, Candidate]] = {}
+    for c, change in zip(reversed(candidates), reversed(changes), strict=True):
+        size = square(change)
+        if c.kind not in found or size >= found[c.kind][0]:
+            found[c.kind] = (size, c)
+    return {kind: c for kind, (_, c) in found.items()}
 
 
 def _smallest(residual: Residual, candidates: Sequence[Candidate], progress: Progress | None) -> list[tuple[float | None, Array | None]]:
