@@ -6,7 +6,6 @@ MkDocs calls :func:`on_files` while it builds; nothing of this is kept on disk. 
 from __future__ import annotations
 
 import inspect
-import json
 import re
 import sys
 from collections.abc import Iterator, Mapping
@@ -81,38 +80,16 @@ def _called(name: str, definition: Mapping[str, Any]) -> str:
 
 
 def _section(title: str, definition: Mapping[str, Any]) -> Iterator[str]:
+    from hiltestbed.keys import OF_ITS_KEYS, default_of, takes
+
     yield from (f"## {title}", "", _cell(definition.get("description", "")), "")
     yield from ("| key | takes | default | meaning |", "|---|---|---|---|")
     required = definition.get("required", ())
     for key, about in definition.get("properties", {}).items():
-        default = "**must be given**" if key in required else _default(about["default"]) if "default" in about else ""
-        yield f"| `{key}` | {_cell(_takes(about))} | {_cell(default)} | {_cell(about.get('description', ''))} |"
+        default = default_of(about, key in required)
+        default = "**must be given**" if key in required else f"`{default}`" if default and default != OF_ITS_KEYS else default
+        yield f"| `{key}` | {_cell(takes(about))} | {_cell(default)} | {_cell(about.get('description', ''))} |"
     yield ""
-
-
-def _default(value: Any) -> str:
-    """A section's defaults stand with its keys."""
-    return "those of its keys" if isinstance(value, Mapping) and value else f"`{json.dumps(value)}`"
-
-
-def _takes(about: Mapping[str, Any]) -> str:
-    """What a key takes, in words."""
-    if "const" in about:
-        return f"`{about['const']}`"
-    if "enum" in about:
-        return ", ".join(f"`{value}`" for value in about["enum"])
-    if "$ref" in about:
-        return about["$ref"].rpartition("/")[2]
-    for union in ("anyOf", "oneOf"):
-        if union in about:
-            return " or ".join(dict.fromkeys(_takes(member) for member in about[union]))
-    if about.get("type") == "array":
-        inner = _takes(about["items"]) if isinstance(about.get("items"), Mapping) else "values"
-        count = about.get("minItems") if about.get("minItems") == about.get("maxItems") else None
-        return f"list of {count or ''} {inner}".replace("  ", " ")
-    bounds = {"exclusiveMinimum": ">", "minimum": ">=", "exclusiveMaximum": "<", "maximum": "<="}
-    limits = ", ".join(f"{sign} {about[name]:g}" for name, sign in bounds.items() if name in about)
-    return " ".join(filter(None, [str(about.get("type", "anything")), limits]))
 
 
 ACT_ON = {  # link to what holds for all of its effects

@@ -14,7 +14,6 @@ from typing import Any
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = {  # in the repository, to the page of the site
     "examples/gallery": "gallery/index.md",
-    "hiltestbed/scenario/scenario.py": "reference/scenario.md",
     "hiltestbed/effects": "reference/effects.md",
 } | {f"examples/gallery/{path.name}": f"gallery/{path.stem}.md" for path in (ROOT / "examples" / "gallery").glob("*.ipynb")}
 

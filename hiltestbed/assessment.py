@@ -117,9 +117,9 @@ def _warnings(summary: dict[str, Any]) -> list[str]:
     if cor is not None and cor > 1.0 and (reference is None or cor > reference * math.exp(CLOSE)):
         out.append(f"the rebound is faster than the approach (e = {cor:.4g}): the loop feeds energy into the contact")
     elif error is not None and abs(error) > CLOSE:
-        out.append(f"the rebound is {100.0 * math.expm1(error):+.1f} % off the reference")
+        out.append(f"the rebound is {100.0 * math.expm1(error):+z.1f} % off the reference")
     elif error is None and abs(along := summary.get("cor_normal_log_error") or 0.0) > CLOSE:
-        out.append(f"the rebound of the first contact, along its impulse, is {100.0 * math.expm1(along):+.1f} % off the reference")
+        out.append(f"the rebound of the first contact, along its impulse, is {100.0 * math.expm1(along):+z.1f} % off the reference")
     if is_active(summary):
         share = energy_share(summary)
         size = "" if share is None else f", {100.0 * share:.2g} % of the approach energy"

@@ -92,10 +92,11 @@ def _dataset(source: Source, data: bool) -> Findings:
     if not data:
         return Findings("dataset", ())
     from hiltestbed.measured import as_faults, examine
+    from hiltestbed.measured.remark import together
 
     examined = examine(loaded)
     faults = tuple(as_faults(examined))
-    remarks = tuple(str(remark) for remark in examined.remarks if remark.severity != "error")
+    remarks = tuple(str(remark) for remark in together(r for r in examined.remarks if r.severity != "error"))
     return _within(Findings("dataset", faults, remarks, dataset_budget(loaded)), source)
 
 

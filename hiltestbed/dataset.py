@@ -6,8 +6,9 @@ The data themselves are read in :mod:`hiltestbed.measured`.
 
 from __future__ import annotations
 
+import difflib
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -17,9 +18,12 @@ from pydantic import Field
 from hiltestbed.errors import Fault, InputError
 from hiltestbed.folders import is_file
 from hiltestbed.scenario import Scenario, scenario_from
-from hiltestbed.validation import Strictly, nearest, validate
+from hiltestbed.validation import Strictly, validate
 from hiltestbed.yaml_source import KeyPath, Source, read_source, referenced_source
 
+MISSPELT = 0.8  # likeness of two names, above which one is taken for a misspelling of the other
+FORCE_PARTS = ("fx", "fy", "fz", "tx", "ty", "tz")
+COMMANDED = ("cmd", "com", "des", "ref", "set", "target")  # in the name of a commanded pose
 Check = Literal["unit", "sign", "axes", "start", "attitude", "lever", "copy", "constant", "shift"]
 
 
@@ -121,12 +125,29 @@ def _map_faults(channels: Mapping[str, Channel], source: Source, where: KeyPath)
     from hiltestbed.signals import GROUPS
 
     known = {"t", "contact"} | {column for group in GROUPS.values() for column in group.columns}
-    for name, channel in channels.items():
+    unknown: dict[str, list[str]] = {}
+    for name in channels:
         if name not in known:
-            allowed = f"allowed: t, contact and {', '.join(f'{group.name}.*' for group in GROUPS.values())}"
-            yield source.fault((*where, name), f"unknown channel{nearest(name, known)}; {allowed}")
+            unknown.setdefault(name.rpartition(".")[0] or name, []).append(name)
+    for names in unknown.values():
+        allowed = f"allowed: t, contact and {', '.join(f'{group.name}.*' for group in GROUPS.values())}"
+        meant = ", ".join(dict.fromkeys(f"{guess!r}" for name in names if (guess := _meant(name, known))))
+        several = f"s (got {', '.join(names)})" if len(names) > 1 else ""
+        yield source.fault((*where, names[0]), f"unknown channel{several}{f' (did you mean {meant}?)' if meant else ''}; {allowed}")
+    for name, channel in channels.items():
         if channel.scale == 0.0:
             yield source.fault((*where, name, "scale"), "is out of range (got 0); allowed is any other number")
         fault = unit_fault(name, channel.unit)
         if fault:
             yield source.fault((*where, name, "unit"), fault)
+
+
+def _meant(name: str, known: Iterable[str]) -> str | None:
+    """The channel that an unknown name may stand for: the nearest by its letters, or a measured one with the same part."""
+    close = difflib.get_close_matches(name, sorted(known), n=1, cutoff=MISSPELT)
+    if close:
+        return close[0]
+    group, _, part = name.rpartition(".")
+    family, other, words = ("wrench_meas", "wrench_comp", ("comp",)) if part in FORCE_PARTS else ("pose_act", "pose_cmd", COMMANDED)
+    guess = f"{other if any(word in group.lower() for word in words) else family}.{part}"
+    return guess if guess in known else None

@@ -59,11 +59,12 @@ class Pace:
         return work * pace if student * spread <= LARGEST_SPREAD * sum(seconds for seconds, _ in usual) else None
 
 
-def time_left_text(seconds: float | None) -> str:
-    """`, 40 s left`, or nothing while it is not known."""
+def time_left_text(seconds: float | None, of: str = "") -> str:
+    """`, 40 s left`, or nothing while it is not known. of: of what, such as `in this step`, where more follows."""
     if seconds is None:
         return ""
-    return f", {seconds:.0f} s left" if seconds < 90.0 else f", {seconds / 60.0:.0f} min left"
+    time_left = f"{seconds:.0f} s" if seconds < 90.0 else f"{seconds / 60.0:.0f} min"
+    return f", {time_left} left{f' {of}' if of else ''}"
 
 
 @contextmanager

@@ -62,7 +62,7 @@ def _figures(summary: dict[str, Any]) -> list[tuple[str, str, str]]:
     ]
     if summary["cor_log_error"] is not None:
         percent = 100.0 * math.expm1(summary["cor_log_error"])
-        rows.append(("ln of their ratio", f"{summary['cor_log_error']:+.4f}", f"the rebound deviates by {percent:+.1f} %"))
+        rows.append(("ln of their ratio", f"{summary['cor_log_error']:+.4f}", f"the rebound deviates by {percent:+z.1f} %"))
     if summary.get("cor_normal") is not None and summary["cor"] is None:
         reference = number(summary.get("cor_normal_reference"))
         note = f"of the first contact: speed after over before, along the direction of its impulse; reference {reference}"
@@ -86,7 +86,7 @@ def _margin(scenario: Scenario, summary: dict[str, Any]) -> str:
     words = []
     if share is not None:
         verdict = "made no significant energy" if abs(share) <= NEUTRAL else "made energy" if share > 0.0 else "dissipated energy"
-        words.append(f"The rig {verdict}: {100.0 * share:+.2f} % of the approach energy.")
+        words.append(f"The rig {verdict}: {100.0 * share:+z.2f} % of the approach energy.")
     total = summary["delay_ledger"][-1]["delay"] if summary["delay_ledger"] else 0.0
     contact, stability = scenario.mechanism.contact, summary.get("stability")
     words.append(
@@ -125,7 +125,7 @@ def _identified(report: Report, summary: dict[str, Any]) -> None:
         cells = [axis]
         for quantity in ("stiffness", "damping"):
             found, true = values[quantity], values[f"{quantity}_true"]
-            error = "" if found is None or not true else f"{100.0 * (found / true - 1.0):+.2f} %"
+            error = "" if found is None or not true else f"{100.0 * (found / true - 1.0):+z.2f} %"
             cells += [number(found, 6), number(true, 6), error]
         rows.append([*cells, values["samples"]])
     report.heading("What was identified")

@@ -47,15 +47,22 @@ def print_lines(title: str, lines: list[tuple[str, str]], folder: Path) -> None:
 
 
 def print_comparison(names: Sequence[str], rows: Sequence[Sequence[str]], page: Path | None) -> None:
-    """Prints runs side by side to standard output."""
-    table = _table("runs side by side")
-    table.add_column("", overflow="fold")
-    for name in names:
-        table.add_column(escape(name), justify="right", overflow="fold")
-    for row in rows:
-        table.add_row(*map(escape, row))
+    """Prints runs side by side to standard output; one below the other where the terminal is too narrow for whole words."""
     console = Console(highlight=False)
-    console.print(table)
+    widths = _whole_words(list(zip(("", *names), *rows, strict=True)), console.width)
+    if widths:
+        table = _table("runs side by side")
+        for name, width in zip(("", *names), widths, strict=True):
+            table.add_column(escape(name), justify="right" if name else "left", width=width)
+        for row in rows:
+            table.add_row(*map(escape, row))
+        console.print(table)
+    else:
+        console.print("[bold]runs side by side[/bold]")
+        for key, *values in rows:
+            console.print(
+                key, *(f"  {name}: {value}" for name, value in zip(names, values, strict=True)), sep="\n", soft_wrap=True, markup=False
+            )
     if page is not None:
         console.print(f"page: {page}", soft_wrap=True, markup=False)
 
@@ -86,6 +93,8 @@ def print_diagnosis(result: dict[str, Any], folder: Path) -> None:
     """Prints the main results of diagnosis.json and the path of the report to standard output."""
     console = Console(highlight=False)
     console.print(f"[bold]{escape(result['name'])}: {result['verdict']}[/bold]\n{escape(result['sentence'])}", soft_wrap=False)
+    for text in result["overridden"]:
+        console.print(text, markup=False)
     heldout, loop = result["heldout"], result["closed_loop"]
     if heldout:
         low, high = (100.0 * v for v in heldout["ci95"])
@@ -104,6 +113,19 @@ def print_diagnosis(result: dict[str, Any], folder: Path) -> None:
     if result["next_experiment"]:
         console.print(f"next experiment: {result['next_experiment']}", markup=False)
     console.print(f"report: {folder / 'report.html'}", soft_wrap=True, markup=False)
+
+
+def _whole_words(columns: Sequence[Sequence[str]], room: int) -> list[int] | None:
+    """Widths of columns of cells that break no word; None if ``room`` characters do not suffice."""
+    least = [max(len(word) for cell in column for word in cell.split() or [""]) for column in columns]
+    widths = [max(map(len, column)) for column in columns]
+    room -= 3 * len(columns) + 1  # spaces between the columns and at the edges
+    if sum(least) > room:
+        return None
+    while sum(widths) > room:
+        widest = max((i for i in range(len(widths)) if widths[i] > least[i]), key=lambda i: widths[i])
+        widths[widest] -= 1
+    return widths
 
 
 def _figures(summary: dict[str, Any], elapsed: float | None) -> Table:
@@ -154,7 +176,7 @@ def _cor_note(cor: float | None, reference: float | None) -> str:
 def _error_note(summary: dict[str, Any]) -> str:
     predicted = summary.get("cor_log_error_predicted")
     percent = 100.0 * math.expm1(summary["cor_log_error"])
-    return f"{percent:+.1f} %" + ("" if predicted is None else f"; the delay ledger predicts {predicted:+.4f}")
+    return f"{percent:+z.1f} %" + ("" if predicted is None else f"; the delay ledger predicts {predicted:+.4f}")
 
 
 def _ledger(entries: list[dict[str, Any]]) -> Table:
@@ -185,7 +207,7 @@ def _table(title: str, header: bool = True) -> Table:
 
 
 def _against(value: float | None, true: float | None) -> tuple[str, str, str]:
-    error = "" if value is None or not true else f"{100.0 * (value / true - 1.0):+.2f} %"
+    error = "" if value is None or not true else f"{100.0 * (value / true - 1.0):+z.2f} %"
     return _number(value, 6), _number(true, 6), error
 
 

@@ -203,10 +203,28 @@ def doctor(as_json: Json = False) -> None:
 
 
 @app.command()
-def schema(kind: Annotated[str, typer.Argument(metavar="[scenario|campaign|dataset]", help="Which kind of file.")] = "scenario") -> None:
-    """Print the JSON Schema of a kind of file."""
-    from hiltestbed.check import KINDS, json_schema
+def schema(
+    what: Annotated[
+        str, typer.Argument(metavar="[scenario|campaign|dataset|KEY]", help="A kind of file, or a key such as rig.platform.")
+    ] = "scenario",
+    search: Annotated[str | None, typer.Option("--search", metavar="WORDS", help="List the keys that mention all of these words.")] = None,
+) -> None:
+    """Print the JSON Schema of a kind of file; or what a key takes and means, and the keys directly below it.
 
-    if kind not in KINDS:
-        raise InputError(f"schema: unknown kind of file (got {kind!r}); allowed: {', '.join(KINDS)}")
-    print(json.dumps(json_schema(kind), indent=2))
+    hiltestbed schema rig.platform; hiltestbed schema dataset.channels; hiltestbed schema --search bandwidth
+    """
+    from hiltestbed.check import KINDS, json_schema
+    from hiltestbed.keys import at, keys_of
+    from hiltestbed.keys import search as search_keys
+
+    kind, _, key = what.partition(".")
+    kind, key = (kind, key) if kind in KINDS else ("scenario", what)
+    if search is None and not key:
+        print(json.dumps(json_schema(kind), indent=2))
+        return
+    keys = list(keys_of(json_schema(kind)))
+    found = at(keys, key) if key else keys
+    found = found if search is None else search_keys(found, search)
+    if not found:
+        raise InputError(f"schema: no key of a {kind} mentions {search!r}; fewer words, or a part of one, find more")
+    print(printable("\n".join(map(str, dict.fromkeys(found)))))

@@ -144,6 +144,7 @@ def diagnose(
     hiltestbed check dataset.yaml && hiltestbed diagnose dataset.yaml --out results/mine
     """
     from hiltestbed.diagnosis.diagnose import diagnose as run_diagnosis
+    from hiltestbed.diagnosis.find import CLOSING_STEPS
     from hiltestbed.diagnosis.report.folder import DIAGNOSIS
     from hiltestbed.kernels import tell_of_compiling
     from hiltestbed.progress import step_line
@@ -160,7 +161,7 @@ def diagnose(
     refuse_beyond(dataset_budget(loaded), str(dataset), "fewer or shorter runs need less", folder)
     with step_line(label) as progress:
         result = run_diagnosis(loaded, progress)
-        progress("report and recording")
+        progress(f"closing step {CLOSING_STEPS} of {CLOSING_STEPS}: report and recording")
         result.write(folder)
     if as_json:
         print(json.dumps(result.to_json() | {"folder": str(folder)}, allow_nan=False))

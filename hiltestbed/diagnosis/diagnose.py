@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from hiltestbed.dataset import LoadedDataset
-from hiltestbed.diagnosis.find import find
+from hiltestbed.diagnosis.find import CLOSING_STEPS, find
 from hiltestbed.diagnosis.investigate import investigate
 from hiltestbed.diagnosis.report.conclude import conclude
 from hiltestbed.diagnosis.result import Diagnosis
@@ -43,5 +43,5 @@ def diagnose(dataset: str | Path | LoadedDataset | MeasuredDataset, progress: Pr
     with np.errstate(all="ignore"):  # hypotheses far from the truth may overflow; their misfit is clipped, and they are not selected
         finding = find(investigate(dataset, progress), progress)
     if progress:
-        progress("nominal and extended runs in closed loop")
+        progress(f"closing step 3 of {CLOSING_STEPS}: nominal and extended runs in closed loop")
     return conclude(dataset, finding, time.monotonic() - start)

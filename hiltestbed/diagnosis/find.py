@@ -28,12 +28,13 @@ from hiltestbed.diagnosis.links import WrenchLink
 from hiltestbed.diagnosis.plain import LINK_NAMES, listed, plain
 from hiltestbed.diagnosis.report.evidence import link_series
 from hiltestbed.diagnosis.result import Cause, Finding, Heldout, Interval, Isolable, Parameter, Ranked
-from hiltestbed.diagnosis.search import Explanation, Progress, Search
+from hiltestbed.diagnosis.search import Explanation, Progress, Search, labelled
 from hiltestbed.diagnosis.settings import MIN_HELDOUT_GAIN
 from hiltestbed.diagnosis.verdict import Named, Verdict, decide
 from hiltestbed.effects.base import Effect
 from hiltestbed.effects.table import EFFECTS
 
+CLOSING_STEPS = 4  # after the links: intervals, smallest sizes, closed loop, report
 MAX_RANKED = 6  # hypotheses of a link that are listed
 MAX_RANKED_HELDOUT = 3  # of them, scored on left-out runs
 MEASURED_LINKS = ("platform", "wrench")  # links whose output is measured: their residual is compared with its noise
@@ -74,7 +75,7 @@ def find(findings: Findings, progress: Progress | None = None) -> Finding:
     judged = judge(findings, progress)
     findings, verdict, nearest, law = judged.findings, judged.verdict, judged.nearest, judged.law
     if progress:
-        progress("intervals and left-out runs")
+        progress(f"closing step 1 of {CLOSING_STEPS}: intervals and left-out runs")
     certain = Certainties(findings.explanations)
     causes = tuple(cause_of(findings, c, certain, verdict.causes) for c in verdict.causes)
     once = {c.effect: c for c in [*nearest, *verdict.causes]}  # a stamp delay shows on two links
@@ -92,6 +93,7 @@ def find(findings: Findings, progress: Progress | None = None) -> Finding:
         heldout=gain_of(findings, nearest if verdict.verdict == "named_in_part" else verdict.causes),
         ranking=tuple(r for n, e in departed.items() for r in _ranking(n, e)),
         isolability=_isolability(findings, progress),
+        unsized=_unsized(findings),
         left=left,
         not_judged={LINK_NAMES[name]: why for name, why in verdict.not_judged.items()},
         partial=tuple(cause_of(findings, c, certain) for c in nearest),
@@ -184,7 +186,7 @@ def _in_part(findings: Findings, verdict: Verdict, nearest: tuple[Named, ...]) -
 
 def _grown(e: Explanation, progress: Progress | None) -> Explanation:
     """The explanation of a link with the best fit of several effects."""
-    best = grow(e, Search(e.candidates, progress=progress))
+    best = grow(e, Search(e.candidates, progress=labelled(progress, "further causes")))
     return replace(e, chosen=best, leftovers=contact_leftovers(e.residual, best.effects()))
 
 
@@ -251,13 +253,21 @@ def _ranking(name: str, e: Explanation) -> list[Ranked]:
 
 
 def _isolability(findings: Findings, progress: Progress | None) -> tuple[Isolable, ...]:
-    if progress:
-        progress("isolability")
     out: list[Isolable] = []
-    for e in findings.explanations.values():
+    for name, e in findings.explanations.items():
         if e.adequate:
-            out += isolability(e.residual, e.candidates)
+            out += isolability(
+                e.residual, e.candidates, labelled(progress, f"closing step 2 of {CLOSING_STEPS}: sizes, {LINK_NAMES[name]}")
+            )
     return tuple(out)
+
+
+def _unsized(findings: Findings) -> dict[str, str]:
+    """Link to the reason why no sizes can be stated for its effects."""
+    why = "what was found there leaves more than noise, in which smaller effects hide"
+    return {LINK_NAMES[n]: why for n, e in findings.explanations.items() if not e.adequate} | {
+        LINK_NAMES[name]: f"it was not judged: {reason}" for name, reason in findings.missing.items()
+    }
 
 
 __all__ = ["EFFECTS", "cause_of", "find", "gain_of", "judges"]

@@ -28,6 +28,7 @@ from hiltestbed.diagnosis.paths import (
     with_filter_error,
     with_interpolation_error,
 )
+from hiltestbed.diagnosis.plain import LINK_NAMES
 from hiltestbed.diagnosis.readings import (
     choose_lever,
     choose_ring,
@@ -42,7 +43,7 @@ from hiltestbed.diagnosis.readings import (
 )
 from hiltestbed.diagnosis.residual import Residual, square
 from hiltestbed.diagnosis.richer import Richer
-from hiltestbed.diagnosis.search import Explanation, Progress, Search
+from hiltestbed.diagnosis.search import Explanation, Progress, Search, labelled
 from hiltestbed.diagnosis.settings import DETECTION, MAX_NOISE_SIGMA, MAX_SKEW_RESIDUAL, MIN_COMPARED
 from hiltestbed.diagnosis.stiction import stick_starts
 from hiltestbed.diagnosis.timing import MAX_STAMP_SHIFT_ROWS, best_placed, explain_with_timing, part_of_a_tick, timing_departs, timing_under
@@ -57,6 +58,7 @@ from hiltestbed.replay.wrench import shifted
 MAX_RESTART_CHI2 = 0.9  # chosen: of chi-square, below which another estimate of the initial state is taken
 MIN_SKEW_SHARE = 0.25  # chosen: of a skew in the compensation: if contact and sensor show less, wrench_meas is not late
 SHIFT_LOOK_ALIKES = ("sensor.delay", "contact.damping", "contact.stiffness", "sensor.lag")  # look-alikes of a path shifted in time
+ORDER = ("platform", "compensation", "wrench", "dynamics")  # of the links
 WRENCH_LINKS = ("contact", "sensor")  # links of the vocabulary that act between the pose and the reading
 
 
@@ -87,7 +89,7 @@ def investigate(dataset: MeasuredDataset, progress: Progress | None = None) -> F
     whole: dict[str, Link] = {}
     if "platform" not in layout.missing:
         link = platform_link(layout, layout.rows)
-        found["platform"] = _explain_platform(layout, link, _label(progress, "platform"))
+        found["platform"] = _explain_platform(layout, link, _begin(progress, layout, "platform"))
         whole["platform"] = platform_link(layout, layout.whole).with_timing(found["platform"].residual.link.timing)
     if "compensation" not in layout.missing:
         candidates = _candidates(layout.scales, ("compensation", "log"))
@@ -103,12 +105,12 @@ def investigate(dataset: MeasuredDataset, progress: Progress | None = None) -> F
         if layout.scales.driven is None:
             residual = Residual(dynamics_link(layout, layout.rows))
             search = Search(
-                _candidates(layout.scales, ("dynamics",)), judges.of_dynamics(residual), (), _label(progress, "numerical model")
+                _candidates(layout.scales, ("dynamics",)), judges.of_dynamics(residual), (), _begin(progress, layout, "dynamics")
             )
             found["dynamics"] = explain_with_timing(residual, search)
             whole["dynamics"] = dynamics_link(layout, layout.whole).with_timing(found["dynamics"].residual.link.timing)
         else:
-            found["dynamics"], whole["dynamics"] = _explain_axis(layout, _label(progress, "driven axis"))
+            found["dynamics"], whole["dynamics"] = _explain_axis(layout, _begin(progress, layout, "dynamics", "driven axis"))
     return Findings(layout, found, missing, whole)
 
 
@@ -117,8 +119,13 @@ def _candidates(scales: Scales, links: Sequence[str], rich: bool = False) -> tup
     return tuple(c for effect in EFFECTS.values() if effect.link in links and effect.rich == rich for c in effect.candidates(scales))
 
 
-def _label(progress: Progress | None, link: str) -> Progress | None:
-    return (lambda text: progress(f"{link}: {text}")) if progress else None
+def _begin(progress: Progress | None, layout: Layout, link: str, words: str = "") -> Progress | None:
+    """Tell that a link is begun, with its number among those that are judged; the callback for what is done on it."""
+    judged = [name for name in ORDER if name not in layout.missing]
+    told = labelled(progress, f"link {judged.index(link) + 1} of {len(judged)}, {words or LINK_NAMES[link]}")
+    if told:
+        told("replay")
+    return told
 
 
 def _explain_platform(layout: Layout, link: PlatformLink, progress: Progress | None) -> Explanation:
@@ -154,7 +161,7 @@ def _explain_compensation(
 ) -> Explanation:
     judge = judges.of_compensation(link, layout.noise)
     between_rows = any("wrench_meas" in run.record.bends for run in layout.runs)
-    search = Search(tuple(candidates), judge, (), _label(progress, "compensation"), bounded=between_rows)
+    search = Search(tuple(candidates), judge, (), _begin(progress, layout, "compensation"), bounded=between_rows)
     led = [link.noise_gain() * layout.noise.get(name.replace("comp", "meas"), 0.0) for name in link.channels]
     return explain_with_timing(Residual(link), search, weigh=lambda residual: residual.with_noise(np.array(led)))
 
@@ -182,7 +189,7 @@ def _investigate_wrench(layout: Layout, found: dict[str, Explanation], whole: di
         if levered is not link:
             link, given = levered, _stamped_late(layout, levered, found["compensation"]) or given
     residual = Residual(link)
-    search = Search(candidates, special=(jitter_beside, hum_beside), progress=_label(progress, "contact and sensor"), reread=reinterpreted)
+    search = Search(candidates, special=(jitter_beside, hum_beside), progress=_begin(progress, layout, "wrench"), reread=reinterpreted)
     late = given[0] if given else None
     explanation = explain_with_timing(residual, search, lambda s, there: s.explain(there, late), not given and timing_departs(found))
     if levered := other_lever(explanation):
@@ -229,7 +236,7 @@ def _stamped_elsewhere(layout: Layout, platform: Explanation, progress: Progress
     for effect in platform.chosen.effects():
         if part_of_a_tick(effect, tick):
             timing = timing.plus(Timing(delay=effect.parameters()["delay"]))
-    again = _explain_platform(layout, platform_link(layout, layout.rows).with_timing(timing), _label(progress, "platform"))
+    again = _explain_platform(layout, platform_link(layout, layout.rows).with_timing(timing), _begin(progress, layout, "platform"))
     return again, platform_link(layout, layout.whole).with_timing(again.residual.link.timing)
 
 
@@ -325,7 +332,9 @@ def _settle_platform(layout: Layout, found: dict[str, Explanation], whole: dict[
     again = with_readings(layout, readings)
     if again is None:
         return layout
-    found["platform"] = _explain_platform(again, platform_link(again, again.rows), _label(progress, "platform under the force found"))
+    found["platform"] = _explain_platform(
+        again, platform_link(again, again.rows), _begin(progress, again, "platform", "platform under the force found")
+    )
     whole["platform"] = platform_link(again, again.whole).with_timing(found["platform"].residual.link.timing)
     return again
 

@@ -13,18 +13,22 @@ import numpy as np
 from hiltestbed.diagnosis.fit import effects_at
 from hiltestbed.diagnosis.residual import Residual, square
 from hiltestbed.diagnosis.result import Isolable
+from hiltestbed.diagnosis.search import Progress
 from hiltestbed.diagnosis.settings import DETECTION, PENALTY
 from hiltestbed.effects.search import Candidate
 from hiltestbed.frames import Array
+from hiltestbed.progress import Pace, time_left_text
 
 LOOK_ALIKE_COSINE = 0.97  # chosen: of two residuals, above which effects are look-alikes: a tenth of the smaller one's energy is its own
 BISECTIONS = 12
 
 
-def isolability(residual: Residual, candidates: Sequence[Candidate]) -> tuple[Isolable, ...]:
-    """One entry for each effect among the candidates, for its first hypothesis."""
-    first = {c.kind: c for c in reversed(candidates)}
-    found = {kind: (c, *smallest) for (kind, c), smallest in zip(first.items(), _smallest(residual, list(first.values())), strict=True)}
+def isolability(residual: Residual, candidates: Sequence[Candidate], progress: Progress | None = None) -> tuple[Isolable, ...]:
+    """One entry for each effect among the candidates, for the hypothesis (of an axis, a body) that shows most at its largest size."""
+    first = _clearest(residual, candidates)
+    found = {
+        kind: (c, *smallest) for (kind, c), smallest in zip(first.items(), _smallest(residual, list(first.values()), progress), strict=True)
+    }
     out = []
     for kind, (c, size, direction) in reversed(found.items()):
         name = c.names[0] if c.names else next(iter(c.fixed), "")
@@ -39,7 +43,18 @@ def isolability(residual: Residual, candidates: Sequence[Candidate]) -> tuple[Is
     return tuple(out)
 
 
-def _smallest(residual: Residual, candidates: Sequence[Candidate]) -> list[tuple[float | None, Array | None]]:
+def _clearest(residual: Residual, candidates: Sequence[Candidate]) -> dict[str, Candidate]:
+    """Of each effect, in reverse order, the hypothesis that changes the residual most at the largest size that is searched."""
+    changes = _changes(residual, residual(()), candidates, np.array([1.0 if c.names else 0.0 for c in candidates]))
+    found: dict[str, tuple[float, Candidate]] = {}
+    for c, change in zip(reversed(candidates), reversed(changes), strict=True):
+        size = square(change)
+        if c.kind not in found or size >= found[c.kind][0]:
+            found[c.kind] = (size, c)
+    return {kind: c for kind, (_, c) in found.items()}
+
+
+def _smallest(residual: Residual, candidates: Sequence[Candidate], progress: Progress | None) -> list[tuple[float | None, Array | None]]:
     """The smallest size of each candidate that would be detected beyond its penalty, and the direction of the residual there.
 
     The bisections of all candidates go on together: each step is one replay.
@@ -52,13 +67,17 @@ def _smallest(residual: Residual, candidates: Sequence[Candidate]) -> list[tuple
         best[i] = d if square(d) > need[i] else None
         high[i] = 1.0 if c.names else 0.0
     open_ = [i for i, c in enumerate(candidates) if c.names and best[i] is not None]
-    for _ in range(BISECTIONS):
+    pace = Pace()
+    for done in range(BISECTIONS):
+        if progress:
+            pace.update(done)
+            progress(f"round {done + 1} of {BISECTIONS}{time_left_text(pace.left(BISECTIONS - done), 'in this step')}")
         middle = 0.5 * (low + high)
-        for i, d in zip(open_, _changes(residual, null, [candidates[i] for i in open_], middle[open_]), strict=True):
-            if square(d) > need[i]:
-                high[i], best[i] = middle[i], d
+        for j, d in zip(open_, _changes(residual, null, [candidates[j] for j in open_], middle[open_]), strict=True):
+            if square(d) > need[j]:
+                high[j], best[j] = middle[j], d
             else:
-                low[i] = middle[i]
+                low[j] = middle[j]
     out: list[tuple[float | None, Array | None]] = []
     for i, c in enumerate(candidates):
         d = best[i]

@@ -210,6 +210,7 @@ class Finding:
 
     Attributes:
         link: that departs most, or None. causes: strongest first.
+        isolability: of the effects on links whose explanation leaves noise alone. unsized: of every other link the reason why it has none.
         series: every channel of every link and run. noise: channel to its floor.
         left: residual of the best extension in a sentence (verdict `unknown`): link, phase and shape.
         not_judged: link to the reason why it could not be judged.
@@ -227,6 +228,7 @@ class Finding:
     heldout: Heldout | None = None
     ranking: tuple[Ranked, ...] = ()
     isolability: tuple[Isolable, ...] = ()
+    unsized: Mapping[str, str] = field(default_factory=dict)
     left: str = ""
     not_judged: Mapping[str, str] = field(default_factory=dict)
     partial: tuple[Cause, ...] = ()
@@ -344,6 +346,13 @@ class Diagnosis:
         return "extended" if self.finding.extends else "best explanation" if self.finding.partial else ""
 
     @property
+    def overridden(self) -> tuple[str, ...]:
+        """A sentence on each check of the data that the dataset overrides."""
+        from hiltestbed.measured.remark import overrides
+
+        return overrides(self.dataset.remarks)
+
+    @property
     def next_experiment(self) -> str | None:
         return self.experiment.text if self.experiment else None
 
@@ -377,6 +386,8 @@ class Diagnosis:
                 "extended_scenario": "extended.yaml" if self.finding.extends else None,
                 "ranking": [vars(r) for r in self.finding.ranking],
                 "certainty": [c.to_json() for c in self.finding.certainty],
+                "overridden": list(self.overridden),
+                "unsized": dict(self.finding.unsized),
                 "isolability": [vars(i) for i in self.finding.isolability],
                 "remarks": list(self.remarks),
                 "seconds": self.seconds,

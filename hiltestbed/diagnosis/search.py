@@ -6,6 +6,7 @@ Takes a `Residual` and the candidates; gives an `Explanation`.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -34,11 +35,17 @@ from hiltestbed.diagnosis.settings import (
 )
 from hiltestbed.effects.search import Candidate
 from hiltestbed.frames import Array
+from hiltestbed.progress import Pace, time_left_text
 
 Judge = Callable[[Residual, Effects], dict[str, Leftover]]
 Special = Callable[[Residual, Fit], Fit | None]  # a hypothesis derived from the residual of a fit
 Reread = Callable[[Residual, Fit], Residual]  # the interpretation of a link that fits better; the residual itself where none does
 Progress = Callable[[str], None]
+
+
+def labelled(progress: Progress | None, label: str) -> Progress | None:
+    """The callback for the parts of a step."""
+    return (lambda text: progress(f"{label}: {text}")) if progress else None
 
 
 CLOCKS = {"sensor.delay", "log.skew"}
@@ -201,6 +208,8 @@ class Search:
         rated = sorted(self._rate(residual, base), key=lambda item: -item[0])
         fits: list[Fit] = []
         count: dict[str, int] = {}
+        limit = min(most, sum(min(n, MAX_FITS_PER_EFFECT) for n in Counter(c.kind for _, c, _ in rated).values()))
+        pace = Pace()
         for gain, c, starts in rated:
             count[c.kind] = count.get(c.kind, 0) + 1
             if count[c.kind] > MAX_FITS_PER_EFFECT or len(fits) >= most or _beaten(c, base, fits):
@@ -211,7 +220,9 @@ class Search:
             if fits and enough and base.chi2 - LINEAR_GAIN_MARGIN * gain > near:
                 break
             if self.progress:
-                self.progress(" + ".join([*base.kinds, c.kind]))
+                pace.update(len(fits))
+                left = time_left_text(pace.left(limit - len(fits)), "at most in this step")
+                self.progress(f"fit {len(fits) + 1} of at most {limit}{left}: {' + '.join([*base.kinds, c.kind])}")
             causes, together = (*base.causes, c), [np.concatenate([base.theta, s]) for s in starts]
             earlier = self.before.get(frozenset(cause.key for cause in causes))
             if earlier is not None and (base.causes or c.effect.rich):  # simple effects alone are sought anew: it takes little

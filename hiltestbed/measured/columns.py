@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import difflib
 import struct
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -77,10 +77,11 @@ def split_matrix(name: str, shape: tuple[int, ...]) -> list[tuple[str, tuple[int
     return [(f"{name}.{j}", (j,)) for j in range(shape[1])]
 
 
-def near(name: str, names: Iterable[str]) -> str:
-    """The names most similar to ``name``, or the first few names, for an error message."""
+def near(wanted: Sequence[str], names: Iterable[str]) -> str:
+    """The names most similar to the ``wanted`` ones, or the first few names, for an error message."""
     known = list(names)
-    close = difflib.get_close_matches(name, known, n=3, cutoff=0.5)
+    each = 3 if len(wanted) == 1 else 1
+    close = list(dict.fromkeys(match for name in wanted for match in difflib.get_close_matches(name, known, n=each, cutoff=0.5)))
     if close:
         return "nearest: " + ", ".join(close)
     shown = ", ".join(known[:12]) + (f" and {len(known) - 12} more" if len(known) > 12 else "")

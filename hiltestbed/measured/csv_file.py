@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from hiltestbed.measured.columns import Columns, refuse_large, unreadable
+from hiltestbed.measured.units import UNITS
 
 BLOCK = 1 << 22  # [byte] read at a time
 PROBE = 1 << 20  # [byte] from which the length of a row is estimated
@@ -27,6 +28,7 @@ class _Dialect:
     decimal: str
     encoding: str
     rows: int  # estimate
+    first: tuple[str, ...] = ()  # cells of the first row below the header
 
 
 def read(path: Path, wanted: Set[str]) -> Columns:
@@ -41,6 +43,7 @@ def read(path: Path, wanted: Set[str]) -> Columns:
         raise unreadable(path, f"has a column more than once (got {', '.join(repeated)})", "rename or remove the second")
     if not columns:
         return Columns(dialect.names, {})
+    _refuse_units(path, dialect)
     refuse_large(path, dialect.rows, len(columns))
     blocks: list[list[np.ndarray]] = []
     try:
@@ -90,7 +93,22 @@ def _dialect(path: Path) -> _Dialect:
     body = lines[skip + 1 :]
     decimal = "," if delimiter != "," and body and re.search(r"\d,\d", body[0]) else "."
     per_row = len(text.encode()) / max(1, len(lines))
-    return _Dialect(names, skip, delimiter, decimal, encoding, int(path.stat().st_size / per_row))
+    first = tuple(next(csv.reader(body[:1], delimiter=delimiter), ()))
+    return _Dialect(names, skip, delimiter, decimal, encoding, int(path.stat().st_size / per_row), first)
+
+
+def _refuse_units(path: Path, dialect: _Dialect) -> None:
+    """Raises InputError for a row of units below the header: what to do with them."""
+    cells = [cell.strip() for cell in dialect.first]
+    if not any(cells) or any(cell and _is_number(cell.replace(",", ".")) for cell in cells):
+        return
+    line, shown = dialect.skip + 2, ", ".join(repr(cell) for cell in cells[:8]) + (", ..." if len(cells) > 8 else "")
+    convertible = {unit for si, known in UNITS.items() for unit in known if unit != si}
+    named = zip(dialect.names, (cell.strip("[]()") for cell in cells), strict=False)
+    column, unit = next(((name, cell) for name, cell in named if cell in convertible), (dialect.names[-1], "kN"))
+    what = f"has text in place of numbers in line {line}, as a row of units below the names (got {shown})"
+    do = f'delete this line, and give units that are not SI under channels: {{CHANNEL: {{column: "{column}", unit: {unit}}}}}'
+    raise unreadable(path, what, do)
 
 
 def _is_number(text: str) -> bool:

@@ -15,7 +15,7 @@ from hiltestbed.errors import Fault, InputError
 from hiltestbed.measured.checks import check_dataset, check_run
 from hiltestbed.measured.reading import read_record
 from hiltestbed.measured.record import Record
-from hiltestbed.measured.remark import Remark
+from hiltestbed.measured.remark import Remark, together
 from hiltestbed.measured.survey import Survey
 from hiltestbed.scenario import Scenario
 
@@ -129,8 +129,8 @@ def _nothing(run: int, record: Record | None) -> Remark:
 
 
 def as_faults(dataset: MeasuredDataset) -> list[Fault]:
-    """The errors among the remarks on a dataset, each with its file."""
-    return [_as_fault(remark, dataset) for remark in dataset.remarks if remark.severity == "error"]
+    """The errors among the remarks on a dataset, each with its file; one for the channels that share a mistake."""
+    return [_as_fault(remark, dataset) for remark in together(r for r in dataset.remarks if r.severity == "error")]
 
 
 def _as_fault(remark: Remark, dataset: MeasuredDataset) -> Fault:

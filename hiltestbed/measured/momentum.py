@@ -6,6 +6,9 @@ The bodies float freely, so the relative motion of the ports follows from the wr
 
 s is 1 if the units of mass, force and length are consistent, whatever contact, sensor and compensation do. A force in pounds makes it
 4.448, a reversed sign -1, and exchanged axes leave motion that no s explains.
+
+The bodies move by the compensated force, and the sensor's record is late against it. Delay, filters and leads keep the impulse, but the
+double integral D of the record is another: D(t - T) + b L W to second order, with a shift T and a spread b. s is fitted together with both.
 """
 
 from __future__ import annotations
@@ -13,6 +16,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import permutations, product
+from typing import NamedTuple
 
 import numpy as np
 
@@ -26,6 +30,10 @@ FORCES = ("fx", "fy", "fz")
 GAP_LIMIT = 0.02  # part of the rows that may be missing: an impulse that was not logged cannot be integrated
 BETTER = 0.02  # part of the motion that another order or other signs must explain in addition
 CLEAR = 50.0  # least motion that the force causes, in units of the pose's noise
+LATEST = 0.05  # [s] largest shift between force and motion that is searched: beyond the delays of such loops
+ROUNDS = 20  # of the search for the shift, which takes less than ten to settle within SETTLED
+SETTLED = 1e-3  # of a tick
+APART = 0.1  # least part of L W that differs from the motion and its rate; of an oscillation L W is proportional to D, and b stays 0
 
 
 @dataclass(frozen=True)
@@ -34,6 +42,7 @@ class Momentum:
 
     Attributes:
         force, pose: the groups. scale: s above, of all axes together; axes: axis to its own s, for axes that the force clearly moves.
+        late: [s] by which the force is later in the record than the motion that it causes.
         explained: part of the motion's sum of squares that s explains. order, signs: of the force's axes that explain it best.
         explained_in_order: the same part with the axes in that order and with these signs, for the best s > 0.
     """
@@ -42,6 +51,7 @@ class Momentum:
     pose: str
     scale: float
     axes: Mapping[str, float]
+    late: float
     explained: float
     order: tuple[str, ...]
     signs: tuple[int, ...]
@@ -71,8 +81,18 @@ def momentum(record: Record, scenario: Scenario, force: str, pose: str) -> Momen
         return None
     as_given = parts.fit(FORCES, (1, 1, 1))
     order, signs, best = parts.best(as_given)
+    late, parts = parts.aligned(scenario.tick)
     axes = {a: parts.axis(j) for j, a in enumerate("xyz") if moved[j] and np.sum(motion[j] ** 2) > 0.05 * np.sum(motion**2)}
-    return Momentum(force, pose, as_given[0], {a: s for a, s in axes.items() if s}, as_given[1], order, signs, best)
+    scale = parts.fit(FORCES, (1, 1, 1)).scale
+    return Momentum(force, pose, scale, {a: s for a, s in axes.items() if s}, late, as_given.explained, order, signs, best)
+
+
+class _Fit(NamedTuple):
+    """s, the part of the motion's square sum that it explains, and the weight (10,) of each driven motion."""
+
+    scale: float
+    explained: float
+    weights: Array
 
 
 @dataclass(frozen=True)
@@ -80,34 +100,71 @@ class _Parts:
     """Inner products of the motions that each column of the force causes on each axis, for the fit of every order and sign of the axes.
 
     Attributes:
-        driven: (10, 3, rows) motion by column j acting along axis i, at 3 i + j; by the torques last; all without their linear trend.
-        gram: (10, 10) inner products of these with each other; shown: (10,) with the motion; square: of the motion with itself.
+        t: (rows,) [s]. driven: (10, 3, rows) motion by column j acting along axis i, at 3 i + j; by the torques last.
+        motion: (3, rows) that was logged, without its linear trend.
+        seen: driven without its linear trend. gram: (10, 10) inner products of seen with each other; shown: (10,) with the motion.
+        square: inner product of the motion with itself.
     """
 
+    t: Array
     driven: Array
     motion: Array
+    seen: Array
     gram: Array
     shown: Array
     square: float
 
     @classmethod
     def of(cls, t: Array, response: Array, wrench: Array, motion: Array, tick: float) -> _Parts:
-        doubled = _without_line(t, _twice(t, wrench, tick))
+        doubled = _twice(t, wrench, tick)
         along = [response[:, i, None] * doubled[j] for i in range(3) for j in range(3)]
         driven = np.stack([*along, response[:, 3:] @ doubled[3:]])
-        flat = driven.reshape(10, -1)
-        return cls(driven, motion, flat @ flat.T, flat @ motion.reshape(-1), float(np.sum(motion**2)))
+        return cls._seen(t, driven, driven, motion)
 
-    def fit(self, order: tuple[str, ...], signs: tuple[int, ...]) -> tuple[float, float]:
-        """s, and the part of the motion's square sum that it explains; torques are scaled like the force or not, whichever fits better."""
+    @classmethod
+    def _seen(cls, t: Array, driven: Array, shifted: Array, motion: Array) -> _Parts:
+        seen = np.stack([_without_line(t, part) for part in shifted])
+        flat = seen.reshape(10, -1)
+        return cls(t, driven, motion, seen, flat @ flat.T, flat @ motion.reshape(-1), float(np.sum(motion**2)))
+
+    def aligned(self, tick: float) -> tuple[float, _Parts]:
+        """T [s], and the parts without shift and spread; unchanged if no T up to LATEST is found (Gauss-Newton from 0)."""
+        late, parts = 0.0, self
+        for _ in range(ROUNDS):
+            moved, spread = parts._apart(self.motion)
+            if not abs(late + moved) < LATEST:
+                break
+            late += moved
+            shifted = _shifted(self.t, self.driven, late)
+            parts = self._seen(self.t, self.driven, shifted, self.motion - spread)
+            if abs(moved) < SETTLED * tick:
+                return late, parts
+        return 0.0, self
+
+    def _apart(self, motion: Array) -> tuple[float, Array]:
+        """What is left of T [s], to first order, and the part of ``motion`` (3, rows) that is due to the spread."""
+        made = np.tensordot(self.fit(FORCES, (1, 1, 1)).weights, self.seen, 1)
+        rate = np.gradient(made, self.t, axis=1)
+        basis = np.stack([_without_line(self.t, part).reshape(-1) for part in (made, rate, np.gradient(rate, self.t, axis=1))], axis=1)
+        own = basis[:, 2] - basis[:, :2] @ np.linalg.lstsq(basis[:, :2], basis[:, 2], rcond=None)[0]
+        terms = 3 if own @ own > APART * (basis[:, 2] @ basis[:, 2]) else 2
+        found = np.linalg.lstsq(basis[:, :terms], motion.reshape(-1), rcond=None)[0]
+        spread = found[2] * basis[:, 2].reshape(made.shape) if terms == 3 else np.zeros_like(made)
+        return float(found[1] / found[0]) if found[0] else 0.0, spread
+
+    def fit(self, order: tuple[str, ...], signs: tuple[int, ...]) -> _Fit:
+        """The fit for one order and signs; torques are scaled like the force or not, whichever fits better."""
         force = np.zeros(10)
         for i, (name, sign) in enumerate(zip(order, signs, strict=True)):
             force[3 * i + FORCES.index(name)] = sign
         torque = np.eye(10)[9]
-        tied, apart = force + torque, force
-        found = [(s, 1.0 - self._left(s * tied) / self.square) for s in [self._best(tied, np.zeros(10))]]
-        found += [(s, 1.0 - self._left(s * apart + torque) / self.square) for s in [self._best(apart, torque)]]
-        return found[0] if found[0][1] > found[1][1] - 0.01 else found[1]
+        tied, apart = self._fit(force + torque, np.zeros(10)), self._fit(force, torque)
+        return tied if tied.explained > apart.explained - 0.01 else apart
+
+    def _fit(self, scaled: Array, fixed: Array) -> _Fit:
+        s = self._best(scaled, fixed)
+        weights = s * scaled + fixed
+        return _Fit(s, 1.0 - self._left(weights) / self.square, weights)
 
     def _best(self, scaled: Array, fixed: Array) -> float:
         square = float(scaled @ self.gram @ scaled)
@@ -116,19 +173,19 @@ class _Parts:
     def _left(self, weights: Array) -> float:
         return float(self.square - 2 * weights @ self.shown + weights @ self.gram @ weights)
 
-    def best(self, as_given: tuple[float, float]) -> tuple[tuple[str, ...], tuple[int, ...], float]:
+    def best(self, as_given: _Fit) -> tuple[tuple[str, ...], tuple[int, ...], float]:
         """The order and signs that explain the motion best (the given ones unless others are clearly better), and the explained part."""
-        found: tuple[tuple[str, ...], tuple[int, ...], float] = FORCES, (1, 1, 1), as_given[1]
+        found: tuple[tuple[str, ...], tuple[int, ...], float] = FORCES, (1, 1, 1), as_given.explained
         for order in permutations(FORCES):
             for signs in product((1, -1), repeat=3):
-                s, part = self.fit(order, signs)
+                s, part, _ = self.fit(order, signs)
                 if s > 0 and part > found[2] + BETTER:
                     found = order, signs, part
         return found
 
     def axis(self, j: int) -> float:
         """The s of axis j alone, with forces in the given order; 0 if the force along it causes no motion."""
-        driven = sum(self.driven[4 * i][j] for i in range(3)) + self.driven[9][j]
+        driven = sum(self.seen[4 * i][j] for i in range(3)) + self.seen[9][j]
         square = float(np.sum(driven**2))
         return float(np.sum(driven * self.motion[j])) / square if square > 0 else 0.0
 
@@ -183,6 +240,14 @@ def _without_line(t: Array, values: Array) -> Array:
     basis = np.stack([np.ones_like(t), t - t.mean()])
     basis /= np.linalg.norm(basis, axis=1, keepdims=True)
     return values - (values @ basis.T) @ basis
+
+
+def _shifted(t: Array, driven: Array, late: float) -> Array:
+    """``driven`` ``(10, 3, rows)`` as much earlier; before the first and after the last row without force, that is at uniform speed."""
+    at = t + late
+    rows = np.clip(np.searchsorted(t, at) - 1, 0, len(t) - 2)
+    part = (at - t[rows]) / (t[rows + 1] - t[rows])
+    return driven[..., rows] * (1.0 - part) + driven[..., rows + 1] * part
 
 
 def _roughness(values: Array) -> float:

@@ -41,7 +41,7 @@ def read_record(run: int, file: Path, channels: Mapping[str, Channel], scenario:
     values = {name: _si(columns.data[source[name]], name, channels) for name in CHANNELS if source[name] in columns.data}
     if not values:
         what = "holds none of the channels " + ", ".join(f"{group}.*" for group in MEASURED_GROUPS)
-        raise InputError(Fault(str(file), None, None, "channels", f"{what} ({near('pose_act', columns.names)}); name its columns there"))
+        raise InputError(Fault(str(file), None, None, "channels", f"{what} ({near(['pose_act'], columns.names)}); name its columns there"))
     values, held = without_held(run, values)
     stamps = _stamps(file, columns, values, source, channels)
     clocks, remarks = _clocks(run, stamps, scenario)
@@ -66,14 +66,12 @@ def _read(file: Path, wanted: frozenset[str]) -> Columns:
 
 
 def _refuse_missing(file: Path, columns: Columns, channels: Mapping[str, Channel], source: Mapping[str, str]) -> None:
-    """Raises InputError for every column that the channel map names and the file lacks."""
+    """Raises InputError, one fault for all columns that the channel map names and the file lacks."""
     missing = [name for name in channels if name in source and channels[name].column and source[name] not in columns.data]
-    faults = [
-        Fault(str(file), None, None, f"channels.{n}", f"names no column of the file (got {source[n]!r}); {near(source[n], columns.names)}")
-        for n in missing
-    ]
-    if faults:
-        raise InputError(faults)
+    if missing:
+        wanted = [source[name] for name in missing]
+        what = f"names no column of the file (got {', '.join(map(repr, wanted))}); {near(wanted, columns.names)}"
+        raise InputError(Fault(str(file), None, None, ", ".join(f"channels.{name}" for name in missing), what))
 
 
 def _si(values: Array, name: str, channels: Mapping[str, Channel]) -> Array:
@@ -90,7 +88,7 @@ def _stamps(
     """The time stamps [s] of each channel: the time column of the file, or the channel's own clock if there is no such column."""
     shared = columns.data.get(source["t"])
     if shared is None and not all(source[name] in columns.clock for name in values):
-        what = f"has no time column {source['t']!r}; {near(source['t'], columns.names)}"
+        what = f"has no time column {source['t']!r}; {near([source['t']], columns.names)}"
         raise InputError(Fault(str(file), None, None, "t", f"{what}; name it under channels: {{t: {{column: ...}}}}"))
     known: dict[bytes, Array] = {}
     stamps, faults = {}, []

@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 import json
+import re
+from collections.abc import Callable
 from pathlib import Path
 
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 from hiltestbed.cli import main
+from hiltestbed.diagnosis.diagnose import diagnose
+from hiltestbed.effects import EFFECTS
 
 from .recorded import recorded
 
@@ -49,3 +55,53 @@ def test_a_folder_with_other_things_is_refused_before_the_work(tmp_path: Path, m
     (tmp_path / "notes.txt").write_text("mine")
     assert command(monkeypatch, str(tmp_path / "missing.yaml"), "--out", str(tmp_path)) == 2
     assert [f.name for f in tmp_path.iterdir()] == ["notes.txt"]
+
+
+def test_progress_says_which_link_of_how_many_and_which_step_is_left(tmp_path: Path) -> None:
+    """The links in their order, each begun before it is searched, then the closing steps in theirs."""
+    told: list[str] = []
+    diagnose(recorded(tmp_path, [{"kind": "contact.stiffness", "factor": 1.2}]), told.append)
+    links = [re.match(r"link (\d) of (\d), ([a-z ]+): ", text) for text in told]
+    begun = {m[1]: m[3] for m in links if m}
+    assert begun == {"1": "platform", "2": "compensation", "3": "contact and sensor", "4": "numerical model"}
+    assert [m[1] for m in links if m] == sorted(m[1] for m in links if m)
+    assert {m[2] for m in links if m} == {"4"}
+    steps = [m[1] for text in told if (m := re.match(r"closing step (\d) of 4: ", text))]
+    assert steps == sorted(steps)
+    assert set(steps) == {"1", "2", "3"}
+    assert not links[-1]
+
+
+def test_every_link_has_the_sizes_that_would_show_or_the_reason_why_not(tmp_path: Path) -> None:
+    """A gain shows on the axis of the contact force, whichever axis is tried first; links without a channel say so."""
+    file = recorded(tmp_path, [])
+    _rewrite(tmp_path, lambda table: table.drop_columns([n for n in table.column_names if n.startswith("wrench_comp")]))
+    result = diagnose(file)
+    sizes = {i.effect: i.smallest for i in result.finding.isolability}
+    assert {EFFECTS[effect].link for effect in sizes} >= {"platform", "contact", "sensor"}
+    assert set(result.finding.unsized) == {"compensation", "numerical model"}
+    assert all("wrench_comp" in why for why in result.finding.unsized.values())
+    assert sizes["sensor.gain"] is not None
+    assert sizes["contact.stiffness"] is not None
+    # a scale of fz and of k change the force alike, but for the damper: 2 zeta = c/sqrt(k mu) of the force
+    assert sizes["sensor.gain"] == pytest.approx(sizes["contact.stiffness"], rel=0.2)
+
+
+def test_an_overridden_check_is_stated_with_what_is_assumed(tmp_path: Path) -> None:
+    file = recorded(tmp_path, [])
+    names = ("wrench_meas.fz", "wrench_comp.fz")
+    _rewrite(tmp_path, lambda t: t.set_column(t.column_names.index(names[0]), names[0], pa.chunked_array([-t[names[0]].to_numpy()])))
+    file.write_text(f"{file.read_text()}accept: [sign]\n")
+    result = diagnose(file)
+    (stated,) = result.to_json()["overridden"]
+    assert "accept: [sign]" in stated
+    assert names[0] in stated
+    assert names[1] not in stated
+    assert "run_0.parquet, run_1.parquet" in stated
+    assert "nothing is turned" in stated
+    assert "accept: [sign]" in (result.write(tmp_path / "out") / "report.html").read_text()
+
+
+def _rewrite(folder: Path, change: Callable[[pa.Table], pa.Table]) -> None:
+    for run in folder.glob("*.parquet"):
+        pq.write_table(change(pq.read_table(run)), run)

@@ -4,18 +4,41 @@ from __future__ import annotations
 
 import math
 import re
+from itertools import combinations
 from pathlib import Path
 
+import numpy as np
+import pyarrow.parquet as pq
 import pytest
 
-from hiltestbed.diagnosis.report.experiments import next_experiment
+from hiltestbed.diagnosis.report.discriminators import RULES, rebound
+from hiltestbed.diagnosis.report.experiments import next_experiment, plan_for
 from hiltestbed.diagnosis.result import Cause, Finding, Parameter
 from hiltestbed.effects import EFFECTS
 from hiltestbed.measured import MeasuredDataset, load_dataset
+from hiltestbed.sensor.parameters import SensorParameters
 
 from .recorded import recorded
 
 MASS = 400.0  # kg, reduced
+NAMED = {  # how a text calls what an effect does
+    "sensor.bias": "bias", "sensor.drift": "drift", "sensor.hum": "hum|tone", "sensor.gain": "gain|scale error", "sensor.crosstalk":
+    "[Cc]ross-talk", "sensor.deadzone": "dead zone of the sensor", "sensor.saturation": "saturation", "sensor.delay": "delay",
+    "sensor.jitter": "jitter", "sensor.lag": "lag", "sensor.highpass": "leaking charge", "sensor.map": "a map", "sensor.rotation":
+    "rotated", "contact.damping": "damper|damping", "contact.hunt_crossley": "Hunt-Crossley", "contact.dry_friction": "dry friction",
+    "contact.relaxation": "relaxing", "frame.compliance": "[Aa] frame of|compliant frame", "frame.mode": "frame's mode", "contact.map":
+    "a map", "contact.stiffness": "stiffness|spring|wrong factor", "contact.power_law": "power law", "contact.hard_stop": "stop",
+    "contact.preload": "preload", "contact.surface_friction": "[Ff]riction", "contact.adhesion": "adhesion",
+    "contact.touch_offset": "offset", "contact.backlash": "play", "contact.misalignment": "tilt", "platform.delay": "delay",
+    "platform.lag": "lag", "platform.mode": "mode", "platform.backlash": "[Pp]lay", "platform.friction": "stiction", "platform.scale":
+    "scale error", "platform.speed_limit": "speed limit", "platform.drive": "a drive", "platform.response": "platform.response",
+    "dynamics.mass": "mass", "dynamics.inertia": "inertia", "dynamics.port_offset": "port in another place", "dynamics.appendage":
+    "appendage", "dynamics.force": "resists the motion", "dynamics.step_delay": "transport", "dynamics.integrator": "integrator",
+    "loop.deadzone": "of the loop", "log.skew": "stamped late|log.skew",
+}  # fmt: skip
+ALIKE = sorted(
+    {tuple(sorted((a, b))) for a, effect in EFFECTS.items() for b in effect.resembles} | {("frame.compliance", "sensor.rotation")}
+)
 CONFOUNDED = [  # literature, Section 5, and what must be in the proposal
     ("contact.damping", "sensor.delay", "spring"),
     ("sensor.lag", "sensor.delay", "w tau"),
@@ -105,6 +128,56 @@ def test_every_pair_of_effects_of_a_link_has_one(dataset: MeasuredDataset):
                 experiment = next_experiment(finding(a, b), dataset)
                 assert experiment is not None
                 assert len(experiment.text) > 100
+
+
+@pytest.mark.parametrize(("effect", "rival"), ALIKE)
+def test_what_is_easily_mistaken_has_a_rule_that_says_what_both_do(dataset: MeasuredDataset, effect: str, rival: str):
+    """Whichever of the two was named, whichever link departs first; and the data lack no channel, so that none is asked for."""
+    assert any(rule.separates(effect, rival) for rule in RULES)
+    for link in ("log", "sensor", "platform"):
+        cause = Cause(effect, {}, 0.5, (rival,))
+        experiment = next_experiment(Finding("ambiguous", link, (cause,)), dataset)
+        assert experiment is not None
+        assert all(re.search(NAMED[e], experiment.text) for e in (effect, rival)), experiment.text
+        assert not re.search(r"\b([Rr]ecord|[Ll]og)\b[^.;:]*\b(wrench|pose)_\w+", experiment.text), experiment.text
+
+
+def test_the_advice_does_not_depend_on_which_was_named_or_departs_first():
+    for a, b in combinations(EFFECTS, 2):
+        assert plan_for(a, b) == plan_for(b, a) or EFFECTS[a].link == EFFECTS[b].link
+        if "log" not in (EFFECTS[a].link, EFFECTS[b].link):
+            assert plan_for(a, b) is not rebound or {a, b} <= {"sensor.delay", "dynamics.step_delay"}
+
+
+def test_each_rival_gets_its_own_experiment(dataset: MeasuredDataset):
+    cause = Cause("sensor.delay", {}, 0.4, ("contact.damping", "log.skew", "sensor.lag"))
+    experiment = next_experiment(Finding("ambiguous", "sensor", (cause,)), dataset)
+    assert experiment is not None
+    assert all(words in experiment.text for words in ("two other known springs", "stamped late", "w tau > 0.3"))
+
+
+def test_a_channel_is_asked_for_where_it_is_lacking(tmp_path: Path):
+    file = recorded(tmp_path, [])
+    for run in tmp_path.glob("*.parquet"):
+        table = pq.read_table(run)
+        pq.write_table(table.drop_columns([name for name in table.column_names if name.startswith("wrench_comp")]), run)
+    experiment = next_experiment(finding("log.skew", "sensor.delay"), load_dataset(file))
+    assert experiment is not None
+    assert "record wrench_comp" in experiment.text
+
+
+def test_a_rotated_sensor_reads_under_three_weights_what_the_text_says(dataset: MeasuredDataset):
+    """f = R^T F: a weight along z on the lateral axes, one along a lateral axis with the other sign on z."""
+    angle = 3.0
+    cause = Cause("sensor.rotation", {"angles_deg": Parameter([angle, 0.0, 0.0], None)}, 0.5, ("frame.compliance",))  # type: ignore[arg-type]
+    experiment = next_experiment(Finding("ambiguous", "log", (cause,)), dataset)
+    assert experiment is not None
+    load, side = (float(re.search(p, experiment.text)[1]) for p in (r"weight of ([\d.e+]+) N along z", r"reads ([\d.e+]+) N"))  # type: ignore[index]
+    sensor = SensorParameters.believed(dataset.nominal.sensor, dataset.nominal.tick)
+    EFFECTS["sensor.rotation"].hypothesis({}, angles_deg=[angle, 0.0, 0.0]).apply(sensor)
+    under_z, under_y = (sensor.calibration[:3, :3] @ (load * np.eye(3)[axis]) for axis in (2, 1))
+    assert abs(under_z[1]) == pytest.approx(side, rel=5e-3)
+    assert under_y[2] == pytest.approx(-under_z[1])
 
 
 def test_proposed_runs_are_scenarios(dataset: MeasuredDataset):

@@ -248,7 +248,11 @@ def test_what_cannot_come_near_the_best_is_not_fitted(monkeypatch: pytest.Monkey
     for margin in (math.inf, search.LINEAR_GAIN_MARGIN):
         monkeypatch.setattr(search, "LINEAR_GAIN_MARGIN", margin)
         fitted.append([])
-        found = Search(candidates, progress=fitted[-1].append).extend(residual, null_fit(residual))
+        told = fitted[-1]
+        found = Search(candidates, progress=lambda text, told=told: told.append(text)).extend(residual, null_fit(residual))
+        assert [f"fit {i} of at most" in text for i, text in enumerate(told, 1)] == [True] * len(told)
+        assert len(told) <= int(told[0].split(" at most ")[1].split(":")[0].split(",")[0])
+        told[:] = [text.rpartition(": ")[2] for text in told]
         best.append(found[0])
         assert found[0].kinds == ("contact.stiffness",)
     assert best[1].theta == pytest.approx([1.3], rel=1e-3)

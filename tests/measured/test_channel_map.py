@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -46,7 +47,7 @@ def test_one_file_may_be_mapped_differently(tmp_path: Path) -> None:
     for name in ("wrench_meas.fz", "wrench_comp.fz"):
         turned[name] = -turned[name]
     path = bounce.write_dataset(tmp_path, bounce.columns(), turned)
-    with pytest.raises(InputError, match=r"run_1\.parquet: wrench_meas\.fz: pulls while pushing"):
+    with pytest.raises(InputError, match=r"run_1\.parquet: wrench_comp\.fz, wrench_meas\.fz: pulls while pushing"):
         load_dataset(path)
     own = "{wrench_meas.fz: {scale: -1.0}, wrench_comp.fz: {scale: -1.0}}"
     path.write_text(path.read_text().replace("run_1.parquet}", f"run_1.parquet, channels: {own}}}"))
@@ -78,6 +79,51 @@ def test_a_faulty_entry_is_refused_with_its_line(tmp_path: Path, entry: str, fau
     with pytest.raises(InputError, match=fault) as raised:
         load_dataset(path)
     assert raised.value.faults[0].line == 5
+
+
+@pytest.mark.parametrize(
+    ("name", "meant"),
+    [
+        ("force.fz", "wrench_meas.fz"),
+        ("load.tx", "wrench_meas.tx"),
+        ("F_comp.fz", "wrench_comp.fz"),
+        ("wrench_mes.fz", "wrench_meas.fz"),
+        ("wrench_tru.fz", "wrench_true.fz"),
+        ("position.pz", "pose_act.pz"),
+        ("setpoint.pz", "pose_cmd.pz"),
+        ("banana.peel", None),
+    ],
+)
+def test_an_unknown_channel_is_taken_for_a_measured_one(tmp_path: Path, name: str, meant: str | None) -> None:
+    path = bounce.write_dataset(tmp_path, bounce.columns(), channels=f"channels:\n  {name}: {{column: F}}\n")
+    with pytest.raises(InputError) as raised:
+        load_dataset(path)
+    found = re.search(r"did you mean '([\w.]+)'", raised.value.faults[0].message)
+    assert (found[1] if found else None) == meant
+
+
+def test_one_message_for_a_mistake_that_six_channels_share(tmp_path: Path) -> None:
+    """In the map, in the names of columns, and in the data: each is one line that names all channels and what each would be."""
+    parts = ("fx", "fy", "fz", "tx", "ty", "tz")
+    unknown = "".join(f"  force.{part}: {{column: {part}}}\n" for part in parts)
+    lacking = "".join(f"  wrench_meas.{part}: {{column: Force_{part}}}\n" for part in parts)
+    for entries in (unknown, lacking):
+        path = bounce.write_dataset(tmp_path, bounce.columns(), channels=f"channels:\n{entries}")
+        with pytest.raises(InputError) as raised:
+            load_dataset(path)
+        assert len(raised.value.faults) == 1
+        assert all(name in str(raised.value) for name in (f"wrench_meas.{part}" for part in parts))
+    assert all(f"Force_{part}" in str(raised.value) for part in parts)
+    table = bounce.columns()
+    for group in ("wrench_meas", "wrench_comp"):
+        table |= {f"{group}.fx": -0.3 * table[f"{group}.fz"], f"{group}.fz": -table[f"{group}.fz"]}
+    table |= {f"{group}.px": bounce.SIDE * at + 0.3 * (table[f"{group}.pz"] - bounce.SPEED * at) for group in ("pose_cmd", "pose_act")
+              for at in [table["t"]]}  # fmt: skip
+    with pytest.raises(InputError) as raised:
+        load_dataset(bounce.write_dataset(tmp_path, table))
+    (wrong,) = (fault for fault in raised.value.faults if "pulls while pushing" in fault.message)
+    assert wrong.key == "wrench_comp.fz, wrench_comp.fx, wrench_meas.fz, wrench_meas.fx"
+    assert "{wrench_comp.fz: {scale: -1}}; likewise for wrench_comp.fx, wrench_meas.fz, wrench_meas.fx" in wrong.message
 
 
 def test_units_are_what_they_are_defined_to_be() -> None:

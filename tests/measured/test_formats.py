@@ -16,6 +16,7 @@ from hiltestbed.errors import InputError, MissingExtra
 from hiltestbed.measured import apart, load_dataset
 from hiltestbed.measured import columns as columns_module
 from hiltestbed.measured.formats import READERS, read_columns, reader
+from hiltestbed.measured.units import UNITS
 
 from . import bounce
 
@@ -211,6 +212,18 @@ def test_text_in_a_column_is_refused_with_its_place(tmp_path: Path) -> None:
     _csv(tmp_path / "run.csv", table)
     with pytest.raises(InputError, match="overload"):
         load_dataset(bounce.write_dataset(tmp_path, files=("run.csv",)))
+
+
+@pytest.mark.parametrize(("units", "unit"), [("s;N;m", "kN"), ("[ms];[kN];[mm]", "ms"), ("(s);(lbf);(m)", "lbf")])
+def test_a_row_of_units_is_refused_with_what_to_do(tmp_path: Path, units: str, unit: str) -> None:
+    """A file without the row is read as it is, and the unit that the message proposes is one of the channel map's."""
+    (tmp_path / "run.csv").write_text(f"# logger\nt;F z;x\n{units}\n0;1;2\n1;2;3\n")
+    with pytest.raises(InputError, match=r"in line 3, as a row of units .*; delete this line") as raised:
+        read_columns(tmp_path / "run.csv", frozenset({"t", "F z"}))
+    assert f"unit: {unit}}}" in str(raised.value)
+    assert any(unit in known for known in UNITS.values())
+    (tmp_path / "run.csv").write_text("# logger\nt;F z;x\n0;1;2\n1;2;3\n")
+    assert read_columns(tmp_path / "run.csv", frozenset({"t", "F z"})).data["F z"].tolist() == [1.0, 2.0]
 
 
 def test_a_file_without_header_is_refused(tmp_path: Path) -> None:

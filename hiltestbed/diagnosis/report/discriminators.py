@@ -8,7 +8,7 @@ speeds, offsets, press and hold); equations of the contact: k_app = k cos w tau 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -26,9 +26,10 @@ class Rule:
     second: frozenset[str]
     plan: Callable[[Facts], Plan]
 
-    def separates(self, effects: frozenset[str]) -> bool:
-        """Whether the rule separates two different effects of the set."""
-        return any(a != b for a in effects & self.first for b in effects & self.second)
+    def separates(self, effect: str, rival: str) -> bool:
+        """Whether the rule separates two different effects."""
+        pairs = ((effect, rival), (rival, effect))
+        return effect != rival and any(a in self.first and b in self.second for a, b in pairs)
 
 
 def springs_for_delay(f: Facts) -> Plan:
@@ -93,15 +94,25 @@ def both_ways_sideways(f: Facts) -> Plan:
 def rebound(f: Facts) -> Plan:
     late = f.estimate("log.skew", "delay", f.estimate("sensor.delay", "delay", f.tick))
     factor = math.exp(0.5 * math.pi * f.frequency * late)
+    stiff = rounded(4 * f.stiffness)
+    record = "Record wrench_comp as well (what the numerical model is driven with), and run" if "wrench_comp" in f.lacking else "Run"
     text = (
-        f"Record wrench_comp (what the numerical model was driven with) or the rebound speed. A delay of {1e3 * late:.3g} ms "
-        "inside the loop "
-        f"raises the coefficient of restitution by exp(pi w tau/2) = {factor:.4f} at the present spring"
-        f" and by {math.exp(math.pi * f.frequency * late):.4f} at one four times as stiff; a record that is merely stamped "
-        "late leaves it "
-        "as it is."
+        f"{record} the same approach ({f.fast:g} m/s) on the present spring and on one of {stiff:g} N/m, and compare the rebound speeds of "
+        f"pose_cmd. A delay, jitter or lag of {1e3 * late:.3g} ms inside the loop raises the coefficient of restitution by "
+        f"exp(pi w tau/2) = {factor:.4f} and {math.exp(math.pi * f.frequency * late):.4f}; a record that is merely stamped late leaves it "
+        "as it is on both."
     )
-    return text, (f.with_spring(rounded(4 * f.stiffness)),)
+    return text, (f.at_speed(f.fast), f.with_spring(stiff) | f.at_speed(f.fast))
+
+
+def repeated_edges(f: Facts) -> Plan:
+    late = f.estimate("sensor.jitter", "sigma", f.estimate("sensor.delay", "delay", f.tick))
+    text = (
+        f"Tap the sensor with a hammer 100 times and log the tap by a second sensor on the same clock at {1 / f.tick:g} Hz. The edge of "
+        f"wrench_meas follows that of the tap: with jitter its lateness scatters from tap to tap, here by {1e3 * late:.3g} ms; after a "
+        "delay it is the same every time, after a lag the edge is less steep."
+    )
+    return text, ()
 
 
 def speed_ladder(f: Facts) -> Plan:
@@ -112,7 +123,8 @@ def speed_ladder(f: Facts) -> Plan:
     text = (
         f"Run a ladder of speeds on the present spring: {listed} m/s. The loop of force over penetration separates them: dry "
         "friction keeps its "
-        "width in newtons at every speed, a viscous damper's grows with the speed, a Hunt-Crossley damper's with the speed times the "
+        "width in newtons at every speed, a preload has no width but lifts both branches, "
+        "a viscous damper's grows with the speed, a Hunt-Crossley damper's with the speed times the "
         "penetration, a relaxing branch's with neither at the slow end. A power law shows as a stiffness that grows with the peak force, "
         "a stop as a knee at one penetration."
     )
@@ -137,7 +149,8 @@ def springs_for_frame(f: Facts) -> Plan:
     text = (
         f"Run known springs of k = {low:g} and {high:g} N/m. A frame of {frame:.3g} N/m in series takes "
         f"{100 * low / (low + frame):.2g} % off "
-        f"the one and {100 * high / (high + frame):.2g} % off the other; a wrong factor takes the same part off both. Or mount a second "
+        f"the one and {100 * high / (high + frame):.2g} % off the other; a wrong factor takes the same part off both, "
+        "a preload adds the same force to both. Or mount a second "
         "displacement sensor across the mechanism: it sees the penetration without the frame."
     )
     return text, tuple(f.with_spring(k) for k in (low, high))
@@ -148,7 +161,8 @@ def touch_detector(f: Facts) -> Plan:
     offset = f.estimate("contact.touch_offset", "offset", f.estimate("contact.preload", "force", 0.02 * f.peak) / f.stiffness)
     text = (
         f"Detect the touch by itself: an electrical contact across the ports, read at {1 / f.tick:g} Hz, at {f.slow:g} m/s. An offset of "
-        f"{1e3 * offset:.3g} mm moves the touch, a preload does not. Another speed does not help; two springs do: at k = {low:g} and "
+        f"{1e3 * offset:.3g} mm moves the touch; a preload, dry friction and a compliant frame do not. "
+        f"Another speed does not help; two springs do: at k = {low:g} and "
         f"{high:g} N/m the offset shifts the force by {low * offset:.3g} and {high * offset:.3g} N, a preload by the same."
     )
     return text, tuple(f.with_spring(k) | f.at_speed(f.slow) for k in (low, high))
@@ -168,10 +182,10 @@ def press_and_hold(f: Facts) -> Plan:
 
 def long_free(f: Facts) -> Plan:
     text = (
-        f"Record the sensor for 60 s without contact, from the moment it is tared, at three attitudes. A bias stays, a drift grows in "
-        f"proportion to the time (1 N/s shows within {max(20 * f.noise, 1e-3):.2g} s above the noise of {f.noise:.2g} N), a "
-        "weight that was not tared follows "
-        "the attitude, a tone stands in the spectrum."
+        f"Read the sensor for 60 s without contact, from the moment it is tared, at three attitudes, and for 60 s more under a weight of "
+        f"{rounded(0.5 * f.peak):g} N. A bias stays, a drift grows in proportion to the time with and without the weight (1 N/s shows "
+        f"within {max(20 * f.noise, 1e-3):.2g} s above the noise of {f.noise:.2g} N), a leaking charge lets the weight's reading decay and "
+        "shows nothing without it, a weight that was not tared follows the attitude, a tone stands in the spectrum."
     )
     return text, ({"approach.gap": 0.2, "approach.velocity": [0.0, 0.0, 0.0]},)
 
@@ -179,11 +193,97 @@ def long_free(f: Facts) -> Plan:
 def weights_ladder(f: Facts) -> Plan:
     width = max(f.estimate("sensor.deadzone", "width", 0.0), f.estimate("loop.deadzone", "width", 0.0), 4 * f.noise)
     limit = f.estimate("sensor.saturation", "limit", f.peak)
-    loads = ", ".join(f"{rounded(w):g}" for w in (0.3 * width, 0.7 * width, 1.5 * width, 0.9 * limit, 1.2 * limit))
+    loads = ", ".join(f"{rounded(w):g}" for w in sorted((0.3 * width, 0.7 * width, 1.5 * width, 0.5 * limit, 0.9 * limit, 1.2 * limit)))
     text = (
-        f"Load the sensor with known weights, no contact: {loads} N, and record wrench_meas and wrench_comp. A dead zone of the sensor "
-        "reads zero below its width, one of the loop shows in wrench_comp alone, a saturation reads its limit, and an effect of the "
-        "contact shows in neither."
+        f"Load the sensor with known weights, no contact: {loads} N, and compare the readings{f.log('wrench_comp')}. A dead zone of the "
+        "sensor reads zero below its width, one of the loop shows in wrench_comp alone, a saturation reads its limit, a wrong gain the "
+        "same factor at every weight, a map of the calibration a curve. A law of the contact (a power law, a stop, a stiffness, play, a "
+        "preload, an offset of the touch) shows in none of them."
+    )
+    return text, ()
+
+
+def three_weights(f: Facts) -> Plan:
+    load = rounded(f.peak)
+    angles: Sequence[float] = f.estimates.get("sensor.rotation", {}).get("angles_deg", (0.0, 0.0, 0.0))
+    angle = max(abs(float(a)) for a in angles[:2]) or 2.0
+    side = load * math.sin(math.radians(angle))
+    text = (
+        f"Load the sensor with a weight of {load:g} N along z, then along x and along y, without contact. A sensor that is rotated by "
+        f"{angle:.2g} deg about x or y reads {side:.3g} N on a lateral axis under the first and as much with the other sign on z under the "
+        "second, and its torques turn with the forces; cross-talk has its own ratio for each pair of axes and leaves the torques; a bias "
+        "is the same under all; a wrong gain leaves the other axes at zero. Everything that needs the contact shows nothing here: a tilted "
+        "port (misalignment), friction of the surfaces, a compliant frame, stiffness, damping."
+    )
+    return text, ()
+
+
+def beyond_the_data(f: Facts) -> Plan:
+    slow, fast = rounded(0.25 * f.slow), rounded(2.0 * f.fast)
+    runs = (
+        f"Cycle the captured mechanism with amplitudes of {500 * f.depth:.2g} and {2e3 * f.depth:.2g} mm at 0.05 and 4 Hz"
+        if f.captured
+        else f"Run at {slow:g} and {fast:g} m/s with the present spring"
+    )
+    text = (
+        f"{runs}, outside the penetrations and rates of these data. A power law, a hard stop, a damper or dry friction that is the cause "
+        f"predicts these runs with its present estimates. The curves of a map hold only up to {1e3 * f.depth:.2g} mm: if the force follows "
+        "them, the estimates of the simpler law fail here."
+    )
+    return text, () if f.captured else (f.at_speed(slow), f.at_speed(fast))
+
+
+def travel_in_air(f: Facts) -> Plan:
+    width = max(f.estimate("platform.backlash", "width", 0.0), f.estimate("contact.backlash", "width", 0.0), 5e-5)
+    text = (
+        f"Move the platform in air, ports apart, along {f.axis} in slow triangles of {1e3 * rounded(20 * width):g} mm and compare pose_act "
+        "with pose_cmd. A scale error of the platform is a slope, its play (backlash) a distance that changes at each reversal; a touch "
+        "that is offset, play in the latch and everything else of the contact shows nothing in air."
+    )
+    return text, ()
+
+
+def sweeps_of_a_drive(f: Facts) -> Plan:
+    top = min(0.2 / f.tick, 100.0)
+    text = (
+        f"Sweep the platform in air along {f.axis} from 0.5 to {rounded(top):g} Hz in 60 s, with amplitudes of {1e3 * f.stroke:g}, "
+        f"{250 * f.stroke:g} and {25 * f.stroke:g} mm. A lag and a mode have the same gain and phase at every amplitude; a drive that "
+        "works against dry friction responds less the smaller it is, holds at each reversal, and settles on the command again if its "
+        "controller integrates; play (backlash) keeps a constant distance to the command, and stiction (platform.friction) moves in jumps."
+    )
+    return text, ()
+
+
+def wider_sweep(f: Facts) -> Plan:
+    top = min(0.4 / f.tick, 200.0)
+    text = (
+        f"Sweep the platform in air along {f.axis} from 0.5 to {rounded(top):g} Hz in 60 s with an amplitude of {1e3 * f.stroke:g} mm. A "
+        "lag, a delay or a mode predicts gain and phase of the whole sweep with its present estimates; where it does not, the response is "
+        "of a higher order, as platform.response has it from its step."
+    )
+    return text, ()
+
+
+def sensor_alone(f: Facts) -> Plan:
+    text = (
+        f"Load the sensor by itself, no contact: known weights up to {rounded(f.peak):g} N along each axis, held for 60 s, and a tap with "
+        "a hammer. What the sensor does is in these readings as well (gain, axes, offset, decay, edge); what another part of the loop "
+        "does is not."
+    )
+    return text, ()
+
+
+def platform_alone(f: Facts) -> Plan:
+    sweep, _ = air_sweep(f)
+    return f"{sweep} What another part of the loop does needs the contact and is not in this sweep.", ()
+
+
+def model_alone(f: Facts) -> Plan:
+    push = rounded(f.peak * math.pi / f.frequency / 2)
+    text = (
+        f"Drive the numerical model by itself with a computed pulse of {push:g} N s, the rig switched off. Its ports part at "
+        f"{push / f.mass:.4g} m/s if the masses are those believed, on a straight line, from the tick of the pulse on: what departs from "
+        "this is due to the model; if nothing does, the other part of the loop is the cause."
     )
     return text, ()
 
@@ -240,8 +340,8 @@ def long_after(f: Facts) -> Plan:
     tone = f.estimate("dynamics.appendage", "frequency", 0.3)
     text = (
         f"Record {rounded(max(4 / tone, 2.0)):g} s of free flight after the contact. An appendage on a spring makes pose_cmd "
-        "oscillate at about "
-        f"{tone:.2g} Hz without a force; a wrong mass leaves straight lines."
+        f"oscillate at about {tone:.2g} Hz without a force; a force that resists the motion (dynamics.force) bends it until it rests; a "
+        "wrong mass leaves straight lines."
     )
     return text, ({"duration": rounded(max(4 / tone, 2.0)) + 1.0},)
 
@@ -260,9 +360,8 @@ def other_rate(f: Facts) -> Plan:
 def tap(f: Facts) -> Plan:
     text = (
         "Tap the sensor's frame, then the platform's port, with a hammer while all stands still and record both at the full rate: the "
-        "frame's mode rings in the force after the first, the platform's in pose_act after the second. A leaking charge or an "
-        "adhesion rings "
-        "in neither."
+        "frame's mode rings in the force after the first, the platform's in pose_act after the second. A hum is there before the tap too; "
+        "a compliant frame, a leaking charge, an adhesion, a damper, a lag or a delay of the sensor rings in neither."
     )
     return text, ()
 
@@ -285,33 +384,52 @@ def rule(first: str, second: str, plan: Callable[[Facts], Plan]) -> Rule:
 _LATE = "sensor.delay sensor.lag platform.delay platform.lag dynamics.step_delay dynamics.integrator"
 _LOSS = "contact.damping contact.hunt_crossley contact.dry_friction"
 _TOUCH = "contact.touch_offset contact.preload"
+_NO_RING = "sensor.highpass sensor.hum sensor.lag sensor.delay"
 _CURVED = "contact.power_law contact.hard_stop"
 _PLAY = "platform.backlash platform.friction"
 _RESPONSE = "platform.delay platform.lag platform.mode platform.speed_limit"
+_TOUCHING = "contact.misalignment contact.surface_friction frame.compliance contact.stiffness contact.damping"
 
 RULES = (
     rule("log.skew", "sensor.delay sensor.lag sensor.jitter dynamics.step_delay", rebound),
-    rule("sensor.lag", "sensor.delay sensor.jitter", fast_contact_for_lag),
+    rule("sensor.lag", "sensor.delay", fast_contact_for_lag),
+    rule("sensor.jitter", "sensor.delay sensor.lag", repeated_edges),
     rule("contact.damping", f"{_LATE} log.skew", springs_for_delay),
     rule("sensor.gain", "contact.stiffness contact.damping contact.power_law frame.compliance contact.relaxation", known_weight),
-    rule(_TOUCH, f"{_TOUCH} frame.compliance contact.dry_friction", touch_detector),
-    rule("frame.compliance", "contact.stiffness contact.power_law contact.relaxation", springs_for_frame),
+    rule(_TOUCH, _TOUCH, touch_detector),
+    rule("contact.touch_offset", "frame.compliance contact.dry_friction", touch_detector),
+    rule("frame.compliance", "contact.stiffness contact.power_law contact.relaxation contact.preload", springs_for_frame),
     rule("contact.surface_friction", "sensor.crosstalk contact.misalignment sensor.bias", both_ways_sideways),
+    rule("sensor.rotation", f"sensor.crosstalk sensor.bias sensor.gain {_TOUCHING}", three_weights),
     rule("sensor.crosstalk", "contact.misalignment sensor.gain sensor.bias dynamics.port_offset", axial_weight),
     rule("contact.relaxation", f"contact.stiffness sensor.highpass {_LOSS} sensor.lag", press_and_hold),
     rule("contact.adhesion", f"sensor.highpass sensor.bias {_LOSS}", slow_parting),
     rule("sensor.deadzone", "loop.deadzone contact.touch_offset contact.backlash contact.preload contact.power_law", weights_ladder),
+    rule("sensor.map", "sensor.gain sensor.saturation sensor.deadzone contact.power_law contact.hard_stop", weights_ladder),
     rule("sensor.saturation", "contact.hard_stop contact.power_law contact.stiffness sensor.gain", weights_ladder),
     rule("sensor.bias sensor.drift sensor.hum sensor.highpass", "sensor.bias sensor.drift sensor.hum sensor.highpass", long_free),
-    rule("frame.mode", "platform.mode sensor.highpass contact.adhesion sensor.hum sensor.lag sensor.delay contact.damping", tap),
+    rule("frame.mode", f"platform.mode frame.compliance contact.adhesion contact.damping {_NO_RING}", tap),
     rule(f"{_LOSS} contact.preload", f"{_LOSS} contact.preload", speed_ladder),
     rule(_CURVED, f"{_CURVED} {_TOUCH} contact.stiffness", speed_ladder),
+    rule("contact.map", f"{_CURVED} contact.damping contact.dry_friction", beyond_the_data),
+    rule("contact.touch_offset contact.backlash", "platform.scale platform.backlash", travel_in_air),
+    rule("platform.drive", "platform.lag platform.backlash platform.friction platform.mode platform.delay", sweeps_of_a_drive),
+    rule("platform.response", "platform.lag platform.delay platform.mode", wider_sweep),
     rule(_PLAY, f"{_PLAY} platform.scale platform.delay platform.lag", reversals),
     rule(_RESPONSE, f"{_RESPONSE} platform.scale", air_sweep),
-    rule("dynamics.appendage", "dynamics.mass", long_after),
+    rule("dynamics.appendage dynamics.force", "dynamics.appendage dynamics.force dynamics.mass", long_after),
     rule("dynamics.inertia dynamics.port_offset", "dynamics.inertia dynamics.port_offset dynamics.mass", off_centre),
     rule("dynamics.integrator dynamics.step_delay", "dynamics.integrator dynamics.step_delay dynamics.mass", other_rate),
 )  # fmt: skip
+
+# where no rule applies and two effects act on different links: the link that can be tested by itself, in this order
+ALONE: dict[str, Callable[[Facts], Plan]] = {
+    "log": rebound,
+    "platform": platform_alone,
+    "sensor": sensor_alone,
+    "compensation": weights_ladder,
+    "dynamics": model_alone,
+}
 
 BY_LINK: dict[str, Callable[[Facts], Plan]] = {
     "platform": air_sweep,

@@ -2,9 +2,21 @@
 
 from __future__ import annotations
 
-from hiltestbed.diagnosis.report.discriminators import BY_LINK, RULES, air_sweep, bodies_absolute, press_and_hold, speed_ladder
+from collections.abc import Callable
+
+from hiltestbed.diagnosis.report.discriminators import (
+    ALONE,
+    BY_LINK,
+    RULES,
+    Plan,
+    air_sweep,
+    bodies_absolute,
+    press_and_hold,
+    speed_ladder,
+)
 from hiltestbed.diagnosis.report.facts import Facts, facts_of
 from hiltestbed.diagnosis.result import Cause, Experiment, Finding
+from hiltestbed.effects import EFFECTS
 from hiltestbed.measured import MeasuredDataset
 
 MAX_MASS_FACTOR = 100.0  # chosen: no mass is wrong by more
@@ -15,7 +27,7 @@ def next_experiment(finding: Finding, dataset: MeasuredDataset) -> Experiment | 
     facts = facts_of(dataset, finding.causes)
     if finding.verdict in ("unknown", "named_in_part"):
         return for_unknown(finding, facts)
-    plans = [separating(c, finding.link, facts) for c in finding.causes if c.indistinguishable_from]
+    plans = [separating(c, facts) for c in finding.causes if c.indistinguishable_from]
     if mass_of_either_body(finding, dataset):
         text, runs = bodies_absolute(facts)
         plans.append(Experiment(text, ("dynamics.mass",), runs))
@@ -27,20 +39,27 @@ def next_experiment(finding: Finding, dataset: MeasuredDataset) -> Experiment | 
     return Experiment(" Then: ".join(p.text for p in plans), effects, runs)
 
 
-def separating(cause: Cause, link: str | None, facts: Facts) -> Experiment:
-    """The experiment of the first rule for a cause and its rivals, or of the link where no rule applies.
+def separating(cause: Cause, facts: Facts) -> Experiment:
+    """The experiments that separate a cause from each of its rivals, each stated once."""
+    plans = [plan(facts) for plan in dict.fromkeys(plan_for(cause.effect, rival) for rival in cause.indistinguishable_from)]
+    effects = tuple(dict.fromkeys((cause.effect, *sorted(cause.indistinguishable_from))))
+    what = f"{effects[0]} from {' and '.join(effects[1:])}" if len(effects) > 1 else f"the bodies of {cause.effect}"
+    text = " Then: ".join(text for text, _ in plans)
+    return Experiment(
+        f"To tell {what}: {text[0].lower()}{text[1:]}", tuple(sorted(effects)), tuple(run for _, runs in plans for run in runs)
+    )
 
-    An effect among its own rivals is the same effect on the other body.
+
+def plan_for(effect: str, rival: str) -> Callable[[Facts], Plan]:
+    """The plan of the first rule for two effects; without one, the plan that tests one of their links alone, or that of their link.
+
+    An effect that is its own rival is the same effect on the other body.
     """
-    effects = frozenset((cause.effect, *cause.indistinguishable_from))
-    plan = BY_LINK.get(link or "", speed_ladder)
-    if cause.effect in cause.indistinguishable_from:
-        plan = bodies_absolute
-    else:
-        plan = next((rule.plan for rule in RULES if rule.separates(effects)), plan)
-    text, runs = plan(facts)
-    what = " from ".join(sorted(effects)) if len(effects) > 1 else f"the bodies of {cause.effect}"
-    return Experiment(f"To tell {what}: {text[0].lower()}{text[1:]}", tuple(sorted(effects)), runs)
+    if effect == rival:
+        return bodies_absolute
+    links = [EFFECTS[e].link for e in (effect, rival)]
+    alone = next((plan for link, plan in ALONE.items() if link in links and links[0] != links[1]), None)
+    return next((rule.plan for rule in RULES if rule.separates(effect, rival)), alone or BY_LINK[links[0]])
 
 
 def for_unknown(finding: Finding, facts: Facts) -> Experiment:

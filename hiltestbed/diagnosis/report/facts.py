@@ -13,6 +13,7 @@ from hiltestbed.diagnosis.result import Cause
 from hiltestbed.measured import MeasuredDataset
 
 MAX_SWEEP = 2e-3  # [m] amplitude of a sweep
+LOGGED = ("pose_cmd", "pose_act", "wrench_meas", "wrench_comp")
 
 
 @dataclass(frozen=True)
@@ -23,7 +24,7 @@ class Facts:
         springs: nominal stiffnesses of the runs [N/m], in order. stiffness: the scenario's [N/m]. damping: [N s/m].
         mass: reduced mass [kg]. target: mass of the target [kg]. slow, fast: approach speeds [m/s]. peak: force [N].
         depth: penetration [m]. noise: of the force [N]. tick: [s]. delay: nominal, of the sensor [s]. lateral: a run slides sideways.
-        estimates: effect to its parameters.
+        lacking: channels of the loop that some run did not record. estimates: effect to its parameters.
     """
 
     springs: tuple[float, ...]
@@ -42,12 +43,17 @@ class Facts:
     captured: bool = False
     axis: str = "z"
     stroke: float = 2e-3
+    lacking: frozenset[str] = frozenset()
     estimates: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
     def estimate(self, effect: str, parameter: str, otherwise: float) -> float:
         """Magnitude of an estimate; `otherwise` where that effect has none, or is zero."""
         value = self.estimates.get(effect, {}).get(parameter)
         return abs(float(value)) if isinstance(value, (int, float)) and value else otherwise
+
+    def log(self, channel: str) -> str:
+        """Words that ask for a channel, where it was not recorded."""
+        return f" (log {channel} too)" if channel in self.lacking else ""
 
     @property
     def frequency(self) -> float:
@@ -97,7 +103,8 @@ def facts_of(dataset: MeasuredDataset, causes: Sequence[Cause]) -> Facts:
         captured=nominal.mechanism.captured,
         axis=axis,
         stroke=stroke,
-        estimates={c.effect: c.entry() for c in causes},
+        lacking=frozenset(g for g in LOGGED if not all(r.record.has(g) for r in runs)),
+        estimates={e["kind"]: e for c in causes for told in (*c.alternatives, (c.entry(),)) for e in told},
     )
 
 

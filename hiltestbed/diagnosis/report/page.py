@@ -12,7 +12,7 @@ from hiltestbed.diagnosis.report.certain import certainty_section
 from hiltestbed.diagnosis.report.extend import in_words
 from hiltestbed.diagnosis.report.facts import rounded
 from hiltestbed.diagnosis.report.sentence import TITLES, gain_sentence, learned_sentence, meaning, partial_sentence, verdict_sentence
-from hiltestbed.diagnosis.result import Cause, Diagnosis, Figures, Isolable
+from hiltestbed.diagnosis.result import Cause, Diagnosis, Figures, Finding, Isolable
 from hiltestbed.effects.table import EFFECTS
 from hiltestbed.report import Report
 
@@ -23,6 +23,8 @@ def report_of(diagnosis: Diagnosis) -> Report:
     """The page."""
     report = Report(f"Diagnosis of {diagnosis.name}: {TITLES[diagnosis.verdict]}")
     report.lead(verdict_sentence(diagnosis))
+    for text in diagnosis.overridden:
+        report.text(text)
     report.text(_summary(diagnosis))
     _causes(report, diagnosis)
     _evidence(report, diagnosis)
@@ -30,7 +32,7 @@ def report_of(diagnosis: Diagnosis) -> Report:
     _ranking(report, diagnosis)
     _gain(report, diagnosis)
     _next(report, diagnosis)
-    _isolability(report, diagnosis.finding.isolability)
+    _isolability(report, diagnosis.finding)
     _channels(report, diagnosis)
     _data(report, diagnosis)
     return report
@@ -179,10 +181,15 @@ def _next(report: Report, d: Diagnosis) -> None:
         report.code("\n".join(lines))
 
 
-def _isolability(report: Report, table: Sequence[Isolable]) -> None:
-    if not table:
+def _isolability(report: Report, finding: Finding) -> None:
+    table = finding.isolability
+    if not table and not finding.unsized:
         return
     report.heading("What these data could detect")
+    for link, why in finding.unsized.items():
+        report.text(f"No sizes can be stated for the effects of the {link}: {why}.")
+    if not table:
+        return
     rows = [
         (i.effect, i.parameter, _size(i),
          ", ".join(i.confused_with) or "none")

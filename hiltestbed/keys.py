@@ -1,0 +1,123 @@
+"""Every key of a kind of file, with what it takes and means, from its JSON Schema; and the search among them."""
+
+from __future__ import annotations
+
+import difflib
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from hiltestbed.errors import InputError
+
+OF_ITS_KEYS = "those of its keys"  # the default of a section
+REQUIRED = "must be given"
+NUMBER, NAME = "N", "NAME"  # in a key: any item of a list, any name of a mapping
+
+
+@dataclass(frozen=True)
+class Key:
+    """A key of a file.
+
+    Attributes:
+        path: its dotted name; items of lists are ``N``, freely chosen names ``NAME``. kinds: the ``kind`` of each section above it that has
+            several, outermost first. takes: values, in words. default: as in JSON, or what stands for it. meaning: one sentence.
+    """
+
+    path: str
+    kinds: tuple[str, ...]
+    takes: str
+    default: str
+    meaning: str
+
+    def __str__(self) -> str:
+        where = f"{self.path} ({', '.join(f'kind: {kind}' for kind in self.kinds)})" if self.kinds else self.path
+        default = f"; {self.default}" if self.default == REQUIRED else f"; default {self.default}" if self.default else ""
+        return f"{where}: {self.takes}{default}\n    {self.meaning}"
+
+
+def keys_of(schema: Mapping[str, Any]) -> Iterator[Key]:
+    """Every key below a JSON Schema, each section after its own key."""
+    yield from _below(schema, schema.get("$defs", {}), "", ())
+
+
+def at(keys: Sequence[Key], path: str) -> list[Key]:
+    """A key and the keys directly below it. Raises InputError with the nearest keys if there is none of that name."""
+    parts = path.split(".")
+    found = [key for key in keys if _matches(key.path.split("."), parts)]
+    if not found:
+        known = list(dict.fromkeys(key.path for key in keys))
+        close = difflib.get_close_matches(path, known, n=3, cutoff=0.5) or [p for p in known if p.rpartition(".")[2] == parts[-1]][:3]
+        hint = f"nearest: {', '.join(close)}; " if close else ""
+        raise InputError(f"schema: no such key (got {path!r}); {hint}hiltestbed schema --search WORD finds keys by their meaning")
+    return found
+
+
+def search(keys: Sequence[Key], words: str) -> list[Key]:
+    """The keys whose name, kind or meaning contains every one of the words, whatever their case."""
+    wanted = words.lower().split()
+    return [key for key in keys if all(word in f"{key.path} {' '.join(key.kinds)} {key.meaning}".lower() for word in wanted)]
+
+
+def takes(about: Mapping[str, Any]) -> str:
+    """What a key takes, in words."""
+    if "const" in about:
+        return f"`{about['const']}`"
+    if "enum" in about:
+        return ", ".join(f"`{value}`" for value in about["enum"])
+    if "$ref" in about:
+        return about["$ref"].rpartition("/")[2]
+    for union in ("anyOf", "oneOf"):
+        if union in about:
+            return " or ".join(dict.fromkeys(takes(member) for member in about[union]))
+    if about.get("type") == "array":
+        inner = takes(about["items"]) if isinstance(about.get("items"), Mapping) else "values"
+        count = about.get("minItems") if about.get("minItems") == about.get("maxItems") else None
+        return f"list of {count or ''} {inner}".replace("  ", " ")
+    bounds = {"exclusiveMinimum": ">", "minimum": ">=", "exclusiveMaximum": "<", "maximum": "<="}
+    limits = ", ".join(f"{sign} {about[name]:g}" for name, sign in bounds.items() if name in about)
+    return " ".join(filter(None, [str(about.get("type", "anything")), limits]))
+
+
+def default_of(about: Mapping[str, Any], required: bool) -> str:
+    """The default of a key, in JSON; a section's stand with its keys."""
+    if required:
+        return REQUIRED
+    value = about.get("default", "")
+    return OF_ITS_KEYS if isinstance(value, Mapping) and value else json.dumps(value) if "default" in about else ""
+
+
+def _below(about: Mapping[str, Any], definitions: Mapping[str, Any], path: str, kinds: tuple[str, ...]) -> Iterator[Key]:
+    """The keys below one place of the schema."""
+    if "$ref" in about:
+        yield from _below(definitions[about["$ref"].rpartition("/")[2]], definitions, path, kinds)
+    for member in (*about.get("anyOf", ()), *about.get("oneOf", ())):
+        yield from _below(member, definitions, path, kinds)
+    if isinstance(about.get("items"), Mapping):
+        yield from _below(about["items"], definitions, f"{path}.{NUMBER}", kinds)
+    if isinstance(about.get("additionalProperties"), Mapping):
+        yield from _below(about["additionalProperties"], definitions, f"{path}.{NAME}", kinds)
+    properties = about.get("properties", {})
+    kind = properties.get("kind", {}).get("const")
+    kinds = (*kinds, kind) if kind else kinds
+    for name, inner in properties.items():
+        here = f"{path}.{name}" if path else name
+        words = _section_of(inner, definitions) or takes(inner).replace("`", "")
+        yield Key(here, kinds, words, default_of(inner, name in about.get("required", ())), inner.get("description", "-"))
+        yield from _below(inner, definitions, here, kinds)
+
+
+def _section_of(about: Mapping[str, Any], definitions: Mapping[str, Any]) -> str:
+    """What a section that has several kinds takes, or a list of such sections; empty for anything else."""
+    if isinstance(about.get("items"), Mapping) and (inner := _section_of(about["items"], definitions)):
+        return f"list of {inner}"
+    members = [definitions[m["$ref"].rpartition("/")[2]] for m in about.get("oneOf", ()) if "$ref" in m]
+    kinds = [m["properties"]["kind"]["const"] for m in members if "const" in m.get("properties", {}).get("kind", {})]
+    return f"section of kind {', '.join(kinds)}" if kinds and len(kinds) == len(about["oneOf"]) else ""
+
+
+def _matches(path: Sequence[str], wanted: Sequence[str]) -> bool:
+    """Whether a key is the wanted one or directly below it, where numbers and names stand for any."""
+    if not len(wanted) <= len(path) <= len(wanted) + 1 + (path[len(wanted) : len(wanted) + 1] in ([NUMBER], [NAME])):
+        return False
+    return all(p in (w, NAME) or (p == NUMBER and w.isdigit()) for p, w in zip(path, wanted, strict=False))

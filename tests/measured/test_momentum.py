@@ -1,0 +1,79 @@
+"""The force's impulse against the logged motion in closed form: the force's record may be late, filtered, reversed, in another unit."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from hiltestbed.measured import examine
+from hiltestbed.measured.balance import balances
+from hiltestbed.measured.momentum import Momentum
+from hiltestbed.measured.units import POUND_FORCE
+
+from . import bounce
+
+NOISE = 0.1  # [N]
+IMPULSE = 2 * bounce.SPEED / (1 / bounce.CHASER + 1 / bounce.TARGET)  # [N s] of an undamped bounce
+# 1 sigma of the impulse that white noise has over the run, as part of the impulse; four of them
+BY_NOISE = 4 * NOISE * math.sqrt(bounce.DURATION / bounce.RATE) / IMPULSE
+
+
+def _balance(folder: Path, columns: dict[str, np.ndarray]) -> Momentum:
+    run = examine(bounce.write_dataset(folder, columns)).runs[0]
+    return balances(run.record, run.scenario)["wrench_meas"]
+
+
+def _late(delay: float, time_constant: float = 0.0) -> np.ndarray:
+    """The force of the bounce (rows,) behind a delay and a first-order lag, of 100 steps a row."""
+    step = 0.01 / bounce.RATE
+    t = np.arange(round(bounce.DURATION / step)) * step
+    force = bounce.STIFFNESS * np.maximum(bounce._depth(t - delay), 0.0)
+    if time_constant:
+        part = -math.expm1(-step / time_constant)
+        force = lfilter([part], [1.0, part - 1.0], force)
+    return np.asarray(force[::100]) + NOISE * np.random.default_rng(3).standard_normal(len(force[::100]))
+
+
+@pytest.mark.parametrize("factor", [1.0, -1.0, 1 / POUND_FORCE, -0.6])
+@pytest.mark.parametrize(("delay", "time_constant"), [(0.0, 0.0), (0.0023, 0.0), (0.005, 0.0), (0.020, 0.0), (0.003, 0.006)])
+def test_a_late_record_has_the_impulse_of_the_force(tmp_path: Path, factor: float, delay: float, time_constant: float) -> None:
+    """Mass times change of velocity is 1/factor times the impulse. The fit is exact for a delay; a lag leaves the third order of w T."""
+    table = bounce.columns()
+    table["wrench_meas.fz"] = factor * _late(delay, time_constant)
+    pair = _balance(tmp_path, table)
+    tolerance = BY_NOISE + (bounce.OMEGA * time_constant) ** 3
+    assert pair.scale * factor == pytest.approx(1.0, abs=tolerance)
+    assert pair.axes["z"] == pytest.approx(pair.scale)
+    assert pair.late == pytest.approx(delay + time_constant, abs=0.2e-3)
+
+
+@pytest.mark.parametrize("factor", [1.0, -1.0])
+def test_an_oscillation_without_free_flight_shows_its_delay_too(tmp_path: Path, factor: float) -> None:
+    """On a sinusoid the force is proportional to the motion, so that delay and scale follow from phase and amplitude alone."""
+    table = bounce.columns()
+    amplitude, delay = 2e-3, 0.008
+    for group, at in (("pose_cmd", table["t"] + 1 / bounce.RATE), ("pose_act", table["t"])):
+        table[f"{group}.pz"] = amplitude * np.sin(bounce.OMEGA * at)
+    force = bounce.STIFFNESS * amplitude * np.sin(bounce.OMEGA * (table["t"] - delay))
+    force[table["t"] < delay] = 0.0
+    table["wrench_meas.fz"] = factor * (force + NOISE * np.random.default_rng(3).standard_normal(len(force)))
+    pair = _balance(tmp_path, table)
+    # the impulse between -delay and 0 is not in the record: k A w delay^2/2 of a velocity amplitude's k A/w
+    assert pair.scale * factor == pytest.approx(1.0, abs=BY_NOISE + (bounce.OMEGA * delay) ** 2 / 2)
+    assert pair.late == pytest.approx(delay, abs=0.2e-3)
+
+
+def test_pounds_are_recognised_behind_a_delay(tmp_path: Path) -> None:
+    """The hint is the exact factor of the unit, and the ratio beside it the true one."""
+    table = bounce.columns()
+    for group in ("wrench_meas", "wrench_comp"):
+        table[f"{group}.fz"] = table[f"{group}.fz"] / POUND_FORCE
+    table["wrench_meas.fz"] = _late(0.012) / POUND_FORCE
+    errors = [r for r in examine(bounce.write_dataset(tmp_path, table)).remarks if r.channel == "wrench_meas.fz" and r.check == "unit"]
+    assert errors[0].evidence["scale"] == pytest.approx(POUND_FORCE, rel=BY_NOISE)
+    assert "lbf" in errors[0].text
+    assert f"{POUND_FORCE:.8g}" in errors[0].fix
