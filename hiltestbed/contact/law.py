@@ -47,7 +47,7 @@ SLIP_SPEED = 2e-4  # [m/s] sgn(v) is tanh(v/SLIP_SPEED)
 MODE_STEP = 0.05  # [rad] largest phase advance of the frame's mode in one inner step
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def _law(x, v, branch, p, held):
     """Force [N] at penetration x [m] and rate v [m/s]; `branch` [N]: of Maxwell branch and sliders; `held`: it may pull."""
     if held:
@@ -88,11 +88,8 @@ def _of_spring(x, v, p):
 
 
 @njit(cache=True)
-def _with_frame(x, v, branch, p, held):
-    """The force with the frame's spring in series, at the total rate v: the root of F = law(x - F/k_frame)."""
-    rigid = _law(x, v, branch, p, held)
-    if p[FRAME] <= 0.0 or rigid == 0.0:
-        return rigid
+def _behind_frame(rigid, x, v, branch, p, held):
+    """The force with the frame's spring in series, at the total rate v: the root of F = law(x - F/k_frame); ``rigid``: without it."""
     low, high = min(rigid, 0.0), max(rigid, 0.0)
     force = rigid
     for _ in range(60):  # the law increases with x: one root between 0 and the rigid force
@@ -119,73 +116,95 @@ def contact_force(x, v, dt, p, state, held):
         x: geometric penetration [m], v: its rate [m/s], both at the instant. dt: time since the last instant [s].
         p: (PARAMETERS,). state: (STATES,), changed in place; zero at the start. held: whether the mechanism pulls as well as pushes.
     """
+    memory = (state[BRANCH], state[TOUCHING], state[SLIDER], state[LEARNED_SLIDER])
     if p[MODE] > 0.0:
-        return _ringing(x, v, dt, p, state, held)
-    return _at_rest(x - p[OFFSET], v, dt, p, state, held)
+        force, memory, state[DEFLECTION], state[DEFLECTION_RATE] = _ringing(
+            x, v, dt, p, memory, state[DEFLECTION], state[DEFLECTION_RATE], held
+        )
+    else:
+        force, memory = _at_rest(x - p[OFFSET], v, dt, p, memory, held)
+    state[BRANCH], state[TOUCHING], state[SLIDER], state[LEARNED_SLIDER] = memory
+    return force
 
 
-@njit(cache=True)
-def _at_rest(x, v, dt, p, state, held):
+@njit(cache=True, inline="always")
+def _at_rest(x, v, dt, p, memory, held):
+    """The force without the frame's mode, and the new memory: force of the Maxwell branch, whether it touches, both sliders.
+
+    The memory is passed by value and the function is inlined: the frame's mode takes many steps an instant, which then need not write to
+    an array, and read the parameters only once.
+    """
+    branch, touched, slider, learned_slider = memory
     touching = x > 0.0 or held
     if p[BRANCH_STIFFNESS] > 0.0:
         if not touching:
-            state[BRANCH] = 0.0
+            branch = 0.0
         else:
             since = dt
-            if state[TOUCHING] == 0.0 and v > 0.0 and not held:
+            if touched == 0.0 and v > 0.0 and not held:
                 since = min(dt, x / v)
             fade = math.exp(-since / p[BRANCH_TIME])
-            state[BRANCH] = state[BRANCH] * fade + p[BRANCH_STIFFNESS] * v * p[BRANCH_TIME] * (1.0 - fade)
-    state[TOUCHING] = 1.0 if touching else 0.0
-    carried = state[BRANCH]
+            branch = branch * fade + p[BRANCH_STIFFNESS] * v * p[BRANCH_TIME] * (1.0 - fade)
+    carried = branch
     if p[DRAG] > 0.0:
-        carried += _dragged(x, p, state, held) if touching else 0.0
-        if not touching:
-            state[SLIDER] = 0.0
+        if touching:
+            drag, slider = _dragged(x, p, slider, held)
+            carried += drag
+        else:
+            slider = 0.0
     if p[OVER_STRETCH] > 0.0:
-        carried += _over_stretch(x, p[OVER_STRETCH : OVER_STRETCH + PACKED], state) if touching else 0.0
-        if not touching:
-            state[LEARNED_SLIDER] = 0.0
-    return _with_frame(x, v, carried, p, held)
+        if touching:
+            over_stretch, learned_slider = _over_stretch(x, p[OVER_STRETCH : OVER_STRETCH + PACKED], learned_slider)
+            carried += over_stretch
+        else:
+            learned_slider = 0.0
+    rigid = _law(x, v, carried, p, held)
+    force = rigid if p[FRAME] <= 0.0 or rigid == 0.0 else _behind_frame(rigid, x, v, carried, p, held)
+    return force, (branch, 1.0 if touching else 0.0, slider, learned_slider)
 
 
-@njit(cache=True)
-def _dragged(x, p, state, held):
-    """Friction [N] of a slider behind a spring and the play of a captured mechanism: within the play, sticking, or slipping."""
+@njit(cache=True, inline="always")
+def _dragged(x, p, slider, held):
+    """Friction [N] of a slider behind a spring and the play of a captured mechanism: within the play, sticking, or slipping; and the
+    slider's new place [m]."""
     half = 0.5 * p[PLAY] if held else 0.0
     reach = half + p[DRY] / p[DRAG]
-    stretch = x - state[SLIDER]
+    stretch = x - slider
     if abs(stretch) > reach:
         stretch = math.copysign(reach, stretch)
-        state[SLIDER] = x - stretch
-    return math.copysign(p[DRAG] * max(abs(stretch) - half, 0.0), stretch)
+        slider = x - stretch
+    return math.copysign(p[DRAG] * max(abs(stretch) - half, 0.0), stretch), slider
 
 
 @njit(cache=True)
-def _over_stretch(x, curve, state):
-    """Force [N] of a curve over the stretch of a slider, which sticks until the stretch would leave the curve's range."""
+def _over_stretch(x, curve, slider):
+    """Force [N] of a curve over the stretch of a slider, which sticks until the stretch would leave the curve's range; and the slider's
+    new place [m]."""
     low, high = curve[1], curve[int(curve[0])]
-    stretch = min(max(x - state[LEARNED_SLIDER], low), high)
-    state[LEARNED_SLIDER] = x - stretch
-    return along(curve, stretch)
+    stretch = min(max(x - slider, low), high)
+    return along(curve, stretch), x - stretch
 
 
 @njit(cache=True)
-def _ringing(x, v, dt, p, state, held):
-    """Integrate the frame's mode in steps of at most MODE_STEP, drift-kick-drift (second order), under the contact force."""
+def _ringing(x, v, dt, p, memory, q, rate, held):
+    """Integrate the frame's mode in steps of at most MODE_STEP, drift-kick-drift (second order), under the contact force.
+
+    q, rate: deflection of the frame [m] and its rate [m/s]. Returns the force, and the new ``memory``, q and rate.
+    """
     springs = p[STIFFNESS] + p[STOP_STIFFNESS] + p[BRANCH_STIFFNESS]
     springs += steepest(p[OVER_PENETRATION : OVER_PENETRATION + PACKED]) + steepest(p[OVER_STRETCH : OVER_STRETCH + PACKED])
     stiffest = math.sqrt(p[MODE] ** 2 + springs / p[MODE_MASS])
     steps = max(1, math.ceil(stiffest * dt / MODE_STEP))
     inner = dt / steps
     for s in range(steps):
-        state[DEFLECTION] += 0.5 * inner * state[DEFLECTION_RATE]
+        q += 0.5 * inner * rate
         moved = x - v * (dt - (s + 0.5) * inner)
-        force = _at_rest(moved - state[DEFLECTION] - p[OFFSET], v - state[DEFLECTION_RATE], inner, p, state, held)
-        acceleration = force / p[MODE_MASS] - p[MODE] ** 2 * state[DEFLECTION] - 2.0 * p[MODE_DAMPING] * p[MODE] * state[DEFLECTION_RATE]
+        force, memory = _at_rest(moved - q - p[OFFSET], v - rate, inner, p, memory, held)
+        acceleration = force / p[MODE_MASS] - p[MODE] ** 2 * q - 2.0 * p[MODE_DAMPING] * p[MODE] * rate
         loss = 2.0 * p[MODE_DAMPING] * p[MODE] + (p[DAMPING] / p[MODE_MASS] if force != 0.0 else 0.0)
-        state[DEFLECTION_RATE] += acceleration * inner / (1.0 + 0.5 * inner * loss)  # trapezoidal in the dampers: stable for any c/m
-        state[DEFLECTION] += 0.5 * inner * state[DEFLECTION_RATE]
+        rate += acceleration * inner / (1.0 + 0.5 * inner * loss)  # trapezoidal in the dampers: stable for any c/m
+        q += 0.5 * inner * rate
     if p[REACTION] > 0.0:
-        return p[MODE_MASS] * (p[MODE] ** 2 * state[DEFLECTION] + 2.0 * p[MODE_DAMPING] * p[MODE] * state[DEFLECTION_RATE])
-    return _at_rest(x - state[DEFLECTION] - p[OFFSET], v - state[DEFLECTION_RATE], 0.0, p, state, held)
+        return p[MODE_MASS] * (p[MODE] ** 2 * q + 2.0 * p[MODE_DAMPING] * p[MODE] * rate), memory, q, rate
+    force, memory = _at_rest(x - q - p[OFFSET], v - rate, 0.0, p, memory, held)
+    return force, memory, q, rate

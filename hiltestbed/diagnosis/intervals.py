@@ -51,7 +51,7 @@ class Spread:
 
 def inverted(normal: Array) -> Array:
     """Inverse of a normal matrix, regularised against singularity."""
-    return np.asarray(np.linalg.inv(normal + 1e-12 * np.max(np.diag(normal)) * np.eye(len(normal))), dtype=float)
+    return np.asarray(np.linalg.inv(normal + 1e-12 * np.max(np.diag(normal), initial=0.0) * np.eye(len(normal))), dtype=float)
 
 
 def intervals(residual: Residual, found: Fit) -> Spread:

@@ -164,4 +164,5 @@ def with_time_grid(explanation: Explanation) -> WrenchLink | None:
     other = link.interpreted(grid=link.runs[0].scenario.substeps)
     there = explanation.residual.through(other)
     fits = [null_fit(there), *([refit(there, explanation.chosen)] if explanation.chosen.causes else [])]
-    return other if min(f.score for f in fits) < explanation.chosen.score - INTERPRETATION_PENALTY else None
+    need = INTERPRETATION_PENALTY * inflation(explanation.chosen)
+    return other if min(f.score for f in fits) < explanation.chosen.score - need else None

@@ -135,8 +135,13 @@ def _better_timing(residual: Residual, chosen: Fit, bases: Sequence[Fit], fewer:
     """
     link = residual.link
     here = chosen if JITTER in chosen.kinds else refit(residual, chosen)
-    fits = [_fit_with_timing(residual, base, place) for base in bases for place in _timing_candidates(link)]
     cost = _comparable_score(link)
+    best, fits = here, []
+    for base in sorted(bases, key=lambda f: f.chi2):  # the best first, so that those which will not come near are soon left
+        for place in _timing_candidates(link):
+            known = cost(best) + 2.0 * DETECTION * inflation(best)  # twice the margin below: interpolation halves chi-square at most
+            fits.append(_fit_with_timing(residual, base, place, known))
+            best = min(best, fits[-1], key=cost)
     best = min(fits, key=cost)
     need = DETECTION * inflation(best)
     if fewer:
@@ -187,9 +192,9 @@ def _bases(found: Explanation) -> list[Fit]:
     return [null_fit(found.residual), *once.values()]
 
 
-def _fit_with_timing(residual: Residual, base: Fit, later: Candidate) -> Fit:
-    """``base`` with the timing ``later`` fitted as well."""
-    return fit(residual, (*base.causes, later), [np.concatenate([base.theta, s]) for s in later.grid], tries=2)
+def _fit_with_timing(residual: Residual, base: Fit, later: Candidate, known: float = math.inf) -> Fit:
+    """``base`` with the timing ``later`` fitted as well; ``known``: see :func:`fit`."""
+    return fit(residual, (*base.causes, later), [np.concatenate([base.theta, s]) for s in later.grid], tries=2, known=known)
 
 
 def _without_ends(residual: Residual) -> Residual:

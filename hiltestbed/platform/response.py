@@ -74,7 +74,7 @@ def _limited(held, before, after, dt, speed):
     return held + min(max(after - held, -step), step)
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def follow(before, after, dt, speed, play, stick, lag, mode, lagged, shaken, memory):
     """One axis over dt, while its (already delayed) command runs from `before` to `after` [m].
 

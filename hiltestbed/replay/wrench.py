@@ -111,13 +111,20 @@ _RIGID = (np.zeros((0, 6)), np.zeros((0, 6)), np.zeros(BODY))
 
 def shifted(values: Array, ticks: float, held: bool = True) -> Array:
     """``values`` (N, C) read ``ticks`` rows later (or earlier), interpolated linearly; beyond the ends held, or extrapolated linearly."""
-    rows, last = np.arange(len(values)) + ticks, len(values) - 1
-    if held:
-        rows = np.clip(rows, 0.0, last)
-    low = np.clip(np.floor(rows).astype(int), 0, last if held else last - 1)
-    part = (rows - low)[:, None]
-    here = values.take(low, axis=0)  # a third of the time of an index
-    return here + part * (values.take(np.minimum(low + 1, last), axis=0) - here)
+    out = np.empty(values.shape)
+    _shift(np.ascontiguousarray(values, dtype=float), float(ticks), held, out)
+    return out
+
+
+@njit(cache=True)
+def _shift(values, ticks, held, out):
+    last = len(values) - 1
+    for k in range(len(values)):
+        row = min(max(k + ticks, 0.0), last) if held else k + ticks
+        low = int(min(max(math.floor(row), 0), last if held else max(last - 1, 0)))
+        high, part = min(low + 1, last), row - low
+        for j in range(values.shape[1]):
+            out[k, j] = values[low, j] + part * (values[high, j] - values[low, j])
 
 
 @njit(cache=True)

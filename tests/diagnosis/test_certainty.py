@@ -92,3 +92,11 @@ def test_what_was_fitted_once_is_worked_out_once(residual: Residual, found: Fit)
     assert len(list(certain)) == 1
     data = next(iter(certain)).to_json()
     assert data["parameters"] == ["contact.preload force", *(f"sensor.bias force.{i}" for i in range(3))]
+
+
+def test_a_cause_without_a_number_has_no_profile_and_no_correlation(residual: Residual) -> None:
+    none = np.zeros(0)
+    euler = Candidate(EFFECTS["dynamics.integrator"], (), none, none, np.zeros(0, bool), ((),), {"scheme": "explicit_euler"})
+    told = certainty("wrench", residual, fit(residual, (euler,), euler.grid))
+    assert told.profiles == ()
+    assert told.correlation.shape == (0, 0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -9,8 +10,17 @@ import pytest
 
 from hiltestbed.diagnosis.fit import Fit, fit, null_fit
 from hiltestbed.diagnosis.links import LinkRun, WrenchLink
-from hiltestbed.diagnosis.readings import choose_lever, choose_ring, choose_steps, lever_under, other_lever, ring_under, wrench_link_of
-from hiltestbed.diagnosis.residual import Residual
+from hiltestbed.diagnosis.readings import (
+    choose_lever,
+    choose_ring,
+    choose_steps,
+    lever_under,
+    other_lever,
+    ring_under,
+    with_time_grid,
+    wrench_link_of,
+)
+from hiltestbed.diagnosis.residual import Residual, square
 from hiltestbed.diagnosis.search import Explanation, Search
 from hiltestbed.effects import EFFECTS
 from hiltestbed.effects.search import Candidate, Scales
@@ -130,6 +140,25 @@ def test_a_mount_is_right_whatever_its_steps_where_the_data_bear_that_out() -> N
     assert choose_steps(reread(link, [true])).exact == ()
     assert choose_steps(reread(link, [link.shown(0)])).exact is None
     assert choose_steps(contact_link()).exact is None
+
+
+def test_what_a_refit_gains_far_from_noise_is_no_reason_to_read_between_instants() -> None:
+    """Without a delay every reading is at an instant, so that both interpretations predict the same: the gain is that of the refit alone.
+
+    An estimate d off its optimum costs (d/s)^2 in chi-square, s being its standard deviation by the noise. At d = 20 s a refit gains 400.
+    A swing of 50 times the noise on one of six channels leaves a chi-square of 2500/6 a sample, and 2 ln 2 times that is more than 400.
+    """
+    link = contact_link()
+    swing = 50.0 * NOISE * math.sqrt(2.0) * np.sin(0.37 * np.arange(link.runs[0].rows))
+    residual = Residual(reread(link, [link.shown(i) + swing[: r.rows, None] * [0, 0, 1, 0, 0, 0] for i, r in enumerate(link.runs)]))
+    (c,) = [c for c in candidates("contact.stiffness") if not c.variant]
+    best = fit(residual, (c,), c.grid)
+    width = float(best.theta[0]) / math.sqrt(square(best.jacobian[:, 0]))
+    theta = best.theta + 20.0 * width
+    off = replace(best, theta=theta, chi2=square(residual([c.at(theta)])), residual=residual([c.at(theta)]))
+    assert off.chi2 - best.chi2 > 100.0
+    assert off.chi2 > 100.0 * np.count_nonzero(off.residual)
+    assert with_time_grid(Explanation(residual, (c,), null_fit(residual), off, False, True, {}, {})) is None
 
 
 def test_a_late_sensor_and_a_late_record_are_rivals_where_nothing_shows_what_became_of_the_force() -> None:
