@@ -78,7 +78,7 @@ class Explanation:
         """With a late sensor and a late stamp as rivals of each other, where both are hypotheses.
 
         They are rivals where no channel shows what the loop made of the force: only the facility's interpolation between rows, which is not
-        known, could tell them apart.
+        known, could tell them apart. So the link itself counts as much for the one as for the other.
         """
         clocks = [c for c in self.candidates if c.kind in CLOCKS and not c.variant]
         if self.chosen.causes == () or {c.kind for c in clocks} != CLOCKS:
@@ -90,9 +90,9 @@ class Explanation:
                 continue
             causes = (*self.chosen.causes[:i], other, *self.chosen.causes[i + 1 :])
             late = fit(self.residual, causes, [self.chosen.theta], tries=1)
-            known = any(other.kind in f.kinds for f in rivals[i])
-            if not known and noise_alone(judge(self.residual, late.effects())):
-                rivals[i] = (*rivals[i], late)
+            if noise_alone(judge(self.residual, late.effects())):
+                others = (f for f in rivals[i] if other.kind not in f.kinds)
+                rivals[i] = (replace(late, elsewhere=self.chosen.score - late.score), *others)
         return replace(self, rivals=tuple(rivals))
 
 
