@@ -25,7 +25,8 @@ from hiltestbed.diagnosis.isolability import isolability
 from hiltestbed.diagnosis.learned.finding import learned_on
 from hiltestbed.diagnosis.learned_law import Learned
 from hiltestbed.diagnosis.links import WrenchLink
-from hiltestbed.diagnosis.plain import LINK_NAMES, listed, plain
+from hiltestbed.diagnosis.plain import LINK_NAMES, entry, listed
+from hiltestbed.diagnosis.rebound import with_rebounds
 from hiltestbed.diagnosis.report.evidence import link_series
 from hiltestbed.diagnosis.result import Cause, Finding, Heldout, Interval, Isolable, Parameter, Ranked
 from hiltestbed.diagnosis.search import Explanation, Progress, Search, labelled
@@ -61,6 +62,7 @@ class Judged:
 
 def judge(findings: Findings, progress: Progress | None = None) -> Judged:
     """The verdict; where few effects together do not explain a link, with those causes that hold all the same, or a learned law."""
+    findings = with_rebounds(findings)
     verdict = decide(findings)
     findings, nearest = _nearest(findings, verdict, progress)
     if verdict.verdict == "unknown" and not nearest:  # more causes than were searched together explain it
@@ -100,7 +102,7 @@ def find(findings: Findings, progress: Progress | None = None) -> Finding:
         partial_gain=gain_of(findings, nearest),
         explained=judged.share,
         learned=judged.learned,
-        assumed=(*findings.layout.assumed(), *timing.words(findings.explanations), *_left_out(findings)),
+        assumed=(*findings.layout.assumed(), *timing.words(findings.explanations), *findings.weighed, *_left_out(findings)),
         certainty=tuple(certain),
     )
 
@@ -212,13 +214,8 @@ def cause_of(findings: Findings, c: Named, certain: Certainties | None = None, b
         else:
             found[name] = Parameter(value, _interval(ends, names, start, name, value), unit)
     elsewhere = [o.fit.effects()[o.index] for o in beside if o.link != c.link]
-    alternatives = tuple(tuple(_entry(e) for e in (*rival.effects(), *elsewhere)) for rival in c.rivals)
+    alternatives = tuple(tuple(entry(e) for e in (*rival.effects(), *elsewhere)) for rival in c.rivals)
     return Cause(c.effect, found, c.probability, tuple(c.indistinguishable_from), alternatives)
-
-
-def _entry(effect: Effect) -> dict[str, Any]:
-    """As it would stand under `effects:` in a scenario."""
-    return {"kind": effect.kind} | {name: plain(value) for name, value in effect.parameters().items() if value is not None}
 
 
 def _interval(ends: Any, names: tuple[str, ...], start: int, name: str, value: float) -> Interval:

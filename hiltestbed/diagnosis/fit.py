@@ -39,6 +39,7 @@ class Fit:
     Attributes:
         causes: the candidates. theta: their parameters, concatenated. chi2: sum of squares in units of the noise.
         residual: (M,). jacobian: (M, P) of the residual by the scaled parameters.
+        elsewhere: chi-square of what does not show on the link itself, such as the rebound.
     """
 
     causes: tuple[Candidate, ...]
@@ -46,6 +47,7 @@ class Fit:
     chi2: float
     residual: Array
     jacobian: Array
+    elsewhere: float = 0.0
 
     @property
     def penalty(self) -> float:
@@ -55,7 +57,7 @@ class Fit:
     @property
     def score(self) -> float:
         """Chi-square and penalty: smaller is better."""
-        return self.chi2 + self.penalty
+        return self.chi2 + self.penalty + self.elsewhere
 
     @property
     def kinds(self) -> tuple[str, ...]:
@@ -73,8 +75,17 @@ class Fit:
 
     def of(self, causes: Sequence[Candidate]) -> Array:
         """Theta of the same ``causes`` in another order."""
-        keys = [c.key for c in self.causes]
-        return np.concatenate([self.part(keys.index(c.key)) for c in causes])
+        return self.theta[self._columns(causes)]
+
+    def ordered(self, causes: Sequence[Candidate]) -> Fit:
+        """The same fit with its ``causes`` in another order."""
+        columns = self._columns(causes)
+        return replace(self, causes=tuple(causes), theta=self.theta[columns], jacobian=self.jacobian[:, columns])
+
+    def _columns(self, causes: Sequence[Candidate]) -> list[int]:
+        """Place in theta of each parameter of the same ``causes`` in another order."""
+        start = dict(zip([c.key for c in self.causes], np.cumsum([0, *(len(c.names) for c in self.causes)]).tolist(), strict=False))
+        return [start[c.key] + j for c in causes for j in range(len(c.names))]
 
     def without(self, index: int) -> tuple[tuple[Candidate, ...], Array]:
         """The other causes, and their theta."""

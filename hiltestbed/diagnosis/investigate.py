@@ -68,13 +68,14 @@ class Findings:
 
     Attributes:
         layout: the data as laid out. explanations: link to its explanation. missing: link to the reason why it was not judged.
-        whole: link on whole runs, for the series of the report.
+        whole: link on whole runs, for the series of the report. weighed: sentences on rivals that the rebound told apart.
     """
 
     layout: Layout
     explanations: dict[str, Explanation]
     missing: dict[str, str]
     whole: dict[str, Link]
+    weighed: tuple[str, ...] = ()
 
     @property
     def noise(self) -> dict[str, float]:

@@ -52,7 +52,7 @@ class Layout:
         runs: as measured. rows: of each run, that the search uses. scales: orders of magnitude of the data. noise: channel to its floor.
         force: the noise model of the force, from free flight.
         engaged: the contact's action along the pose of each run, where only playing the mechanism gives it, see :func:`engagement`.
-        deflection: of each run, departure of the believed rig from its command; None where it cannot be replayed.
+        deflection: of each run, departure of the believed rig from its command; None where it cannot be replayed or is not needed.
         missing: link to the reason why it cannot be replayed.
         logged: the filter through which the force went to the log but not to the loop; None: there is none.
     """
@@ -93,6 +93,10 @@ def lay_out(dataset: MeasuredDataset) -> Layout:
         given, lost = _deflections(runs, noise, engaged)
         if lost is not None:
             missing["platform"] = f"the believed rig cannot follow the command on record in {lost.name}"
+    elif "wrench" not in missing and not every_run_has(runs, "pose_act") and every_run_has(runs, "pose_cmd"):
+        given, lost = _deflections(runs, noise, engaged)  # in place of the pose that was not measured
+        if lost is not None:
+            missing["wrench"] = f"needs pose_act: the believed rig cannot follow the command on record in {lost.name}"
     scales = scales_of(runs, noise)
     if "dynamics" not in missing and all(is_driven(r.record, r.scenario) for r in runs):
         scales = replace(scales, driven=regression(runs))

@@ -91,6 +91,8 @@ def best_path(layout: Layout, platform: Explanation | None) -> BestPath:
         path = Path(poses, None if platform is not None else _central_rates(layout, poses))
         noisy = platform is not None or any(r.record.has("pose_act") for r in layout.runs)
         extra = [_smoothed_noise(layout, run) for run in layout.runs] if noisy else None
+        if _only_commanded(layout) and not all(follows_exactly(r.scenario) for r in layout.runs):
+            extra = _deflection_noise(layout, path)
     if not all(sides_of(r.scenario.mechanism).rigid for r in layout.runs):
         extra = extra or [np.zeros((n, 6)) for n in layout.whole]
         extra = [np.where(parted[:, None], np.inf, e) for parted, e in zip(diverged(layout, path), extra, strict=True)]
@@ -146,15 +148,29 @@ def make_wrench_link(layout: Layout, best: BestPath, rows: Sequence[int], decima
     """Contact and sensor on a path; ``decimate``: in fewer rows, where that loses nothing and no other link continues from them."""
     link = wrench_link(layout, best.path.poses, rows, best.jumps, best.path.rates, best.path_noise).through(layout.logged)
     if _only_commanded(layout):
-        return link.commanded([np.ascontiguousarray(r.record.filled("pose_cmd")) for r in layout.runs])
+        assert layout.deflection is not None  # else the link is missing
+        return link.commanded(_followed(layout), [found.yielded for found in layout.deflection])
     return decimated(link) if decimate and best.jumps is None else link
 
 
 def _only_commanded(layout: Layout) -> bool:
-    """Whether only the command shows where A went, on a platform that is believed to follow it exactly."""
-    return all(r.record.has("pose_cmd") and not r.record.has("pose_act") and follows_exactly(r.scenario) for r in layout.runs) and all(
-        moves_linearly(r.scenario) for r in layout.runs
-    )
+    """Whether only the command shows where A went."""
+    return all(r.record.has("pose_cmd") and not r.record.has("pose_act") for r in layout.runs)
+
+
+def _followed(layout: Layout) -> list[Array]:
+    """(N, 7) of each run: the command, moved by what the believed drives make of it without a force; row k is reached at t_(k+1).
+
+    Effects of the platform act before the drives, which are linear: in either order they give the same path.
+    """
+    assert layout.deflection is not None  # else the link is missing
+    out = []
+    for run, found in zip(layout.runs, layout.deflection, strict=True):
+        command = np.array(run.record.filled("pose_cmd"))
+        free = found.away - found.yielded
+        command[:, :3] += np.concatenate([free[1:, :3], free[-1:, :3]])
+        out.append(command)
+    return out
 
 
 def _measured(layout: Layout) -> list[Path]:
@@ -309,9 +325,11 @@ def _smooth_paths(layout: Layout, platform: Explanation | None) -> list[Array]:
         near = platform_link(layout, layout.whole).with_timing(platform.residual.link.timing).paths(platform.chosen.effects())
     out = []
     for i, run in enumerate(layout.runs):
-        if not run.record.has("pose_act"):  # the commanded pose one row later: ideal tracking
-            command = run.record.filled("pose_cmd")
-            out.append(np.concatenate([approach_state(run.scenario)[None, :7], command[:-1]]))
+        if not run.record.has("pose_act"):  # the commanded pose one row later, and what the believed drives make of it
+            assert layout.deflection is not None  # else the link is missing
+            told = np.concatenate([approach_state(run.scenario)[None, :7], run.record.filled("pose_cmd")[:-1]])
+            away = layout.deflection[i].away
+            out.append(poses_of(flat_pose(told) + away) if away.any() else told)
             continue
         measured = run.record.filled("pose_act")
         about = measured if near is None else near[i]
@@ -330,6 +348,21 @@ def _attitude(run: MeasuredRun) -> Array:
     flat = flat_pose(run.record.filled("pose_act"))
     flat[:, 3:] = savgol_filter(flat[:, 3:], SMOOTHING_ROWS, 3, axis=0)
     return poses_of(flat)[:, 3:]
+
+
+def _deflection_noise(layout: Layout, path: Path) -> list[Array]:
+    """(N, 6) noise of the reading of each run due to the uncertainty of the deflection of drives whose pose was not measured.
+
+    A contact before the drives' initial state has decayed is not compared.
+    """
+    assert layout.deflection is not None  # else the link is missing
+    doubts = [found.doubt for found in layout.deflection]
+    known = [np.asarray(np.isfinite(doubt).all(axis=1)) for doubt in doubts]
+    off = [np.where(k[:, None], d, 0.0) for d, k in zip(doubts, known, strict=True)]
+    poses = [poses_of(flat_pose(p) + d) for p, d in zip(path.poses, off, strict=True)]
+    links = [wrench_link(layout, p, layout.whole, None, path.rates) for p in (path.poses, poses)]
+    noise = rms_differences(*links)
+    return [np.where((r.touching(len(n)) & ~k)[:, None], np.inf, n) for r, n, k in zip(layout.runs, noise, known, strict=True)]
 
 
 def _smoothed_noise(layout: Layout, run: MeasuredRun) -> Array:

@@ -10,6 +10,7 @@ import numpy as np
 
 if TYPE_CHECKING:
     from hiltestbed.diagnosis.result import Cause, Parameter
+    from hiltestbed.effects.base import Effect
 
 LINK_NAMES = {"platform": "platform", "wrench": "contact and sensor", "compensation": "compensation", "dynamics": "numerical model"}
 
@@ -41,6 +42,11 @@ def finite(value: Any) -> Any:
 def plain(value: Any) -> Any:
     """A vector as a list, as YAML takes it."""
     return list(value) if isinstance(value, tuple) else value
+
+
+def entry(effect: Effect) -> dict[str, Any]:
+    """An effect as it stands under `effects:` in a scenario."""
+    return {"kind": effect.kind} | {name: plain(value) for name, value in effect.parameters().items() if value is not None}
 
 
 def listed(parameters: Mapping[str, Any]) -> str:

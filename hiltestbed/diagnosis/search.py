@@ -9,6 +9,7 @@ import math
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Literal
 
 import numpy as np
 
@@ -84,7 +85,7 @@ class Explanation:
         """With a late sensor and a late stamp as rivals of each other, where both are hypotheses.
 
         They are rivals where no channel shows what the loop made of the force: only the facility's interpolation between rows, which is not
-        known, could tell them apart.
+        known, could tell them apart. So the link itself counts as much for the one as for the other.
         """
         clocks = [c for c in self.candidates if c.kind in CLOCKS and not c.variant]
         if self.chosen.causes == () or {c.kind for c in clocks} != CLOCKS:
@@ -96,9 +97,9 @@ class Explanation:
                 continue
             causes = (*self.chosen.causes[:i], other, *self.chosen.causes[i + 1 :])
             late = fit(self.residual, causes, [self.chosen.theta], tries=1)
-            known = any(other.kind in f.kinds for f in rivals[i])
-            if not known and noise_alone(judge(self.residual, late.effects())):
-                rivals[i] = (*rivals[i], late)
+            if noise_alone(judge(self.residual, late.effects())):
+                others = (f for f in rivals[i] if other.kind not in f.kinds)
+                rivals[i] = (replace(late, elsewhere=self.chosen.score - late.score), *others)
         return replace(self, rivals=tuple(rivals))
 
 
@@ -316,11 +317,12 @@ def _boldness(f: Fit) -> float:
     return sum(abs(math.log(max(e.parameters()["factor"], 1e-9))) for e in f.effects() if "factor" in e.parameters())
 
 
-def first_of_each(fits: Sequence[Fit], by: str) -> list[Fit]:
-    """The first fit of each set of causes; ``by``: whether sets with the same ``kinds``, or with the same hypotheses (``key``), are one."""
+def first_of_each(fits: Sequence[Fit], by: Literal["kinds", "places", "key"]) -> list[Fit]:
+    """The first fit of each set of causes; ``by``: whether sets with the same ``kinds``, with the same kinds on the same axes and bodies
+    (``places``), or with the same hypotheses (``key``), are one."""
     seen, out = set(), []
     for f in fits:
-        causes = tuple(sorted(f.kinds)) if by == "kinds" else tuple(sorted(map(str, (c.key for c in f.causes))))
+        causes = tuple(sorted(str({"kinds": c.kind, "places": (c.kind, *c.place), "key": c.key}[by]) for c in f.causes))
         if causes not in seen:
             seen.add(causes)
             out.append(f)
@@ -332,7 +334,9 @@ def _limit_of(residual: Residual, chosen: Fit, index: int, other: Fit) -> bool:
 
     An estimate that noise has moved off the bound counts as at the bound, if the fit with the parameter held there is as good.
     """
-    own = next(i for i, kind in enumerate(other.kinds) if kind not in chosen.kinds)
+    own = next((i for i, kind in enumerate(other.kinds) if kind not in chosen.kinds), None)
+    if own is None:  # the same effect on another axis or body
+        return False
     richer, theta = other.causes[own], other.part(own)
     if len(richer.names) <= len(chosen.causes[index].names) or richer.vector:
         return False
@@ -347,16 +351,33 @@ def _limit_of(residual: Residual, chosen: Fit, index: int, other: Fit) -> bool:
     return False
 
 
+def _only_difference(chosen: Fit, other: Fit) -> int | None:
+    """The cause of ``chosen`` that ``other`` does not have; None where there is not exactly one.
+
+    Between fits of the same effects an axis or a body makes a difference; between others it does not.
+    """
+    same_kinds = sorted(chosen.kinds) == sorted(other.kinds)
+    own, others = ([(c.kind, c.place if same_kinds else ()) for c in f.causes] for f in (chosen, other))
+    missing = [i for i, cause in enumerate(own) if cause not in others]
+    return missing[0] if len(missing) == 1 else None
+
+
 def with_rivals(found: Explanation, judge: Judge) -> Explanation:
-    """The explanation with its rivals: the fits that differ from the chosen one in one cause and cannot be told from it."""
+    """The explanation with its rivals: the fits that differ from the chosen one in one cause and cannot be told from it.
+
+    The same effect on another axis or body is a rival like any other effect.
+    """
     chosen = found.chosen
     pool = [f for f in (*found.singles, *found.more) if len(f.causes) == len(chosen.causes)]
     close = [f for f in pool if f is not chosen and f.score - chosen.score < AMBIGUITY * inflation(chosen)]
+    of_same = [sorted(f.kinds) == sorted(chosen.kinds) for f in close]
+    elsewhere = first_of_each([f for f, same in zip(close, of_same, strict=True) if same], "places")
+    others = first_of_each([f for f, same in zip(close, of_same, strict=True) if not same], "kinds")
     rivals: list[list[Fit]] = [[] for _ in chosen.causes]
-    for f in first_of_each(close, "kinds"):
-        shared = [kind in f.kinds for kind in chosen.kinds]
-        if sum(shared) != len(shared) - 1 or _limit_of(found.residual, chosen, shared.index(False), f):
+    for f in (*elsewhere, *others):
+        index = _only_difference(chosen, f)
+        if index is None or _limit_of(found.residual, chosen, index, f):
             continue
         if noise_alone(judge(found.residual, f.effects())):
-            rivals[shared.index(False)].append(f)
+            rivals[index].append(f)
     return replace(found, rivals=tuple(map(tuple, rivals))).with_the_other_clock(judge)

@@ -37,8 +37,8 @@ class Named:
 
     @property
     def indistinguishable_from(self) -> list[str]:
-        """Effects that explain the data as well."""
-        return [next(kind for kind in f.kinds if kind not in self.fit.kinds) for f in self.rivals]
+        """Effects that explain the data as well; the effect itself where it may be on another axis or body."""
+        return [next((kind for kind in f.kinds if kind not in self.fit.kinds), self.effect) for f in self.rivals]
 
 
 @dataclass(frozen=True)

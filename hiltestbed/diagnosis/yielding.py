@@ -31,10 +31,12 @@ SETTLING_CONSTANTS = 10.0  # chosen: time constants of the drives, after which t
 class Deflection:
     """Of one run: away (N, 6) deflection of the believed rig from its command [m, rad], doubt (N, 6) its uncertainty.
 
-    noise: [m] of the deflection, due to the noise of the force.
+    yielded: (N, 6) part of it that is due to the force; the rest is the response to the command. noise: [m] of the deflection, due to the
+    noise of the force.
     """
 
     away: Array
+    yielded: Array
     doubt: Array
     noise: float = 0.0
 
@@ -48,7 +50,8 @@ def deflection(run: MeasuredRun, noise: float, reading: Array | None = None, eng
     """
     scenario, command = run.scenario, np.ascontiguousarray(run.record.filled("pose_cmd"))
     if follows_exactly(scenario):
-        return Deflection(np.zeros((len(command), 6)), np.zeros((len(command), 6)))
+        nothing = np.zeros((len(command), 6))
+        return Deflection(nothing, nothing, nothing)
     recorded = run.record.filled("wrench_meas") if run.record.has("wrench_meas") else np.zeros((len(command), 6))
     reading = recorded if reading is None else reading
     late = scenario.sensor.delay / scenario.tick
@@ -62,7 +65,8 @@ def deflection(run: MeasuredRun, noise: float, reading: Array | None = None, eng
     if path is None:
         return None
     away = flat_pose(path) - told
-    departure = np.nanmax(np.abs(flat_pose(run.record.data["pose_act"]) - told - away), axis=0, initial=0.0)
+    shown = flat_pose(run.record.data["pose_act"]) - told if run.record.has("pose_act") else away
+    departure = np.nanmax(np.abs(shown - away), axis=0, initial=0.0)
     departure[:3], departure[3:] = departure[:3].max(), departure[3:].max()
     unloaded = replay_rig(scenario, command, rates, borne(scenario, np.zeros_like(wrench)), recorded, reached)
     yielded = away if unloaded is None else flat_pose(path) - flat_pose(unloaded)  # the rest is the response to the command, which is known
@@ -83,7 +87,7 @@ def deflection(run: MeasuredRun, noise: float, reading: Array | None = None, eng
         noisy = replay_rig(scenario, command, rates, borne(scenario, shaken) + taken, recorded, reached)
         passed = np.std(flat_pose(noisy) - flat_pose(path), axis=0) if noisy is not None else passed
         doubt = np.hypot(doubt, passed * math.sqrt(max(1.0, _memory(scenario) / scenario.tick)))
-    return Deflection(away, doubt, float(passed[:3].max()))
+    return Deflection(away, yielded, doubt, float(passed[:3].max()))
 
 
 def engagement(run: MeasuredRun) -> Engaged | None:

@@ -104,6 +104,11 @@ class Candidate:
         return any("." in name for name in self.names)
 
     @property
+    def place(self) -> tuple[str, ...]:
+        """What the effect is on: the axis, the body."""
+        return tuple(f"{name}={value}" for name, value in sorted(self.fixed.items()) if isinstance(value, str))
+
+    @property
     def key(self) -> tuple:
         """Identifies the candidate: kind, free parameters, fixed values and variant."""
         return (self.kind, *self.names, *sorted((k, str(v)) for k, v in {**self.fixed, **self.variant}.items()))

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import pyarrow.parquet as pq
 from ruamel.yaml import YAML
 
 from hiltestbed.recording import write_trace
@@ -29,16 +31,28 @@ NOMINAL: dict[str, Any] = {
 }
 
 
-def recorded(folder: Path, effects: list[dict[str, Any]]) -> Path:
-    """The dataset file of two runs of a rig that has `effects`, which its nominal scenario does not."""
-    sets = [{"approach.velocity.2": v, "approach.gap": 0.1 * v} for v in SPEEDS]
-    rig = [scenario_from(NOMINAL | {"effects": effects, "seed": i}, s) for i, s in enumerate(sets)]
-    trace = simulate(rig, trace=True).trace
-    assert trace is not None
-    for i in range(len(rig)):
-        write_trace(trace.run(i), folder / f"run_{i}.parquet")
+def recorded(
+    folder: Path,
+    effects: list[dict[str, Any]],
+    nominal: Mapping[str, Any] = NOMINAL,
+    without: Sequence[str] = (),
+    beside: Mapping[str, Any] | None = None,
+) -> Path:
+    """The dataset file of two runs of a rig that has `effects`, which its ``nominal`` scenario does not.
+
+    without: groups that were not recorded. beside: settings of the second run alone.
+    """
+    sets: list[dict[str, Any]] = [{"approach.velocity.2": v, "approach.gap": 0.1 * v} for v in SPEEDS]
+    sets[1] |= beside or {}
+    for i, s in enumerate(sets):
+        trace = simulate([scenario_from({**nominal, "effects": effects, "seed": i}, s)], trace=True).trace
+        assert trace is not None
+        file = folder / f"run_{i}.parquet"
+        write_trace(trace.run(0), file)
+        table = pq.read_table(file)
+        pq.write_table(table.select([c for c in table.column_names if c.partition(".")[0] not in without]), file)
     yaml = YAML(typ="safe")
-    yaml.dump(NOMINAL, folder / "nominal.yaml")
+    yaml.dump(dict(nominal), folder / "nominal.yaml")
     runs = [{"file": f"run_{i}.parquet", "set": s} for i, s in enumerate(sets)]
     yaml.dump({"scenario": "nominal.yaml", "runs": runs}, folder / "dataset.yaml")
     return folder / "dataset.yaml"

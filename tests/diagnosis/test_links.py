@@ -135,7 +135,7 @@ def test_where_nobody_measured_the_pose_the_platforms_effects_are_felt_in_the_fo
     runs = [LinkRun(s, np.zeros((len(c), 6)), np.ones((len(c), 6)), np.ones(len(c), dtype=bool)) for c in commands]
     reached, believed = platform.paths(effects), platform.paths([])
     delay = effect("sensor.delay", delay=0.002)
-    link = WrenchLink(runs, believed).commanded(commands)
+    link = WrenchLink(runs, believed).commanded(commands, [np.zeros((len(c), 6)) for c in commands])
     felt = WrenchLink(runs, reached).shown(0, [delay])
     np.testing.assert_allclose(link.shown(0, [*effects, delay]), felt, rtol=0, atol=1e-9)
     np.testing.assert_array_equal(link.shown(0, [delay]), WrenchLink(runs, believed).shown(0, [delay]))

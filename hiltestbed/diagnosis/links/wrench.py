@@ -22,6 +22,7 @@ from hiltestbed.log import log_parameters
 from hiltestbed.numerical_model.bodies import approach_state
 from hiltestbed.platform.parameters import PlatformParameters
 from hiltestbed.replay import Felt, Played, creep_of, replay_platform, replay_wrench
+from hiltestbed.replay.compensation import central_rates
 from hiltestbed.replay.wrench import WHOLE
 from hiltestbed.replay.wrench import Lane as FeltLane
 from hiltestbed.scenario import Scenario
@@ -72,6 +73,7 @@ class WrenchLink(Link):
         self.runs, self.paths, self.jumps, self.rates = runs, paths, jumps, rates
         self.lever, self.blunt, self.ring, self.grid = 0.5, 1.0, 1.0, None
         self.commands: Sequence[Array] | None = None
+        self.deflection: Sequence[Array] = ()
         self.logged: LowPass | None = None
         self.of_rows = 1
         self.exact: Effects | None = None
@@ -136,10 +138,11 @@ class WrenchLink(Link):
         coarse, fine = (replay_wrench(felt, lanes, self.grid) for felt in (self._felt, finer))
         return [(f - c)[: r.rows] * STEP_RATIO / (STEP_RATIO - 1.0) for f, c, r in zip(fine, coarse, self.runs, strict=True)]
 
-    def commanded(self, commands: Sequence[Array]) -> WrenchLink:
-        """The same link where the paths were not measured: they are the platform's response to ``commands`` (N, 7) with its effects."""
+    def commanded(self, commands: Sequence[Array], deflection: Sequence[Array]) -> WrenchLink:
+        """The same link where the paths were not measured: they are the platform's response to ``commands`` (N, 7) with its effects, plus
+        the ``deflection`` (N, 6) of the believed drives [m, rad]."""
         out = copy(self)
-        out.commands = commands
+        out.commands, out.deflection = commands, deflection
         return out
 
     def through(self, logged: LowPass | None) -> WrenchLink:
@@ -163,8 +166,13 @@ class WrenchLink(Link):
         scenarios = [r.scenario for r in runs]
         parameters = [PlatformParameters.believed(s).with_effects(effects) for s, (_, effects) in zip(scenarios, lanes, strict=True)]
         places = replay_platform(scenarios, parameters, padded(self.commands or ()), np.array([i for i, _ in lanes]))
-        paths = [np.concatenate([p[: r.rows], self.paths[i][:, 3:]], axis=1) for p, r, (i, _) in zip(places, runs, lanes, strict=True)]
-        link = WrenchLink(runs, paths).interpreted(self.lever, self.grid, self.blunt, ring=self.ring).with_timing(self.timing)
+        paths = [
+            np.concatenate([p[: r.rows] + self.deflection[i][: r.rows, :3], self.paths[i][: r.rows, 3:]], axis=1)
+            for p, r, (i, _) in zip(places, runs, lanes, strict=True)
+        ]
+        rates = None if self.rates is None else [central_rates(r.scenario, p) for r, p in zip(runs, paths, strict=True)]
+        link = WrenchLink(runs, paths, None, rates).interpreted(self.lever, self.grid, self.blunt, ring=self.ring)
+        link = link.with_timing(self.timing)
         return link.through(self.logged).predict(
             [(n, [e for e in effects if e.link != "platform"]) for n, (_, effects) in enumerate(lanes)]
         )

@@ -54,6 +54,17 @@ class Motion:
     span: tuple[int, int, int] | None
 
 
+@dataclass(frozen=True)
+class Bounce:
+    """A contact: before, after: the rows [first, end) from which the speeds are estimated. approach_speed, rebound_speed [m/s]: both
+    positive; None where one cannot be estimated."""
+
+    before: tuple[int, int]
+    after: tuple[int, int]
+    approach_speed: float | None
+    rebound_speed: float | None
+
+
 def play(dataset: MeasuredDataset, causes: Sequence[Cause | Learned]) -> tuple[Played, ...]:
     """Simulate every run's scenario as believed, and with the causes."""
     nominal = [r.scenario for r in dataset.runs]
@@ -135,17 +146,25 @@ def restitution(motion: Motion, scenario: Scenario) -> float | None:
 
     From the commanded pose, as the numerical model's; from the reached pose where the command was not recorded.
     """
+    rows = bounce_of(motion, scenario)
+    if rows is None or rows.rebound_speed is None or rows.approach_speed is None:
+        return None
+    return rows.rebound_speed / rows.approach_speed
+
+
+def bounce_of(motion: Motion, scenario: Scenario) -> Bounce | None:
+    """The first contact of a motion with the speeds before and after it; None without one."""
     z = motion.command if motion.command is not None else motion.reached
     if z is None or motion.span is None:
         return None
     start, end, until = motion.span
     window, settle = round(SPEED_WINDOW * scenario.rate), settle_ticks(scenario)
     first = min(end + settle + round(QUIET_TIME * scenario.rate), max(end + settle, until - window))
-    approach = _slope(motion.t, z, max(0, start - 1 - window), start - 1)
-    rebound = _slope(motion.t, z, first, min(until, len(z), first + window))
-    if approach is None or rebound is None or approach <= 0.0 or rebound >= 0.0:
-        return None
-    return -rebound / approach
+    before, after = (max(0, start - 1 - window), start - 1), (first, min(until, len(z), first + window))
+    approach, rebound = _slope(motion.t, z, *before), _slope(motion.t, z, *after)
+    return Bounce(
+        before, after, None if approach is None or approach <= 0.0 else approach, None if rebound is None or rebound >= 0.0 else -rebound
+    )
 
 
 def _slope(t: Array, z: Array, start: int, end: int) -> float | None:

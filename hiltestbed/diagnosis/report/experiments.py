@@ -28,7 +28,7 @@ def next_experiment(finding: Finding, dataset: MeasuredDataset) -> Experiment | 
     if finding.verdict in ("unknown", "named_in_part"):
         return for_unknown(finding, facts)
     plans = [separating(c, facts) for c in finding.causes if c.indistinguishable_from]
-    if mass_of_either_body(finding, dataset):
+    if mass_of_either_body(finding, dataset) and not any(c.effect in c.indistinguishable_from for c in finding.causes):
         text, runs = bodies_absolute(facts)
         plans.append(Experiment(text, ("dynamics.mass",), runs))
     if not plans:

@@ -11,7 +11,15 @@ from hiltestbed.diagnosis.report import pictures
 from hiltestbed.diagnosis.report.certain import certainty_section
 from hiltestbed.diagnosis.report.extend import in_words
 from hiltestbed.diagnosis.report.facts import rounded
-from hiltestbed.diagnosis.report.sentence import TITLES, gain_sentence, learned_sentence, meaning, partial_sentence, verdict_sentence
+from hiltestbed.diagnosis.report.sentence import (
+    TITLES,
+    gain_sentence,
+    learned_sentence,
+    meaning,
+    partial_sentence,
+    rivals_of,
+    verdict_sentence,
+)
 from hiltestbed.diagnosis.result import Cause, Diagnosis, Figures, Finding, Isolable
 from hiltestbed.effects.table import EFFECTS
 from hiltestbed.report import Report
@@ -84,7 +92,7 @@ def _cause_table(report: Report, causes: Sequence[Cause], title: str, rivals: bo
     for cause in causes:
         report.text(f"{cause.effect}: {meaning(cause.effect)} {EFFECTS[cause.effect].equation}")
     rows = [
-        (c.effect, name, in_words(p), f"{c.probability:.2f}", ", ".join(c.indistinguishable_from) or "nothing else")
+        (c.effect, name, in_words(p), f"{c.probability:.2f}", ", ".join(rivals_of(c)) or "nothing else")
         for c in causes
         for name, p in (c.parameters or {"": None}).items()
         for p in ([p] if p is not None else [])

@@ -70,8 +70,20 @@ def named_cause(cause: Cause) -> str:
     """`sensor.delay [delay 0.0033 (0.0031 to 0.0035) s]`, and its look-alikes."""
     idle = {name for name, field in EFFECTS[cause.effect].model_fields.items() if not field.is_required() and field.default == 0.0}
     words = ", ".join(f"{name} {in_words(p)}" for name, p in cause.parameters.items() if name not in idle or p.estimate)
-    rivals = f", indistinguishable from {' or '.join(cause.indistinguishable_from)}" if cause.indistinguishable_from else ""
+    rivals = f", indistinguishable from {' or '.join(rivals_of(cause))}" if cause.indistinguishable_from else ""
     return f"{cause.effect} [{words}]{rivals}" if words else f"{cause.effect}{rivals}"
+
+
+def rivals_of(cause: Cause) -> list[str]:
+    """The look-alikes of a cause: `sensor.delay`; `dynamics.mass [body target]` for the same effect on another body or axis."""
+    out = list(cause.indistinguishable_from)
+    for i, told in enumerate(cause.alternatives[: len(out)]):
+        if out[i] == cause.effect:
+            entry = next(e for e in told if e["kind"] == cause.effect)
+            own = {name: p.estimate for name, p in cause.parameters.items()}
+            other = [f"{name} {v}" for name, v in entry.items() if isinstance(v, str) and name != "kind" and own.get(name) != v]
+            out[i] += f" [{', '.join(other)}]"
+    return out
 
 
 def partial_sentence(causes: Sequence[Cause], gain: Heldout | None) -> str:
