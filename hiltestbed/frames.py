@@ -185,16 +185,15 @@ def quat_from_mujoco(q: Array) -> Array:
 def quat_from_attitude_deg(attitude_deg: ArrayLike) -> Array:
     """Quaternion ``(..., 4)`` of ``attitude_deg`` ``(..., 3)``: rotations about the fixed x, then y, then z axis [deg]."""
     half = 0.5 * np.radians(np.asarray(attitude_deg, dtype=float))
-    (sx, sy, sz), (cx, cy, cz) = np.moveaxis(np.sin(half), -1, 0), np.moveaxis(np.cos(half), -1, 0)
-    return np.stack(
-        [
-            sx * cy * cz - cx * sy * sz,
-            cx * sy * cz + sx * cy * sz,
-            cx * cy * sz - sx * sy * cz,
-            cx * cy * cz + sx * sy * sz,
-        ],
-        axis=-1,
-    )
+    sine, cosine = np.sin(half), np.cos(half)
+    sx, sy, sz = sine[..., 0], sine[..., 1], sine[..., 2]
+    cx, cy, cz = cosine[..., 0], cosine[..., 1], cosine[..., 2]
+    out = np.empty((*half.shape[:-1], 4))
+    out[..., 0] = sx * cy * cz - cx * sy * sz
+    out[..., 1] = cx * sy * cz + sx * cy * sz
+    out[..., 2] = cx * cy * sz - sx * sy * cz
+    out[..., 3] = cx * cy * cz + sx * sy * sz
+    return out
 
 
 POLE = 1.0 - 1e-12  # |sin| of the middle angle, above which the first and the last rotation have the same axis

@@ -26,6 +26,7 @@ class SimulatedRig:
         self.scenario, self.period = scenario, scenario.tick
         self._sensor, self._plant, _ = simulated([scenario], 1)
         state = approach_state(scenario)
+        self._felt = self._plant.wrench_sub[:, -1]  # one view for all ticks: the sensor's kernels are bound to it
         self.pose: Array = self._plant.pose_act[0]
         self.wrench: Array = np.zeros(6)
         self._feed = float(scenario.compensation.motion.feeds)
@@ -48,7 +49,7 @@ class SimulatedRig:
         self._acceleration[0] = self._feed * (self._slope - self._slope_before) / self.period
         self._slope_before[:] = self._slope
         self._plant.begin(self._goal, self._twist, self._acceleration)
-        self._sensor.feel(self._k, self._plant.wrench_sub[:, -1])
+        self._sensor.feel(self._k, self._felt)
         self._plant.finish()
         if self._plant.diverged[0]:
             raise HiltestbedError(f"the rig diverged at t = {self._k * self.period:.6f} s: {self._plant.divergence(0)}")

@@ -136,6 +136,7 @@ class DeviceRig:
         self.pose_act, self.twist_act = np.zeros((1, 7)), np.zeros((1, 6))
         self.pose_act[:, 6] = 1.0
         self.wrench_sub = np.zeros((1, 1, 6))
+        self._wrench = self.wrench_sub[:, 0]  # one view for all ticks: the monitor's kernels are bound to it
         self.contact, self.captured, self.diverged = (np.zeros(1, dtype=bool) for _ in range(3))
         self.slider_cmd, self.slider_act = np.zeros((1, 0)), np.zeros((1, 0))
         self.upper_cmd, self.upper_act = np.full((1, 3), np.nan), np.full((1, 3), np.nan)
@@ -227,7 +228,7 @@ class DeviceRig:
         self._pair()
         self.twist_act[0] = self._slope if self._held_rate else 1.5 * self._slope - 0.5 * self._slope_before
         self.contact[0] = math.sqrt(float(self.wrench_sub[0, 0, :3] @ self.wrench_sub[0, 0, :3])) > self._threshold
-        self.monitor.update(self.wrench_sub[:, 0], self.pose_act, self.twist_act)
+        self.monitor.update(self._wrench, self.pose_act, self.twist_act)
         self.captured[0] = not math.isnan(self.monitor.capture[0])
         if self.stop is None:
             self.stop = self._overload()

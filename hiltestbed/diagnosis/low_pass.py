@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -47,14 +47,21 @@ class LowPass:
 
     def __call__(self, values: Array) -> Array:
         """``values`` (N, C), filtered."""
-        sections, early = signal.butter(self.order, self.cutoff, fs=1.0, output="sos"), (self.delay if self.prompt else 0.0) - self.part
+        (sections, settled), early = self._designed, (self.delay if self.prompt else 0.0) - self.part
         ahead = math.ceil(max(early, 0.0)) + 1
         held = np.concatenate([values, np.repeat(values[-1:], ahead, axis=0)])
-        through = np.asarray(signal.sosfilt(sections, held, axis=0, zi=signal.sosfilt_zi(sections)[:, :, None] * held[0])[0])
+        through = np.asarray(signal.sosfilt(sections, held, axis=0, zi=settled[:, :, None] * held[0])[0])
         rows = np.arange(len(values)) + early
         low = np.clip(np.floor(rows).astype(int), 0, len(held) - 2)
         part = np.clip(rows - low, 0.0, 1.0)[:, None]
         return np.asarray(through[low] + part * (through[low + 1] - through[low]), dtype=float)
+
+    @cached_property
+    def _designed(self) -> tuple[Array, Array]:
+        """Its second-order sections, and their state under a constant input of one: once for all runs, since it takes several times as
+        long as to filter a run."""
+        sections = np.asarray(signal.butter(self.order, self.cutoff, fs=1.0, output="sos"))
+        return sections, np.asarray(signal.sosfilt_zi(sections))
 
     @property
     def delay(self) -> float:

@@ -74,14 +74,14 @@ def replay_compensation(
     if estimate is not None:
         estimate.source.captured = captured
     limits = latch_limits(scenarios)
-    wrench = np.zeros((n, 6))
+    reading, wrench = np.zeros((n, 6)), np.zeros((n, 6))
     measurement = Measurement(
         wrench, np.zeros((n, 7)), np.zeros((n, 6)), estimate.stiffness if estimate else unknown, estimate.damping if estimate else unknown,
         captured, *([estimate.source.held.lever] if estimate else []),
     )  # fmt: skip
     out = np.empty((n, rows, 6))
     for k in range(rows):
-        reading = readings[run, k]
+        reading[:] = readings[run, k]  # one buffer for all ticks: the kernels are bound to it
         measurement.pose[:], measurement.twist[:] = pose[run, k], twist[run, k]
         _capture(measurement.pose, measurement.twist, limits, captured)
         if estimate is not None:

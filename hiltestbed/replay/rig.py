@@ -99,6 +99,7 @@ def replay_rig(
         estimate.damping if estimate else unknown, plant.captured,
     )  # fmt: skip
     twists = slopes(command[None], start[None, :7], scenario.tick)[0] if rates is None else rates
+    pose, twist = np.empty((1, 7)), np.empty((1, 6))  # the same for all ticks: the kernels are bound to them
     out = np.empty_like(command)
     for k in range(len(command)):
         out[k] = plant.pose_act[0]
@@ -107,7 +108,8 @@ def replay_rig(
             estimate.update(measurement.wrench, measurement.pose, measurement.twist)
         if reached is not None:
             measured_pose[0] = reached[k]
-        motion.update(command[k : k + 1], twists[k : k + 1], measurement)
+        pose[0], twist[0] = command[k], twists[k]
+        motion.update(pose, twist, measurement)
         plant.advance(motion.pose, motion.twist, motion.acceleration)
         if plant.diverged[0] or np.abs(plant.pose_act[0, :3] - command[k, :3]).max() > LOST:
             return None

@@ -185,9 +185,9 @@ def test_its_folder_replays(folder: Path, tmp_path: Path) -> None:
 
 def recorded(folder: Path, **more: object) -> Path:
     """The dataset of two runs at two speeds of the mechanism as ``more`` has it, believed to be without effects."""
-    entries, noise = [], {"sensor.noise": 0.1, "sensor.torque_noise": 0.01, "approach.gap": 0.045, "duration": 0.7}
+    entries, noise = [], {"sensor.noise": 0.1, "sensor.torque_noise": 0.01, "approach.gap": 0.045, "duration": 0.4}
     believed = {"approach.gap": 0.045} | {key: value for key, value in more.items() if key != "effects"}
-    for seed, speed in enumerate((0.1, 0.08)):
+    for seed, speed in enumerate((0.2, 0.16)):
         changed = {**noise, "approach.velocity.2": speed, "seed": seed, **more}
         write_run(run(mine(folder, **changed)), folder / f"run{seed}", rerun=False, report=False)
         entries.append({"file": f"run{seed}/trace.parquet", "set": {"approach.velocity": [0, 0, speed], **believed}})

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hiltestbed import bound
 from hiltestbed.devices.recorder import discard
 from hiltestbed.recording import read_run, write_run
 from hiltestbed.signals import CYCLE
@@ -50,6 +51,21 @@ def test_a_docking_over_the_wire_is_the_docking_of_the_simulation(platform: str)
     np.testing.assert_allclose(live.trace["pose_cmd"], alone.trace["pose_cmd"], atol=2e-6)
     assert live.summary["outcome"] == alone.summary["outcome"]
     assert abs(math.log(live.summary["cor"] / alone.summary["cor"])) < 0.01
+
+
+def test_no_kernel_is_bound_anew_in_a_later_cycle(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Binding takes several times as long as the kernel: of 100 cycles and of 300 it takes place equally often."""
+    counted, bind = [0, 0], bound.bound
+    for i, duration in enumerate((0.1, 0.3)):
+
+        def counting(*given: object, i: int = i) -> object:
+            counted[i] += 1
+            return bind(*given)
+
+        monkeypatch.setattr(bound, "bound", counting)
+        played(scenario_of("02-bumper", "udp", duration=duration), "udp")
+    assert abs(counted[1] - counted[0]) < 50  # whether a cycle more takes place before the run begins depends on the machine
+    assert counted[1] > 0
 
 
 def test_a_delay_that_nobody_told_the_loop_shows_as_it_does_in_the_simulation() -> None:

@@ -67,7 +67,7 @@ def test_instants_within_a_tick_and_a_stamp_of_the_encoder_are_no_departures(tmp
 
 def test_a_late_sensor_is_found_on_the_path_as_it_was_measured(tmp_path: Path) -> None:
     """The command stands half a row late in the record: half a row of the path would be taken off the sensor's delay."""
-    found, hidden = judged(tmp_path, 810020, Nuisances(stamps={"pose_cmd": 0.5}), "sensor.delay")
+    found, hidden = judged(tmp_path, 810020, Nuisances(stamps={"pose_cmd": 0.5}), "sensor.delay", every=3)
     assert [c.effect for c in found.verdict.causes] == ["sensor.delay"]
     cause, tick = found.verdict.causes[0], found.findings.layout.runs[0].scenario.tick
     assert cause.fit.effects()[cause.index].parameters()["delay"] == pytest.approx(hidden["delay"], abs=0.05 * tick)

@@ -74,16 +74,17 @@ def test_free_flight_is_gone_through_once(name: str, monkeypatch: pytest.MonkeyP
     recorded = record([one.model_copy(update={"approach": approach}) for approach in approaches])
     resumed, whole = played(recorded), played(recorded)
     monkeypatch.setattr(whole, "_flight", lambda kind: None)
-    for effect in (
-        EFFECTS["contact.stiffness"].model_validate({"factor": 1.3}),
-        EFFECTS["contact.dry_friction"].model_validate({"force": 20.0}),
-        EFFECTS["contact.touch_offset"].model_validate({"offset": -0.002}),
-        EFFECTS["contact.touch_offset"].model_validate({"offset": -0.02}),
+    stiffer = EFFECTS["contact.stiffness"].model_validate({"factor": 1.3})
+    rubbing = EFFECTS["contact.dry_friction"].model_validate({"force": 20.0})
+    for effects in (
+        [stiffer, rubbing],
+        [EFFECTS["contact.touch_offset"].model_validate({"offset": -0.002})],
+        [EFFECTS["contact.touch_offset"].model_validate({"offset": -0.02})],
     ):
         monkeypatch.setattr("hiltestbed.replay.played.threads", lambda: 2)
-        once = resumed.exerted([(1, [effect]), (0, [])])
+        once = resumed.exerted([(1, effects), (0, [])])
         monkeypatch.setattr("hiltestbed.replay.played.threads", lambda: 1)
-        np.testing.assert_array_equal(once, whole.exerted([(1, [effect]), (0, [])]))
+        np.testing.assert_array_equal(once, whole.exerted([(1, effects), (0, [])]))
     flights = list(resumed._flights.values())
     assert all(f is not None for f in flights)
     plant = Plant([docking(name, ({"kind": "contact.touch_offset", "offset": -0.02},))])

@@ -202,7 +202,7 @@ class Drives:
         self._span = np.zeros((n, 2, 2, joints))
         self._target, self._velocity = np.tile(self._home, (n, 1)), np.zeros((n, joints))
         self._plan = np.zeros((n, substeps, 3, joints))
-        self._start = np.tile(UPRIGHT, (n, 1))
+        self._start, self._unaccelerated = np.tile(UPRIGHT, (n, 1)), np.zeros((n, 6))
         self._ticks = np.zeros(1, dtype=np.int64)
         self.missed = np.zeros(n)
         self.pose, self.twist = np.tile(UPRIGHT, (n, 1)), np.zeros((n, 6))
@@ -262,7 +262,7 @@ class Drives:
         lag = self.lag
         for i in range(len(pose)):
             pose_step(pose[i], twist[i], -lag[i], self._start[i])
-        self.allocate(self._start, twist, np.zeros_like(twist), 0.0)
+        self.allocate(self._start, twist, self._unaccelerated, 0.0)
         for i in range(len(pose)):
             found = self.kinematics.complaints(self.poses[i], self.held[i])
             if found:
@@ -318,7 +318,7 @@ class Drives:
 
     def follow(self, pose: Array, twist: Array) -> None:
         """Joints and their rates for A at ``pose`` (n, 7) with ``twist`` (n, 6) under exact tracking, without drives."""
-        self.allocate(pose, twist, np.zeros_like(twist), 0.0)
+        self.allocate(pose, twist, self._unaccelerated, 0.0)
         self._solve(-1)
         np.subtract(self._goal, self._home, out=self.joints)
         self.joint_rates[:], self.reference[:] = self._leave, self.joints
