@@ -161,9 +161,18 @@ def _on_ticks(run: int, file: Path, channels: Mapping[str, tuple[Array, Clock]],
     found = {name: step_of(column[np.isfinite(column)]) for name, (column, _) in channels.items()}
     steps = {name: step for name, step in found.items() if step is not None}
     _share_steps(steps, {name: column for name, (column, _) in channels.items()})
-    few = {name: digits_of(column) for name, (column, _) in channels.items() if name not in steps}
-    digits = {name: count for name, count in few.items() if count is not None}
+    digits = _digits({name: column for name, (column, _) in channels.items()}, steps)
     return Record(run, file, np.arange(ticks) / scenario.rate, data, valid, {}, absent, rate, steps, digits, bends, sampled)
+
+
+def _digits(columns: Mapping[str, Array], steps: Mapping[str, float]) -> dict[str, int]:
+    """Number of significant digits of the columns that were written with few. A column with ``steps`` counts where most columns of the file
+    were written with as many: its smallest step is then not the step of all its values."""
+    found = {name: count for name, column in columns.items() if (count := digits_of(column)) is not None}
+    free = [count for name, count in found.items() if name not in steps]
+    usual = max(free, key=free.count, default=0)
+    written_so = 2 * free.count(usual) > len(columns)
+    return {name: count for name, count in found.items() if name not in steps or (written_so and count == usual)}
 
 
 def _share_steps(steps: dict[str, float], columns: Mapping[str, Array]) -> None:

@@ -93,7 +93,8 @@ class Record:
 
         Gaps are interpolated linearly; ticks between the rows of a log with another clock are on a smooth curve (quaternions are
         normalised). Before the first and after the last sample the value is held, except for positions before the first sample, which are
-        extrapolated uniformly. Absent axes are zero, an absent attitude is the identity.
+        extrapolated uniformly. Absent axes are zero, an absent attitude is the identity. A command that was logged in steps or with few
+        digits is interpolated between the centres of equal values: it was computed, and is smooth.
         """
         values = self.data[group].copy()
         default = (0.0,) * 3 + IDENTITY if group.startswith("pose") else (0.0,) * values.shape[1]
@@ -105,6 +106,8 @@ class Record:
                 values[:, j] = np.interp(self.t, self.t[known], values[known, j])
                 if group.startswith("pose") and j < 3 and not known[0]:
                     self._run_back(values[:, j], known)
+            if group == "pose_cmd" and known.any() and GROUPS[group].columns[j] in {*self.digits, *self.steps}:
+                values[:, j] = _between_steps(values[:, j])
         values += self.bends.get(group, 0.0)
         if group.startswith("pose"):
             bridged = ~self.valid[group][:, 3:].all(axis=1) | (group in self.bends)
@@ -146,3 +149,10 @@ def place(column: str) -> tuple[str, int]:
     """Group and part number of a column of the trace."""
     group, _, part = column.rpartition(".")
     return group, GROUPS[group].parts.index(part)
+
+
+def _between_steps(values: Array) -> Array:
+    """``(n,)`` values interpolated between the centres of the stretches in which they are equal."""
+    starts = np.flatnonzero(np.r_[True, values[1:] != values[:-1]])
+    ends = np.r_[starts[1:], len(values)] - 1
+    return np.interp(np.arange(len(values)), 0.5 * (starts + ends), values[starts])
