@@ -69,9 +69,9 @@ def interpolation_errors(runs: Sequence[MeasuredRun], group: str, rows: Sequence
 def kink_errors(record: Record, group: str) -> Array:
     """``(ticks, parts)`` error of linear interpolation where a channel bends within a row, as a force does at a touch; 0 elsewhere.
 
-    The spline through the samples departs from the polygon there, by at least a third of the error of the polygon (simulated for rates of
-    the log from a quarter to 1.3 of the loop's, samples interpolated by the logger or not). What noise does to the spline everywhere is
-    no kink.
+    The spline through the samples departs from the polygon there, by at least a sixth of the error of the polygon (simulated for rates of
+    the log from a quarter to 1.3 of the loop's, samples interpolated by the logger or not): the error is within three standard deviations.
+    What noise does to the spline everywhere is no kink.
     """
     bends = record.bends.get(group)
     if bends is None:
@@ -79,7 +79,7 @@ def kink_errors(record: Record, group: str) -> Array:
     size = np.abs(bends)
     usual = np.array([float(np.median(x[x > 0.0])) if x.any() else 0.0 for x in size.T])
     peak = maximum_filter1d(size, KINK_ROWS, axis=0)
-    return np.where(peak > KINK_RATIO * usual, peak, 0.0)
+    return np.where(peak > KINK_RATIO * usual, 2.0 * peak, 0.0)
 
 
 def rms_differences(link: Link, other: Link) -> list[Array]:

@@ -118,7 +118,7 @@ def force_noise(runs: Sequence[MeasuredRun], logged: LowPass | None = None) -> F
 def _noise(runs: Sequence[MeasuredRun], logged: LowPass | None) -> ForceNoise:
     """The noise without its quantisation."""
     still = ForceNoise(np.zeros(6), logged.colour if logged else 1.0, False, tuple(np.zeros(6) for _ in runs), 0.0)
-    latched = runs[0].scenario.mechanism.captured
+    latched = any(run.scenario.mechanism.captured for run in runs)
     measured = [j for j in range(6) if not any(undithered(run, CHANNELS[j]) for run in runs)]
     moved = sorted({j for run in runs for j in _moved(run)}) if latched else []
     still_rows = [_at_rest(run, moved) for run in runs] if latched else []

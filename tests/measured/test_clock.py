@@ -10,6 +10,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from hiltestbed import load_scenario
+from hiltestbed.diagnosis.bridged import kink_errors
 from hiltestbed.measured.clock import bend, check_clock, start_of_run, to_ticks
 from hiltestbed.measured.reading import read_record
 
@@ -81,6 +82,25 @@ def test_the_noise_of_samples_between_ticks_counts_as_much_as_that_of_ticks(tmp_
     blocks = np.nanmean(record.column("pose_act.pz")[:3992].reshape(-1, 8), axis=1)
     white = blocks.std() * np.sqrt(8.0)
     np.testing.assert_allclose(white, sigma, rtol=0.1)
+
+
+@pytest.mark.parametrize("rate", [500.0, 900.0, 1200.0, 1700.0, 2600.0])
+@pytest.mark.parametrize("by_the_logger", [True, False])
+def test_a_touch_between_two_rows_is_off_by_three_times_its_uncertainty_at_most(tmp_path: Path, rate: float, by_the_logger: bool) -> None:
+    """A ramp that begins anywhere in a tick, as a force does at a touch; rows interpolated by the logger, or sampled at their stamps."""
+    loop, rng = np.arange(600) / 2000.0, np.random.default_rng(11)
+    scenario = load_scenario("reference-bumper", {"rate": 2000, "duration": 0.3})
+    t = np.arange(int(loop[-1] * rate) + 1) / rate
+    for _ in range(20):
+        begin = rng.uniform(0.1, 0.2)
+        force = 3e4 * np.maximum(loop - begin, 0.0)
+        logged = np.interp(t, loop, force) if by_the_logger else 3e4 * np.maximum(t - begin, 0.0)
+        pq.write_table(pa.table({"t": t, "wrench_meas.fz": logged}), tmp_path / "run.parquet")
+        record, _ = read_record(0, tmp_path / "run.parquet", {}, scenario)
+        assert record is not None
+        error = np.nan_to_num(record.column("wrench_meas.fz") - force[: record.ticks])
+        allowed = kink_errors(record, "wrench_meas")[:, 2]
+        assert (np.abs(error) <= 3.0 * allowed + 1e-6).all()
 
 
 def test_rows_that_are_ticks_bend_nowhere_though_some_are_lost() -> None:
