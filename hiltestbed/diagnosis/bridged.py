@@ -22,7 +22,7 @@ MAX_GAP_ROWS = 5  # chosen: consecutive rows that are interpolated; a longer gap
 MONTE_CARLO_DRAWS = 12  # chosen: replays; they give a spread to a fifth
 GAP_SIGMA = 3.0  # chosen: standard deviations; the losses of a run make one departure, which does not average out
 KINK_ROWS = 5  # chosen: ticks over which the error of a kink spreads
-KINK_RATIO = 7.0  # derived: of a bend to their median in noise, exceeded by 2e-6 of them
+KINK_RATIO = 7.0  # chosen: of a bend to their median; 2e-6 of normal samples exceed it
 NEIGHBOUR_ROWS = 21  # chosen: rows around a lost one whose second differences stand for its own
 
 

@@ -121,20 +121,17 @@ def _noise(runs: Sequence[MeasuredRun], logged: LowPass | None) -> ForceNoise:
     latched = any(run.scenario.mechanism.captured for run in runs)
     measured = [j for j in range(6) if not any(undithered(run, CHANNELS[j]) for run in runs)]
     moved = sorted({j for run in runs for j in _moved(run)}) if latched else []
-    still_rows = [_at_rest(run, moved) for run in runs] if latched else []
-    free = [readings for _, readings in still_rows] if latched else [_free(run) for run in runs]
+    at_rest = [_at_rest(run, moved) for run in runs] if latched else []
+    free = [readings for _, readings in at_rest] if latched else [_free(run) for run in runs]
     if sum(len(x) for x in free) < MIN_NOISE_ROWS:
         return still
     columns = [j for j in measured if j not in moved and _moves(free, j)]
     if not columns:
         return still
-    if latched:
-        apart = [(_places(rows, run.record.ticks), x[:, columns], rows) for run, (rows, x) in zip(runs, still_rows, strict=True)]
-    else:
-        apart = [_contact_free(run, columns) for run in runs]
+    apart = [(rows, x[:, columns]) for rows, x in at_rest] if latched else [_contact_free(run, columns) for run in runs]
     flat, start = _straightened(free, columns)
     tones = [] if logged else tones_of(flat)  # filtered noise is not flat about a tone
-    aside = phases_differ(flat, tones, [a[1:] for a in apart])
+    aside = phases_differ(flat, tones, apart)
     flat = without_tones(flat, tones)
     scale = np.array([1.4826 * np.median(np.abs(np.concatenate([x[:, i] for x in flat]))) for i in range(len(columns))])
     z = [x / np.where(scale > 0.0, scale, 1.0) for x in flat]
@@ -146,17 +143,19 @@ def _noise(runs: Sequence[MeasuredRun], logged: LowPass | None) -> ForceNoise:
     if heavy or colour > 1.0:
         level[columns] = [lost * _level(np.concatenate([x[:, i] for x in flat]), heavy) for i in range(len(columns))]
     elif aside:
-        level[columns] = _white_levels(without_tones([a[1] for a in apart], aside, [a[2] for a in apart]))
+        level[columns] = _white_levels(without_tones([x for _, x in apart], aside, [r for r, _ in apart]))
     if heavy:
         squares = np.concatenate([softened(x / level[columns], True).ravel() ** 2 for x in flat])
         tail = max(NORMAL_SQUARE_VARIANCE, float(np.var(squares)))
-    white = np.sqrt(np.mean([[white_noise(column) ** 2 for column in run.record.data["wrench_meas"].T] for run in runs], axis=0))
-    if level.any() and moved:  # noise of these shows in third differences alone: as much above these as in the other channels
+    pressed = columns
+    if latched:  # noise of an axis that moves shows in third differences alone: as much above these as in the other channels
+        white = _white_levels([run.record.data["wrench_meas"] for run in runs if run.record.has("wrench_meas")])
         level[moved] = white[moved] * float(np.median(level[columns] / white[columns]))
-    pressed = [j for j in moved if j in measured] if latched else columns
-    share = _share(runs, pressed, white[pressed] if latched else scale)
+        pressed = [j for j in moved if j in measured]
+        scale = white[pressed]
+    share = _share(runs, pressed, scale)
     spread = lost * np.array([float(np.std(np.concatenate([x[:, i] for x in flat]))) for i in range(len(columns))]) * colour
-    if baselines_differ([a[:2] for a in apart], spread):
+    if baselines_differ([(_places(r, run.record.ticks), x) for run, (r, x) in zip(runs, apart, strict=True)], spread):
         return ForceNoise(level, colour, heavy, still.offset, share, tail, BASELINE_DEGREE, aside)
     offset, (found, degree) = [np.zeros(6) for _ in runs], _offsets([len(x) for x in flat], start, spread)
     if latched and any(f.any() for f in found):  # the offset of an axis that moves is not known
@@ -240,16 +239,15 @@ def few_levels(run: MeasuredRun, name: str) -> bool:
     return len(known) > 0 and float(np.ptp(known)) < FEW_STEPS * run.record.steps[name]
 
 
-def _contact_free(run: MeasuredRun, columns: Sequence[int]) -> tuple[Array, Array, Array]:
-    """Rows away from contacts: their places in the run from -1 to 1, the readings there, and their numbers."""
+def _contact_free(run: MeasuredRun, columns: Sequence[int]) -> tuple[Array, Array]:
+    """Rows (M,) away from contacts, and the readings (M, C) there."""
     record = run.record
     if not record.has("wrench_meas"):
-        return np.zeros(0), np.zeros((0, len(columns))), np.zeros(0)
+        return np.zeros(0), np.zeros((0, len(columns)))
     values = record.data["wrench_meas"][:, columns]
     apart = ~run.survey.touching(len(values), round((run.scenario.sensor.delay + SETTLING_TIME) * run.scenario.rate))
     apart &= np.isfinite(values).all(axis=1)
-    rows = np.flatnonzero(apart).astype(float)
-    return _places(rows, len(values)), values[apart], rows
+    return np.flatnonzero(apart).astype(float), values[apart]
 
 
 def _straightened(free: Sequence[Array], columns: Sequence[int]) -> tuple[list[Array], Array]:

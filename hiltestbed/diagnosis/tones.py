@@ -62,7 +62,7 @@ def without_tones(flat: Sequence[Array], tones: Sequence[float], rows: Sequence[
 def phases_differ(flat: Sequence[Array], tones: Sequence[float], apart: Sequence[tuple[Array, Array]]) -> tuple[float, ...]:
     """[rad] a row of those ``tones`` whose phase differs between runs, refined on all rows ``apart`` from contacts.
 
-    apart: of each run readings (M, C) and their rows (M,).
+    apart: of each run rows (M,) and the readings (M, C) there.
     """
     out = []
     longest = max(len(x) for x in flat)
@@ -73,7 +73,7 @@ def phases_differ(flat: Sequence[Array], tones: Sequence[float], apart: Sequence
             continue
         tried = w + np.linspace(-math.pi, math.pi, FREQUENCIES_TRIED) / longest
         for _ in range(2):
-            taken = [sum(float(np.sum(_part(rows, x - x.mean(axis=0), [v]) ** 2)) for x, rows in apart if len(x) > 10) for v in tried]
+            taken = [sum(float(np.sum(_part(rows, x - x.mean(axis=0), [v]) ** 2)) for rows, x in apart if len(x) > 10) for v in tried]
             best = float(tried[int(np.argmax(taken))])
             tried = best + (tried - tried.mean()) * (4.0 / FREQUENCIES_TRIED)
         out.append(best)

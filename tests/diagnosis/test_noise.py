@@ -84,6 +84,14 @@ def test_a_mechanism_that_never_flies_shows_its_noise_on_the_axes_at_rest(crosst
     assert force_noise([latched(n, crosstalk) for n in white(2)]).words() == ()
 
 
+def test_a_run_without_forces_leaves_the_noise_to_the_others() -> None:
+    runs = [latched(np.asarray(lfilter([0.8], [1, -0.6], n, axis=0))) for n in white(1)]
+    record: Any = SimpleNamespace(data={}, ticks=ROWS, has=lambda name: name[0] == "p", steps={}, column=lambda name: np.zeros(ROWS))
+    alone, beside = force_noise(runs), force_noise([*runs, MeasuredRun(record, runs[0].scenario, runs[0].survey)])  # type: ignore[arg-type]
+    assert alone.level.all()
+    np.testing.assert_array_equal(beside.level, alone.level)
+
+
 def test_tones_in_a_short_flight_do_not_lower_the_level() -> None:
     """Four tones take nine of the hundred readings of a flight with them: 5 % of the deviation, which all rows without contact show."""
     t = np.arange(ROWS)[:, None] * 1e-3

@@ -12,12 +12,13 @@ import pytest
 from scipy.optimize import brentq
 
 from hiltestbed.diagnosis import search
+from hiltestbed.diagnosis.adequacy import Leftover
 from hiltestbed.diagnosis.fit import fit, null_fit
 from hiltestbed.diagnosis.investigate import _used_readings
 from hiltestbed.diagnosis.jitter import jitter_beside
 from hiltestbed.diagnosis.lines import hum_beside, lines
 from hiltestbed.diagnosis.links import Link, LinkRun, PlatformLink
-from hiltestbed.diagnosis.links.base import Lane
+from hiltestbed.diagnosis.links.base import Effects, Lane
 from hiltestbed.diagnosis.residual import Residual, square
 from hiltestbed.diagnosis.search import Search
 from hiltestbed.diagnosis.settings import DETECTION
@@ -57,6 +58,20 @@ def test_a_vector_is_found_in_whichever_direction_it_points(direction: tuple[int
     found = Search((c,)).extend(residual, null_fit(residual))  # weighed first: at a start it may make things worse
     assert len(found) == 1
     assert found[0].theta == pytest.approx(0.02 * np.array(direction), abs=1e-8)
+
+
+def test_below_a_bound_on_an_error_nothing_departs_though_an_effect_fits() -> None:
+    """A hundred rows off by the same 0.8 of a level: in noise of that level they are an effect, below a bound on an error they are none."""
+    residual = Residual(Along(np.full((100, 3), 0.8)))
+    c = candidate(EFFECTS["dynamics.port_offset"], {f"offset.{j}": [0.0] for j in range(3)}, starts=[(0, 0, 0)], body="chaser")
+
+    def judge(of: Residual, effects: Effects) -> dict[str, Leftover]:
+        return {"x": Leftover(square(of(effects)) / 300.0, 0.0, 1.0, 1.0, 100)}
+
+    assert Search((c,), judge).explain(residual).departs
+    assert not Search((c,), judge, bounded=True).explain(residual).departs
+    beyond = Residual(Along(np.full((100, 3), 1.5)))
+    assert Search((c,), judge, bounded=True).explain(beyond).departs
 
 
 def test_a_drift_is_found_up_to_the_size_of_the_contact() -> None:

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
+from hiltestbed import load_scenario
 from hiltestbed.measured.clock import Clock
 from hiltestbed.measured.held import without_held
 from hiltestbed.measured.noise import digits_of, last_digit
+from hiltestbed.measured.reading import read_record
 from hiltestbed.measured.ticks import as_ticks
 
 TICK, ROWS = 1e-3, 800
@@ -76,3 +82,21 @@ def test_significant_digits_are_counted(count: int) -> None:
     assert digits_of(values) == count
     assert digits_of(np.random.default_rng(7).standard_normal(500)) is None
     assert last_digit(np.array([123.45]), 5)[0] == pytest.approx(0.01)
+
+
+def test_a_command_of_four_digits_is_within_half_a_step_of_what_was_written_and_nearer_to_the_truth(tmp_path: Path) -> None:
+    """It passes 0.1, where the last digit becomes ten times as coarse: neither step is that of all rows, and four digits are."""
+    t, rng = np.arange(1000) * 1e-3, np.random.default_rng(12)
+    true = 0.090003 + 0.02 * t
+    table = {"t": t, "pose_cmd.px": true} | {f"pose_act.{part}": 1e-3 * rng.standard_normal(1000) for part in ("px", "py", "pz")}
+    written = {name: [float(f"{v:.4g}") if name != "t" else v for v in column] for name, column in table.items()}
+    pq.write_table(pa.table(written), tmp_path / "run.parquet")
+    record, _ = read_record(0, tmp_path / "run.parquet", {}, load_scenario("reference-bumper", {"rate": 1000, "duration": 1.0}))
+    assert record is not None
+    assert record.digits["pose_cmd.px"] == 4
+    step = np.where(true < 0.1, 1e-5, 1e-4)
+    np.testing.assert_allclose(record.rounding("pose_cmd")[:, 0], step / np.sqrt(12.0))
+    off = np.abs(record.filled("pose_cmd")[:, 0] - true)
+    inside = slice(10, 990)  # the first and the last stretch have one neighbour
+    assert (off <= 0.51 * step)[inside].all()
+    assert np.sqrt(np.mean(off[inside] ** 2)) < 0.4 * np.sqrt(np.mean((record.column("pose_cmd.px") - true)[inside] ** 2))
