@@ -161,8 +161,8 @@ def _explain_compensation(
     layout: Layout, link: CompensationLink, candidates: Sequence[Candidate], progress: Progress | None
 ) -> Explanation:
     judge = judges.of_compensation(link, layout.noise)
-    between_rows = any("wrench_meas" in run.record.bends for run in layout.runs)
-    search = Search(tuple(candidates), judge, (), _begin(progress, layout, "compensation"), bounded=between_rows)
+    approximate = layout.logged is not None or any("wrench_meas" in run.record.bends for run in layout.runs)
+    search = Search(tuple(candidates), judge, (), _begin(progress, layout, "compensation"), bounded=approximate)
     led = [link.noise_gain() * layout.noise.get(name.replace("comp", "meas"), 0.0) for name in link.channels]
     return explain_with_timing(Residual(link), search, weigh=lambda residual: residual.with_noise(np.array(led)))
 

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.polynomial import legendre
 from scipy.ndimage import uniform_filter1d
 from scipy.optimize import brentq, nnls
 from scipy.stats import chi2 as chi_square
@@ -120,8 +121,9 @@ def _noise(runs: Sequence[MeasuredRun], logged: LowPass | None) -> ForceNoise:
     still = ForceNoise(np.zeros(6), logged.colour if logged else 1.0, False, tuple(np.zeros(6) for _ in runs), 0.0)
     latched = any(run.scenario.mechanism.captured for run in runs)
     measured = [j for j in range(6) if not any(undithered(run, CHANNELS[j]) for run in runs)]
-    moved = sorted({j for run in runs for j in _moved(run)}) if latched else []
-    at_rest = [_at_rest(run, moved) for run in runs] if latched else []
+    each = [set(_moved(run)) for run in runs if latched and run.record.has("wrench_meas")] or [set[int]()]
+    moved, driving = sorted(set.union(*each)), sorted(set.intersection(*each))
+    at_rest = [_at_rest(run, driving) for run in runs] if latched else []
     free = [readings for _, readings in at_rest] if latched else [_free(run) for run in runs]
     if sum(len(x) for x in free) < MIN_NOISE_ROWS:
         return still
@@ -185,22 +187,22 @@ def _moved(run: MeasuredRun) -> list[int]:
     return [j for j, r in enumerate(ranges) if r == math.inf or (r > MAX_REST * most and names[j] in run.survey.excited)]
 
 
-def _at_rest(run: MeasuredRun, moved: Sequence[int]) -> tuple[Array, Array]:
-    """Rows (n,) of a latched mechanism, and the readings (n, 6) there less what they share with those of the axes that ``moved``, which may
-    reach them a row earlier or later."""
+def _at_rest(run: MeasuredRun, driving: Sequence[int]) -> tuple[Array, Array]:
+    """Rows (n,) of a latched mechanism, and the readings (n, 6) there less what they share with those of the axes that move in every run,
+    ``driving``, which may reach them a row earlier or later."""
     record = run.record
-    if not record.has("wrench_meas") or len(moved) == len(CHANNELS):
+    if not record.has("wrench_meas") or len(driving) == len(CHANNELS):
         return np.zeros(0), np.zeros((0, 6))
     values = record.data["wrench_meas"]
     there = np.isfinite(values).any(axis=0)
     rows = np.flatnonzero(np.isfinite(values[:, there]).all(axis=1))
     values = np.where(there, values, 0.0)[rows]
-    if not moved or len(values) < MIN_NOISE_ROWS:
+    if not driving or len(values) < MIN_NOISE_ROWS:
         return rows.astype(float), values
-    beside = np.concatenate([values[2:, moved], values[1:-1, moved], values[:-2, moved]], axis=1)
-    beside -= beside.mean(axis=0)
-    shared = beside @ np.linalg.lstsq(beside, values[1:-1] - values[1:-1].mean(axis=0), rcond=None)[0]
-    return rows[1:-1].astype(float), values[1:-1] - shared
+    beside = np.concatenate([values[2:, driving], values[1:-1, driving], values[:-2, driving]], axis=1)
+    baseline = legendre.legvander(_places(rows[1:-1].astype(float), record.ticks), BASELINE_DEGREE)  # beside it, since baselines look alike
+    part = np.linalg.lstsq(np.concatenate([beside, baseline], axis=1), values[1:-1], rcond=None)[0][: beside.shape[1]]
+    return rows[1:-1].astype(float), values[1:-1] - (beside - beside.mean(axis=0)) @ part
 
 
 def _places(rows: Array, ticks: int) -> Array:

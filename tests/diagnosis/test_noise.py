@@ -84,6 +84,16 @@ def test_a_mechanism_that_never_flies_shows_its_noise_on_the_axes_at_rest(crosst
     assert force_noise([latched(n, crosstalk) for n in white(2)]).words() == ()
 
 
+def test_the_baseline_of_an_axis_at_rest_wanders_though_that_of_the_axis_that_moves_looks_alike() -> None:
+    rng, t = np.random.default_rng(13), np.linspace(0.0, 1.0, ROWS)[:, None]
+    runs = []
+    for n in white(13):
+        sway = np.sin(2 * np.pi * rng.uniform(0.25, 0.75, 6) * t + rng.uniform(-np.pi, np.pi, 6))
+        runs.append(latched(n + 2.0 * SIGMA * sway))
+    noise = force_noise(runs)
+    assert (noise.baseline, noise.tones) == (3, ())
+
+
 def test_a_run_without_forces_leaves_the_noise_to_the_others() -> None:
     runs = [latched(np.asarray(lfilter([0.8], [1, -0.6], n, axis=0))) for n in white(1)]
     record: Any = SimpleNamespace(data={}, ticks=ROWS, has=lambda name: name[0] == "p", steps={}, column=lambda name: np.zeros(ROWS))
