@@ -20,10 +20,10 @@ SAME = 2e-3  # relative change at which a limit has converged; relative resoluti
 
 
 class Rebounds:
-    """Bounces of a contact ``way`` on a rig with a response; ``played`` simulates them, None: they are only computed."""
+    """Bounces of a contact ``way`` on a rig with a response; ``simulated`` simulates them, None: they are only computed."""
 
-    def __init__(self, response: RigResponse, way: Direction, played: FirstContact | None = None) -> None:
-        self._response, self._way, self._played = response, way, played
+    def __init__(self, response: RigResponse, way: Direction, simulated: FirstContact | None = None) -> None:
+        self._response, self._way, self._simulated = response, way, simulated
         self._factor = 1.0
         self.lag = lag_of(response)
 
@@ -31,14 +31,14 @@ class Rebounds:
         """The bounce of the contact itself; if it equals the computed one, no further bounce is simulated."""
         found = self.at(delay, stiffness)
         if abs(self._factor - 1.0) < SAME:
-            self._played, self._factor = None, 1.0
+            self._simulated, self._factor = None, 1.0
         return found
 
     def at(self, delay: float, stiffness: float) -> Bounce:
         """The simulated bounce, or the computed one if none is simulated or the bodies do not separate. A negative delay (a lead) is
         simulated as zero delay, times the ratio of the computed bounces."""
         through = self._computed(delay, stiffness)
-        found = self._played.played(Case(max(delay, 0.0), stiffness), self.lag) if self._played else None
+        found = self._simulated.bounce(Case(max(delay, 0.0), stiffness), self.lag) if self._simulated else None
         if found is None:
             return through
         beside = through if delay >= 0.0 else self._computed(0.0, stiffness)
@@ -55,7 +55,7 @@ class Rebounds:
         """The converged limit that ``seek`` finds with :meth:`slower`; ``case`` gives (delay, stiffness) of the bounce at a limit."""
         limit = seek()
         for _ in range(ROUNDS):
-            if limit is None or self._played is None:
+            if limit is None or self._simulated is None:
                 break
             before, factor = limit, self._factor
             self.at(*case(limit))

@@ -144,15 +144,15 @@ def worst_of(scenario: Scenario, delay: float, compensated: bool, exact: bool = 
     ``exact``: the method also compensates the platform.
     """
     ways = directions(scenario)
-    played = first_contact(scenario, exact) if any(way.first for way in ways) and not _computes(scenario, ways, exact) else None
-    judged = [judge(scenario, EXACT, delay, compensated, way, played) for way in ways] if exact else []
+    simulated = first_contact(scenario, exact) if any(way.first for way in ways) and not _computes(scenario, ways, exact) else None
+    judged = [judge(scenario, EXACT, delay, compensated, way, simulated) for way in ways] if exact else []
     if exact:  # later touches, elsewhere on the surface, are not compensated exactly
         ways = [replace(way, name=LATER, first=False) for way in ways if way.slant]
     if len(ways) == 1 and not ways[0].slant:
-        judged += [judge(scenario, measured_response(scenario), delay, compensated, ways[0], played)]
+        judged += [judge(scenario, measured_response(scenario), delay, compensated, ways[0], simulated)]
     elif ways:
         six, inverse = six_axis_response(scenario), mobility(scenario)
-        judged += [judge(scenario, six.along(way.row, inverse), delay, compensated, way, played) for way in ways]
+        judged += [judge(scenario, six.along(way.row, inverse), delay, compensated, way, simulated) for way in ways]
     return sorted((j for j in judged if j is not None), key=_left) or None
 
 
@@ -181,17 +181,17 @@ def judge(
     delay: float,
     compensated: bool = True,
     way: Direction | None = None,
-    played: FirstContact | None = None,
+    simulated: FirstContact | None = None,
 ) -> Stability | None:
     """The stability of a scenario's contact ``way`` (default: the insertion) on a rig with a response, for a force with a ``delay`` [s];
-    None if its frequency was not measured. ``played``: simulates the first contact, used if ``way`` is the first contact."""
+    None if its frequency was not measured. ``simulated``: simulates the first contact, used if ``way`` is the first contact."""
     contact = insertion(scenario) if way is None else way
     fine = response.finer()
     found = net_damping(fine, contact.mass, contact.stiffness, contact.damping, delay)
     if found is None:
         return None
     frequency, left = found
-    rebounds = Rebounds(response, contact, played if contact.first else None)
+    rebounds = Rebounds(response, contact, simulated if contact.first else None)
     ends = None if contact.pulls else rebounds.first(delay, contact.stiffness)
     stable = left > 0.0 and (ends is None or ends.rebound < 1.0)
     largest = _bears(rebounds, fine, contact)

@@ -48,7 +48,7 @@ class FirstContact:
     """The first contact of a scenario.
 
     Attributes:
-        playable: whether it is short enough to be simulated, see :data:`LONGEST`.
+        simulable: whether it is short enough to be simulated, see :data:`LONGEST`.
     """
 
     def __init__(self, scenario: Scenario, touch: float, ideal: bool = False) -> None:
@@ -61,7 +61,7 @@ class FirstContact:
         speed = max(float(np.linalg.norm(scenario.approach.velocity)), APPROACH / LEAD[1])
         self._mass, self._lead = effective_mass(scenario), min(touch, max(APPROACH / speed, LEAD[0]))
         self._own = self._lasts(scenario.mechanism.contact.stiffness, scenario.sensor.delay)
-        self.playable = self._own <= LONGEST
+        self.simulable = self._own <= LONGEST
         if touch > self._lead:
             start, pose = approach_state(scenario), np.empty(7)
             pose_step(start[:7], start[7:], touch - self._lead, pose)
@@ -73,7 +73,7 @@ class FirstContact:
         """[s] upper bound of the duration of a head-on bounce."""
         return HALF_PERIODS * math.pi * math.sqrt(self._mass / stiffness) + LAGS * late
 
-    def played(self, case: Case, lag: float) -> Bounce | None:
+    def bounce(self, case: Case, lag: float) -> Bounce | None:
         """The bounce of a case, on a rig with that lag [s]; None if it does not end in time, diverges, or its scenario is invalid."""
         try:
             loop = Loop([self._scenario(case, lag)])
@@ -125,4 +125,4 @@ def first_contact(scenario: Scenario, ideal: bool = False) -> FirstContact | Non
     if touch is None:
         return None
     contact = FirstContact(scenario, touch, ideal)
-    return contact if contact.playable else None
+    return contact if contact.simulable else None

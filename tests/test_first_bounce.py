@@ -231,10 +231,10 @@ def test_what_is_not_in_the_bounce_that_is_foretold_is_said() -> None:
     assert said["caveat"] == "without sensor.gain"
 
 
-def test_a_stiffness_that_an_effect_of_the_contact_does_not_bear_is_not_played() -> None:
+def test_a_stiffness_that_an_effect_of_the_contact_does_not_bear_is_not_simulated() -> None:
     """A frame of a gram on a spring of 1 GN/m would ring in 1,250 steps an instant, which no scenario may."""
     ringing = {"kind": "frame.mode", "frequency": 1.0e4, "damping_ratio": 0.1, "mass": 1e-3}
-    played = first_contact(load_scenario(SCENARIOS / "02-bumper.yaml", {"effects": [ringing]}))
-    assert played is not None
-    assert played.played(Case(0.0, 1.0e5), 0.0) is not None
-    assert played.played(Case(0.0, 1.0e9), 0.0) is None
+    simulated = first_contact(load_scenario(SCENARIOS / "02-bumper.yaml", {"effects": [ringing]}))
+    assert simulated is not None
+    assert simulated.bounce(Case(0.0, 1.0e5), 0.0) is not None
+    assert simulated.bounce(Case(0.0, 1.0e9), 0.0) is None

@@ -22,12 +22,12 @@ MAX_LOSS = 0.02  # chosen: share of the departure from the nominal model that ma
 def decimated(link: WrenchLink) -> WrenchLink:
     """The same link on means of 2, 4, ... rows; itself where that would lose too much. The noise is not lowered.
 
-    Links that are played or filtered depend on every tick, and are not decimated. The signal lost between the blocks is estimated from the
+    Links that are simulated or filtered depend on every tick, and are not decimated. The signal lost between the blocks is estimated from the
     whole residual there, less the known share of white noise.
     """
     rows = sum(len(p) for p in link.paths)
     count = 1
-    if rows >= 2 * MIN_ROWS and not link.played and link.logged is None:
+    if rows >= 2 * MIN_ROWS and not link.simulated and link.logged is None:
         rms = _rms(link, link.predict([(i, ()) for i in range(len(link.runs))]))
         while rows >= 2 * count * MIN_ROWS and _lost(link, 2 * count) < MAX_LOSS * rms:
             count *= 2

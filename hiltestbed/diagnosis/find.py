@@ -110,7 +110,7 @@ def find(findings: Findings, progress: Progress | None = None) -> Finding:
 def _left_out(findings: Findings) -> tuple[str, ...]:
     """A sentence on the share of a mechanism's motion that was not compared; none where all of it was."""
     link, layout = findings.whole.get("wrench"), findings.layout
-    if not isinstance(link, WrenchLink) or not link.played:
+    if not isinstance(link, WrenchLink) or not link.simulated:
         return ()
     told = [np.asarray(np.isfinite(run.sigma).any(axis=1))[r.touching(run.rows)] for r, run in zip(layout.runs, link.runs, strict=True)]
     left = 1.0 - float(np.mean(np.concatenate(told)))

@@ -194,7 +194,7 @@ def _replay_is_better(layout: Layout, measured: Path, path_noise: Sequence[Array
     share = _noise_ratio(layout, path_noise)
     if share < MAX_PATH_NOISE:
         return False
-    if not explained or layout.deflection is None:  # a played mechanism diverges at the smallest difference, on any path
+    if not explained or layout.deflection is None:  # a simulated mechanism diverges at the smallest difference, on any path
         return share > 1.0 and all(sides_of(r.scenario.mechanism).rigid for r in layout.runs)
     return max(d.noise for d in layout.deflection) < measured.place
 
@@ -224,7 +224,9 @@ def _noise_of(layout: Layout, path: Path) -> list[Array]:
     link, away = _perturbed(layout, path, moved)
     squares = [np.mean(np.square(a), axis=0) for a in away]
     noise = [np.sqrt(np.maximum(uniform_filter1d(s, SMOOTHING_ROWS, axis=0), 0.0)) for s in squares]
-    if link.played and path.rates is not None and not path.rates_measured:  # how A was integrated is not known; its error lasts many rows
+    if (
+        link.simulated and path.rates is not None and not path.rates_measured
+    ):  # how A was integrated is not known; its error lasts many rows
         missed = rms_differences(link, wrench_link(layout, path.poses, layout.whole))
         noise = [np.hypot(n, math.sqrt(BLOCK_ROWS) * m) for n, m in zip(noise, missed, strict=True)]
     if not _interpolated(layout, path):

@@ -14,11 +14,11 @@ from typing import Any
 
 import numpy as np
 
+from hiltestbed.diagnosis.closed_loop import bounce_of, measured_motion, restitution, trace_motion, traces_of
 from hiltestbed.diagnosis.fit import Fit, fit, inflation
 from hiltestbed.diagnosis.investigate import Findings
 from hiltestbed.diagnosis.layout import Layout
 from hiltestbed.diagnosis.plain import entry
-from hiltestbed.diagnosis.report.closed_loop import bounce_of, measured_motion, restitution, trace_motion, traces_of
 from hiltestbed.diagnosis.search import Explanation
 from hiltestbed.diagnosis.settings import AMBIGUITY, MODEL_ERROR
 from hiltestbed.diagnosis.timing import delays_not_causes

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from hiltestbed.diagnosis.certainty import Certainty
-    from hiltestbed.diagnosis.report.closed_loop import Played
+    from hiltestbed.diagnosis.closed_loop import SimulatedRun
     from hiltestbed.measured import MeasuredDataset
     from hiltestbed.scenario import Scenario
 
@@ -269,7 +269,7 @@ class Diagnosis:
     Attributes:
         finding: verdict, link, causes, evidence. residuals, closed_loop, experiment: what follows from it.
         dataset, extended: the data, and the scenario with the named effects (the nominal one where nothing was named).
-        played: the simulations of each run.
+        simulated: the simulations of each run.
     """
 
     name: str
@@ -279,7 +279,7 @@ class Diagnosis:
     experiment: Experiment | None
     extended: Scenario
     dataset: MeasuredDataset
-    played: tuple[Played, ...]
+    simulated: tuple[SimulatedRun, ...]
     remarks: tuple[str, ...] = ()
     seconds: float | None = None
 

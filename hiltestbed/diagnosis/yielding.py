@@ -15,7 +15,7 @@ from hiltestbed.frames import Array
 from hiltestbed.identification.samples import GATE_SIGMA
 from hiltestbed.measured import MeasuredRun
 from hiltestbed.numerical_model.bodies import approach_state
-from hiltestbed.replay import Engaged, Played, can_carry, follows_exactly, moves_linearly, replay_rig
+from hiltestbed.replay import Engaged, Simulated, can_carry, follows_exactly, moves_linearly, replay_rig
 from hiltestbed.replay.compensation import central_rates
 from hiltestbed.replay.wrench import shifted
 from hiltestbed.scenario import Scenario
@@ -97,7 +97,7 @@ def engagement(run: MeasuredRun) -> Engaged | None:
         return None
     path = np.ascontiguousarray(run.record.filled("pose_act"))
     rates = run.record.filled("twist_act") if run.record.whole("twist_act") else central_rates(run.scenario, path)
-    found = Played([run.scenario], path[None], None if moves_linearly(run.scenario) else np.ascontiguousarray(rates)[None]).believed(0)
+    found = Simulated([run.scenario], path[None], None if moves_linearly(run.scenario) else np.ascontiguousarray(rates)[None]).believed(0)
     return found if np.isfinite(found.taken).all() and np.isfinite(found.wrench).all() else None
 
 

@@ -10,11 +10,11 @@ from hiltestbed.replay.compensation import replay_compensation
 from hiltestbed.replay.felt import Felt
 from hiltestbed.replay.numerical_model import Departing, replay_model
 from hiltestbed.replay.platform import replay_platform
-from hiltestbed.replay.played import Engaged, Played
 from hiltestbed.replay.rig import can_carry, creep_of, follows_exactly, moves_linearly, replay_rig
+from hiltestbed.replay.simulated import Engaged, Simulated
 from hiltestbed.replay.wrench import replay_wrench
 
 __all__ = [
-    "Departing", "Engaged", "Felt", "Played", "can_carry", "creep_of", "follows_exactly", "moves_linearly", "replay_axis",
+    "Departing", "Engaged", "Felt", "Simulated", "can_carry", "creep_of", "follows_exactly", "moves_linearly", "replay_axis",
     "replay_compensation", "replay_model", "replay_platform", "replay_rig", "replay_wrench",
 ]  # fmt: skip

@@ -81,7 +81,7 @@ def replay_rig(
 
     Args:
         command: ``(N, 7)`` pose_cmd; row k is to be reached at t_(k+1). rates: ``(N, 6)`` twist_cmd, or None.
-        wrench: ``(N, 6)`` contact wrench at t_k, plus :attr:`hiltestbed.replay.played.Engaged.taken`, since parts do not move
+        wrench: ``(N, 6)`` contact wrench at t_k, plus :attr:`hiltestbed.replay.simulated.Engaged.taken`, since parts do not move
             on A here. reading: ``(N, 6)`` the sensor's reading at t_k, for the identification.
         between: ``(N, m, 6)`` difference of the wrench from linear interpolation between rows, see :class:`RecordedForce`.
         reached: ``(N, 7)`` pose reached at t_k, as input of a motion compensation; None: the pose reached in this replay.

@@ -20,7 +20,7 @@ from hiltestbed.frames import Array, quat_exp, quat_mul
 from hiltestbed.jit import njit
 from hiltestbed.log import LogParameters
 from hiltestbed.replay.felt import NEAR, ContactKey, Felt, way_between
-from hiltestbed.replay.played import Played
+from hiltestbed.replay.simulated import Simulated
 from hiltestbed.sensor.chain import condition, passes
 from hiltestbed.sensor.parameters import SensorParameters, stack
 
@@ -42,13 +42,13 @@ class Lane(NamedTuple):
     effects: Sequence[Effect] = ()
 
 
-def replay_wrench(felt: Felt | Played, lanes: Sequence[Lane], grid: int | None = None) -> Array:
+def replay_wrench(felt: Felt | Simulated, lanes: Sequence[Lane], grid: int | None = None) -> Array:
     """``(L, N, 6)`` noiseless readings of the sensor, as they should be in the record.
 
     Args:
         grid: number of instants per tick between which a delayed reading is interpolated linearly, as in a facility that computes its
             contact in steps; None: a delayed reading is the wrench at exactly the delayed time. A compliant mount and a
-            :class:`Played` contact are always integrated at the physics instants.
+            :class:`Simulated` contact are always integrated at the physics instants.
     """
     h = felt.tick
     delay = np.array([max(lane.sensor.delay + lane.later + lane.log.skew * lane.log.reread, 0.0) for lane in lanes])
@@ -70,10 +70,10 @@ def replay_wrench(felt: Felt | Played, lanes: Sequence[Lane], grid: int | None =
     tilt, elements = tilts(rows[:, -1]), chain.elements()
     together = _together(lanes, rows, parts, bool(instants))
     known = {key: felt.kept.get(key) for key in together}
-    if isinstance(felt, Played):
+    if isinstance(felt, Simulated):
         new = [key for key, sub in known.items() if sub is None]
-        played = felt.exerted([(lanes[i].run, lanes[i].effects) for i in (together[key][0] for key in new)])
-        known |= zip(new, played, strict=True)
+        simulated = felt.exerted([(lanes[i].run, lanes[i].effects) for i in (together[key][0] for key in new)])
+        known |= zip(new, simulated, strict=True)
     for key, members in together.items():
         sub, i = known[key], members[0]
         if sub is None:

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hiltestbed.diagnosis.closed_loop import bounce_of, trace_motion, traces_of
 from hiltestbed.diagnosis.find import cause_of, judge
 from hiltestbed.diagnosis.investigate import investigate
 from hiltestbed.diagnosis.rebound import speed_noise
-from hiltestbed.diagnosis.report.closed_loop import bounce_of, trace_motion, traces_of
 from hiltestbed.measured import load_dataset
 from hiltestbed.scenario import scenario_from
 from tests.slow import slow

@@ -21,7 +21,7 @@ from hiltestbed.frames import Array, pose_step
 from hiltestbed.log import log_parameters
 from hiltestbed.numerical_model.bodies import approach_state
 from hiltestbed.platform.parameters import PlatformParameters
-from hiltestbed.replay import Felt, Played, creep_of, replay_platform, replay_wrench
+from hiltestbed.replay import Felt, Simulated, creep_of, replay_platform, replay_wrench
 from hiltestbed.replay.compensation import central_rates
 from hiltestbed.replay.wrench import WHOLE
 from hiltestbed.replay.wrench import Lane as FeltLane
@@ -50,7 +50,7 @@ def _lateness(lane: FeltLane) -> float:
 class WrenchLink(Link):
     """Contact and sensor on the paths of A.
 
-    A mechanism whose wrench does not follow from the pose of A alone is played as in its MJCF; it has no alternative interpretation.
+    A mechanism whose wrench does not follow from the pose of A alone is simulated as in its MJCF; it has no alternative interpretation.
 
     Attributes:
         lever: where between the undeformed surface (0) and the tip (1) the force acts. blunt: 1 where the ball of the tip touches, 0 where
@@ -81,9 +81,9 @@ class WrenchLink(Link):
         self._believed = [_numbers(r.scenario, self.lever, self.blunt, self.ring) for r in runs]
         scenarios = [r.scenario for r in runs]
         first, before = scenarios[0], np.empty((len(runs), 7))
-        self._felt: Felt | Played
+        self._felt: Felt | Simulated
         if not sides_of(first.mechanism).rigid:
-            self._felt = Played(scenarios, padded(paths), None if rates is None else padded(rates))
+            self._felt = Simulated(scenarios, padded(paths), None if rates is None else padded(rates))
             return
         for i, (scenario, path) in enumerate(zip(scenarios, paths, strict=True)):
             pose_step(path[0], approach_state(scenario)[7:], -scenario.tick, before[i])
@@ -120,9 +120,9 @@ class WrenchLink(Link):
         return self.interpreted(other.lever, grid, other.blunt, other.exact, other.ring).with_timing(other.timing)
 
     @property
-    def played(self) -> bool:
-        """Whether the contact force along a path is computed by playing the mechanism's physics."""
-        return isinstance(self._felt, Played)
+    def simulated(self) -> bool:
+        """Whether the contact force along a path is computed by simulating the mechanism's physics."""
+        return isinstance(self._felt, Simulated)
 
     @property
     def stepped(self) -> bool:
@@ -207,7 +207,7 @@ class WrenchLink(Link):
         """(N,) penetration in run i by geometry [m]: the deepest contact, negative while apart; for a latched mechanism along z."""
         if self.runs[i].scenario.mechanism.captured:
             return self.paths[i][:, 2]
-        if isinstance(self._felt, Played):
+        if isinstance(self._felt, Simulated):
             return self._felt.believed(i).depth[: self.runs[i].rows]
         return np.asarray(self._felt.met[0][i, : self.runs[i].rows].max(axis=1, initial=-1.0))
 

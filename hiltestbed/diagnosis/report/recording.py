@@ -10,7 +10,7 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from hiltestbed.diagnosis.report.closed_loop import Played
+from hiltestbed.diagnosis.closed_loop import SimulatedRun
 from hiltestbed.diagnosis.report.evidence import in_sigma
 from hiltestbed.diagnosis.report.extend import in_words
 from hiltestbed.diagnosis.report.pictures import worst_channels, worst_run
@@ -49,8 +49,8 @@ def write_diagnosis_recording(path: Path, diagnosis: Diagnosis) -> None:
             rec.save(path, default_blueprint=_layout(diagnosis, channels))
             rec.send_recording_name(f"diagnosis of {diagnosis.name}")
             rec.log("verdict", rr.TextDocument(_words(diagnosis), media_type=rr.MediaType.MARKDOWN), static=True)
-            for i, (run, played) in enumerate(zip(diagnosis.dataset.runs, diagnosis.played, strict=True)):
-                _signals(rec, i, run, played, diagnosis.finding.extends)
+            for i, (run, simulated) in enumerate(zip(diagnosis.dataset.runs, diagnosis.simulated, strict=True)):
+                _signals(rec, i, run, simulated, diagnosis.finding.extends)
             _residuals(rec, diagnosis, channels)
             _rig(rec, diagnosis.dataset.runs[_first(diagnosis, channels)])
     except RuntimeError as error:  # how rerun reports that its writer has failed
@@ -105,14 +105,17 @@ def _scale(force: Array) -> float:
     return force_scale(float(np.linalg.norm(force[:, :3], axis=1).max(initial=0.0)))
 
 
-def _signals(rec: rr.RecordingStream, i: int, run: MeasuredRun, played: Played, extends: bool) -> None:
+def _signals(rec: rr.RecordingStream, i: int, run: MeasuredRun, simulated: SimulatedRun, extends: bool) -> None:
     record = run.record
     for entity, (group, part, factor, _) in SIGNALS.items():
         origin = f"run_{i}/{entity}"
         if group in record.data and record.valid[group][:, part].any():
             known = record.valid[group][:, part]
             _curve(rec, f"{origin}/{MEASURED_ENTITY}", record.t[known], factor * record.data[group][known, part], "measured", MEASURED, 4.0)
-        for name, trace, color in (("nominal", played.nominal, NOMINAL), ("extended", played.extended if extends else None, EXTENDED)):
+        for name, trace, color in (
+            ("nominal", simulated.nominal, NOMINAL),
+            ("extended", simulated.extended if extends else None, EXTENDED),
+        ):
             if trace is not None:
                 _curve(rec, f"{origin}/{name}", trace.t, factor * trace[group][:, part], name, color)
 

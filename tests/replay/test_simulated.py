@@ -12,8 +12,8 @@ from hiltestbed.effects import EFFECTS
 from hiltestbed.effects.base import Effect
 from hiltestbed.frames import Array
 from hiltestbed.platform.plant import Plant
-from hiltestbed.replay import Played, replay_rig
-from hiltestbed.replay.played import step_between
+from hiltestbed.replay import Simulated, replay_rig
+from hiltestbed.replay.simulated import step_between
 from hiltestbed.scenario import Scenario, load_scenario
 from tests.effects.examples import example
 from tests.replay.recorded import QUIET, SCENARIOS, Recorded, record
@@ -35,9 +35,9 @@ def docking(name: str, effects: tuple[dict[str, Any], ...] = (), tracking: str =
     return load_scenario(SCENARIOS / f"{file}.yaml", set=QUIET | changes | {"rig.platform.tracking": tracking, "effects": list(effects)})
 
 
-def played(recorded: Recorded) -> Played:
+def simulated(recorded: Recorded) -> Simulated:
     servo = recorded.scenarios[0].rig.platform.tracking == "servo"
-    return Played(recorded.scenarios, recorded["pose_act"], np.ascontiguousarray(recorded["twist_act"]) if servo else None)
+    return Simulated(recorded.scenarios, recorded["pose_act"], np.ascontiguousarray(recorded["twist_act"]) if servo else None)
 
 
 @pytest.mark.parametrize("name", DOCKINGS)
@@ -48,7 +48,7 @@ def test_the_wrench_is_that_of_the_loop_under_whatever_effect(name: str) -> None
     truth = recorded["wrench_true"]
     peak = np.abs(truth).max(axis=(1, 2))
     assert (peak > 20.0).all()
-    for i, wrench in enumerate(played(recorded).exerted(effects)):
+    for i, wrench in enumerate(simulated(recorded).exerted(effects)):
         np.testing.assert_allclose(wrench[:, -1], truth[i], atol=EXACT * peak[i])
 
 
@@ -59,7 +59,7 @@ def test_under_a_servo_the_rows_and_their_rates_tell_what_happens_between_them(n
     truth = recorded["wrench_true"][0]
     peak = np.abs(truth).max()
     assert peak > 20.0
-    np.testing.assert_allclose(played(recorded).believed(0).wrench[:, -1], truth, atol=UNDER_SERVO * peak)
+    np.testing.assert_allclose(simulated(recorded).believed(0).wrench[:, -1], truth, atol=UNDER_SERVO * peak)
 
 
 @pytest.mark.parametrize("name", ["ring with petals", slow("head on a sprung rod"), slow("jaws that close")])
@@ -72,7 +72,7 @@ def test_free_flight_is_gone_through_once(name: str, monkeypatch: pytest.MonkeyP
     way = {"gap": 0.13 if name == "head on a sprung rod" else one.approach.gap}  # that one begins within the cone; and a run that is slower
     approaches = [one.approach.model_copy(update=way | {"velocity": tuple(part * v for v in one.approach.velocity)}) for part in (1.0, 0.9)]
     recorded = record([one.model_copy(update={"approach": approach}) for approach in approaches])
-    resumed, whole = played(recorded), played(recorded)
+    resumed, whole = simulated(recorded), simulated(recorded)
     monkeypatch.setattr(whole, "_flight", lambda kind: None)
     stiffer = EFFECTS["contact.stiffness"].model_validate({"factor": 1.3})
     rubbing = EFFECTS["contact.dry_friction"].model_validate({"force": 20.0})
@@ -81,9 +81,9 @@ def test_free_flight_is_gone_through_once(name: str, monkeypatch: pytest.MonkeyP
         [EFFECTS["contact.touch_offset"].model_validate({"offset": -0.002})],
         [EFFECTS["contact.touch_offset"].model_validate({"offset": -0.02})],
     ):
-        monkeypatch.setattr("hiltestbed.replay.played.threads", lambda: 2)
+        monkeypatch.setattr("hiltestbed.replay.simulated.threads", lambda: 2)
         once = resumed.exerted([(1, effects), (0, [])])
-        monkeypatch.setattr("hiltestbed.replay.played.threads", lambda: 1)
+        monkeypatch.setattr("hiltestbed.replay.simulated.threads", lambda: 1)
         np.testing.assert_array_equal(once, whole.exerted([(1, effects), (0, [])]))
     flights = list(resumed._flights.values())
     assert all(f is not None for f in flights)
@@ -101,7 +101,7 @@ def test_drives_bear_what_touches_and_what_moves_on_them(name: str) -> None:
     recorded = record([docking(name, tracking="servo")])
     (scenario,), wrench, reading = recorded.scenarios, recorded["wrench_true"][0], recorded["wrench_meas"][0]
     command, rates = (np.ascontiguousarray(recorded[name][0]) for name in ("pose_cmd", "twist_cmd"))
-    taken = played(recorded).believed(0).taken
+    taken = simulated(recorded).believed(0).taken
     away = []
     for load in (0.0 * wrench, wrench + taken, wrench):
         path = replay_rig(scenario, command, rates, load, reading)
@@ -156,15 +156,15 @@ def test_boxes_that_collide_at_several_points_push_with_the_stiffness_of_their_p
     poses = np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (1, len(t), 1))
     poses[0, :, 2] = depth
     rate = np.diff(depth, prepend=depth[:1]) / s.tick
-    (wrench,) = Played([s], poses).exerted([(0, [EFFECTS["contact.stiffness"].model_validate({"factor": 1.3})])])
+    (wrench,) = Simulated([s], poses).exerted([(0, [EFFECTS["contact.stiffness"].model_validate({"factor": 1.3})])])
     law = 2.0 * (1.3e5 * depth + 400.0 * rate)
     np.testing.assert_allclose(wrench[1:, -1, 2], law[1:], atol=1e-4 * 2.6e5 * depth.max())  # the first row has the rate of the approach
-    np.testing.assert_allclose(Played([s], poses).believed(0).depth, depth, atol=1e-9)
+    np.testing.assert_allclose(Simulated([s], poses).believed(0).depth, depth, atol=1e-9)
 
 
 def test_lanes_of_one_batch_give_what_each_gives_alone() -> None:
     recorded = record([docking("jaws that close")])
     both: list[tuple[int, list[Effect]]] = [(0, []), (0, [EFFECTS["contact.stiffness"].model_validate({"factor": 0.7})])]
-    together: list[Array] = played(recorded).exerted(both)
+    together: list[Array] = simulated(recorded).exerted(both)
     for wrench, lane in zip(together, both, strict=True):
-        np.testing.assert_array_equal(wrench, played(recorded).exerted([lane])[0])
+        np.testing.assert_array_equal(wrench, simulated(recorded).exerted([lane])[0])

@@ -32,7 +32,7 @@ MIN_FITTED_SHARE = 0.01  # chosen: of the largest penetration, from which sample
 
 
 @dataclass(frozen=True)
-class Played:
+class SimulatedRun:
     """One run, simulated: the nominal and the extended trace, None where the simulation could not be run."""
 
     run: int
@@ -65,13 +65,13 @@ class Bounce:
     rebound_speed: float | None
 
 
-def play(dataset: MeasuredDataset, causes: Sequence[Cause | Learned]) -> tuple[Played, ...]:
+def simulate_runs(dataset: MeasuredDataset, causes: Sequence[Cause | Learned]) -> tuple[SimulatedRun, ...]:
     """Simulate every run's scenario as believed, and with the causes."""
     nominal = [r.scenario for r in dataset.runs]
     extended = [with_causes(s, causes) for s in nominal] if causes else []
     traces = traces_of(nominal)
     after = traces_of(extended) if causes else traces
-    return tuple(Played(r.record.run, a, b) for r, a, b in zip(dataset.runs, traces, after, strict=True))
+    return tuple(SimulatedRun(r.record.run, a, b) for r, a, b in zip(dataset.runs, traces, after, strict=True))
 
 
 def with_causes(scenario: Scenario, causes: Sequence[Cause | Learned]) -> Scenario:
@@ -95,13 +95,13 @@ def traces_of(scenarios: Sequence[Scenario]) -> list[RunTrace | None]:
     return out
 
 
-def closed_loop(dataset: MeasuredDataset, played: Sequence[Played]) -> ClosedLoop:
+def closed_loop(dataset: MeasuredDataset, simulated: Sequence[SimulatedRun]) -> ClosedLoop:
     """Figures of every run."""
     rows = [
         tuple(figures(motion, run.scenario) for motion in (measured_motion(run), trace_motion(p.nominal), trace_motion(p.extended)))
-        for run, p in zip(dataset.runs, played, strict=True)
+        for run, p in zip(dataset.runs, simulated, strict=True)
     ]
-    return ClosedLoop(tuple(p.run for p in played), *(tuple(row[i] for row in rows) for i in range(3)))
+    return ClosedLoop(tuple(p.run for p in simulated), *(tuple(row[i] for row in rows) for i in range(3)))
 
 
 def measured_motion(run: MeasuredRun) -> Motion:

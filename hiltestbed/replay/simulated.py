@@ -55,7 +55,7 @@ class Engaged(NamedTuple):
         return np.asarray(self.wrench - before - np.arange(1, m + 1)[:, None] / m * (self.wrench[:, -1:] - before))
 
 
-class Played:
+class Simulated:
     """Recorded paths, and the sides that are carried along them.
 
     Attributes:
