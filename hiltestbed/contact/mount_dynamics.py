@@ -75,7 +75,8 @@ def _inertia(body: Array) -> Array:
 
 
 MASS, CENTRE, INERTIA, BODY = 0, 1, 4, 13  # start of each part of a body row, and its length
-SCRATCH = 17  # scratch rows of 3 that a step of one mount needs
+SMALL = 0.1  # [rad] derived: at which the first term left out of the series, of degree 13, is 2e-23
+SERIES = tuple(1.0 / math.factorial(n) for n in range(13))
 
 
 def carried(model: mujoco.MjModel, body: str) -> Array:
@@ -100,103 +101,80 @@ def carried(model: mujoco.MjModel, body: str) -> Array:
 
 
 @njit(cache=True)
-def _axes(q, axes, turn):
-    """``axes`` (3, 3): axis of each hinge as a row, rotated by those before it; ``turn`` (3, 3): the resulting attitude."""
-    cx, sx, cy, sy, cz, sz = math.cos(q[3]), math.sin(q[3]), math.cos(q[4]), math.sin(q[4]), math.cos(q[5]), math.sin(q[5])
-    axes[0, 0], axes[0, 1], axes[0, 2] = 1.0, 0.0, 0.0
-    axes[1, 0], axes[1, 1], axes[1, 2] = 0.0, cx, sx
-    axes[2, 0], axes[2, 1], axes[2, 2] = sy, -sx * cy, cx * cy
-    turn[0, 0], turn[0, 1], turn[0, 2] = cy * cz, -cy * sz, sy
-    turn[1, 0], turn[1, 1], turn[1, 2] = cx * sz + sx * sy * cz, cx * cz - sx * sy * sz, -sx * cy
-    turn[2, 0], turn[2, 1], turn[2, 2] = sx * sz - cx * sy * cz, sx * cz + cx * sy * sz, cx * cy
+def _sin_cos(angle):
+    """Sine and cosine. Up to :data:`SMALL`, Taylor series, exact to rounding and several times faster than the library's."""
+    if abs(angle) > SMALL:
+        return math.sin(angle), math.cos(angle)
+    s = angle * angle
+    sine = angle - angle * s * (SERIES[3] - s * (SERIES[5] - s * (SERIES[7] - s * (SERIES[9] - s * SERIES[11]))))
+    cosine = 1.0 - s * (SERIES[2] - s * (SERIES[4] - s * (SERIES[6] - s * (SERIES[8] - s * (SERIES[10] - s * SERIES[12])))))
+    return sine, cosine
 
 
 @njit(cache=True)
-def mount_step(stiffness, damping, body, dt, wrench, q, qd, work):
+def mount_step(stiffness, damping, body, dt, wrench, q, qd):
     """One step of one mount under ``wrench`` (6,) on the passive side, in W at W's origin: rates first, dampers implicit, as in MuJoCo.
 
     Newton-Euler equations of the body about the point that the slides carry, projected onto the joints (R. Featherstone, Rigid Body
-    Dynamics Algorithms, 2008, chapter 3). ``q``, ``qd`` (6,) are updated; ``work`` (SCRATCH, 3) is scratch.
+    Dynamics Algorithms, 2008, chapter 3). ``q``, ``qd`` (6,) are updated. Scalars throughout, which stay in registers.
     """
-    axes, turn, inertia, half = work[0:3], work[3:6], work[6:9], work[10:13]
-    w, m = work[9], body[MASS]
-    _axes(q, axes, turn)
-    ax, ay, az = axes[0], axes[1], axes[2]
-    for j in range(3):
-        w[j] = qd[3] * ax[j] + qd[4] * ay[j] + qd[5] * az[j]
-    cx = turn[0, 0] * body[1] + turn[0, 1] * body[2] + turn[0, 2] * body[3]  # centre of mass from the hinges' point
-    cy = turn[1, 0] * body[1] + turn[1, 1] * body[2] + turn[1, 2] * body[3]
-    cz = turn[2, 0] * body[1] + turn[2, 1] * body[2] + turn[2, 2] * body[3]
-    for a in range(3):  # turn times inertia times turn transposed, in two products
-        for j in range(3):
-            half[a, j] = turn[a, 0] * body[INERTIA + j] + turn[a, 1] * body[INERTIA + 3 + j] + turn[a, 2] * body[INERTIA + 6 + j]
-    for a in range(3):
-        for b in range(a, 3):
-            inertia[a, b] = inertia[b, a] = half[a, 0] * turn[b, 0] + half[a, 1] * turn[b, 1] + half[a, 2] * turn[b, 2]
+    m, q0, q1, q2 = body[MASS], q[0], q[1], q[2]
+    v0, v1, v2, r0, r1, r2 = qd[0], qd[1], qd[2], qd[3], qd[4], qd[5]
+    (s0, c0), (s1, c1), (s2, c2) = _sin_cos(q[3]), _sin_cos(q[4]), _sin_cos(q[5])
+    # Axes of the hinges, rotated by those before: (1, 0, 0), (0, c0, s0) and (zx, zy, zz); the attitude; the angular velocity
+    zx, zy, zz = s1, -s0 * c1, c0 * c1
+    t00, t01, t10, t11 = c1 * c2, -c1 * s2, c0 * s2 + s0 * s1 * c2, c0 * c2 - s0 * s1 * s2
+    t20, t21 = s0 * s2 - c0 * s1 * c2, s0 * c2 + c0 * s1 * s2
+    ux, uy, uz = r0, r1 * c0, r1 * s0  # of the second hinge's frame
+    wx, wy, wz = ux + r2 * zx, uy + r2 * zy, uz + r2 * zz
+    x, y, z = body[CENTRE], body[CENTRE + 1], body[CENTRE + 2]
+    cx, cy, cz = t00 * x + t01 * y + zx * z, t10 * x + t11 * y + zy * z, t20 * x + t21 * y + zz * z  # centre of mass from the hinges' point
+    i00, i01, i02, i10, i11, i12, i20, i21, i22 = (
+        body[INERTIA], body[INERTIA + 1], body[INERTIA + 2], body[INERTIA + 3], body[INERTIA + 4], body[INERTIA + 5], body[INERTIA + 6],
+        body[INERTIA + 7], body[INERTIA + 8],
+    )  # fmt: skip
+    h00, h01, h02 = t00 * i00 + t01 * i10 + zx * i20, t00 * i01 + t01 * i11 + zx * i21, t00 * i02 + t01 * i12 + zx * i22
+    h10, h11, h12 = t10 * i00 + t11 * i10 + zy * i20, t10 * i01 + t11 * i11 + zy * i21, t10 * i02 + t11 * i12 + zy * i22
+    h20, h21, h22 = t20 * i00 + t21 * i10 + zz * i20, t20 * i01 + t21 * i11 + zz * i21, t20 * i02 + t21 * i12 + zz * i22
+    xx, xy, xz = h00 * t00 + h01 * t01 + h02 * zx, h00 * t10 + h01 * t11 + h02 * zy, h00 * t20 + h01 * t21 + h02 * zz
+    yy, yz, izz = h10 * t10 + h11 * t11 + h12 * zy, h10 * t20 + h11 * t21 + h12 * zz, h20 * t20 + h21 * t21 + h22 * zz
     # Velocity-dependent part of the angular acceleration, from the rotation of the hinges' axes
-    ux, uy, uz = qd[3] * ax[0] + qd[4] * ay[0], qd[3] * ax[1] + qd[4] * ay[1], qd[3] * ax[2] + qd[4] * ay[2]
-    bx = qd[4] * qd[3] * (ax[1] * ay[2] - ax[2] * ay[1]) + qd[5] * (uy * az[2] - uz * az[1])
-    by = qd[4] * qd[3] * (ax[2] * ay[0] - ax[0] * ay[2]) + qd[5] * (uz * az[0] - ux * az[2])
-    bz = qd[4] * qd[3] * (ax[0] * ay[1] - ax[1] * ay[0]) + qd[5] * (ux * az[1] - uy * az[0])
-    spin_x = inertia[0, 0] * w[0] + inertia[0, 1] * w[1] + inertia[0, 2] * w[2]
-    spin_y = inertia[1, 0] * w[0] + inertia[1, 1] * w[1] + inertia[1, 2] * w[2]
-    spin_z = inertia[2, 0] * w[0] + inertia[2, 1] * w[1] + inertia[2, 2] * w[2]
-    tx = wrench[3] - (q[1] * wrench[2] - q[2] * wrench[1]) - (w[1] * spin_z - w[2] * spin_y)
-    ty = wrench[4] - (q[2] * wrench[0] - q[0] * wrench[2]) - (w[2] * spin_x - w[0] * spin_z)
-    tz = wrench[5] - (q[0] * wrench[1] - q[1] * wrench[0]) - (w[0] * spin_y - w[1] * spin_x)
-    tx -= inertia[0, 0] * bx + inertia[0, 1] * by + inertia[0, 2] * bz
-    ty -= inertia[1, 0] * bx + inertia[1, 1] * by + inertia[1, 2] * bz
-    tz -= inertia[2, 0] * bx + inertia[2, 1] * by + inertia[2, 2] * bz
-    along = w[0] * cx + w[1] * cy + w[2] * cz
-    square = w[0] * w[0] + w[1] * w[1] + w[2] * w[2]
-    fx = wrench[0] - m * (by * cz - bz * cy + w[0] * along - cx * square) - stiffness[0] * q[0] - damping[0] * qd[0]
-    fy = wrench[1] - m * (bz * cx - bx * cz + w[1] * along - cy * square) - stiffness[1] * q[1] - damping[1] * qd[1]
-    fz = wrench[2] - m * (bx * cy - by * cx + w[2] * along - cz * square) - stiffness[2] * q[2] - damping[2] * qd[2]
-    _accelerate(stiffness, damping, m, cx, cy, cz, dt, (fx, fy, fz), (tx, ty, tz), axes, inertia, q, qd, work[13:16], work[16])
+    bx, by, bz = r2 * (uy * zz - uz * zy), r2 * (uz * zx - ux * zz) - r0 * r1 * s0, r2 * (ux * zy - uy * zx) + r0 * r1 * c0
+    lx, ly, lz = xx * wx + xy * wy + xz * wz, xy * wx + yy * wy + yz * wz, xz * wx + yz * wy + izz * wz
+    w0, w1, w2 = wrench[0], wrench[1], wrench[2]
+    tx = wrench[3] - (q1 * w2 - q2 * w1) - (wy * lz - wz * ly) - (xx * bx + xy * by + xz * bz)
+    ty = wrench[4] - (q2 * w0 - q0 * w2) - (wz * lx - wx * lz) - (xy * bx + yy * by + yz * bz)
+    tz = wrench[5] - (q0 * w1 - q1 * w0) - (wx * ly - wy * lx) - (xz * bx + yz * by + izz * bz)
+    along, square = wx * cx + wy * cy + wz * cz, wx * wx + wy * wy + wz * wz
+    fx = w0 - m * (by * cz - bz * cy + wx * along - cx * square) - stiffness[0] * q0 - damping[0] * v0
+    fy = w1 - m * (bz * cx - bx * cz + wy * along - cy * square) - stiffness[1] * q1 - damping[1] * v1
+    fz = w2 - m * (bx * cy - by * cx + wz * along - cz * square) - stiffness[2] * q2 - damping[2] * v2
+    # (M + dt C)^-1 times force and torque: the slides, whose block is diagonal, are eliminated; p: forces that a hinge's acceleration needs
+    ix, iy, iz = 1.0 / (m + dt * damping[0]), 1.0 / (m + dt * damping[1]), 1.0 / (m + dt * damping[2])
+    p01, p02 = -m * cz, m * cy
+    p10, p11, p12 = m * (c0 * cz - s0 * cy), m * s0 * cx, -m * c0 * cx
+    p20, p21, p22 = m * (zy * cz - zz * cy), m * (zz * cx - zx * cz), m * (zx * cy - zy * cx)
+    gx, gy, gz = ix * fx, iy * fy, iz * fz
+    a0 = tx - stiffness[3] * q[3] - damping[3] * r0 - p01 * gy - p02 * gz
+    a1 = c0 * ty + s0 * tz - stiffness[4] * q[4] - damping[4] * r1 - p10 * gx - p11 * gy - p12 * gz
+    a2 = zx * tx + zy * ty + zz * tz - stiffness[5] * q[5] - damping[5] * r2 - p20 * gx - p21 * gy - p22 * gz
+    jx, jy, jz = xy * c0 + xz * s0, yy * c0 + yz * s0, yz * c0 + izz * s0  # inertia times the second axis, and the third
+    kx, ky, kz = xx * zx + xy * zy + xz * zz, xy * zx + yy * zy + yz * zz, xz * zx + yz * zy + izz * zz
+    d00 = xx - (p01 * iy * p01 + p02 * iz * p02) + dt * damping[3]
+    d01 = jx - (p01 * iy * p11 + p02 * iz * p12)
+    d02 = kx - (p01 * iy * p21 + p02 * iz * p22)
+    d11 = c0 * jy + s0 * jz - (p10 * ix * p10 + p11 * iy * p11 + p12 * iz * p12) + dt * damping[4]
+    d12 = c0 * ky + s0 * kz - (p10 * ix * p20 + p11 * iy * p21 + p12 * iz * p22)
+    d22 = zx * kx + zy * ky + zz * kz - (p20 * ix * p20 + p21 * iy * p21 + p22 * iz * p22) + dt * damping[5]
+    a0, a1, a2 = _solved(d00, d01, d02, d11, d12, d22, a0, a1, a2)
+    qd[0] = v0 + dt * ix * (fx - (a1 * p10 + a2 * p20))
+    qd[1] = v1 + dt * iy * (fy - (a0 * p01 + a1 * p11 + a2 * p21))
+    qd[2] = v2 + dt * iz * (fz - (a0 * p02 + a1 * p12 + a2 * p22))
+    qd[3] = r0 + dt * a0
+    qd[4] = r1 + dt * a1
+    qd[5] = r2 + dt * a2
     for j in range(6):
         q[j] += dt * qd[j]
-
-
-@njit(cache=True)
-def _accelerate(stiffness, damping, m, cx, cy, cz, dt, force, torque, axes, inertia, q, qd, taken, load):
-    """Add ``dt (M + dt C)^-1`` times force (3,) and torque (3,) to the rates; the slides, whose block is diagonal, are eliminated first.
-
-    ``taken`` (3, 3), ``load`` (3,): scratch.
-    """
-    ix, iy, iz = 1.0 / (m + dt * damping[0]), 1.0 / (m + dt * damping[1]), 1.0 / (m + dt * damping[2])
-    fx, fy, fz = force
-    tx, ty, tz = torque
-    for a in range(3):  # the force that a hinge's acceleration requires, and the load on the hinge
-        wx, wy, wz, hinge = axes[a, 0], axes[a, 1], axes[a, 2], 3 + a
-        px, py, pz = m * (wy * cz - wz * cy), m * (wz * cx - wx * cz), m * (wx * cy - wy * cx)
-        taken[a, 0], taken[a, 1], taken[a, 2] = px, py, pz
-        load[a] = wx * tx + wy * ty + wz * tz - stiffness[hinge] * q[hinge] - damping[hinge] * qd[hinge]
-        load[a] -= px * ix * fx + py * iy * fy + pz * iz * fz
-    d00 = _between(axes[0], axes[0], taken[0], taken[0], inertia, ix, iy, iz) + dt * damping[3]
-    d11 = _between(axes[1], axes[1], taken[1], taken[1], inertia, ix, iy, iz) + dt * damping[4]
-    d22 = _between(axes[2], axes[2], taken[2], taken[2], inertia, ix, iy, iz) + dt * damping[5]
-    d01 = _between(axes[0], axes[1], taken[0], taken[1], inertia, ix, iy, iz)
-    d02 = _between(axes[0], axes[2], taken[0], taken[2], inertia, ix, iy, iz)
-    d12 = _between(axes[1], axes[2], taken[1], taken[2], inertia, ix, iy, iz)
-    s0, s1, s2 = _solved(d00, d01, d02, d11, d12, d22, load[0], load[1], load[2])
-    fx -= s0 * taken[0, 0] + s1 * taken[1, 0] + s2 * taken[2, 0]
-    fy -= s0 * taken[0, 1] + s1 * taken[1, 1] + s2 * taken[2, 1]
-    fz -= s0 * taken[0, 2] + s1 * taken[1, 2] + s2 * taken[2, 2]
-    qd[0] += dt * ix * fx
-    qd[1] += dt * iy * fy
-    qd[2] += dt * iz * fz
-    qd[3] += dt * s0
-    qd[4] += dt * s1
-    qd[5] += dt * s2
-
-
-@njit(cache=True)
-def _between(w, v, p, r, inertia, ix, iy, iz):
-    """Entry of the hinges' reduced inertia matrix about ``w`` and ``v`` (3,), whose accelerations require forces ``p`` and ``r`` (3,)."""
-    total = -(p[0] * ix * r[0] + p[1] * iy * r[1] + p[2] * iz * r[2])
-    for i in range(3):
-        total += w[i] * (inertia[i, 0] * v[0] + inertia[i, 1] * v[1] + inertia[i, 2] * v[2])
-    return total
 
 
 @njit(cache=True)
@@ -216,7 +194,7 @@ def mount_reading(stiffness, damping, q, qd, out):
     """
     for j in range(6):
         out[j] = stiffness[j] * q[j] + damping[j] * qd[j]
-    cx, sx, cy, sy = math.cos(q[3]), math.sin(q[3]), math.cos(q[4]), math.sin(q[4])
+    (sx, cx), (sy, cy) = _sin_cos(q[3]), _sin_cos(q[4])
     across = (out[5] - sy * out[3]) / cy
     out[4], out[5] = cx * out[4] - sx * across, sx * out[4] + cx * across
     out[3] += q[1] * out[2] - q[2] * out[1]

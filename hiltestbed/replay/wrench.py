@@ -8,11 +8,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hiltestbed.contact.geometry import PASSIVE, ROW, SURFACE_FRAME, VALUES, arm, meet
+from hiltestbed.contact.geometry import PASSIVE, ROUND_FRAME, ROW, SURFACE_FRAME, VALUES, arm, meet
 from hiltestbed.contact.latch import closes
 from hiltestbed.contact.law import STATES
 from hiltestbed.contact.mount import mount_place
-from hiltestbed.contact.mount_dynamics import BODY, SCRATCH, mount_reading, mount_step
+from hiltestbed.contact.mount_dynamics import BODY, mount_reading, mount_step
 from hiltestbed.contact.parameters import BLUNT, BRANCH_STIFFNESS, DRAG, LEVER, MODE, OFFSET, OVER_STRETCH, TILT_X, TILT_Y
 from hiltestbed.contact.wrench import contact_wrench, held_at, meet_all, relate_one, surface_wrench, tilts
 from hiltestbed.effects.base import Effect
@@ -184,7 +184,8 @@ def _contact(
     frames, motions, turn = np.zeros((2, 7)), np.zeros((2, 6)), np.empty(7)
     wrench, work, local_pose, local_twist = np.zeros(6), np.empty((9, 7)), np.empty(7), np.empty(6)
     frames[1] = tilt
-    q, qd, joints = np.zeros(6), np.zeros(6), np.empty((SCRATCH, 3))
+    seen, apart_by = np.zeros((2, 7)), np.zeros(count)
+    q, qd = np.zeros(6), np.zeros(6)
     latched, touched = captured, False
     sub[:] = 0.0
     m, last_row = parts.shape[0], p[count]
@@ -219,7 +220,7 @@ def _contact(
                     state[:], wrench[:] = 0.0, 0.0
                     touched = False
                 if mounted:
-                    _swing(stiffness[r], damping[r], body, h, parts, wrench, q, qd, joints, sub[k])
+                    _swing(stiffness[r], damping[r], body, h, parts, wrench, q, qd, sub[k])
                 if latch[1] < 1.5:  # latches may close on a probe that is not in contact
                     frames[0], motions[0] = poses[k], ends[k]
                     if mounted:
@@ -253,10 +254,13 @@ def _contact(
             else:
                 frames[0], motions[0] = poses[k], ends[k]
             if mounted and k > 0:  # at t = 0 the mount is at rest and unloaded
-                mount_step(stiffness[r], damping[r], body, dt, wrench, q, qd, joints)
+                mount_step(stiffness[r], damping[r], body, dt, wrench, q, qd)
                 mount_place(q, qd, tilt, frames[1], motions[1])
-            if sharp and parts[s] == 1.0 and not latched:
-                _meet_near(index, values, p, frames, motions, depths[r, k], lean, work, depth, closing, point, normal, slip)
+            if (mounted or (sharp and parts[s] == 1.0)) and not latched:
+                if mounted:
+                    _meet_next(index, values, p, frames, motions, seen, apart_by, longest, work, depth, closing, point, normal, slip)
+                else:
+                    _meet_near(index, values, p, frames, motions, depths[r, k], lean, work, depth, closing, point, normal, slip)
                 wrench[:] = 0.0
                 surface_wrench(index, dt, least_creep, p, frames, state, depth, closing, point, normal, slip, work[7], wrench)
             else:
@@ -292,7 +296,7 @@ def _reach_of_swing(q, qd, h, away):
 
 
 @njit(cache=True)
-def _swing(stiffness, damping, body, h, parts, nothing, q, qd, joints, sub):
+def _swing(stiffness, damping, body, h, parts, nothing, q, qd, sub):
     """Step an unloaded mount over one tick; ``nothing`` (6,): zero wrench; ``sub`` (m, 6): wrench at the sensor. Below :data:`AT_REST` it
     is set to rest."""
     most = 0.0
@@ -306,7 +310,7 @@ def _swing(stiffness, damping, body, h, parts, nothing, q, qd, joints, sub):
         if s > 0 and parts[s] == parts[s - 1]:
             sub[s] = sub[s - 1]
             continue
-        mount_step(stiffness, damping, body, h * (parts[s] - passed), nothing, q, qd, joints)
+        mount_step(stiffness, damping, body, h * (parts[s] - passed), nothing, q, qd)
         passed = parts[s]
         mount_reading(stiffness, damping, q, qd, sub[s])
 
@@ -353,6 +357,32 @@ def _meet_near(index, values, p, frames, motions, untilted, lean, work, depth, r
         depth[c], rate[c] = meet(
             index, values, c, pose, twist, p[c, LEVER], p[c, BLUNT], max(0.0, -p[c, OFFSET]), scratch, point[c], normal[c], slip[c]
         )  # fmt: skip
+
+
+@njit(cache=True)
+def _meet_next(index, values, p, frames, motions, seen, apart_by, longest, work, depth, rate, point, normal, slip):
+    """Contact geometry of those candidates that can touch, given what the two frames have moved since an earlier call.
+
+    Args:
+        seen: (2, 7) frames at that call. apart_by: (C,) lower bound of the distance of each candidate then [m]; both are updated.
+        longest: largest distance of a round from its frame [m].
+    """
+    pose, twist, scratch = work[5], work[6][:6], work[:5, :3]
+    reach = longest + math.sqrt((seen[0, 0] - seen[1, 0]) ** 2 + (seen[0, 1] - seen[1, 1]) ** 2 + (seen[0, 2] - seen[1, 2]) ** 2)
+    moved = way_between(seen[0], frames[0], reach) + way_between(seen[1], frames[1], reach)
+    seen[:] = frames
+    a = -1
+    for c in range(depth.shape[0]):
+        ahead = max(0.0, -p[c, OFFSET])
+        apart_by[c] -= moved
+        if apart_by[c] > ahead:
+            depth[c], rate[c] = -apart_by[c], 0.0
+            continue
+        if index[c * ROW + ROUND_FRAME] != a:
+            a = index[c * ROW + ROUND_FRAME]
+            relate_one(frames[a], motions[a], frames[1 - a], motions[1 - a], pose, twist, scratch)
+        depth[c], rate[c] = meet(index, values, c, pose, twist, p[c, LEVER], p[c, BLUNT], ahead, scratch, point[c], normal[c], slip[c])
+        apart_by[c] = -depth[c]
 
 
 @njit(cache=True)
