@@ -22,7 +22,7 @@ MAX_LOSS = 0.02  # chosen: share of the departure from the nominal model that ma
 def decimated(link: WrenchLink) -> WrenchLink:
     """The same link on means of 2, 4, ... rows; itself where that would lose too much. The noise is not lowered.
 
-    Links that are simulated or filtered depend on every tick, and are not decimated. The signal lost between the blocks is estimated from the
+    Links that are simulated or filtered depend on every tick, and are not decimated. The signal lost between the blocks is estimated from
     whole residual there, less the known share of white noise.
     """
     rows = sum(len(p) for p in link.paths)
