@@ -121,7 +121,7 @@ def _noise(runs: Sequence[MeasuredRun], logged: LowPass | None) -> ForceNoise:
     still = ForceNoise(np.zeros(6), logged.colour if logged else 1.0, False, tuple(np.zeros(6) for _ in runs), 0.0)
     latched = any(run.scenario.mechanism.captured for run in runs)
     measured = [j for j in range(6) if not any(undithered(run, CHANNELS[j]) for run in runs)]
-    each = [set(_moved(run)) for run in runs if latched and run.record.has("wrench_meas")] or [set[int]()]
+    each = [set(moved_axes(run)) for run in runs if latched and run.record.has("wrench_meas")] or [set[int]()]
     moved, driving = sorted(set.union(*each)), sorted(set.intersection(*each))
     at_rest = [_at_rest(run, driving) for run in runs] if latched else []
     free = [readings for _, readings in at_rest] if latched else [_free(run) for run in runs]
@@ -174,7 +174,7 @@ def _white_levels(readings: Sequence[Array]) -> Array:
     return np.asarray(np.sqrt(weight @ squares / weight.sum()))
 
 
-def _moved(run: MeasuredRun) -> list[int]:
+def moved_axes(run: MeasuredRun) -> list[int]:
     """Axes that move in a latched mechanism: by more than their noise, and by a share of what the one that moves most does [m, rad].
 
     An axis whose pose is not on record may move.
