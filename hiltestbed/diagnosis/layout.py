@@ -125,6 +125,14 @@ def with_readings(layout: Layout, readings: Sequence[Array]) -> Layout | None:
     return replace(layout, deflection=given) if lost is None else None
 
 
+def with_noise_beside(layout: Layout, shown: Sequence[Array]) -> Layout:
+    """The same with the noise of a latched mechanism's force beside the readings ``shown`` (N, 6) by the believed contact in each run."""
+    force = force_noise(layout.runs, layout.logged, shown)
+    before = layout.force.levels()
+    noise = floors(layout.runs) | {c: v for c, v in layout.noise.items() if c not in before} | force.levels()
+    return replace(layout, force=force, noise=noise)
+
+
 def _deflections(
     runs: Sequence[MeasuredRun], noise: Mapping[str, float], engaged: Sequence[Engaged | None], readings: Sequence[Array] | None = None
 ) -> tuple[tuple[Deflection, ...] | None, MeasuredRun | None]:
