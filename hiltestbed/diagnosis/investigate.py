@@ -175,7 +175,7 @@ def _with_noise_of_residual(layout: Layout, path: BestPath) -> Layout:
         return layout
     link = choose_steps(choose_ring(choose_lever(make_wrench_link(layout, path, layout.whole))))
     shown = link.predict([(i, ()) for i in range(len(link.runs))])
-    known = [np.isfinite(run.sigma).any(axis=1) for run in link.runs]
+    known = [np.asarray(np.isfinite(run.sigma).any(axis=1)) for run in link.runs]
     return with_noise_beside(layout, [np.where(k[:, None], s, np.nan) for k, s in zip(known, shown, strict=True)])
 
 

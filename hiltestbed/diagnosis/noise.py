@@ -197,8 +197,8 @@ def moved_axes(run: MeasuredRun) -> list[int]:
 
 
 def _at_rest(run: MeasuredRun, driving: Sequence[int], shown: Array) -> tuple[Array, Array]:
-    """Rows (n,) of a latched mechanism, and the readings (n, 6) there less those ``shown`` by the believed contact, and less what they share
-    with the readings of the axes that move in every run, ``driving``, which may reach them a row earlier or later."""
+    """Rows (n,) of a latched mechanism, and what the believed contact, which has ``shown`` (N, 6), leaves of the readings (n, 6), less what
+    it shares with the readings of the axes that move in every run, ``driving``, which may reach it a row earlier or later."""
     record = run.record
     if not record.has("wrench_meas") or len(driving) == len(CHANNELS):
         return np.zeros(0), np.zeros((0, 6))
