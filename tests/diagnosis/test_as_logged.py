@@ -18,6 +18,9 @@ from tests.slow import slow
     ("noise", "seed"),
     [
         (("digits", 4.0), 610027),  # a command in few digits is a rough path
+        (("slow_drift", 4.0), 601068),  # latched from the start: the springs balance the drift, and the path shows it
+        slow(("log_rate", 1700.0), 602089),  # latched from the start: its axes at rest show the noise of poses between samples
+        slow(("pose_steps", 1e-5), 601476),  # third differences are whole steps
         slow(("digits", 5.0), 610026),  # a pair that is latched from the start, and turns freely
         slow(("converter_steps", 1.0), 620012),  # forces across that stay within two steps
         slow(("log_rate", 250.0), 610036),  # seven ticks of eight without a row
