@@ -23,11 +23,11 @@ def floors(runs: Sequence[MeasuredRun]) -> dict[str, float]:
         for r in runs:
             if not r.record.has(name):
                 continue
-            values = r.record.column(name)
+            values, step = r.record.column(name), r.record.steps.get(name, 0.0)
             outside = values[~r.touching(len(values))] if name.startswith("wrench") and r.survey.contacts else values
             outside = outside if len(outside) > MIN_FREE_ROWS else values  # a latched mechanism is never free
             still += int(len(outside) > 10 and np.median(np.abs(np.diff(outside))) == 0.0)
-            found.append(max(white_outside(outside, values), r.record.steps.get(name, 0.0) / math.sqrt(12.0)))
+            found.append(max(white_outside(outside, values, step), step / math.sqrt(12.0)))
         level = float(np.sqrt(np.mean(np.square(found)))) if found else 0.0
         if name.startswith("wrench_meas") and still * 2 > len(runs):  # a dead zone, or a sensor that is off between contacts
             believed = runs[0].scenario.sensor.noise if ".f" in name else runs[0].scenario.sensor.torque_noise
@@ -43,8 +43,8 @@ def floors(runs: Sequence[MeasuredRun]) -> dict[str, float]:
     return out | {f"pose_act.r{axis}": 2.0 * out[f"pose_act.q{axis}"] for axis in "xyz" if f"pose_act.q{axis}" in out}
 
 
-def white_outside(outside: Array, values: Array) -> float:
-    """White noise of the rows ``outside`` contacts; where these are few and agree with it, that of all ``values``."""
-    found, everywhere = white_noise(outside), white_noise(values)
+def white_outside(outside: Array, values: Array, step: float = 0.0) -> float:
+    """White noise of the rows ``outside`` contacts; where these are few and agree with it, that of all ``values``. step: of both."""
+    found, everywhere = white_noise(outside, step), white_noise(values, step)
     few = len(outside) < MIN_NOISE_ROWS and abs(everywhere - found) < 2.0 * WHITE_NOISE_ERROR / math.sqrt(max(1, len(outside))) * everywhere
     return everywhere if few else found

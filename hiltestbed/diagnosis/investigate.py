@@ -16,7 +16,7 @@ from hiltestbed.diagnosis.all_rows import refit_on_all_rows
 from hiltestbed.diagnosis.driven import AXIS_EFFECTS, DISPLACEMENT_SPAN, axis_link, mass_and_force, simplest_force
 from hiltestbed.diagnosis.fit import Fit, fit, inflation, null_fit, refit
 from hiltestbed.diagnosis.jitter import JITTER, jitter_beside
-from hiltestbed.diagnosis.layout import Layout, compensation_link, dynamics_link, lay_out, platform_link, with_readings
+from hiltestbed.diagnosis.layout import Layout, compensation_link, dynamics_link, lay_out, platform_link, with_noise_beside, with_readings
 from hiltestbed.diagnosis.lines import hum_beside, lines
 from hiltestbed.diagnosis.links import AxisLink, CompensationLink, Link, LinkRun, PlatformLink, Timing, WrenchLink
 from hiltestbed.diagnosis.paths import (
@@ -98,7 +98,9 @@ def investigate(dataset: MeasuredDataset, progress: Progress | None = None) -> F
         whole["compensation"] = compensation_link(layout, layout.whole).with_timing(found["compensation"].residual.link.timing)
     missing = dict(layout.missing)
     if "wrench" not in missing:
-        if why := _investigate_wrench(layout, found, whole, progress):
+        path = _choose_path(layout, found, whole, progress)
+        layout = _with_noise_of_residual(layout, path)
+        if why := _investigate_wrench(layout, path, found, whole, progress):
             missing["wrench"] = why
         else:
             layout = _settle_platform(layout, found, whole, progress)
@@ -167,12 +169,23 @@ def _explain_compensation(
     return explain_with_timing(Residual(link), search, weigh=lambda residual: residual.with_noise(np.array(led)))
 
 
-def _investigate_wrench(layout: Layout, found: dict[str, Explanation], whole: dict[str, Link], progress: Progress | None) -> str | None:
+def _with_noise_of_residual(layout: Layout, path: BestPath) -> Layout:
+    """The layout with the noise of a latched mechanism's force from what the believed contact on its path leaves of the readings."""
+    if not any(r.scenario.mechanism.captured for r in layout.runs):
+        return layout
+    link = choose_steps(choose_ring(choose_lever(make_wrench_link(layout, path, layout.whole))))
+    shown = link.predict([(i, ()) for i in range(len(link.runs))])
+    known = [np.asarray(np.isfinite(run.sigma).any(axis=1)) for run in link.runs]
+    return with_noise_beside(layout, [np.where(k[:, None], s, np.nan) for k, s in zip(known, shown, strict=True)])
+
+
+def _investigate_wrench(
+    layout: Layout, path: BestPath, found: dict[str, Explanation], whole: dict[str, Link], progress: Progress | None
+) -> str | None:
     """Contact and sensor, which the data cannot separate into two links; and the compensation again if the record is stamped late.
 
     Returns the reason why the data do not allow it; None where they do.
     """
-    path = _choose_path(layout, found, whole, progress)
     if (part := compared_share(layout, path)) < MIN_COMPARED:
         return (
             f"the smallest difference decides how the mechanism moves after the touch: {part:.0%} of the rows in contact could be replayed"

@@ -17,7 +17,7 @@ from hiltestbed.diagnosis.floors import floors
 from hiltestbed.diagnosis.lacking import every_run_has, lacking
 from hiltestbed.diagnosis.links import CompensationLink, DynamicsLink, LinkRun, PlatformLink, WrenchLink, flat_pose
 from hiltestbed.diagnosis.low_pass import LowPass, low_pass_between
-from hiltestbed.diagnosis.noise import POSE_PARTS, ForceNoise, few_levels, force_noise, undithered
+from hiltestbed.diagnosis.noise import FEW_STEPS, POSE_PARTS, ForceNoise, few_levels, force_noise, undithered
 from hiltestbed.diagnosis.scales import scales_of
 from hiltestbed.diagnosis.settings import (
     COMPENSATION_FLOOR,
@@ -123,6 +123,14 @@ def with_readings(layout: Layout, readings: Sequence[Array]) -> Layout | None:
     """The same if the believed sensor had shown ``readings`` (N, 6) in each run; None where the rig then cannot follow its command."""
     given, lost = _deflections(layout.runs, layout.noise, layout.engaged, readings)
     return replace(layout, deflection=given) if lost is None else None
+
+
+def with_noise_beside(layout: Layout, shown: Sequence[Array]) -> Layout:
+    """The same with the noise of a latched mechanism's force beside the readings ``shown`` (N, 6) by the believed contact in each run."""
+    force = force_noise(layout.runs, layout.logged, shown)
+    before = layout.force.levels()
+    noise = floors(layout.runs) | {c: v for c, v in layout.noise.items() if c not in before} | force.levels()
+    return replace(layout, force=force, noise=noise)
 
 
 def _deflections(
@@ -283,15 +291,24 @@ def _repetition_factor(run: MeasuredRun, group: str, rows: int) -> Array:
 
 
 def _pose_run(run: MeasuredRun, noise: Mapping[str, float], doubt: Array, rows: int) -> LinkRun:
-    """A measured pose as position and small rotation vector; an attitude counts where all of it was measured."""
+    """A measured pose as position and small rotation vector; an attitude counts where all of it was measured.
+
+    An axis that was told to stay within a step or two of its converter, and did, does not count: its quantisation hides such motions.
+    """
     valid = run.record.valid["pose_act"][:rows]
     level = np.maximum([noise.get(f"pose_act.{part}", 0.0) for part in ("px", "py", "pz", *ROTATIONS)], MIN_POSE_NOISE)
     counted = np.concatenate([valid[:, :3], np.repeat(np.all(valid[:, 3:], axis=1)[:, None], 3, axis=1)], axis=1)
     level = np.hypot(level, _pose_rounding(run, "pose_act")[:rows]) * _repetition_factor(run, "pose_act", rows)[:, :6]
     sigma = np.where(counted, np.hypot(level, doubt), np.inf)
+    sigma[:, [few_levels(run, f"pose_act.{part}") and _told_to_stay(run, part) for part in POSE_PARTS]] = np.inf
     sigma[run.record.unknown("pose_cmd", GAP_MEMORY)[:rows]] = np.inf
     sigma[:UNUSED_END_ROWS] = sigma[run.record.ticks - UNUSED_END_ROWS :] = np.inf  # row 0 is the start, and stamps may be off by rows
     return LinkRun(run.scenario, np.nan_to_num(flat_pose(run.record.data["pose_act"][:rows])), sigma, run.touching(rows))
+
+
+def _told_to_stay(run: MeasuredRun, part: str) -> bool:
+    """Whether the command of a pose's part varies by less than what a quantised measurement shows the size of."""
+    return float(np.ptp(run.record.filled("pose_cmd")[:, POSE_PARTS.index(part)])) < FEW_STEPS * run.record.steps[f"pose_act.{part}"]
 
 
 def _pose_rounding(run: MeasuredRun, group: str) -> Array:

@@ -2,7 +2,9 @@
 
 The noise is taken for white, of one level, unless free flight, where a sensor reads nothing else, contradicts that beyond chance. A hum,
 a drift and a bias that all runs share stay in the record: they are effects, not noise. A mechanism that is latched from the start never
-flies freely: there the axes that do not move take the place of free flight, less what they share with the axes that do.
+flies freely: there the axes that do not move take the place of free flight, less what they share with the axes that do, and less what the
+believed contact makes of their path. In the loop a drift of the sensor moves the numerical model until the springs of the latch balance
+it: the reading then shows no drift, and the path does.
 """
 
 from __future__ import annotations
@@ -18,7 +20,7 @@ from scipy.optimize import brentq, nnls
 from scipy.stats import chi2 as chi_square
 from scipy.stats import f as fisher
 
-from hiltestbed.diagnosis.aside import BASELINE_DEGREE, baselines_differ
+from hiltestbed.diagnosis.aside import BASELINE_DEGREE, MIN_BASELINE_ROWS, baselines_differ
 from hiltestbed.diagnosis.low_pass import LowPass
 from hiltestbed.diagnosis.settings import (
     MIN_NOISE_ROWS,
@@ -108,22 +110,26 @@ def softened(z: Array, heavy: bool) -> Array:
     return np.sign(z) * OUTLIER_KNEE * np.sqrt(np.log1p((z / OUTLIER_KNEE) ** 2)) if heavy else z
 
 
-def force_noise(runs: Sequence[MeasuredRun], logged: LowPass | None = None) -> ForceNoise:
-    """The noise of the force on record, which ``logged`` filtered, if given; white where free flight is too short to estimate it."""
-    found = _noise(runs, logged)
+def force_noise(runs: Sequence[MeasuredRun], logged: LowPass | None = None, shown: Sequence[Array] | None = None) -> ForceNoise:
+    """The noise of the force on record; white where free flight is too short to estimate it.
+
+    logged: the filter of the record, if any. shown: (N, 6) of each run, readings of the believed contact of a latched mechanism on its
+    path, NaN where unknown; None: not known yet, the readings themselves are taken for noise.
+    """
+    found = _noise(runs, logged, [np.zeros((r.record.ticks, 6)) for r in runs] if shown is None else shown)
     step = max((run.record.steps[name] for run in runs for name in CHANNELS[:3] if undithered(run, name)), default=0.0)
     stated = not step or step <= STEP_TOLERANCE * max(run.scenario.sensor.quantisation for run in runs)
     return found if stated else replace(found, step=step)
 
 
-def _noise(runs: Sequence[MeasuredRun], logged: LowPass | None) -> ForceNoise:
+def _noise(runs: Sequence[MeasuredRun], logged: LowPass | None, shown: Sequence[Array]) -> ForceNoise:
     """The noise without its quantisation."""
     still = ForceNoise(np.zeros(6), logged.colour if logged else 1.0, False, tuple(np.zeros(6) for _ in runs), 0.0)
     latched = any(run.scenario.mechanism.captured for run in runs)
     measured = [j for j in range(6) if not any(undithered(run, CHANNELS[j]) for run in runs)]
-    each = [set(_moved(run)) for run in runs if latched and run.record.has("wrench_meas")] or [set[int]()]
+    each = [set(moved_axes(run)) for run in runs if latched and run.record.has("wrench_meas")] or [set[int]()]
     moved, driving = sorted(set.union(*each)), sorted(set.intersection(*each))
-    at_rest = [_at_rest(run, driving) for run in runs] if latched else []
+    at_rest = [_at_rest(run, driving, s) for run, s in zip(runs, shown, strict=True)] if latched else []
     free = [readings for _, readings in at_rest] if latched else [_free(run) for run in runs]
     if sum(len(x) for x in free) < MIN_NOISE_ROWS:
         return still
@@ -132,14 +138,17 @@ def _noise(runs: Sequence[MeasuredRun], logged: LowPass | None) -> ForceNoise:
         return still
     apart = [(rows, x[:, columns]) for rows, x in at_rest] if latched else [_contact_free(run, columns) for run in runs]
     flat, start = _straightened(free, columns)
+    if latched:  # whole runs, over which a baseline wanders more than along a line
+        flat = [_without_baseline(x) for x in flat]
+    bent = 1 + BASELINE_DEGREE if latched else 2  # numbers of the baseline, or of the line, of a channel in one run
     tones = [] if logged else tones_of(flat)  # filtered noise is not flat about a tone
     aside = phases_differ(flat, tones, apart)
     flat = without_tones(flat, tones)
     scale = np.array([1.4826 * np.median(np.abs(np.concatenate([x[:, i] for x in flat]))) for i in range(len(columns))])
     z = [x / np.where(scale > 0.0, scale, 1.0) for x in flat]
     heavy = _heavy([x[:: logged.stride] for x in z] if logged else z)
-    colour = logged.colour if logged else _colour(z)
-    rows, fitted = sum(map(len, flat)), 1 + sum(1 + 2 * len(tones) for x in flat if len(x))
+    colour = logged.colour if logged else _colour(z, bent)
+    rows, fitted = sum(map(len, flat)), sum(bent + 2 * len(tones) for x in flat if len(x))
     lost = math.sqrt(rows / max(rows - fitted, 1))  # of the deviation, by the lines and tones that were fitted
     level, tail = np.zeros(6), NORMAL_SQUARE_VARIANCE
     if heavy or colour > 1.0:
@@ -174,7 +183,7 @@ def _white_levels(readings: Sequence[Array]) -> Array:
     return np.asarray(np.sqrt(weight @ squares / weight.sum()))
 
 
-def _moved(run: MeasuredRun) -> list[int]:
+def moved_axes(run: MeasuredRun) -> list[int]:
     """Axes that move in a latched mechanism: by more than their noise, and by a share of what the one that moves most does [m, rad].
 
     An axis whose pose is not on record may move.
@@ -187,22 +196,22 @@ def _moved(run: MeasuredRun) -> list[int]:
     return [j for j, r in enumerate(ranges) if r == math.inf or (r > MAX_REST * most and names[j] in run.survey.excited)]
 
 
-def _at_rest(run: MeasuredRun, driving: Sequence[int]) -> tuple[Array, Array]:
-    """Rows (n,) of a latched mechanism, and the readings (n, 6) there less what they share with those of the axes that move in every run,
-    ``driving``, which may reach them a row earlier or later."""
+def _at_rest(run: MeasuredRun, driving: Sequence[int], shown: Array) -> tuple[Array, Array]:
+    """Rows (n,) of a latched mechanism, and what the believed contact, which has ``shown`` (N, 6), leaves of the readings (n, 6), less what
+    it shares with the readings of the axes that move in every run, ``driving``, which may reach it a row earlier or later."""
     record = run.record
     if not record.has("wrench_meas") or len(driving) == len(CHANNELS):
         return np.zeros(0), np.zeros((0, 6))
     values = record.data["wrench_meas"]
     there = np.isfinite(values).any(axis=0)
-    rows = np.flatnonzero(np.isfinite(values[:, there]).all(axis=1))
-    values = np.where(there, values, 0.0)[rows]
+    rows = np.flatnonzero(np.isfinite((values - shown)[:, there]).all(axis=1))
+    values, left = (np.where(there, x, 0.0)[rows] for x in (values, values - shown))
     if not driving or len(values) < MIN_NOISE_ROWS:
-        return rows.astype(float), values
+        return rows.astype(float), left
     beside = np.concatenate([values[2:, driving], values[1:-1, driving], values[:-2, driving]], axis=1)
     baseline = legendre.legvander(_places(rows[1:-1].astype(float), record.ticks), BASELINE_DEGREE)  # beside it, since baselines look alike
-    part = np.linalg.lstsq(np.concatenate([beside, baseline], axis=1), values[1:-1], rcond=None)[0][: beside.shape[1]]
-    return rows[1:-1].astype(float), values[1:-1] - (beside - beside.mean(axis=0)) @ part
+    part = np.linalg.lstsq(np.concatenate([beside, baseline], axis=1), left[1:-1], rcond=None)[0][: beside.shape[1]]
+    return rows[1:-1].astype(float), left[1:-1] - (beside - beside.mean(axis=0)) @ part
 
 
 def _places(rows: Array, ticks: int) -> Array:
@@ -263,18 +272,27 @@ def _straightened(free: Sequence[Array], columns: Sequence[int]) -> tuple[list[A
     return [x[:, columns] - s - t[:, None] * slope for t, x, s in zip(rows, free, start, strict=True)], start
 
 
+def _without_baseline(x: Array) -> Array:
+    """Readings (n, C) less the cubic of each channel."""
+    if len(x) < MIN_BASELINE_ROWS:
+        return x
+    basis = legendre.legvander(np.linspace(-1.0, 1.0, len(x)), BASELINE_DEGREE)
+    return np.asarray(x - basis @ np.linalg.lstsq(basis, x, rcond=None)[0])
+
+
 def _heavy(z: Sequence[Array]) -> bool:
     far = sum(int(np.sum(np.abs(x) > OUTLIER_SIGMA)) for x in z)
     expected = 6.3e-5 * sum(x.size for x in z)
     return far > MIN_OUTLIERS + 3.0 * expected
 
 
-def _colour(z: Sequence[Array]) -> float:
-    """`colour` of :class:`ForceNoise`; 1 unless neighbours are correlated beyond chance."""
+def _colour(z: Sequence[Array], fitted: int) -> float:
+    """`colour` of :class:`ForceNoise`; 1 unless neighbours are correlated beyond chance. fitted: numbers that were fitted to a channel of
+    a run, which biases each of its correlations."""
     clipped = [np.clip(x, -CLIP_SIGMA, CLIP_SIGMA) for x in z]
     square, samples = sum(float(np.sum(x * x)) for x in clipped), sum(x.size for x in clipped)
     chance = 1.0 / math.sqrt(samples)
-    taken = 2.0 * len(z) / max(1, sum(len(x) for x in z))  # bias of each correlation by the subtracted line
+    taken = fitted * len(z) / max(1, sum(len(x) for x in z))
     total, first = 1.0, 0.0
     for lag in range(1, MAX_LAG):
         found = sum(float(np.sum(x[lag:] * x[:-lag])) for x in clipped if len(x) > lag) / square + taken

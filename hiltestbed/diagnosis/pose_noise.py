@@ -1,6 +1,7 @@
 """Stage "layout": correlated noise of a measured pose, as of a logger that interpolates each row between two samples.
 
-Third differences, which separate the noise of a pose from its motion, show little of such noise. Free flight shows all of it.
+Third differences, which separate the noise of a pose from its motion, show little of such noise. Free flight shows all of it; in a
+mechanism that is latched from the start, the axes at rest do, less their command, which the latch's springs and the loop's noise move.
 """
 
 from __future__ import annotations
@@ -10,9 +11,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from hiltestbed.diagnosis.noise import POSE_PARTS, moved_axes
 from hiltestbed.diagnosis.settings import MIN_NOISE_ROWS, SIGNIFICANCE_SIGMA
 from hiltestbed.frames import Array
 from hiltestbed.measured import MeasuredRun
+from hiltestbed.measured.noise import white_noise
 from hiltestbed.signals import GROUPS
 
 TOUCH_MARGIN_ROWS = 2  # chosen: before the first touch, that are not counted as free
@@ -24,9 +27,12 @@ def smooth_levels(runs: Sequence[MeasuredRun]) -> dict[str, float]:
     """Channel of pose_act to the root of the spectral density of its noise at low frequency [its unit], where rows lie between two samples.
 
     Smooth departures are judged by that level: for rows ``(1 - p) w_k + p w_(k-1)`` it is that of the samples ``w``. Empty where neighbours
-    are not correlated, or rows further apart are too: that is a motion.
+    are not correlated, or rows further apart are too: that is a motion. An axis that moves in a latched mechanism is taken to have as
+    much of it above third differences as those at rest have.
     """
-    free = {name: [x for run in runs if len(x := _free(run, name)) > max(FAR_LAGS)] for name in GROUPS["pose_act"].columns}
+    moving = sorted({POSE_PARTS[j] for run in runs if run.scenario.mechanism.captured for j in moved_axes(run)})
+    names = [name for name in GROUPS["pose_act"].columns if name.rpartition(".")[2] not in moving]
+    free = {name: [x for run in runs if len(x := _free(run, name)) > max(FAR_LAGS)] for name in names}
     level = {name: float(np.sqrt(np.mean(np.concatenate(x) ** 2))) for name, x in free.items() if x}
     units = [[x / level[name] for x in free[name]] for name in level if level[name] > 0.0]
     samples = sum(len(x) for channel in units for x in channel)
@@ -36,18 +42,33 @@ def smooth_levels(runs: Sequence[MeasuredRun]) -> dict[str, float]:
     chance = SIGNIFICANCE_SIGMA / math.sqrt(samples)
     if first < chance or max(map(abs, others)) > max(chance, MAX_FAR_CORRELATION * first):
         return {}
-    return {name: value * math.sqrt(1.0 + 2.0 * first) for name, value in level.items()}
+    found = {name: value * math.sqrt(1.0 + 2.0 * first) for name, value in level.items()}
+    if not moving:
+        return found
+    white = {f"pose_act.{part}": _white(runs, f"pose_act.{part}") for part in POSE_PARTS}
+    above = float(np.median([found[name] / white[name] for name in found if white.get(name)]))
+    return found | {name: above * white[name] for part in moving if (name := f"pose_act.{part}") in white}
 
 
 def _free(run: MeasuredRun, name: str) -> Array:
-    """(n,) of the channel before the first touch, less a straight line."""
+    """(n,) of the channel before the first touch, less a straight line; of a latched mechanism all of it, less its command."""
     if not run.record.has(name):
         return np.zeros(0)
-    end = max(0, run.survey.contacts[0].start - TOUCH_MARGIN_ROWS) if run.survey.contacts else run.record.ticks
+    latched, told = run.scenario.mechanism.captured, name.replace("act", "cmd")
+    touched = run.survey.contacts and not latched
+    end = max(0, run.survey.contacts[0].start - TOUCH_MARGIN_ROWS) if touched else run.record.ticks
     values = run.record.column(name)[TOUCH_MARGIN_ROWS:end]
+    if latched and run.record.has(told):  # which is reached a row later
+        values = values - run.record.column(told)[TOUCH_MARGIN_ROWS - 1 : end - 1]
     values = values[np.isfinite(values)]
     if len(values) <= max(FAR_LAGS):
         return np.zeros(0)
     rows = np.linspace(-1.0, 1.0, len(values))
     line = np.polynomial.polynomial.polyfit(rows, values, 1)
     return np.asarray(values - np.polynomial.polynomial.polyval(rows, line))
+
+
+def _white(runs: Sequence[MeasuredRun], name: str) -> float:
+    """White noise of the channel by third differences, rms over the runs."""
+    found = [white_noise(run.record.column(name)) for run in runs if run.record.has(name)]
+    return float(np.sqrt(np.mean(np.square(found)))) if found else 0.0

@@ -12,6 +12,7 @@ from hiltestbed.frames import Array
 FREE_MINIMUM = 20  # samples before the first touch, at least, to estimate a noise floor
 THIRD_DIFFERENCE = math.sqrt(20.0)  # its sigma for white noise of unit sigma: the variance is 1 + 9 + 9 + 1
 MAD_TO_SIGMA = 1.4826
+CLIP_SIGMA = 4.0  # third differences of quantised values beyond it, as at a touch, count as this much
 UNIFORM = 2.0  # ratio of rms to white; above it a pose does not move uniformly, and a straight line does not give its noise
 ROUND_OFF = 1e-12  # of the largest value: smaller steps are those of the number format
 SPARSE = 0.7  # part of the ticks with a sample; below it the log is slower than the loop
@@ -43,22 +44,29 @@ def noise_of(values: Array, free: int, step: float, pose: bool) -> Noise:
     segment, least = values[:free], step / math.sqrt(12.0)
     known = np.flatnonzero(np.isfinite(segment))
     if len(known) < FREE_MINIMUM:
-        white = max(white_noise(values), least)
+        white = max(white_noise(values, step), least)
         return Noise(white, white, 0)
     line = np.polynomial.Polynomial.fit(known, segment[known], 1)
     residual = segment[known] - line(known)
-    rms, white = float(np.sqrt(np.sum(residual**2) / (len(known) - 2))), max(white_noise(segment), least)
+    rms, white = float(np.sqrt(np.sum(residual**2) / (len(known) - 2))), max(white_noise(segment, step), least)
     return Noise(white if pose and rms > UNIFORM * white else max(rms, least), white, len(known))
 
 
-def white_noise(values: Array) -> float:
-    """1 sigma of the part of ``values`` that differs from sample to sample; 0 if there are too few samples."""
+def white_noise(values: Array, step: float = 0.0) -> float:
+    """1 sigma of the part of ``values`` that differs from sample to sample; 0 if there are too few samples.
+
+    ``step``: their quantisation, 0: none. Differences of quantised values are multiples of it, and so is their median, which then tells no
+    level: their mean square does, of those that are not far out.
+    """
     third = np.diff(_samples(values), 3)
-    third = third[np.isfinite(third)]
+    third = np.abs(third[np.isfinite(third)])
     if len(third) < 8:
         return 0.0
-    sigma = MAD_TO_SIGMA * float(np.median(np.abs(third))) / THIRD_DIFFERENCE
-    return sigma if sigma > 0 else float(np.std(third)) / THIRD_DIFFERENCE
+    usual = MAD_TO_SIGMA * float(np.median(third))
+    if step > 0.0 or usual == 0.0:
+        far = CLIP_SIGMA * max(usual, step) if step > 0.0 else math.inf
+        usual = float(np.sqrt(np.mean(np.minimum(third, far) ** 2)))
+    return usual / THIRD_DIFFERENCE
 
 
 def _samples(values: Array) -> Array:

@@ -18,12 +18,16 @@ from tests.slow import slow
     ("noise", "seed"),
     [
         (("digits", 4.0), 610027),  # a command in few digits is a rough path
+        (("slow_drift", 4.0), 601068),  # latched from the start: the springs balance the drift, and the path shows it
+        slow(("log_rate", 1700.0), 602089),  # latched from the start: its axes at rest show the noise of poses between samples
+        slow(("pose_steps", 1e-5), 601476),  # third differences are whole steps
         slow(("digits", 5.0), 610026),  # a pair that is latched from the start, and turns freely
         slow(("converter_steps", 1.0), 620012),  # forces across that stay within two steps
         slow(("log_rate", 250.0), 610036),  # seven ticks of eight without a row
         slow(("log_rate", 500.0), 610035),
         slow(("log_rate", 1700.0), 610034),  # noise of samples that were put between others twice
         slow(("stamp_jitter", 0.1), 610031),
+        slow(("pose_steps", 1e-5), 601441),  # latched: poses across stay within a step, which hides how far they move
         slow(("pose_steps", 2e-5), 610025),
         slow(("anti_aliasing", 150.0), 650003),
         slow(("anti_aliasing", 50.0), 650004),  # latched from the start: nothing tells its noise but what the loop computed

@@ -94,6 +94,16 @@ def test_the_baseline_of_an_axis_at_rest_wanders_though_that_of_the_axis_that_mo
     assert (noise.baseline, noise.tones) == (3, ())
 
 
+def test_a_drift_that_the_springs_of_a_latch_balance_shows_in_what_their_path_leaves_of_the_reading() -> None:
+    """The loop moves the numerical model until the sensor reads nothing: the springs then carry the drift with the other sign."""
+    rng, t = np.random.default_rng(14), np.linspace(0.0, 1.0, ROWS)[:, None]
+    sway = [4.0 * np.sin(2 * np.pi * rng.uniform(0.25, 0.75, 6) * t + rng.uniform(-np.pi, np.pi, 6)) for _ in range(RUNS)]
+    runs = [latched(n) for n in white(14)]
+    assert force_noise(runs).words() == ()
+    noise = force_noise(runs, None, [-SIGMA * s for s in sway])
+    assert (noise.baseline, noise.colour, noise.tones, noise.level.any()) == (3, 1.0, (), False)  # the rest of it is white
+
+
 def test_a_run_without_forces_leaves_the_noise_to_the_others() -> None:
     runs = [latched(np.asarray(lfilter([0.8], [1, -0.6], n, axis=0))) for n in white(1)]
     record: Any = SimpleNamespace(data={}, ticks=ROWS, has=lambda name: name[0] == "p", steps={}, column=lambda name: np.zeros(ROWS))

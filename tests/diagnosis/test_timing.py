@@ -159,12 +159,14 @@ def test_a_whole_tick_of_delay_stays_a_cause_beside_others() -> None:
     assert timing.delays_not_causes(found) == {}
 
 
-def test_the_noise_of_poses_between_two_samples_is_judged_by_that_of_the_samples(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("seed", "latched"), [(810008, False), (810066, True)])
+def test_the_noise_of_poses_between_two_samples_is_judged_by_that_of_the_samples(tmp_path: Path, seed: int, latched: bool) -> None:
     levels = {}
     for rows in (0.0, 0.4):
-        made = draw_set(np.random.default_rng(810008), "healthy", nuisances=Nuisances(stamps={"pose_act": rows} if rows else {}))
+        made = draw_set(np.random.default_rng(seed), "healthy", nuisances=Nuisances(stamps={"pose_act": rows} if rows else {}))
         write_set(tmp_path / str(rows), made)
         levels[rows] = smooth_levels(load_dataset(tmp_path / str(rows) / "dataset.yaml").runs)
+    assert made.facility.scenario["mechanism"]["kind"] == ("latched" if latched else "bumper")
     assert levels[0.0] == {}
     for name in ("pose_act.px", "pose_act.py", "pose_act.pz"):
         assert levels[0.4][name] == pytest.approx(made.facility.pose_noise, rel=0.15)

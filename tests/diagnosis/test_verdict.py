@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hiltestbed.diagnosis.adequacy import leftover
+from hiltestbed.diagnosis.adequacy import contact_leftovers, leftover
 from hiltestbed.diagnosis.find import cause_of
 from hiltestbed.diagnosis.heldout import heldout, placebo_of
 from hiltestbed.diagnosis.intervals import intervals
@@ -146,3 +146,14 @@ def test_white_noise_at_its_floor_passes_and_what_is_smooth_below_it_does_not() 
     assert not leftover([noise(3000, size=1.2)]).noise
     wave = noise(3000) + 0.5 * np.sin(np.arange(3000) / 40.0)  # adds an eighth to the variance, and a whole to that of means of eight
     assert not leftover([wave]).noise
+
+
+def test_a_log_slower_than_the_loop_knows_its_noise_floor_from_its_samples_and_not_from_its_ticks() -> None:
+    """The floor of a variance errs by 8 % from 1500 samples, and by the root of their number more from fewer."""
+    link = contact_link((), speeds=SPEEDS)
+    fourth = [np.where(np.arange(run.rows)[:, None] % 4 == 0, run.sigma, np.inf) for run in link.runs]
+    link.runs = [replace(run, sigma=sigma) for run, sigma in zip(link.runs, fourth, strict=True)]
+    samples = sum(int(np.isfinite(s[~run.touching, 2]).sum()) for run, s in zip(link.runs, fourth, strict=True))
+    left = contact_leftovers(Residual(link), ())["wrench_meas.fz"]
+    assert samples < 1500
+    assert left.variance_limit == pytest.approx(1.0 + 0.08 * np.sqrt(1500 / samples) + 4.5 * np.sqrt(2.0 / left.samples))

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from hiltestbed.gallery import find_scenario
+from hiltestbed.measured.noise import white_noise
 from hiltestbed.measured.record import Record
 from hiltestbed.measured.survey import Contact, Survey, look
 from hiltestbed.scenario import load_scenario
@@ -73,3 +74,14 @@ def test_what_swings_on_its_side_is_in_contact_where_it_is_pressed_across(name: 
     survey = look(Record(1, Path(), t, {"pose_act": pose, "wrench_meas": wrench}, valid), scenario)
     assert len(survey.contacts) == found
     assert survey.touching(len(t), 0, least=30.0)[1500] == bool(found)
+
+
+@pytest.mark.parametrize("speed", [0.037, 3.3])
+@pytest.mark.parametrize("noise", [0.4, 1.0])
+def test_the_noise_of_a_quantised_motion_is_that_of_its_samples_and_of_its_steps(speed: float, noise: float) -> None:
+    """Independent of each other where noise dithers the steps; third differences of them are whole steps, and so is their median."""
+    rng = np.random.default_rng(6)
+    read = np.round(speed * np.arange(6000) + noise * rng.standard_normal(6000))
+    assert white_noise(1e-5 * read, 1e-5) == pytest.approx(1e-5 * np.hypot(noise, 1.0 / np.sqrt(12.0)), rel=0.05)
+    touched = 1e-5 * (read + np.where(np.arange(6000) == 3000, 50.0, 0.0))
+    assert white_noise(touched, 1e-5) == pytest.approx(white_noise(1e-5 * read, 1e-5), rel=0.02)
