@@ -22,6 +22,19 @@ Array = NDArray[np.float64]
 
 TINY = 1e-300  # a quaternion after a numerical overflow may have length zero
 SMALL_ANGLE = 1e-4  # [rad] below it sin(a)/a is computed by its series, whose next term is a^4/120 < 1e-18
+SERIES_ANGLE = 0.1  # [rad] largest angle of the series of sine and cosine: its first term left out, of degree 13, is 2e-23
+SERIES = tuple(1.0 / math.factorial(n) for n in range(13))
+
+
+@njit(cache=True)
+def sin_cos(angle):
+    """Sine and cosine. Up to :data:`SERIES_ANGLE`, Taylor series, exact to rounding and several times faster than the library's."""
+    if abs(angle) > SERIES_ANGLE:
+        return math.sin(angle), math.cos(angle)
+    s = angle * angle
+    sine = angle - angle * s * (SERIES[3] - s * (SERIES[5] - s * (SERIES[7] - s * (SERIES[9] - s * SERIES[11]))))
+    cosine = 1.0 - s * (SERIES[2] - s * (SERIES[4] - s * (SERIES[6] - s * (SERIES[8] - s * (SERIES[10] - s * SERIES[12])))))
+    return sine, cosine
 
 
 @njit(cache=True, inline="always")

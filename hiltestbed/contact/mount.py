@@ -16,7 +16,7 @@ import numpy as np
 from mujoco.batch import Batch
 
 from hiltestbed.bound import GIVEN, Call
-from hiltestbed.frames import Array, quat_mul, rotate
+from hiltestbed.frames import Array, quat_mul, rotate, sin_cos
 from hiltestbed.jit import njit
 
 if TYPE_CHECKING:
@@ -123,26 +123,20 @@ def _turn(q, before, r):
 @njit(cache=True)
 def mount_place(q, qd, tilt, place, motion):
     """One mount: ``place`` (7,) and ``motion`` (6,) of S in W from the joints ``q`` (6,) and their rates ``qd`` (6,); ``tilt`` (7,)."""
-    attitude, r, axis, turn = np.empty(4), np.empty(4), np.empty(3), np.empty(4)
-    attitude[:] = 0.0
-    attitude[3] = 1.0
-    motion[:] = 0.0
-    for j in range(3):
-        place[j] = q[j]
-        motion[j] = qd[j]
-        axis[:] = 0.0
-        axis[j] = 1.0
-        rotate(attitude, axis, axis)  # the hinge's axis, rotated by the hinges before it
-        for k in range(3):
-            motion[3 + k] += qd[3 + j] * axis[k]
-        half = 0.5 * q[3 + j]
-        turn[:] = 0.0
-        turn[j] = math.sin(half)
-        turn[3] = math.cos(half)
-        quat_mul(attitude, turn, r)
-        attitude[:] = r
-    quat_mul(attitude, tilt[3:7], r)
-    place[3:7] = r
+    place[0], place[1], place[2], motion[0], motion[1], motion[2] = q[0], q[1], q[2], qd[0], qd[1], qd[2]
+    (s0, c0), (s1, c1), (s2, c2) = sin_cos(0.5 * q[3]), sin_cos(0.5 * q[4]), sin_cos(0.5 * q[5])
+    # Axes of the hinges, rotated by those before: (1, 0, 0), (0, cosine, sine) and the third
+    sine, cosine, across = 2.0 * s0 * c0, 1.0 - 2.0 * s0 * s0, 1.0 - 2.0 * s1 * s1
+    motion[3] = qd[3] + qd[5] * 2.0 * s1 * c1
+    motion[4] = qd[4] * cosine - qd[5] * sine * across
+    motion[5] = qd[4] * sine + qd[5] * cosine * across
+    x, y, z, w = s0 * c1, c0 * s1, s0 * s1, c0 * c1  # attitude of the first two hinges
+    x, y, z, w = x * c2 + y * s2, y * c2 - x * s2, z * c2 + w * s2, w * c2 - z * s2
+    tx, ty, tz, tw = tilt[3], tilt[4], tilt[5], tilt[6]
+    place[3] = w * tx + x * tw + y * tz - z * ty
+    place[4] = w * ty - x * tz + y * tw + z * tx
+    place[5] = w * tz + x * ty - y * tx + z * tw
+    place[6] = w * tw - x * tx - y * ty - z * tz
 
 
 @njit(cache=True)

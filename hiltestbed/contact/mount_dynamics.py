@@ -13,7 +13,7 @@ from scipy.signal import lfilter
 
 from hiltestbed.contact.composition import PASSIVE, add_side
 from hiltestbed.contact.mount import MOUNTED
-from hiltestbed.frames import Array
+from hiltestbed.frames import Array, sin_cos
 from hiltestbed.jit import njit
 
 if TYPE_CHECKING:
@@ -75,8 +75,6 @@ def _inertia(body: Array) -> Array:
 
 
 MASS, CENTRE, INERTIA, BODY = 0, 1, 4, 13  # start of each part of a body row, and its length
-SMALL = 0.1  # [rad] derived: at which the first term left out of the series, of degree 13, is 2e-23
-SERIES = tuple(1.0 / math.factorial(n) for n in range(13))
 
 
 def carried(model: mujoco.MjModel, body: str) -> Array:
@@ -101,17 +99,6 @@ def carried(model: mujoco.MjModel, body: str) -> Array:
 
 
 @njit(cache=True)
-def _sin_cos(angle):
-    """Sine and cosine. Up to :data:`SMALL`, Taylor series, exact to rounding and several times faster than the library's."""
-    if abs(angle) > SMALL:
-        return math.sin(angle), math.cos(angle)
-    s = angle * angle
-    sine = angle - angle * s * (SERIES[3] - s * (SERIES[5] - s * (SERIES[7] - s * (SERIES[9] - s * SERIES[11]))))
-    cosine = 1.0 - s * (SERIES[2] - s * (SERIES[4] - s * (SERIES[6] - s * (SERIES[8] - s * (SERIES[10] - s * SERIES[12])))))
-    return sine, cosine
-
-
-@njit(cache=True)
 def mount_step(stiffness, damping, body, dt, wrench, q, qd):
     """One step of one mount under ``wrench`` (6,) on the passive side, in W at W's origin: rates first, dampers implicit, as in MuJoCo.
 
@@ -120,7 +107,7 @@ def mount_step(stiffness, damping, body, dt, wrench, q, qd):
     """
     m, q0, q1, q2 = body[MASS], q[0], q[1], q[2]
     v0, v1, v2, r0, r1, r2 = qd[0], qd[1], qd[2], qd[3], qd[4], qd[5]
-    (s0, c0), (s1, c1), (s2, c2) = _sin_cos(q[3]), _sin_cos(q[4]), _sin_cos(q[5])
+    (s0, c0), (s1, c1), (s2, c2) = sin_cos(q[3]), sin_cos(q[4]), sin_cos(q[5])
     # Axes of the hinges, rotated by those before: (1, 0, 0), (0, c0, s0) and (zx, zy, zz); the attitude; the angular velocity
     zx, zy, zz = s1, -s0 * c1, c0 * c1
     t00, t01, t10, t11 = c1 * c2, -c1 * s2, c0 * s2 + s0 * s1 * c2, c0 * c2 - s0 * s1 * s2
@@ -194,7 +181,7 @@ def mount_reading(stiffness, damping, q, qd, out):
     """
     for j in range(6):
         out[j] = stiffness[j] * q[j] + damping[j] * qd[j]
-    (sx, cx), (sy, cy) = _sin_cos(q[3]), _sin_cos(q[4])
+    (sx, cx), (sy, cy) = sin_cos(q[3]), sin_cos(q[4])
     across = (out[5] - sy * out[3]) / cy
     out[4], out[5] = cx * out[4] - sx * across, sx * out[4] + cx * across
     out[3] += q[1] * out[2] - q[2] * out[1]

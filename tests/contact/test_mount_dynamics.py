@@ -5,7 +5,9 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
+from hiltestbed.contact.mount import mount_place
 from hiltestbed.contact.mount_dynamics import carried, mount_step
 
 STEP = 1.0e-4
@@ -37,3 +39,18 @@ def test_a_step_is_that_of_mujoco_at_small_and_large_angles(angle: float) -> Non
         mount_step(STIFFNESS, DAMPING, body, STEP, np.zeros(6), q, qd)
     np.testing.assert_allclose(q, data.qpos, atol=1e-9 * angle)
     np.testing.assert_allclose(qd, data.qvel, atol=1e-7 * angle)
+
+
+@pytest.mark.parametrize("size", [1e-6, 0.05, 1.0])
+def test_the_mounts_place_is_the_product_of_its_hinges(size: float) -> None:
+    """Attitude and angular velocity, against SciPy's rotations about x, y' and z'', behind a tilt."""
+    rng = np.random.default_rng(0)
+    for _ in range(50):
+        q, qd, tilt = size * rng.normal(size=6), rng.normal(size=6), Rotation.from_rotvec(size * rng.normal(size=3))
+        place, motion = np.empty(7), np.empty(6)
+        mount_place(q, qd, np.concatenate([np.zeros(3), tilt.as_quat()]), place, motion)
+        x, y, z = (Rotation.from_rotvec(angle * axis) for angle, axis in zip(q[3:], np.eye(3), strict=True))
+        assert ((x * y * z * tilt).inv() * Rotation.from_quat(place[3:])).magnitude() < 1e-14
+        turning = qd[3] * np.eye(3)[0] + qd[4] * x.apply(np.eye(3)[1]) + qd[5] * (x * y).apply(np.eye(3)[2])
+        np.testing.assert_allclose(motion, np.concatenate([qd[:3], turning]), atol=1e-14)
+        np.testing.assert_array_equal(place[:3], q[:3])
