@@ -8,7 +8,6 @@ of the other runs too, ever finer; then in ever finer scans on all rows.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -17,6 +16,7 @@ import numpy as np
 from hiltestbed.diagnosis.links import PlatformLink
 from hiltestbed.diagnosis.residual import Residual, square
 from hiltestbed.frames import Array
+from hiltestbed.jit import njit
 from hiltestbed.platform.effects.tracking import PlatformFriction
 
 SCAN_POINTS = 400  # chosen: sticks, on the first jumps
@@ -26,6 +26,7 @@ MAX_SCAN_ROWS = 4000  # chosen: rows of the last scan
 ROW_GROWTH = 1.5  # chosen: times as many rows in each next scan: the tolerance of a stick shrinks as the number of jumps grows
 MAX_SAMPLE_CHI2 = 25.0  # chosen: chi-square of a sample, so that a jump in the wrong row counts no more however far it goes
 SURVIVOR_MARGIN = 2.0 * MAX_SAMPLE_CHI2  # chosen: chi-square above the best, within which a stick is scanned again
+STICKS_AT_ONCE = 64  # chosen: replayed together
 MAX_STRETCHES = 8  # intervals of such sticks for each number of instants
 STICKS_PER_SCAN = 160  # chosen: sticks in them
 MAX_CHI2_RATIO = 2.0  # chosen: times the least chi-square so far: numbers of instants that fit worse are dropped
@@ -71,8 +72,8 @@ def _scanned(link: PlatformLink, order: Sequence[int], tried: Array, believed: i
     left = dict.fromkeys(sorted({believed, *INSTANTS}), tried)
     known: dict[int, Stretches] = {}  # on all rows
     while left:
-        residual = Residual(_beginning(link, order, rows))
-        found = known | {m: _survivors(sticks, np.array(_chi2_of(residual, sticks, m, MAX_SAMPLE_CHI2))) for m, sticks in left.items()}
+        part = _beginning(link, order, rows)
+        found = known | {m: _survivors(sticks, _capped_chi2(part, sticks, m)) for m, sticks in left.items()}
         best = sorted(found, key=lambda m: found[m][0][0])
         if rows == whole:
             known, going = found, best[:MAX_INSTANTS_SEARCHED]
@@ -148,10 +149,40 @@ def refined_sticks(residual: Residual, near: Sequence[float], step: float, insta
     return best
 
 
-def _chi2_of(residual: Residual, sticks: Sequence[float] | np.ndarray, instants: int, most: float = math.inf) -> list[float]:
-    """Chi-square of each of ``sticks``; no sample counts for more than ``most``."""
+def _chi2_of(residual: Residual, sticks: Sequence[float], instants: int) -> list[float]:
+    """Chi-square of each of ``sticks``."""
     out: list[float] = []
-    for start in range(0, len(sticks), 64):
-        effects = [[PlatformFriction.hypothesis({"instants": instants}, stick=float(s))] for s in sticks[start : start + 64]]
-        out += [square(r) if math.isinf(most) else float(np.minimum(r * r, most).sum()) for r in residual.many(effects)]
+    for start in range(0, len(sticks), STICKS_AT_ONCE):
+        effects = [[PlatformFriction.hypothesis({"instants": instants}, stick=float(s))] for s in sticks[start : start + STICKS_AT_ONCE]]
+        out += [square(r) for r in residual.many(effects)]
     return out
+
+
+def _capped_chi2(link: PlatformLink, sticks: Array, instants: int) -> Array:
+    """Chi-square of each of ``sticks``, where no sample counts for more than :data:`MAX_SAMPLE_CHI2`.
+
+    Thousands of replays are compared here, so that each is summed up at once, and the attitude, which is the same for every stick, only
+    once: a :class:`Residual` of each would take several times as long as the replays.
+    """
+    turned = [z[:, 3:] for z in Residual(link).by_run([()])[0]]
+    out = np.full(len(sticks), sum(float(np.minimum(z * z, MAX_SAMPLE_CHI2).sum()) for z in turned))
+    for start in range(0, len(sticks), STICKS_AT_ONCE):
+        some = sticks[start : start + STICKS_AT_ONCE]
+        effects = [PlatformFriction.hypothesis({"instants": instants}, stick=float(s)) for s in some]
+        places = link.places([(i, [effect]) for effect in effects for i in range(len(link.runs))])
+        for i, run in enumerate(link.runs):
+            goal, sigma = run.measured[:, :3] - link.deflection[i][:, :3], run.sigma[:, :3]
+            _add_capped(places[i :: len(link.runs)], goal, sigma, MAX_SAMPLE_CHI2, out[start : start + len(some)])
+    return out
+
+
+@njit(cache=True)
+def _add_capped(places, goal, sigma, most, out):
+    """Add to ``out`` (H,) the squares of ``goal`` (N, 3) less ``places`` (H, >= N, 3) over ``sigma`` (N, 3), at most ``most`` each."""
+    for h in range(len(out)):
+        total = 0.0
+        for k in range(len(goal)):
+            for j in range(3):
+                z = (goal[k, j] - places[h, k, j]) / sigma[k, j]
+                total += min(z * z, most)
+        out[h] += total

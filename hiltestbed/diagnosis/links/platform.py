@@ -31,17 +31,21 @@ class PlatformLink(Link):
         self._attitude = [flat_pose(np.concatenate([s, c[:-1]]))[:, 3:] for s, c in zip(starts, commands, strict=True)]
 
     def _replay(self, lanes: Sequence[Lane]) -> list[Array]:
+        out = []
+        for place, (i, effects) in zip(self.places(lanes), lanes, strict=True):
+            timing = self.timing_with(effects)
+            turned = moved(self._attitude[i], timing.obeyed / self.runs[i].scenario.tick)
+            pose = np.concatenate([place[: self.runs[i].rows], turned], axis=1) + self.deflection[i]
+            out.append(self._between(i, pose, timing))
+        return out
+
+    def places(self, lanes: Sequence[Lane]) -> Array:
+        """(L, N, 3) positions [m] that the platform reaches in each lane, without the deflection of its drives."""
         run = np.array([i for i, _ in lanes])
         scenarios = [self.runs[i].scenario for i in run]
         parameters = [PlatformParameters.believed(s).with_effects(effects) for s, (_, effects) in zip(scenarios, lanes, strict=True)]
         obeyed = np.array([self.timing_with(effects).obeyed for _, effects in lanes])
-        places = replay_platform(scenarios, parameters, self._padded, run, obeyed)
-        out = []
-        for place, late, (i, effects) in zip(places, obeyed, lanes, strict=True):
-            turned = moved(self._attitude[i], late / self.runs[i].scenario.tick)
-            pose = np.concatenate([place[: self.runs[i].rows], turned], axis=1) + self.deflection[i]
-            out.append(self._between(i, pose, self.timing_with(effects)))
-        return out
+        return replay_platform(scenarios, parameters, self._padded, run, obeyed)
 
     def doubt(self, i: int, effects: Effects) -> Array | None:
         """(N, 6) change of a platform with stiction in rows whose jump may have come a row sooner or later; None without stiction."""

@@ -80,6 +80,7 @@ class WrenchLink(Link):
         self._step_error: list[Array] | None = None
         self._believed = [_numbers(r.scenario, self.lever, self.blunt, self.ring) for r in runs]
         scenarios = [r.scenario for r in runs]
+        self._rules = [sides_of(s.mechanism).rules for s in scenarios]  # asked once: every call looks at the files of a mechanism
         first, before = scenarios[0], np.empty((len(runs), 7))
         self._felt: Felt | Simulated
         if not sides_of(first.mechanism).rigid:
@@ -199,7 +200,7 @@ class WrenchLink(Link):
             contacts = [replace(c).with_effects(effects) for c in contacts]
         if "sensor" in links:
             sensor = sensor.copy().with_effects(effects)
-        rows = contact_rows(contacts, sides_of(mechanism).rules, mechanism.captured)
+        rows = contact_rows(contacts, self._rules[i], mechanism.captured)
         acting = [e for e in effects if e.link == "contact"]
         return FeltLane(i, rows, sensor, log_parameters(effects) if "log" in links else _NO_LOG_EFFECT, later, acting)
 
