@@ -73,7 +73,7 @@ def _scanned(link: PlatformLink, order: Sequence[int], tried: Array, believed: i
     known: dict[int, Stretches] = {}  # on all rows
     while left:
         part = _beginning(link, order, rows)
-        found = known | {m: _survivors(sticks, _capped_chi2(part, sticks, m)) for m, sticks in left.items()}
+        found = known | {m: _survivors(sticks, capped_chi2(part, sticks, m)) for m, sticks in left.items()}
         best = sorted(found, key=lambda m: found[m][0][0])
         if rows == whole:
             known, going = found, best[:MAX_INSTANTS_SEARCHED]
@@ -158,11 +158,11 @@ def _chi2_of(residual: Residual, sticks: Sequence[float], instants: int) -> list
     return out
 
 
-def _capped_chi2(link: PlatformLink, sticks: Array, instants: int) -> Array:
-    """Chi-square of each of ``sticks``, where no sample counts for more than :data:`MAX_SAMPLE_CHI2`.
+def capped_chi2(link: PlatformLink, sticks: Array, instants: int) -> Array:
+    """Chi-square of each of ``sticks`` on a link without a timing of its own; no sample counts for more than :data:`MAX_SAMPLE_CHI2`.
 
-    Thousands of replays are compared here, so that each is summed up at once, and the attitude, which is the same for every stick, only
-    once: a :class:`Residual` of each would take several times as long as the replays.
+    Thousands of replays are compared. A :class:`Residual` of each would take several times as long as its replay, so each is summed at once,
+    and the attitude, the same for every stick, is summed once.
     """
     turned = [z[:, 3:] for z in Residual(link).by_run([()])[0]]
     out = np.full(len(sticks), sum(float(np.minimum(z * z, MAX_SAMPLE_CHI2).sum()) for z in turned))
@@ -183,6 +183,6 @@ def _add_capped(places, goal, sigma, most, out):
         total = 0.0
         for k in range(len(goal)):
             for j in range(3):
-                z = (goal[k, j] - places[h, k, j]) / sigma[k, j]
-                total += min(z * z, most)
+                square = ((goal[k, j] - places[h, k, j]) / sigma[k, j]) ** 2
+                total += square if square < most else most
         out[h] += total

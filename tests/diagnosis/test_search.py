@@ -22,7 +22,7 @@ from hiltestbed.diagnosis.links.base import Effects, Lane
 from hiltestbed.diagnosis.residual import Residual, square
 from hiltestbed.diagnosis.search import Search
 from hiltestbed.diagnosis.settings import DETECTION
-from hiltestbed.diagnosis.stiction import refined_sticks, stick_starts
+from hiltestbed.diagnosis.stiction import MAX_SAMPLE_CHI2, capped_chi2, refined_sticks, stick_starts
 from hiltestbed.effects import EFFECTS
 from hiltestbed.effects.search import Scales, candidate
 from hiltestbed.frames import Array
@@ -78,6 +78,18 @@ def test_a_drift_is_found_up_to_the_size_of_the_contact() -> None:
     drifts = list(EFFECTS["sensor.drift"].candidates(SCALES))
     assert len(drifts) == 3  # an axis each
     assert all(c.low[0] <= -300.0 / 0.5 and c.high[0] >= 300.0 / 0.5 for c in drifts)
+
+
+def test_a_scan_counts_each_stick_as_the_residual_does() -> None:
+    """Also where a row is not known, and where the deflection of the drives is part of the pose."""
+    made = platform_link([effect("platform.friction", {"instants": 20}, stick=8.37e-5)])
+    sigma = made.runs[0].sigma.copy()
+    sigma[40:60] = np.inf
+    runs = [replace(made.runs[0], sigma=sigma), *made.runs[1:]]
+    link = PlatformLink(runs, made.commands, [1e-6 * np.random.default_rng(3).standard_normal(d.shape) for d in made.deflection])
+    sticks = np.geomspace(1e-5, 2e-3, 7)
+    each = [Residual(link)([effect("platform.friction", {"instants": 20}, stick=float(s))]) for s in sticks]
+    np.testing.assert_allclose(capped_chi2(link, sticks, 20), [np.minimum(r * r, MAX_SAMPLE_CHI2).sum() for r in each], rtol=1e-12)
 
 
 def test_a_stick_is_found_to_where_the_last_jump_ends() -> None:
