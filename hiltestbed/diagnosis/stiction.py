@@ -161,7 +161,7 @@ def _chi2_of(residual: Residual, sticks: Sequence[float], instants: int) -> list
 def capped_chi2(link: PlatformLink, sticks: Array, instants: int) -> Array:
     """Chi-square of each of ``sticks`` on a link without a timing of its own; no sample counts for more than :data:`MAX_SAMPLE_CHI2`.
 
-    Thousands of replays are compared. A :class:`Residual` of each would take several times as long as its replay, so each is summed at once,
+    Thousands of replays are compared. A :class:`Residual` of each would take several times as long as its replay: each is summed at once,
     and the attitude, the same for every stick, is summed once.
     """
     turned = [z[:, 3:] for z in Residual(link).by_run([()])[0]]
