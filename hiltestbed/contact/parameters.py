@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field, fields, replace
+from copy import copy
+from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -109,7 +110,7 @@ def contact_rows(contacts: Sequence[ContactParameters], rules: Sequence[int], ca
 
     ``contacts``: of each rule and of the latch, effects included. captured: whether the latch is closed from the start.
     """
-    latch = contacts[-1] if captured else replace(contacts[-1]).after_capture()
+    latch = contacts[-1] if captured else copy(contacts[-1]).after_capture()
     rows = np.array([c.row() for c in (*contacts[:-1], latch)])
     return rows[[*rules, len(rows) - 1]]
 

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import ndtr
@@ -36,10 +37,21 @@ WEIGHTS = np.exp(-0.5 * NODES**2) / np.sum(np.exp(-0.5 * NODES**2))
 _NO_LOG_EFFECT = log_parameters(())
 
 
-def _numbers(scenario: Scenario, lever: float, blunt: float, ring: float) -> tuple[list[ContactParameters], SensorParameters]:
-    """Contacts and sensor as a scenario describes them."""
-    contacts = [replace(c, lever=lever, blunt=blunt, ring=ring) for c in believed_contacts(scenario.mechanism)]
-    return contacts, SensorParameters.believed(scenario.sensor, scenario.tick)
+class _Numbers(NamedTuple):
+    """Contacts and sensor as a scenario describes them: the contacts of the rules, which of them each pair has, and their rows."""
+
+    contacts: list[ContactParameters]
+    rules: Sequence[int]
+    rows: Array
+    sensor: SensorParameters
+
+
+def _numbers(scenario: Scenario, lever: float, blunt: float, ring: float) -> _Numbers:
+    mechanism = scenario.mechanism
+    contacts = [replace(c, lever=lever, blunt=blunt, ring=ring) for c in believed_contacts(mechanism)]
+    rules = sides_of(mechanism).rules
+    rows = contact_rows(contacts, rules, mechanism.captured)
+    return _Numbers(contacts, rules, rows, SensorParameters.believed(scenario.sensor, scenario.tick))
 
 
 def _lateness(lane: FeltLane) -> float:
@@ -80,7 +92,6 @@ class WrenchLink(Link):
         self._step_error: list[Array] | None = None
         self._believed = [_numbers(r.scenario, self.lever, self.blunt, self.ring) for r in runs]
         scenarios = [r.scenario for r in runs]
-        self._rules = [sides_of(s.mechanism).rules for s in scenarios]  # asked once: every call looks at the files of a mechanism
         first, before = scenarios[0], np.empty((len(runs), 7))
         self._felt: Felt | Simulated
         if not sides_of(first.mechanism).rigid:
@@ -190,19 +201,14 @@ class WrenchLink(Link):
 
     def _lane(self, i: int, effects: Effects) -> FeltLane:
         links = {e.link for e in effects}
-        mechanism, contacts, sensor, later = (
-            self.runs[i].scenario.mechanism,
-            self._believed[i][0],
-            self._believed[i][1],
-            self.timing_with(effects).delay,
-        )
+        contacts, rules, rows, sensor = self._believed[i]
         if "contact" in links:
-            contacts = [replace(c).with_effects(effects) for c in contacts]
+            rows = contact_rows([copy(c).with_effects(effects) for c in contacts], rules, self.runs[i].scenario.mechanism.captured)
         if "sensor" in links:
             sensor = sensor.copy().with_effects(effects)
-        rows = contact_rows(contacts, self._rules[i], mechanism.captured)
         acting = [e for e in effects if e.link == "contact"]
-        return FeltLane(i, rows, sensor, log_parameters(effects) if "log" in links else _NO_LOG_EFFECT, later, acting)
+        log = log_parameters(effects) if "log" in links else _NO_LOG_EFFECT
+        return FeltLane(i, rows, sensor, log, self.timing_with(effects).delay, acting)
 
     def penetration(self, i: int) -> Array:
         """(N,) penetration in run i by geometry [m]: the deepest contact, negative while apart; for a latched mechanism along z."""
