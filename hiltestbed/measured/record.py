@@ -14,6 +14,7 @@ from hiltestbed.measured.noise import last_digit
 from hiltestbed.signals import GROUPS
 
 MEASURED_GROUPS = ("pose_cmd", "pose_act", "twist_cmd", "twist_act", "wrench_meas", "wrench_comp")
+WITHIN_STEP = 1.5  # derived: steps between neighbours of a smooth signal that lie one step apart; two apart are a jump
 FOLLOWING = 20  # samples from which the speed before the first sample is estimated
 IDENTITY = (0.0, 0.0, 0.0, 1.0)
 
@@ -94,9 +95,9 @@ class Record:
         Gaps are interpolated linearly; ticks between the rows of a log with another clock are on a smooth curve (quaternions are
         normalised). Before the first and after the last sample the value is held, except for positions before the first sample, which are
         extrapolated uniformly. Absent axes are zero, an absent attitude is the identity. A command that was logged in steps or with few
-        digits is interpolated between the centres of equal values: it was computed, and is smooth.
+        digits is interpolated between the centres of equal values that are one step apart; a larger jump was commanded.
         """
-        values = self.data[group].copy()
+        values, rounding = self.data[group].copy(), self.rounding(group)
         default = (0.0,) * 3 + IDENTITY if group.startswith("pose") else (0.0,) * values.shape[1]
         for j in range(values.shape[1]):
             known = self.valid[group][:, j]
@@ -106,8 +107,9 @@ class Record:
                 values[:, j] = np.interp(self.t, self.t[known], values[known, j])
                 if group.startswith("pose") and j < 3 and not known[0]:
                     self._run_back(values[:, j], known)
-            if group == "pose_cmd" and known.any() and GROUPS[group].columns[j] in {*self.digits, *self.steps}:
-                values[:, j] = _between_steps(values[:, j])
+            if group == "pose_cmd" and known.any():
+                step = np.maximum(math.sqrt(12.0) * rounding[:, j], self.steps.get(GROUPS[group].columns[j], 0.0))
+                values[:, j] = _between_steps(values[:, j], step) if step.any() else values[:, j]
         values += self.bends.get(group, 0.0)
         if group.startswith("pose"):
             bridged = ~self.valid[group][:, 3:].all(axis=1) | (group in self.bends)
@@ -151,8 +153,12 @@ def place(column: str) -> tuple[str, int]:
     return group, GROUPS[group].parts.index(part)
 
 
-def _between_steps(values: Array) -> Array:
-    """``(n,)`` values interpolated between the centres of the stretches in which they are equal."""
+def _between_steps(values: Array, step: Array) -> Array:
+    """``(n,)`` values interpolated between the centres of the stretches in which they are equal; a jump by more than the ``step`` (n,) with
+    which they were written, 0 for none, stays."""
     starts = np.flatnonzero(np.r_[True, values[1:] != values[:-1]])
     ends = np.r_[starts[1:], len(values)] - 1
-    return np.interp(np.arange(len(values)), 0.5 * (starts + ends), values[starts])
+    jumps = np.abs(np.diff(values[starts])) > WITHIN_STEP * np.maximum(step[ends[:-1]], step[starts[1:]])
+    knots = np.concatenate([0.5 * (starts + ends), ends[:-1][jumps], starts[1:][jumps]])
+    order = np.argsort(knots, kind="stable")
+    return np.interp(np.arange(len(values)), knots[order], values[np.concatenate([starts, ends[:-1][jumps], starts[1:][jumps]])][order])

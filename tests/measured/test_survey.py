@@ -85,3 +85,16 @@ def test_the_noise_of_a_quantised_motion_is_that_of_its_samples_and_of_its_steps
     assert white_noise(1e-5 * read, 1e-5) == pytest.approx(1e-5 * np.hypot(noise, 1.0 / np.sqrt(12.0)), rel=0.05)
     touched = 1e-5 * (read + np.where(np.arange(6000) == 3000, 50.0, 0.0))
     assert white_noise(touched, 1e-5) == pytest.approx(white_noise(1e-5 * read, 1e-5), rel=0.02)
+
+
+def test_a_command_in_steps_is_smooth_where_it_creeps_and_jumps_where_it_was_told_to() -> None:
+    """A slow ramp keeps within a step of what was rounded, and within less where it moves; a hold stays what it is up to its jump."""
+    t, step = np.arange(4000) * 0.001, 1e-4
+    creep = np.where(t < 2.0, 0.004 * t, 0.008)
+    told = creep + np.where(t >= 2.5, 0.05, 0.0) + np.where(t >= 3.2, -0.02, 0.0)
+    pose, valid = np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (len(t), 1)), {"pose_cmd": np.ones((len(t), 7), dtype=bool)}
+    pose[:, 2] = step * np.round(told / step)
+    filled = Record(1, Path(), t, {"pose_cmd": pose}, valid, steps={"pose_cmd.pz": step}).filled("pose_cmd")[:, 2]
+    np.testing.assert_allclose(filled, told, atol=1.01 * step)
+    np.testing.assert_allclose(filled[100:1900], told[100:1900], atol=0.1 * step)
+    np.testing.assert_array_equal(filled[2400:], pose[2400:, 2])
