@@ -7,7 +7,6 @@ the springs, and the weight's changing lever arm at the sensor, would appear in 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
@@ -106,32 +105,23 @@ def _ride(carrier, speed, tilt, offset, place, motion, centre):
 
 
 @njit(cache=True)
-def _turn(q, before, r):
-    """Write to ``before`` (4,) the attitude of the three hinges in ``q`` (6,); ``r`` (4,) is scratch."""
-    turn = np.empty(4)
-    before[:] = 0.0
-    before[3] = 1.0
-    for j in range(3):
-        half = 0.5 * q[3 + j]
-        turn[:] = 0.0
-        turn[j] = math.sin(half)
-        turn[3] = math.cos(half)
-        quat_mul(before, turn, r)
-        before[:] = r
+def _turned(q):
+    """Sines and cosines of half the first two hinges' angles in ``q`` (6,), and the attitude of all three."""
+    (s0, c0), (s1, c1), (s2, c2) = sin_cos(0.5 * q[3]), sin_cos(0.5 * q[4]), sin_cos(0.5 * q[5])
+    x, y, z, w = s0 * c1, c0 * s1, s0 * s1, c0 * c1  # of the first two
+    return (s0, c0, s1, c1), (x * c2 + y * s2, y * c2 - x * s2, z * c2 + w * s2, w * c2 - z * s2)
 
 
 @njit(cache=True)
 def mount_place(q, qd, tilt, place, motion):
     """One mount: ``place`` (7,) and ``motion`` (6,) of S in W from the joints ``q`` (6,) and their rates ``qd`` (6,); ``tilt`` (7,)."""
     place[0], place[1], place[2], motion[0], motion[1], motion[2] = q[0], q[1], q[2], qd[0], qd[1], qd[2]
-    (s0, c0), (s1, c1), (s2, c2) = sin_cos(0.5 * q[3]), sin_cos(0.5 * q[4]), sin_cos(0.5 * q[5])
+    (s0, c0, s1, c1), (x, y, z, w) = _turned(q)
     # Axes of the hinges, rotated by those before: (1, 0, 0), (0, cosine, sine) and the third
     sine, cosine, across = 2.0 * s0 * c0, 1.0 - 2.0 * s0 * s0, 1.0 - 2.0 * s1 * s1
     motion[3] = qd[3] + qd[5] * 2.0 * s1 * c1
     motion[4] = qd[4] * cosine - qd[5] * sine * across
     motion[5] = qd[4] * sine + qd[5] * cosine * across
-    x, y, z, w = s0 * c1, c0 * s1, s0 * s1, c0 * c1  # attitude of the first two hinges
-    x, y, z, w = x * c2 + y * s2, y * c2 - x * s2, z * c2 + w * s2, w * c2 - z * s2
     tx, ty, tz, tw = tilt[3], tilt[4], tilt[5], tilt[6]
     place[3] = w * tx + x * tw + y * tz - z * ty
     place[4] = w * ty - x * tz + y * tw + z * tx
@@ -142,9 +132,7 @@ def mount_place(q, qd, tilt, place, motion):
 @njit(cache=True)
 def _centre(q, offset, centre):
     """``centre`` (3,): centre of mass in W of a body, at ``offset`` (3,) from its joints."""
-    attitude, r = np.empty(4), np.empty(4)
-    _turn(q, attitude, r)
-    rotate(attitude, offset, centre)
+    rotate(_turned(q)[1], offset, centre)
     for j in range(3):
         centre[j] += q[j]
 

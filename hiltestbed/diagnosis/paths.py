@@ -226,7 +226,7 @@ def _noise_of(layout: Layout, path: Path) -> list[Array]:
     noise = [np.sqrt(np.maximum(uniform_filter1d(s, SMOOTHING_ROWS, axis=0), 0.0)) for s in squares]
     if (
         link.simulated and path.rates is not None and not path.rates_measured
-    ):  # how A was integrated is not known; its error lasts many rows
+    ):  # how A was integrated is not known; the error lasts many rows
         missed = rms_differences(link, wrench_link(layout, path.poses, layout.whole))
         noise = [np.hypot(n, math.sqrt(BLOCK_ROWS) * m) for n, m in zip(noise, missed, strict=True)]
     if not _interpolated(layout, path):

@@ -12,7 +12,7 @@ from hiltestbed.frames import Array
 FREE_MINIMUM = 20  # samples before the first touch, at least, to estimate a noise floor
 THIRD_DIFFERENCE = math.sqrt(20.0)  # its sigma for white noise of unit sigma: the variance is 1 + 9 + 9 + 1
 MAD_TO_SIGMA = 1.4826
-CLIP_SIGMA = 4.0  # third differences of quantised values beyond it, as at a touch, count as this much
+CLIP_SIGMA = 4.0  # chosen: third differences of quantised values beyond it, as at a touch, count as this much
 UNIFORM = 2.0  # ratio of rms to white; above it a pose does not move uniformly, and a straight line does not give its noise
 ROUND_OFF = 1e-12  # of the largest value: smaller steps are those of the number format
 SPARSE = 0.7  # part of the ticks with a sample; below it the log is slower than the loop

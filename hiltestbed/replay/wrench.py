@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hiltestbed.contact.geometry import PASSIVE, ROUND_FRAME, ROW, SURFACE_FRAME, VALUES, arm, meet
+from hiltestbed.contact.geometry import arm
 from hiltestbed.contact.latch import closes
 from hiltestbed.contact.law import STATES
 from hiltestbed.contact.mount import mount_place
@@ -20,6 +20,7 @@ from hiltestbed.frames import Array, quat_exp, quat_mul
 from hiltestbed.jit import njit
 from hiltestbed.log import LogParameters
 from hiltestbed.replay.felt import NEAR, ContactKey, Felt, way_between
+from hiltestbed.replay.nearness import away_from, meet_near, meet_next, move_lever, on_passive, outside, reach_of_swing
 from hiltestbed.replay.simulated import Simulated
 from hiltestbed.sensor.chain import condition, passes
 from hiltestbed.sensor.parameters import SensorParameters, stack
@@ -195,7 +196,7 @@ def _contact(
     remembers = last_row[BRANCH_STIFFNESS] > 0.0 or last_row[DRAG] > 0.0 or last_row[OVER_STRETCH] > 0.0
     remembers = remembers or last_row[MODE] > 0.0 or latch[1] < 1.5
     moved = last_row[LEVER] - lever
-    plain = lean == 0.0 and not mounted and reach <= NEAR and (moved == 0.0 or _on_passive(index, count))
+    plain = lean == 0.0 and not mounted and reach <= NEAR and (moved == 0.0 or on_passive(index, count))
     sharp = not mounted and last_row[MODE] == 0.0
     for c in range(count):
         sharp &= p[c, BLUNT] == 1.0
@@ -203,8 +204,8 @@ def _contact(
         last = before if k == 0 else poses[k - 1]
         if not latched and last_row[MODE] == 0.0:
             if mounted:
-                away = _away(poses[k]) + longest
-                swing = _reach_of_swing(q, qd, h, away)
+                away = away_from(poses[k]) + longest
+                swing = reach_of_swing(q, qd, h, away)
                 apart = k > 0 and clear[k] > reach + lean * away + swing
                 if not apart and lean > 0.0 and k > 0:
                     frames[0], motions[0] = poses[k], ends[k]
@@ -212,9 +213,9 @@ def _contact(
                     meet_all(index, values, p, frames, motions, work, depth, closing, point, normal, slip)
                     apart = -depth.max() > reach + swing + way_between(last, poses[k], longest)
             elif lean == 0.0 and reach <= NEAR:
-                apart = clear[k] > NEAR or (k > 0 and _outside(depths[r, k], depths[r, k - 1], p))
+                apart = clear[k] > NEAR or (k > 0 and outside(depths[r, k], depths[r, k - 1], p))
             else:
-                apart = clear[k] > reach + lean * (_away(poses[k]) + longest)
+                apart = clear[k] > reach + lean * (away_from(poses[k]) + longest)
             if apart:
                 if touched:
                     state[:], wrench[:] = 0.0, 0.0
@@ -243,7 +244,7 @@ def _contact(
                 frames[0], motions[0] = poses[k], ends[k]
                 point[:], slip[:] = points[r, k], slips[r, k]
                 if moved != 0.0:
-                    _move_lever(moved, depths[r, k], normals[r, k], ends[k], point, slip)
+                    move_lever(moved, depths[r, k], normals[r, k], ends[k], point, slip)
                 surface_wrench(
                     index, dt, least_creep, p, frames, state, depths[r, k], rates[r, k], point, normals[r, k], slip, work[7], sub[k, s]
                 )  # fmt: skip
@@ -258,9 +259,9 @@ def _contact(
                 mount_place(q, qd, tilt, frames[1], motions[1])
             if (mounted or (sharp and parts[s] == 1.0)) and not latched:
                 if mounted:
-                    _meet_next(index, values, p, frames, motions, seen, apart_by, longest, work, depth, closing, point, normal, slip)
+                    meet_next(index, values, p, frames, motions, seen, apart_by, longest, work, depth, closing, point, normal, slip)
                 else:
-                    _meet_near(index, values, p, frames, motions, depths[r, k], lean, work, depth, closing, point, normal, slip)
+                    meet_near(index, values, p, frames, motions, depths[r, k], lean, work, depth, closing, point, normal, slip)
                 wrench[:] = 0.0
                 surface_wrench(index, dt, least_creep, p, frames, state, depth, closing, point, normal, slip, work[7], wrench)
             else:
@@ -274,25 +275,6 @@ def _contact(
                 sub[k, s] = wrench
         if not latched and latch[1] < 1.5:
             latched = _caught(frames, motions, latch, last_row, wrench, hold, local_pose, local_twist, work)
-
-
-@njit(cache=True)
-def _away(pose):
-    """Distance of A from P's origin [m]."""
-    return math.sqrt(pose[0] ** 2 + pose[1] ** 2 + pose[2] ** 2)
-
-
-@njit(cache=True)
-def _reach_of_swing(q, qd, h, away):
-    """Upper bound of the approach [m] that an unloaded mount may cause within a tick, at a distance ``away`` [m] from its hinges.
-
-    The bound is twice its deflection plus its rate times a tick; it holds since its period is resolved by several ticks.
-    """
-    slid, turned = 0.0, 0.0
-    for j in range(3):
-        slid += 2.0 * abs(q[j]) + h * abs(qd[j])
-        turned += 2.0 * abs(q[3 + j]) + h * abs(qd[3 + j])
-    return slid + turned * away
 
 
 @njit(cache=True)
@@ -316,91 +298,12 @@ def _swing(stiffness, damping, body, h, parts, nothing, q, qd, sub):
 
 
 @njit(cache=True)
-def _on_passive(index, count):
-    """Whether all surfaces are fixed to the passive frame."""
-    for c in range(count):
-        if index[c * ROW + SURFACE_FRAME] != PASSIVE:
-            return False
-    return True
-
-
-@njit(cache=True)
-def _move_lever(moved, depth, normal, twist, point, slip):
-    """Shift the points of application along the normal by the fraction ``moved`` of the overlap, and adapt the slip."""
-    for c in range(depth.shape[0]):
-        x, y, z = moved * depth[c] * normal[c, 0], moved * depth[c] * normal[c, 1], moved * depth[c] * normal[c, 2]
-        point[c, 0] += x
-        point[c, 1] += y
-        point[c, 2] += z
-        slip[c, 0] += twist[4] * z - twist[5] * y
-        slip[c, 1] += twist[5] * x - twist[3] * z
-        slip[c, 2] += twist[3] * y - twist[4] * x
-
-
-@njit(cache=True)
-def _meet_near(index, values, p, frames, motions, untilted, lean, work, depth, rate, point, normal, slip):
-    """Contact geometry of those candidates that can touch with a tilt ``lean`` [rad], given penetrations ``untilted`` (C,) without tilt.
-
-    A tilt moves a point by at most its distance from P's origin times the angle, which bounds the change of a penetration.
-    """
-    pose, twist, scratch = work[5], work[6][:6], work[:5, :3]
-    away = _away(frames[0])
-    related = False
-    for c in range(depth.shape[0]):
-        longest = arm(values[c * VALUES : (c + 1) * VALUES], 1)
-        depth[c], rate[c] = -1.0, 0.0
-        if untilted[c] + lean * (away + longest) < min(p[c, OFFSET], 0.0):
-            continue
-        if not related:
-            relate_one(frames[0], motions[0], frames[1], motions[1], pose, twist, scratch)
-            related = True
-        depth[c], rate[c] = meet(
-            index, values, c, pose, twist, p[c, LEVER], p[c, BLUNT], max(0.0, -p[c, OFFSET]), scratch, point[c], normal[c], slip[c]
-        )  # fmt: skip
-
-
-@njit(cache=True)
-def _meet_next(index, values, p, frames, motions, seen, apart_by, longest, work, depth, rate, point, normal, slip):
-    """Contact geometry of those candidates that can touch, given what the two frames have moved since an earlier call.
-
-    Args:
-        seen: (2, 7) frames at that call. apart_by: (C,) lower bound of the distance of each candidate then [m]; both are updated.
-        longest: largest distance of a round from its frame [m].
-    """
-    pose, twist, scratch = work[5], work[6][:6], work[:5, :3]
-    reach = longest + math.sqrt((seen[0, 0] - seen[1, 0]) ** 2 + (seen[0, 1] - seen[1, 1]) ** 2 + (seen[0, 2] - seen[1, 2]) ** 2)
-    moved = way_between(seen[0], frames[0], reach) + way_between(seen[1], frames[1], reach)
-    seen[:] = frames
-    a = -1
-    for c in range(depth.shape[0]):
-        ahead = max(0.0, -p[c, OFFSET])
-        apart_by[c] -= moved
-        if apart_by[c] > ahead:
-            depth[c], rate[c] = -apart_by[c], 0.0
-            continue
-        if index[c * ROW + ROUND_FRAME] != a:
-            a = index[c * ROW + ROUND_FRAME]
-            relate_one(frames[a], motions[a], frames[1 - a], motions[1 - a], pose, twist, scratch)
-        depth[c], rate[c] = meet(index, values, c, pose, twist, p[c, LEVER], p[c, BLUNT], ahead, scratch, point[c], normal[c], slip[c])
-        apart_by[c] = -depth[c]
-
-
-@njit(cache=True)
 def _caught(frames, motions, latch, row, wrench, hold, pose, twist, work):
     """Whether the latch closes; if so, ``hold`` (7,) becomes the held pose at which its springs carry the contact's force."""
     relate_one(frames[0], motions[0], frames[1], motions[1], pose, twist, work[:5, :3])
     if not closes(pose, twist, latch):
         return False
     held_at(pose, wrench, frames[1], row, hold)
-    return True
-
-
-@njit(cache=True)
-def _outside(now, before, p):
-    """Whether no candidate is in contact at either end of a tick: penetrations (C,) compared with offsets."""
-    for c in range(now.shape[0]):
-        if max(now[c], before[c]) > p[c, OFFSET]:
-            return False
     return True
 
 

@@ -285,6 +285,5 @@ def test_four_times_as_many_ticks_take_at_most_eight_times_as_long(done: Run, tm
         return best
 
     few, many = seconds(tiled(done, 25_000)), seconds(tiled(done, 100_000))
-    assert (
-        many < 8.0 * few
-    )  # side by side, since no bound in seconds holds on every machine; linear is 4 and less, by the model's share that does not grow
+    # Side by side, since no bound in seconds holds on every machine. Linear is 4 and less, by the model's share that does not grow.
+    assert many < 8.0 * few

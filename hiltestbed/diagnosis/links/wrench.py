@@ -47,6 +47,7 @@ class _Numbers(NamedTuple):
 
 
 def _numbers(scenario: Scenario, lever: float, blunt: float, ring: float) -> _Numbers:
+    """The numbers of a scenario, under an interpretation of what the facility leaves open."""
     mechanism = scenario.mechanism
     contacts = [replace(c, lever=lever, blunt=blunt, ring=ring) for c in believed_contacts(mechanism)]
     rules = sides_of(mechanism).rules
