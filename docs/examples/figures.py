@@ -64,8 +64,10 @@ def damper(diagnosis: Diagnosis) -> None:
 
 
 def gain(diagnosis: Diagnosis, name: str) -> None:
-    """Each record's residual when it was left out of the fit, and the law where one was learned."""
+    """Each record's residual when it was left out of the fit, and the law where one was learned that carries over to other runs."""
     learned = diagnosis.finding.learned
+    if learned is not None and not learned.carries_over:
+        learned = None
     worth = learned.heldout if learned is not None else diagnosis.finding.partial_gain
     if worth is not None:
         heldout_bars(worth, diagnosis.dataset.names).savefig(DOCS / f"real-data-{name}-gain.png", dpi=DPI)
