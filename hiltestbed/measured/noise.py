@@ -13,6 +13,9 @@ FREE_MINIMUM = 20  # samples before the first touch, at least, to estimate a noi
 THIRD_DIFFERENCE = math.sqrt(20.0)  # its sigma for white noise of unit sigma: the variance is 1 + 9 + 9 + 1
 MAD_TO_SIGMA = 1.4826
 CLIP_SIGMA = 4.0  # chosen: third differences of quantised values beyond it, as at a touch, count as this much
+# Derived: level in steps with a noise of 0.2 steps. An eighth of the variance of rounding is then alike from row to row: the first harmonic
+# of its sawtooth, 12/(2 pi^2) of that variance, times exp(-(2 pi 0.2)^2).
+DITHERED = math.hypot(0.2, 1.0 / math.sqrt(12.0))
 UNIFORM = 2.0  # ratio of rms to white; above it a pose does not move uniformly, and a straight line does not give its noise
 ROUND_OFF = 1e-12  # of the largest value: smaller steps are those of the number format
 SPARSE = 0.7  # part of the ticks with a sample; below it the log is slower than the loop
@@ -56,7 +59,8 @@ def white_noise(values: Array, step: float = 0.0) -> float:
     """1 sigma of the part of ``values`` that differs from sample to sample; 0 if there are too few samples.
 
     ``step``: their quantisation, 0: none. Differences of quantised values are multiples of it, and so is their median, which then tells no
-    level: their mean square does, of those that are not far out.
+    level: their mean square does, of those that are not far out. Where noise does not dither the steps, rounding errors are alike from row
+    to row, which differences show in part: the larger of the two counts.
     """
     third = np.diff(_samples(values), 3)
     third = np.abs(third[np.isfinite(third)])
@@ -65,7 +69,8 @@ def white_noise(values: Array, step: float = 0.0) -> float:
     usual = MAD_TO_SIGMA * float(np.median(third))
     if step > 0.0 or usual == 0.0:
         far = CLIP_SIGMA * max(usual, step) if step > 0.0 else math.inf
-        usual = float(np.sqrt(np.mean(np.minimum(third, far) ** 2)))
+        rms = float(np.sqrt(np.mean(np.minimum(third, far) ** 2)))
+        usual = rms if rms > THIRD_DIFFERENCE * DITHERED * step else max(rms, usual)
     return usual / THIRD_DIFFERENCE
 
 
