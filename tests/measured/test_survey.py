@@ -89,7 +89,7 @@ def test_the_noise_of_a_quantised_motion_is_that_of_its_samples_and_of_its_steps
 
 def test_a_command_in_steps_is_smooth_where_it_creeps_and_jumps_where_it_was_told_to() -> None:
     """A slow ramp keeps within a step of what was rounded, and within less where it moves; a hold stays what it is up to its jump."""
-    t, step = np.arange(4000) * 0.001, 1e-4
+    t, step = np.arange(4000, dtype=np.float64) * 0.001, 1e-4
     creep = np.where(t < 2.0, 0.004 * t, 0.008)
     told = creep + np.where(t >= 2.5, 0.05, 0.0) + np.where(t >= 3.2, -0.02, 0.0)
     pose, valid = np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (len(t), 1)), {"pose_cmd": np.ones((len(t), 7), dtype=bool)}
