@@ -51,7 +51,7 @@ FIRST = (
     "diagnosis/test_naming.py",  # the replay
     "test_docking.py",  # latches
     "campaign/test_sweep.py",
-    "replay/test_played.py",
+    "replay/test_simulated.py",
     "docs/test_gallery.py",
     "plugins/test_examples.py",
     "docs/test_pages.py",
