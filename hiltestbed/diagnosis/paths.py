@@ -125,16 +125,18 @@ def path_without_delay(layout: Layout, platform: Explanation | None, best: BestP
 
 def with_interpolation_error(layout: Layout, best: BestPath) -> BestPath:
     """The same path with added noise for channels that are stamped between rows, where a reading is not on record and interpolation smooths
-    the motion."""
-    error = [MODEL_ERROR * np.abs(np.nan_to_num(r.record.data["wrench_meas"])) for r in layout.runs]
+    the motion. The error is alike over many rows, and counts like noise that is larger by the root of a block."""
+    error = [math.sqrt(BLOCK_ROWS) * MODEL_ERROR * np.abs(np.nan_to_num(r.record.data["wrench_meas"])) for r in layout.runs]
     return replace(best, path_noise=[np.hypot(e, b) for e, b in zip(error, best.path_noise or [0.0] * len(error), strict=True)])
 
 
 def with_filter_error(layout: Layout, best: BestPath) -> BestPath:
-    """The same path with added noise for a logger's filter, which is known to about one order."""
+    """The same path with added noise for a logger's filter, which is known to about one order, and to a share of what it passes. The error
+    is as smooth as filtered noise."""
     if layout.logged is None:
         return best
-    missed = [layout.logged.missed(r.record.filled("wrench_meas")) for r in layout.runs]
+    forces = [r.record.filled("wrench_meas") for r in layout.runs]
+    missed = [layout.logged.colour * np.hypot(layout.logged.missed(f), MODEL_ERROR * np.abs(f)) for f in forces]
     return replace(best, path_noise=[np.hypot(m, b) for m, b in zip(missed, best.path_noise or [0.0] * len(missed), strict=True)])
 
 

@@ -25,11 +25,13 @@ from tests.slow import slow
         slow(("converter_steps", 1.0), 620012),  # forces across that stay within two steps
         slow(("log_rate", 250.0), 610036),  # seven ticks of eight without a row
         slow(("log_rate", 500.0), 610035),
+        slow(("log_rate", 1700.0), 602040),  # interpolation smooths the motion: 0.03 % of the stiffness
         slow(("log_rate", 1700.0), 610034),  # noise of samples that were put between others twice
         slow(("stamp_jitter", 0.1), 610031),
         slow(("pose_steps", 1e-5), 601441),  # latched: poses across stay within a step, which hides how far they move
         slow(("pose_steps", 2e-5), 610025),
         slow(("anti_aliasing", 150.0), 650003),
+        slow(("anti_aliasing", 50.0), 601261),  # the filter's delay is known to some 10 us
         slow(("anti_aliasing", 50.0), 650004),  # latched from the start: nothing tells its noise but what the loop computed
     ],
 )
