@@ -14,10 +14,11 @@ from typing import Literal
 import numpy as np
 
 from hiltestbed.diagnosis.adequacy import JITTER, Leftover, contact_leftovers, noise_alone
-from hiltestbed.diagnosis.fit import Fit, bounds_of, differences, effects_at, fit, inflation, null_fit, refit, scales
+from hiltestbed.diagnosis.fit import Fit, fit, inflation, null_fit, refit
 from hiltestbed.diagnosis.jitter import again
 from hiltestbed.diagnosis.links.base import Effects
-from hiltestbed.diagnosis.residual import Residual, square
+from hiltestbed.diagnosis.rating import rate
+from hiltestbed.diagnosis.residual import Residual
 from hiltestbed.diagnosis.settings import (
     AMBIGUITY,
     BEAM_WIDTH,
@@ -28,14 +29,13 @@ from hiltestbed.diagnosis.settings import (
     MAX_FITS_PER_EFFECT,
     MAX_PARTNERS,
     MAX_SINGLES,
-    MIN_LINEAR_GAIN,
+    MIN_EXCESS_TO_GROW,
     MIN_VARIANT_GAIN,
     NEAR_BOUND,
     SELECTION,
     SELECTION_INADEQUATE,
 )
 from hiltestbed.effects.search import Candidate
-from hiltestbed.frames import Array
 from hiltestbed.progress import Pace, time_left_text
 
 Judge = Callable[[Residual, Effects], dict[str, Leftover]]
@@ -120,6 +120,24 @@ class Search:
         """The same search of a link with another timing or interpretation than in ``found``: from its estimates, where there are any."""
         fits = {frozenset(c.key for c in f.causes): f for f in (*found.more, *found.singles)}
         return replace(self, before={**self.before, **fits})
+
+    def again(self, found: Explanation, residual: Residual) -> Explanation:
+        """The explanation with another interpretation of the link than in ``found``, searched from its estimates.
+
+        Where each of its fits is far off with that interpretation too, no others are sought: that would take as long as the first search.
+        """
+        if found.adequate:
+            return self.after(found).explain(residual)
+        pool = [found.chosen, *first_of_each(found.singles, "kinds"), *first_of_each(found.more, "kinds")[:MAX_PARTNERS]]
+        there = residual.downweighted(found.chosen.effects())
+        fits = [null_fit(there), *(refit(there, f) for f in pool if f.causes and JITTER not in f.kinds)]
+        best = min(fits, key=lambda f: f.score)
+        leftovers = self.judge(there, best.effects())
+        if max(left.excess for left in leftovers.values()) <= MIN_EXCESS_TO_GROW:
+            return self.after(found).explain(residual)
+        singles, more = ([f for f in sorted(fits, key=_order) if len(f.causes) in counts] for counts in ((1,), (2, 3)))
+        before = self.judge(residual, ())
+        return Explanation(there, self.candidates, fits[0], best, False, True, leftovers, before, tuple(singles), tuple(more))
 
     def explain(self, residual: Residual, given: Fit | None = None) -> Explanation:
         """The explanation of a link; given: a fit with the cause that another link has shown, which then is one of its causes."""
@@ -206,7 +224,8 @@ class Search:
         """
         if JITTER in base.kinds:  # its likelihood is no sum of squares: it is added to others, not they to it
             return []
-        rated = sorted(self._rate(residual, base), key=lambda item: -item[0])
+        wanted = [c for c in self.candidates if not any(_overlap(c, known) for known in base.causes)]
+        rated = rate(residual, base, wanted, most)
         fits: list[Fit] = []
         count: dict[str, int] = {}
         limit = min(most, sum(min(n, MAX_FITS_PER_EFFECT) for n in Counter(c.kind for _, c, _ in rated).values()))
@@ -233,26 +252,6 @@ class Search:
         fits += [f for make in special if (f := make(residual, base)) is not None]
         return sorted(fits, key=_order)
 
-    def _rate(self, residual: Residual, base: Fit) -> list[tuple[float, Candidate, list[Array]]]:
-        """The largest reduction of chi-square by each candidate beside `base`, linearised at each start, and the starts worth a descent."""
-        wanted = [c for c in self.candidates if not any(_overlap(c, known) for known in base.causes)]
-        starts = [[np.clip(np.array(s, dtype=float), c.low, c.high) for s in c.grid] for c in wanted]
-        basis, known = _orthonormal(base.jacobian), base.effects()
-        tried = [[*known, c.at(theta)] for c, grid in zip(wanted, starts, strict=True) for theta in grid]
-        out, at = [], 0
-        scored = _scored(residual, base, basis, tried)
-        r = _without(basis, base.residual)
-        for c, grid in zip(wanted, starts, strict=True):
-            gains, lefts = scored[at : at + len(grid), 0], scored[at : at + len(grid), 1]
-            at += len(grid)
-            best = float(gains.max())
-            order = list(dict.fromkeys([int(gains.argmax()), *np.argsort(lefts)[:3].tolist()]))
-            if c.vector or (len(grid) == 1 and len(c.names)):
-                best = max(best, _by_slopes(residual, known, basis, r, c, grid[int(lefts.argmin())]))
-            if best > MIN_LINEAR_GAIN * inflation(base) * 0.5:
-                out.append((best, c, [grid[i] for i in order]))
-        return out
-
 
 def _overlap(c: Candidate, other: Candidate) -> bool:
     """Whether two hypotheses are of one effect, or one of them of an effect rich in numbers, of which the other would be a part."""
@@ -265,47 +264,6 @@ def _beaten(c: Candidate, base: Fit, fits: Sequence[Fit]) -> bool:
     best = max((base.chi2 - f.chi2 for f in fits), default=0.0)
     twins = [f for f in fits if f.causes[-1].kind == c.kind and f.causes[-1].fixed == c.fixed]
     return any(base.chi2 - f.chi2 < MIN_VARIANT_GAIN * best for f in twins)
-
-
-def _scored(residual: Residual, base: Fit, basis: Array, tried: Sequence[Effects]) -> Array:
-    """``(H, 2)`` of each trial: reduction of chi-square beside ``base``, by its size or along its direction; chi-square it leaves."""
-    out = np.empty((len(tried), 2))
-    r = _without(basis, base.residual)
-    chunk = max(1, 40_000_000 // (8 * max(1, len(base.residual))))
-    for start in range(0, len(tried), chunk):
-        for h, moved in enumerate(residual.many(tried[start : start + chunk]), start):
-            left = square(moved)
-            d = _without(basis, moved - base.residual)
-            length, along = square(d), float(np.einsum("m,m->", r, d))
-            gain = along**2 / length if length > 0 and along < 0 else 0.0
-            out[h] = max(base.chi2 - left, gain), left
-    return out
-
-
-def _by_slopes(residual: Residual, known: Effects, basis: Array, r: Array, c: Candidate, theta: Array) -> float:
-    """Reduction of chi-square by all parameters of `c` together, from the slopes of the residual at theta."""
-    low, high, log = bounds_of([c])
-
-    def run(thetas: Sequence[Array] | Array) -> Array:
-        return residual.many([[*known, *effects_at((c,), x)] for x in thetas])
-
-    columns = differences(run, theta, run([theta])[0], scales(theta, low, high, log), low, high)
-    q = _orthonormal(np.column_stack([_without(basis, column) for column in columns.T]))
-    return float(np.sum(np.einsum("mi,m->i", q, r) ** 2))
-
-
-def _orthonormal(columns: Array) -> Array:
-    """An orthonormal basis of the span of the columns (M, P), without dependent ones."""
-    if columns.shape[1] == 0:
-        return columns
-    length = np.sqrt(np.einsum("mi,mi->i", columns, columns))
-    q, r = np.linalg.qr(columns / np.where(length > 0.0, length, 1.0))
-    return q[:, np.abs(np.diag(r)) > 1e-6]
-
-
-def _without(basis: Array, r: Array) -> Array:
-    """r less its projection on the basis (M, Q); by einsum, since BLAS threads wait for each other on a busy machine."""
-    return r - np.einsum("mi,i->m", basis, np.einsum("mi,m->i", basis, r)) if basis.shape[1] else r
 
 
 def _order(f: Fit) -> tuple[float, float]:

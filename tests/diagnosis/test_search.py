@@ -17,11 +17,12 @@ from hiltestbed.diagnosis.fit import fit, null_fit
 from hiltestbed.diagnosis.investigate import _used_readings
 from hiltestbed.diagnosis.jitter import jitter_beside
 from hiltestbed.diagnosis.lines import hum_beside, lines
-from hiltestbed.diagnosis.links import Link, LinkRun, PlatformLink
+from hiltestbed.diagnosis.links import Link, LinkRun, PlatformLink, WrenchLink
 from hiltestbed.diagnosis.links.base import Effects, Lane
+from hiltestbed.diagnosis.rating import rate
 from hiltestbed.diagnosis.residual import Residual, square
 from hiltestbed.diagnosis.search import Search
-from hiltestbed.diagnosis.settings import DETECTION
+from hiltestbed.diagnosis.settings import DETECTION, MIN_EXCESS_TO_GROW
 from hiltestbed.diagnosis.stiction import MAX_SAMPLE_CHI2, capped_chi2, refined_sticks, stick_starts
 from hiltestbed.effects import EFFECTS
 from hiltestbed.effects.search import Scales, candidate
@@ -286,6 +287,46 @@ def test_what_cannot_come_near_the_best_is_not_fitted(monkeypatch: pytest.Monkey
     np.testing.assert_array_equal(best[0].theta, best[1].theta)
     assert 5 <= len(fitted[1]) < len(fitted[0])
     assert fitted[1] == fitted[0][: len(fitted[1])]
+
+
+def test_where_a_replay_is_costly_some_runs_lead_to_the_causes_that_all_lead_to(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Beside a stiffness that was found, dry friction: the fits and their order are the same, from fewer replays of a run."""
+    hidden = [effect("contact.stiffness", factor=1.3), effect("contact.dry_friction", force=8.0)]
+    residual = Residual(contact_link(hidden, speeds=(0.01, 0.02, 0.03, 0.04, 0.05, 0.06)))
+    candidates = tuple(c for e in EFFECTS.values() if e.link in ("contact", "sensor") for c in e.candidates(SCALES))
+    base = fit(residual, [c for c in candidates if c.kind == "contact.stiffness"][:1], [[1.3]])
+    replayed, found, replay = [0, 0], [], WrenchLink._replay
+    for i, costly in enumerate((False, True)):
+        monkeypatch.setattr(WrenchLink, "costly", costly)
+        monkeypatch.setattr(WrenchLink, "_replay", lambda self, lanes, i=i: count(replayed, i, lanes) or replay(self, lanes))
+        found.append(rate(residual, base, [c for c in candidates if c.kind != "contact.stiffness"], 6))
+    monkeypatch.undo()
+    assert replayed[1] < 0.7 * replayed[0]
+    assert [c.kind for _, c, _ in found[0][:6]] == [c.kind for _, c, _ in found[1][:6]]
+    assert found[1][0][1].kind == "contact.dry_friction"
+
+
+def count(replayed: list[int], i: int, lanes: Sequence[Lane]) -> None:
+    replayed[i] += len(lanes)
+
+
+def test_with_another_interpretation_a_search_is_made_again_unless_it_is_as_far_off() -> None:
+    """Its causes are fitted again where they leave ten times the noise there too; else others are sought as well."""
+    link = contact_link([effect("contact.stiffness", factor=1.3)])
+    wanted = tuple(EFFECTS["contact.stiffness"].candidates(SCALES)) + tuple(EFFECTS["sensor.lag"].candidates(SCALES))
+    lags = Search(tuple(c for c in wanted if c.kind == "sensor.lag"))
+    found = lags.explain(Residual(link))
+    assert found.worst > MIN_EXCESS_TO_GROW
+    tried: list[str] = []
+    seek = Search(wanted, progress=tried.append)
+    off = seek.again(found, Residual(link))
+    assert not tried
+    assert off.chosen.kinds == found.chosen.kinds
+    assert off.chosen.score == pytest.approx(found.chosen.score, rel=1e-6)
+    assert not off.adequate
+    near = seek.again(found, Residual(contact_link([effect("contact.stiffness", factor=1.0003)])))
+    assert tried
+    assert near.chosen.kinds == ("contact.stiffness",)
 
 
 @pytest.mark.parametrize(("factor", "counts"), [(1.00015, False), (1.1, True)])

@@ -120,6 +120,11 @@ class Link(ABC):
         return given - (moved(given, -timing.before / tick) - out) if timing.before else out
 
     @property
+    def costly(self) -> bool:
+        """Whether a replay takes so long that a search is better spent on some of the runs first."""
+        return False
+
+    @property
     def whole(self) -> Link:
         """The form of the link on which adequacy is judged, where another one is fitted; itself as a rule."""
         return self

@@ -138,6 +138,11 @@ class WrenchLink(Link):
         return isinstance(self._felt, Simulated)
 
     @property
+    def costly(self) -> bool:
+        """Whether parts that move are integrated."""
+        return self.simulated or self.stepped
+
+    @property
     def stepped(self) -> bool:
         """Whether a mount is integrated, so that the steps matter."""
         return isinstance(self._felt, Felt) and self._felt.mount is not None
