@@ -59,9 +59,9 @@ def _lost(link: WrenchLink, count: int) -> float:
 
 
 def _means(values: Array, count: int) -> Array:
-    """(N // count, C) means of blocks of rows."""
+    """(N // count, ...) means of blocks of rows."""
     whole = len(values) // count
-    return np.ascontiguousarray(values[: whole * count].reshape(whole, count, -1).mean(axis=1))
+    return np.ascontiguousarray(values[: whole * count].reshape(whole, count, *values.shape[1:]).mean(axis=1))
 
 
 def _between(values: Array, count: int) -> Array:
@@ -83,5 +83,5 @@ def _run(run: LinkRun, count: int) -> LinkRun:
         measured=_means(run.measured, count),
         sigma=sigma,
         touching=touching,
-        tones=tuple(w * count for w in run.tones),
+        nuisances=None if run.nuisances is None else _means(run.nuisances, count),
     )

@@ -275,7 +275,12 @@ def _force_run(run: MeasuredRun, layout: Layout, i: int, rows: int, least: Array
         sigma[run.record.unknown(path, GAP_MEMORY + run.scenario.sensor.delay)[:rows]] = np.inf
     measured = np.where(run.record.valid["wrench_meas"][:rows], reading, 0.0)
     force = layout.force
-    return LinkRun(run.scenario, measured, sigma, run.touching(rows), force.heavy, force.tail, force.baseline, force.tones)
+    nuisances = force.nuisances(rows, run.record.ticks, np.min(level, axis=0))
+    if layout.logged:
+        late = layout.logged.delay_error * np.gradient(reading, axis=0)
+        nuisances = np.concatenate([nuisances, late[:, :, None]], axis=2)
+    terms = nuisances if nuisances.shape[2] else None
+    return LinkRun(run.scenario, measured, sigma, run.touching(rows), force.heavy, force.tail, terms)
 
 
 def _repetition_factor(run: MeasuredRun, group: str, rows: int) -> Array:

@@ -25,6 +25,7 @@ MIN_CUTOFF, MAX_CUTOFF = 0.004, 0.45  # chosen: [1/row]
 MAX_STAMP_SHIFT_ROWS = 40.0  # chosen: [rows] by which stamps may be off as well
 MAX_ROUGHNESS_RATIO = 0.5  # chosen: of the variances of second differences, filtered over unfiltered, for a search to begin
 MAX_RMS_RATIO = 0.1  # chosen: of the rms difference, with the filter over without it: 1 % of the variance
+DELAY_ERROR = 0.005  # chosen: share of the delay; fits of an analogue filter erred by 0.3 % at most
 STARTS_PER_ORDER = 3  # chosen: starts of the search
 NELDER_MEAD_OPTIONS = {"xatol": 1e-3, "fatol": 1e-9, "maxiter": 150}
 RESPONSE_PERIODS = 2.0  # chosen: periods of the cut-off over which the filter responds to a jump
@@ -68,6 +69,11 @@ class LowPass:
         """[rows] at low frequency: half the sum of 1/Q of its poles over the tangent of half its cut-off."""
         angles = math.pi * (2.0 * np.arange(self.order) + 1.0) / (2.0 * self.order)
         return float(np.sum(np.sin(angles))) / (2.0 * math.tan(math.pi * self.cutoff))
+
+    @property
+    def delay_error(self) -> float:
+        """[rows] standard deviation of the delay, which follows from a fit."""
+        return DELAY_ERROR * self.delay
 
     @property
     def colour(self) -> float:

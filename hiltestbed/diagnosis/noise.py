@@ -11,16 +11,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.polynomial import legendre
 from scipy.ndimage import uniform_filter1d
 from scipy.optimize import brentq, nnls
 from scipy.stats import chi2 as chi_square
 from scipy.stats import f as fisher
 
-from hiltestbed.diagnosis.aside import BASELINE_DEGREE, MIN_BASELINE_ROWS, baselines_differ
+from hiltestbed.diagnosis.aside import BASELINE_DEGREE, MIN_BASELINE_ROWS, UNKNOWN, baseline_terms, wander_between
 from hiltestbed.diagnosis.low_pass import LowPass
 from hiltestbed.diagnosis.settings import (
     MIN_NOISE_ROWS,
@@ -64,8 +63,9 @@ class ForceNoise:
         heavy: whether there are more outliers than in normal noise.
         offset: (6,) of each run [N, N m], subtracted from it: its difference from the offset of all runs.
         share: noise in proportion to the reading. tail: variance of the square of a softened sample, 2 for normal noise.
-        baseline: degree of the polynomial by which the readings differ between runs, -1 for none; tones: [rad] a row, whose phase differs
-            between runs, see :mod:`hiltestbed.diagnosis.aside`.
+        wander: (D, 6) standard deviation [N, N m] between runs of each coefficient of the baseline, a Legendre polynomial over the run;
+            infinite where it is not known, D = 0 where there is none. tones: [rad] a row, whose phase differs between runs. For both see
+            :mod:`hiltestbed.diagnosis.aside`.
         step: [N] quantisation of the force, where the scenario states a smaller one or none; 0 otherwise, and where noise dithers it.
     """
 
@@ -75,13 +75,22 @@ class ForceNoise:
     offset: tuple[Array, ...]
     share: float
     tail: float = NORMAL_SQUARE_VARIANCE
-    baseline: int = -1
+    wander: Array = field(default_factory=lambda: np.zeros((0, 6)))
     tones: tuple[float, ...] = ()
     step: float = 0.0
 
     def levels(self) -> dict[str, float]:
         """Channel to its level, of those that were estimated."""
         return {c: float(v) for c, v in zip(CHANNELS, self.level, strict=True) if v > 0.0}
+
+    def nuisances(self, rows: int, ticks: int, level: Array) -> Array:
+        """(rows, 6, D) nuisance terms of a run of ``ticks``, each at one standard deviation; level: (6,) of the noise."""
+        unknown = UNKNOWN * level
+        at = np.arange(rows, dtype=float)
+        baseline = baseline_terms(places_of(at, ticks), len(self.wander) - 1)[:, None, :] if len(self.wander) else np.zeros((rows, 1, 0))
+        waves = [wave(w * at)[:, None] * unknown for w in self.tones for wave in (np.sin, np.cos)]
+        columns = [baseline * np.minimum(self.wander, unknown).T, *(w[:, :, None] for w in waves)]
+        return np.concatenate(columns, axis=2)
 
     def words(self) -> tuple[str, ...]:
         """The assumptions in sentences; none for white noise of one level."""
@@ -90,10 +99,10 @@ class ForceNoise:
             out.append(f"the noise of the force is coloured: smooth departures are compared with {self.colour:.2g} times its level")
         if self.heavy:
             out.append("the noise of the force has outliers: they count by the logarithm of their size")
-        if self.baseline == 0 or any(o.any() for o in self.offset):
+        if len(self.wander) == 1 or any(o.any() for o in self.offset):
             out.append("the force has a different offset in each run: it is subtracted run by run")
-        if self.baseline > 0:
-            out.append("the baseline of the force wanders differently in each run: a cubic for each run is removed from the residual")
+        if len(self.wander) > 1:
+            out.append("the baseline of the force wanders differently in each run: what the runs do not share of it is no departure")
         if self.tones:
             out.append("the force has tones whose phase differs from run to run, such as mains hum: they are removed from the residual")
         if self.share:
@@ -166,14 +175,17 @@ def _noise(runs: Sequence[MeasuredRun], logged: LowPass | None, shown: Sequence[
         scale = white[pressed]
     share = _share(runs, pressed, scale)
     spread = lost * np.array([float(np.std(np.concatenate([x[:, i] for x in flat]))) for i in range(len(columns))]) * colour
-    if baselines_differ([(_places(r, run.record.ticks), x) for run, (r, x) in zip(runs, apart, strict=True)], spread):
-        return ForceNoise(level, colour, heavy, still.offset, share, tail, BASELINE_DEGREE, aside)
-    offset, (found, degree) = [np.zeros(6) for _ in runs], _offsets([len(x) for x in flat], start, spread)
+    wander = wander_between([(places_of(r, run.record.ticks), x) for run, (r, x) in zip(runs, apart, strict=True)], spread)
+    if wander is not None:
+        known = np.full((len(wander), 6), np.inf)
+        known[:, columns] = wander
+        return ForceNoise(level, colour, heavy, still.offset, share, tail, known, aside)
+    offset, (found, unknown) = [np.zeros(6) for _ in runs], _offsets([len(x) for x in flat], start, spread)
     if latched and any(f.any() for f in found):  # the offset of an axis that moves is not known
-        return ForceNoise(level, colour, heavy, still.offset, share, tail, 0, aside)
+        return ForceNoise(level, colour, heavy, still.offset, share, tail, np.full((1, 6), np.inf), aside)
     for o, f in zip(offset, found, strict=True):
         o[columns] = f
-    return ForceNoise(level, colour, heavy, tuple(offset), share, tail, degree, aside)
+    return ForceNoise(level, colour, heavy, tuple(offset), share, tail, np.full((int(unknown), 6), np.inf), aside)
 
 
 def _white_levels(readings: Sequence[Array]) -> Array:
@@ -209,12 +221,12 @@ def _at_rest(run: MeasuredRun, driving: Sequence[int], shown: Array) -> tuple[Ar
     if not driving or len(values) < MIN_NOISE_ROWS:
         return rows.astype(float), left
     beside = np.concatenate([values[2:, driving], values[1:-1, driving], values[:-2, driving]], axis=1)
-    baseline = legendre.legvander(_places(rows[1:-1].astype(float), record.ticks), BASELINE_DEGREE)  # beside it, since baselines look alike
+    baseline = baseline_terms(places_of(rows[1:-1].astype(float), record.ticks), BASELINE_DEGREE)  # beside it, since baselines look alike
     part = np.linalg.lstsq(np.concatenate([beside, baseline], axis=1), left[1:-1], rcond=None)[0][: beside.shape[1]]
     return rows[1:-1].astype(float), left[1:-1] - (beside - beside.mean(axis=0)) @ part
 
 
-def _places(rows: Array, ticks: int) -> Array:
+def places_of(rows: Array, ticks: int) -> Array:
     """Rows of a run, scaled from -1 to 1."""
     return 2.0 * rows / max(ticks - 1, 1) - 1.0
 
@@ -273,10 +285,10 @@ def _straightened(free: Sequence[Array], columns: Sequence[int]) -> tuple[list[A
 
 
 def _without_baseline(x: Array) -> Array:
-    """Readings (n, C) less the cubic of each channel."""
+    """Readings (n, C) less the baseline polynomial of each channel."""
     if len(x) < MIN_BASELINE_ROWS:
         return x
-    basis = legendre.legvander(np.linspace(-1.0, 1.0, len(x)), BASELINE_DEGREE)
+    basis = baseline_terms(np.linspace(-1.0, 1.0, len(x)), BASELINE_DEGREE)
     return np.asarray(x - basis @ np.linalg.lstsq(basis, x, rcond=None)[0])
 
 
@@ -311,25 +323,22 @@ def _level(x: Array, heavy: bool) -> float:
     return float(brentq(lambda s: float(np.mean(softened(x / s, True) ** 2)) - 1.0, 1e-2 * rms, 1e2 * rms))  # type: ignore[arg-type]
 
 
-def _offsets(counts: Sequence[int], start: Array, spread: Array) -> tuple[Array, int]:
-    """(R, C) offset to subtract from each run, and the degree of the baseline polynomial, see :class:`ForceNoise`.
-
-    No offset where the runs differ by no more than chance; a baseline of degree 0 where what the runs share is not significant beside what
-    they differ by.
-    """
+def _offsets(counts: Sequence[int], start: Array, spread: Array) -> tuple[Array, bool]:
+    """(R, C) offset to subtract from each run, and whether what they share is not significant beside what they differ by, so that none of
+    it is known. No offset where the runs differ by no more than chance."""
     error = np.array([2.0 * spread / math.sqrt(max(n, 1)) for n in counts])
     known = np.array(counts) > 10
     if known.sum() < 2 or not (spread > 0.0).all():
-        return np.zeros_like(start), -1
+        return np.zeros_like(start), False
     weight = np.where(known[:, None], 1.0 / error**2, 0.0)
     apart = np.where(known[:, None], start - (weight * start).sum(axis=0) / weight.sum(axis=0), 0.0)
     freedom = (known.sum() - 1) * start.shape[1]
     if float(np.sum((apart / error) ** 2)) <= chi_square.isf(SIGNIFICANCE_LEVEL, freedom):
-        return np.zeros_like(start), -1
+        return np.zeros_like(start), False
     readings, count = start[known] / spread, int(known.sum())
     between = count * float(np.mean(readings.mean(axis=0) ** 2))  # against their spread: one F test of all channels
     shared = between > fisher.isf(SIGNIFICANCE_LEVEL, start.shape[1], freedom) * float(np.mean(readings.var(axis=0, ddof=1)))
-    return (apart, -1) if shared else (np.zeros_like(start), 0)
+    return (apart, False) if shared else (np.zeros_like(start), True)
 
 
 def _share(runs: Sequence[MeasuredRun], columns: Sequence[int], scale: Array) -> float:

@@ -131,12 +131,10 @@ def with_interpolation_error(layout: Layout, best: BestPath) -> BestPath:
 
 
 def with_filter_error(layout: Layout, best: BestPath) -> BestPath:
-    """The same path with added noise for a logger's filter, which is known to about one order, and to a share of what it passes. The error
-    is as smooth as filtered noise."""
+    """The same path with added noise for a logger's filter, which is known to about one order: as smooth as filtered noise."""
     if layout.logged is None:
         return best
-    forces = [r.record.filled("wrench_meas") for r in layout.runs]
-    missed = [layout.logged.colour * np.hypot(layout.logged.missed(f), MODEL_ERROR * np.abs(f)) for f in forces]
+    missed = [layout.logged.colour * layout.logged.missed(r.record.filled("wrench_meas")) for r in layout.runs]
     return replace(best, path_noise=[np.hypot(m, b) for m, b in zip(missed, best.path_noise or [0.0] * len(missed), strict=True)])
 
 

@@ -69,13 +69,13 @@ class Residual:
         return out
 
     def left(self, i: int, shown: Array) -> Array:
-        """(N, C) of run i: measured less ``shown`` (N, C), without the nuisance terms of the run (baseline, tones)."""
+        """(N, C) of run i: measured less ``shown`` (N, C), whitened against the nuisance terms of the run."""
         run = self.link.runs[i]
         left = run.measured - shown
-        if run.baseline < 0 and not run.tones:
+        if run.nuisances is None:
             return left
         if i not in self._aside:
-            self._aside[i] = Aside(self.weight[i], run.baseline, run.tones)
+            self._aside[i] = Aside(self.weight[i], run.nuisances)
         return left - self._aside[i].of(left)
 
     def of_run(self, i: int, effects: Effects) -> Array:

@@ -21,6 +21,7 @@ from tests.slow import slow
         (("slow_drift", 4.0), 601068),  # latched from the start: the springs balance the drift, and the path shows it
         slow(("log_rate", 1700.0), 602089),  # latched from the start: its axes at rest show the noise of poses between samples
         slow(("pose_steps", 1e-5), 601476),  # third differences are whole steps
+        slow(("slow_drift", 4.0), 601022),  # a wave of which a cubic leaves a tenth
         slow(("digits", 5.0), 610026),  # a pair that is latched from the start, and turns freely
         slow(("converter_steps", 1.0), 620012),  # forces across that stay within two steps
         slow(("log_rate", 250.0), 610036),  # seven ticks of eight without a row
@@ -43,6 +44,7 @@ def test_what_a_logger_does_is_no_departure(tmp_path: Path, noise: tuple[str, fl
 @pytest.mark.parametrize(
     ("noise", "effect", "seed"),
     [
+        slow(("pink", 1.0), "sensor.bias", 640002),  # beside a baseline that wanders
         slow(("log_rate", 500.0), "contact.stiffness", 640001),
         (("log_rate", 250.0), "contact.dry_friction", 640016),
         slow(("anti_aliasing", 150.0), "contact.stiffness", 650011),

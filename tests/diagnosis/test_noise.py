@@ -8,10 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.signal import lfilter
+from scipy.stats import f as fisher
 
-from hiltestbed.diagnosis.aside import Aside
+from hiltestbed.diagnosis.aside import Aside, wander_between
 from hiltestbed.diagnosis.floors import white_outside
 from hiltestbed.diagnosis.noise import ForceNoise, force_noise, softened
+from hiltestbed.diagnosis.settings import DETECTION, SIGNIFICANCE_LEVEL
 from hiltestbed.diagnosis.tones import tones_of
 from hiltestbed.frames import Array
 from hiltestbed.measured import MeasuredRun
@@ -91,7 +93,7 @@ def test_the_baseline_of_an_axis_at_rest_wanders_though_that_of_the_axis_that_mo
         sway = np.sin(2 * np.pi * rng.uniform(0.25, 0.75, 6) * t + rng.uniform(-np.pi, np.pi, 6))
         runs.append(latched(n + 2.0 * SIGMA * sway))
     noise = force_noise(runs)
-    assert (noise.baseline, noise.tones) == (3, ())
+    assert (len(noise.wander) - 1, noise.tones) == (5, ())
 
 
 def test_a_drift_that_the_springs_of_a_latch_balance_shows_in_what_their_path_leaves_of_the_reading() -> None:
@@ -101,7 +103,7 @@ def test_a_drift_that_the_springs_of_a_latch_balance_shows_in_what_their_path_le
     runs = [latched(n) for n in white(14)]
     assert force_noise(runs).words() == ()
     noise = force_noise(runs, None, [-SIGMA * s for s in sway])
-    assert (noise.baseline, noise.colour, noise.tones, noise.level.any()) == (3, 1.0, (), False)  # the rest of it is white
+    assert (len(noise.wander) - 1, noise.colour, noise.tones, noise.level.any()) == (5, 1.0, (), False)  # the rest of it is white
 
 
 def test_a_run_without_forces_leaves_the_noise_to_the_others() -> None:
@@ -145,7 +147,7 @@ def test_what_all_runs_share_of_offsets_that_differ_is_no_bias_where_chance_make
     rng = np.random.default_rng(8)
     apart = rng.standard_normal((RUNS, 6)) * SIGMA
     noise = found([n + o for n, o in zip(white(8), apart, strict=True)])
-    assert (noise.baseline, np.abs(noise.offset).max()) == (0, 0.0)
+    assert (len(noise.wander) - 1, np.abs(noise.offset).max()) == (0, 0.0)
 
 
 @pytest.mark.parametrize(("runs", "channels"), [(1, 1), (2, 1), (1, 2), (1, 6), (3, 6)])
@@ -168,17 +170,46 @@ def test_mains_of_another_phase_in_each_run_are_tones_and_their_frequency_is_tol
     assert len(noise.tones) == 1
     assert noise.tones[0] * ROWS / (2 * np.pi) == pytest.approx(50.0 * ROWS * 1e-3, abs=0.1)
     np.testing.assert_allclose(noise.level, SIGMA, rtol=0.1)
-    left = Aside(np.ones((ROWS, 6)), -1, noise.tones).of(hum[0])
+    left = Aside(np.full((ROWS, 6), 1.0 / SIGMA), noise.nuisances(ROWS, ROWS, noise.level)).of(hum[0])
     assert np.std(hum[0] - left) < 0.1 * np.std(hum[0])
 
 
-def test_a_baseline_that_bends_otherwise_in_each_run_wanders_and_a_cubic_takes_most_of_it() -> None:
+def test_a_baseline_that_bends_otherwise_in_each_run_wanders_and_a_quintic_takes_nearly_all_of_it() -> None:
     rng = np.random.default_rng(10)
     t = np.linspace(0.0, 1.0, ROWS)[:, None]
     sway = [4.0 * SIGMA * np.sin(2 * np.pi * rng.uniform(0.25, 0.75, 6) * t + rng.uniform(-np.pi, np.pi, 6)) for _ in range(RUNS)]
-    assert found([n + s for n, s in zip(white(10), sway, strict=True)]).baseline == 3
+    noise = found([n + s for n, s in zip(white(10), sway, strict=True)])
+    assert noise.wander.shape == (6, 6)
     one = sway[0] - sway[0].mean(axis=0)
-    assert np.std(one - Aside(np.ones((ROWS, 6)), 3, ()).of(one)) < 0.15 * np.std(one)
+    assert np.std(one - Aside(np.full((ROWS, 6), 1.0 / SIGMA), noise.nuisances(ROWS, ROWS, noise.level)).of(one)) < 0.05 * np.std(one)
+
+
+def test_misfits_are_whitened_by_the_covariance_of_noise_and_nuisances() -> None:
+    rng = np.random.default_rng(21)
+    weight, columns, left = rng.uniform(0.0, 3.0, (40, 2)), rng.standard_normal((40, 2, 3)), rng.standard_normal((40, 2))
+    weight[5] = 0.0  # not measured
+    white = (left - Aside(weight, columns).of(left)) * weight
+    for c in range(2):
+        terms, misfit = columns[:, c] * weight[:, c, None], left[:, c] * weight[:, c]
+        assert white[:, c] @ white[:, c] == pytest.approx(misfit @ np.linalg.solve(np.eye(40) + terms @ terms.T, misfit))
+
+
+@pytest.mark.parametrize("runs", [3, 6])
+def test_of_baselines_that_wander_what_they_share_shows_beyond_their_spread(runs: int) -> None:
+    """The square of what they share, over its variance, exceeds the detection threshold as rarely as chi-square would."""
+    rng, at = np.random.default_rng(22), np.linspace(-1.0, 1.0, 400)
+    bend = at[:, None] ** 2 - 1.0 / 3.0
+    found = []
+    for _ in range(400):
+        sway = rng.standard_normal((2, runs, 6))
+        readings = [0.01 * rng.standard_normal((400, 6)) + a + b * bend for a, b in zip(*sway, strict=True)]
+        wander = wander_between([(at, x) for x in readings], np.full(6, 0.01))
+        assert wander is not None
+        found.append(runs * np.mean([x.mean(axis=0) for x in readings], axis=0) ** 2 / wander[0] ** 2)
+    assert np.max(found) < DETECTION  # 2400 draws at a level of 3e-5
+    assert np.mean(
+        np.array(found) > DETECTION * fisher.isf(0.05, 1, runs - 1) / fisher.isf(SIGNIFICANCE_LEVEL, 1, runs - 1)
+    ) == pytest.approx(0.05, abs=0.02)
 
 
 def test_a_share_of_the_reading_is_found_with_its_size_and_a_delay_that_varies_is_none() -> None:

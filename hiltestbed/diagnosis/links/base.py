@@ -62,8 +62,8 @@ class LinkRun:
         scenario: as believed. measured: (N, C) at the output, 0 where it was not measured.
         sigma: (N, C) its noise, infinite where not measured. touching: (N,) bool, the nominal or the measured contact, with its tail
         through the sensor. heavy: whether the noise has outliers, see :func:`hiltestbed.diagnosis.noise.softened`. tail: variance of the
-        square of a noise sample. baseline: degree of the polynomial of each run that is a nuisance term, -1 for none; tones: [rad] a row,
-        nuisance terms too, see :mod:`hiltestbed.diagnosis.aside`.
+        square of a noise sample. nuisances: (N, C, D) nuisance terms, each at one standard deviation, see
+        :mod:`hiltestbed.diagnosis.aside`; None: there are none.
     """
 
     scenario: Scenario
@@ -72,8 +72,7 @@ class LinkRun:
     touching: np.ndarray
     heavy: bool = False
     tail: float = 2.0
-    baseline: int = -1
-    tones: tuple[float, ...] = ()
+    nuisances: Array | None = None
 
     @property
     def rows(self) -> int:
