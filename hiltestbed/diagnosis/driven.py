@@ -112,7 +112,7 @@ def mass_and_force(candidates: Sequence[Candidate]) -> Special:
     masses, forces = ([c for c in candidates if c.kind == kind] for kind in (MASS, FORCE))
     tried = [(*mass, force) for force in forces for mass in ((), *((m,) for m in masses))]
 
-    def make(residual: Residual, base: Fit) -> Fit | None:
+    def make(residual: Residual, base: Fit, _known: float) -> Fit | None:
         if base.causes or not forces:
             return None
         seconds = sum(residual.link.runs[i].rows * residual.link.runs[i].scenario.tick for i in residual.runs)

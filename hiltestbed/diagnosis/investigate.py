@@ -209,15 +209,15 @@ def _investigate_wrench(
     if levered := other_lever(explanation):
         residual = Residual(levered)
         given = given and (_stamped_late(layout, levered, found["compensation"]) or given)
-        explanation = search.after(explanation).explain(residual, given[0]) if given else search.again(explanation, residual)
+        explanation = search.after(explanation).explain(residual, given[0] if given else None)
     if not given and (stepped := other_steps(explanation)):
-        explanation = search.again(explanation, Residual(stepped))
+        explanation = search.after(explanation).explain(Residual(stepped))
     if not given and (pointed := with_point_contact(explanation)):
-        explanation = search.again(explanation, Residual(pointed))
+        explanation = search.after(explanation).explain(Residual(pointed))
     if given and not explanation.adequate and _other_reading_betters(explanation, given[1]):
         explanation = search.explain(residual, given[1])
     elif not given and (other := with_time_grid(explanation)):
-        explanation = search.again(explanation, Residual(other))
+        explanation = search.after(explanation).explain(Residual(other))
     if given:
         explanation = replace(explanation, candidates=(*candidates, *given[0].causes))
     chosen = wrench_link_of(explanation.residual)

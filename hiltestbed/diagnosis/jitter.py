@@ -24,7 +24,7 @@ SIGMAS_TRIED = 40
 REFINEMENT_FACTORS = (0.92, 1.0, 1.08)  # chosen: on the first estimate, which treats the noise of a delay as small
 
 
-def jitter_beside(residual: Residual, base: Fit) -> Fit | None:
+def jitter_beside(residual: Residual, base: Fit, _known: float = math.inf) -> Fit | None:
     """Jitter beside `base`; None where the data show none."""
     link, effects = residual.link, base.effects()
     if not isinstance(link, WrenchLink) or JITTER in base.kinds:

@@ -37,8 +37,11 @@ def lines(link: WrenchLink) -> dict[str, Line]:
     return out
 
 
-def hum_beside(residual: Residual, base: Fit) -> Fit | None:
-    """A hum beside `base`, where the residual of `base` in contact has a line; a dead zone hides it everywhere else."""
+def hum_beside(residual: Residual, base: Fit, known: float = math.inf) -> Fit | None:
+    """A hum beside `base`, where the residual of `base` in contact has a line; a dead zone hides it everywhere else.
+
+    known: as of :func:`~hiltestbed.diagnosis.fit.fit`.
+    """
     link = residual.link
     if not isinstance(link, WrenchLink) or not base.causes or "sensor.hum" in base.kinds:
         return None
@@ -53,7 +56,7 @@ def hum_beside(residual: Residual, base: Fit) -> Fit | None:
     fits = []
     for axis, line in found.items():
         c = SensorHum.near(axis, *line)
-        fits.append(fit(residual, (*base.causes, c), [np.concatenate([t, c.grid[0]]) for t in _starts(base)]))
+        fits.append(fit(residual, (*base.causes, c), [np.concatenate([t, c.grid[0]]) for t in _starts(base)], known=known))
     return min(fits, key=lambda f: f.score, default=None)
 
 

@@ -39,7 +39,7 @@ from hiltestbed.effects.search import Candidate
 from hiltestbed.progress import Pace, time_left_text
 
 Judge = Callable[[Residual, Effects], dict[str, Leftover]]
-Special = Callable[[Residual, Fit], Fit | None]  # a hypothesis derived from the residual of a fit
+Special = Callable[[Residual, Fit, float], Fit | None]  # a hypothesis from the residual of a fit; chi-square that another has reached
 Reread = Callable[[Residual, Fit], Residual]  # the interpretation of a link that fits better; the residual itself where none does
 Progress = Callable[[str], None]
 
@@ -115,32 +115,34 @@ class Search:
     bounded: bool = False  # the residual's level is a bound on an error and no noise: what stays below it shows nothing
     beside: float = SELECTION  # threshold of a further cause where those found leave only noise; infinite: none is sought
     before: Mapping[frozenset[tuple], Fit] = field(default_factory=dict)  # fits under another timing or interpretation, by their causes
+    earlier: Explanation | None = None  # under that timing or interpretation
 
     def after(self, found: Explanation) -> Search:
         """The same search of a link with another timing or interpretation than in ``found``: from its estimates, where there are any."""
         fits = {frozenset(c.key for c in f.causes): f for f in (*found.more, *found.singles)}
-        return replace(self, before={**self.before, **fits})
+        return replace(self, before={**self.before, **fits}, earlier=found)
 
-    def again(self, found: Explanation, residual: Residual) -> Explanation:
-        """The explanation with another interpretation of the link than in ``found``, searched from its estimates.
-
-        Where each of its fits is far off with that interpretation too, no others are sought: that would take as long as the first search.
-        """
-        if found.adequate:
-            return self.after(found).explain(residual)
+    def _as_far_off(self, residual: Residual) -> Explanation | None:
+        """The earlier explanation of a costly link, fitted again with another timing or interpretation, where each of its fits is far off
+        with that as well: no others are sought then, which would take as long as the first search. None where one comes near."""
+        found = self.earlier
+        if found is None or found.adequate or not residual.link.costly:
+            return None
         pool = [found.chosen, *first_of_each(found.singles, "kinds"), *first_of_each(found.more, "kinds")[:MAX_PARTNERS]]
         there = residual.downweighted(found.chosen.effects())
         fits = [null_fit(there), *(refit(there, f) for f in pool if f.causes and JITTER not in f.kinds)]
         best = min(fits, key=lambda f: f.score)
         leftovers = self.judge(there, best.effects())
         if max(left.excess for left in leftovers.values()) <= MIN_EXCESS_TO_GROW:
-            return self.after(found).explain(residual)
+            return None
         singles, more = ([f for f in sorted(fits, key=_order) if len(f.causes) in counts] for counts in ((1,), (2, 3)))
         before = self.judge(residual, ())
         return Explanation(there, self.candidates, fits[0], best, False, True, leftovers, before, tuple(singles), tuple(more))
 
     def explain(self, residual: Residual, given: Fit | None = None) -> Explanation:
         """The explanation of a link; given: a fit with the cause that another link has shown, which then is one of its causes."""
+        if given is None and (same := self._as_far_off(residual)):
+            return same
         residual = residual.downweighted(given.effects() if given else ())
         null = refit(residual, given) if given else null_fit(residual)
         before = self.judge(residual, null.effects())
@@ -157,7 +159,7 @@ class Search:
         counts = singles and (not adequate_null or null.score - singles[0].score > least * inflation(singles[0]))
         if counts and not given and self.reread and (other := self.reread(residual, singles[0])) is not residual:
             return replace(self, reread=None).explain(other)
-        singles += [f for make in self.special if (f := make(residual, null)) is not None]  # under the weights of the best mean model
+        singles += [f for make in self.special if (f := make(residual, null, math.inf)) is not None]  # under the weights of the best model
         singles.sort(key=_order)
         best = singles[0] if singles else null
         need = least * inflation(best)
@@ -234,8 +236,7 @@ class Search:
             count[c.kind] = count.get(c.kind, 0) + 1
             if count[c.kind] > MAX_FITS_PER_EFFECT or len(fits) >= most or _beaten(c, base, fits):
                 continue
-            best = min((*fits, *beside), key=lambda f: f.chi2, default=base)
-            near = min(best.chi2 + CLOSE_CHI2 * inflation(best), base.chi2 - worth)
+            near, best = _near_best(base, (*fits, *beside), worth)
             enough = len({f.causes[-1].kind for f in fits}) >= BEAM_WIDTH or inflation(best) == 1.0  # no beam beside an adequate fit
             if fits and enough and base.chi2 - LINEAR_GAIN_MARGIN * gain > near:
                 break
@@ -249,8 +250,15 @@ class Search:
                 fits.append(fit(residual, causes, [earlier.of(causes), *together], tries=1, known=near))
                 continue
             fits.append(fit(residual, causes, together, tries=2 if base.causes else 3, known=near))
-        fits += [f for make in special if (f := make(residual, base)) is not None]
+        near, _ = _near_best(base, (*fits, *beside), worth)
+        fits += [f for make in special if (f := make(residual, base, near)) is not None]
         return sorted(fits, key=_order)
+
+
+def _near_best(base: Fit, fits: Sequence[Fit], worth: float) -> tuple[float, Fit]:
+    """Chi-square that a further fit has to reach, and the best fit; ``worth``: least gain on ``base``."""
+    best = min(fits, key=lambda f: f.chi2, default=base)
+    return min(best.chi2 + CLOSE_CHI2 * inflation(best), base.chi2 - worth), best
 
 
 def _overlap(c: Candidate, other: Candidate) -> bool:
