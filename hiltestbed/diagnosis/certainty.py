@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from hiltestbed.diagnosis.fit import Fit, bounds_of, effects_at, scales
+from hiltestbed.diagnosis.fit import Fit, bounds_of, effects_at, fit, scales
 from hiltestbed.diagnosis.intervals import Spread, intervals
 from hiltestbed.diagnosis.residual import Residual, square
 from hiltestbed.diagnosis.search import Explanation
@@ -89,16 +89,18 @@ class Certainties:
     def of(self, link: str, found: Fit) -> Certainty:
         """The certainty of a fit to the link."""
         if found not in self._known:
-            self._known[found] = certainty(link, self._explanations[link].residual, found)
+            e = self._explanations[link]
+            self._known[found] = certainty(link, e.residual, found, e.candidates)
         return self._known[found]
 
     def __iter__(self):
         return (c for c in self._known.values() if c.profiles)
 
 
-def certainty(link: str, residual: Residual, found: Fit) -> Certainty:
-    """The certainty of a fit to the residual of a link."""
+def certainty(link: str, residual: Residual, found: Fit, candidates: Sequence[Candidate] = ()) -> Certainty:
+    """The certainty of a fit to the residual of a link; candidates: that were compared, for the variants of its causes."""
     spread = intervals(residual, found)
+    spread = replace(spread, ends=_with_variants(residual, found, spread.ends, candidates))
     low, high, log = bounds_of(found.causes)
     close = BOUND_TOLERANCE * scales(found.theta, low, high, log) if len(found.theta) else np.zeros(0)
     base = square(residual(found.effects()))
@@ -112,6 +114,30 @@ def certainty(link: str, residual: Residual, found: Fit) -> Certainty:
         unit, of = _unit(c, name.partition(".")[0]), ", ".join(str(v) for v in c.fixed.values() if isinstance(v, str))
         profiles.append(Profile(c.kind, name, unit, of, at, ends, bounds, met, values, rise))
     return Certainty(link, tuple(profiles), spread.correlation, spread.ends)
+
+
+def _with_variants(residual: Residual, found: Fit, ends: Array, candidates: Sequence[Candidate]) -> Array:
+    """(P, 2) ends of the intervals, wide enough for those variants of each cause that have a parameter of the facility beside its own.
+
+    A response that is integrated step by step answers early by some of a tick: too little to be preferred, and enough to bias an estimate.
+    Other ways of stepping may differ from the variant by as much as it does from none.
+    """
+    out, at = ends.copy(), 0
+    for i, cause in enumerate(found.causes):
+        here = slice(at, at := at + len(cause.names))
+        for other in candidates:
+            beside = [name for name in other.names if name not in cause.names]
+            same = other.kind == cause.kind and other.fixed == cause.fixed and set(cause.names) < set(other.names)
+            if not same or any(name in cause.effect.model_fields for name in beside):
+                continue
+            known = dict(zip(cause.names, found.part(i), strict=True))
+            start = [known.get(name, value) for name, value in zip(other.names, other.grid[0], strict=True)]
+            causes = (*found.causes[:i], other, *found.causes[i + 1 :])
+            again = fit(residual, causes, [np.concatenate([found.theta[: here.start], start, found.theta[here.stop :]])], tries=1)
+            own = [here.start + other.names.index(name) for name in cause.names]
+            there, shift = intervals(residual, again).ends[own], np.abs(again.theta[own] - found.theta[here])
+            out[here] = np.column_stack([np.minimum(out[here, 0], there[:, 0] - shift), np.maximum(out[here, 1], there[:, 1] + shift)])
+    return out
 
 
 def _unit(c: Candidate, name: str) -> str:

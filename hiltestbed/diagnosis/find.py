@@ -19,7 +19,6 @@ from hiltestbed.diagnosis.fit import Fit
 from hiltestbed.diagnosis.grow import far_off, grow
 from hiltestbed.diagnosis.heldout import heldout, placebo_of
 from hiltestbed.diagnosis.in_part import confirmed, explained, holding
-from hiltestbed.diagnosis.intervals import intervals
 from hiltestbed.diagnosis.investigate import Findings
 from hiltestbed.diagnosis.isolability import isolability
 from hiltestbed.diagnosis.learned.finding import learned_on
@@ -197,7 +196,7 @@ def cause_of(findings: Findings, c: Named, certain: Certainties | None = None, b
 
     beside: all named causes, for the complete explanations that have a rival in place of this one.
     """
-    ends = certain.of(c.link, c.fit).ends if certain else intervals(findings.explanations[c.link].residual, c.fit).ends
+    ends = (certain or Certainties(findings.explanations)).of(c.link, c.fit).ends
     start = sum(len(x.names) for x in c.fit.causes[: c.index])
     names = c.fit.causes[c.index].names
     effect = c.fit.effects()[c.index]

@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from hiltestbed.diagnosis.certainty import Certainties, certainty
 from hiltestbed.diagnosis.fit import Fit, effects_at, fit
+from hiltestbed.diagnosis.links import PlatformLink
 from hiltestbed.diagnosis.residual import Residual, square
 from hiltestbed.effects import EFFECTS
-from hiltestbed.effects.search import Candidate
+from hiltestbed.effects.search import Candidate, Scales
 
-from .made import contact_link, effect
+from .made import POSE_NOISE, H, contact_link, effect, platform_link
 
 BIAS, PRELOAD = 0.6, 6.0
+SCALES = Scales(force=300.0, depth=3e-3, stiffness=1e5, tick=H, noise=0.1, slow=0.02, fast=0.1)
 
 
 def candidate(kind: str, names: tuple[str, ...], low: float, high: float, **fixed: object) -> Candidate:
@@ -83,11 +88,8 @@ def test_an_estimate_at_a_bound_says_so(residual: Residual, found: Fit) -> None:
 
 
 def test_what_was_fitted_once_is_worked_out_once(residual: Residual, found: Fit) -> None:
-    class Explained:
-        def __init__(self) -> None:
-            self.residual = residual
-
-    certain = Certainties({"wrench": Explained()})  # type: ignore[dict-item]
+    explained = SimpleNamespace(residual=residual, candidates=())
+    certain = Certainties({"wrench": explained})  # type: ignore[dict-item]
     assert certain.of("wrench", found) is certain.of("wrench", found)
     assert len(list(certain)) == 1
     data = next(iter(certain)).to_json()
@@ -100,3 +102,26 @@ def test_a_cause_without_a_number_has_no_profile_and_no_correlation(residual: Re
     told = certainty("wrench", residual, fit(residual, (euler,), euler.grid))
     assert told.profiles == ()
     assert told.correlation.shape == (0, 0)
+
+
+def test_the_interval_of_a_response_holds_however_finely_the_facility_steps_it() -> None:
+    """x'' = w^2 (u - x) - 1.4 w x', stepped semi-implicitly in 20 or 100 parts of a tick: a bias of up to 0.7 % that no misfit shows."""
+    link, rng = platform_link(speeds=(0.03,)), np.random.default_rng(5)
+    command, (plain, stepped) = link.commands[0][:, 2], EFFECTS["platform.lag"].candidates(SCALES)
+    for steps, bandwidth in ((20, 32.0), (20, 45.0), (100, 32.0)):
+        w, dt, x, v = 2.0 * np.pi * bandwidth, H / steps, -0.0030, 0.03
+        node, reached = np.concatenate([[x], command]), [x]
+        for k in range(len(command) - 1):
+            for j in range(steps):
+                v += dt * (w * w * (node[k] + (node[k + 1] - node[k]) * (j + 1) / steps - x) - 1.4 * w * v)
+                x += dt * v
+            reached.append(x)
+        measured = link.shown(0) + POSE_NOISE * rng.standard_normal((len(command), 6))
+        measured[:, 2] += np.array(reached) - link.shown(0)[:, 2]
+        residual = Residual(PlatformLink([replace(link.runs[0], measured=measured)], link.commands, [np.zeros((len(command), 6))]))
+        found = fit(residual, (plain,), plain.grid)
+        low, high = certainty("platform", residual, found, (plain, stepped)).ends[0]
+        assert low < bandwidth < high
+        assert high - low < 0.1 * bandwidth  # of one bounce
+        if steps == 20:
+            assert not np.prod(certainty("platform", residual, found).ends[0] - bandwidth) < 0.0  # without the variant it does not
