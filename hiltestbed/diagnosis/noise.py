@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
+from scipy.ndimage import median_filter, uniform_filter1d
 from scipy.optimize import brentq, nnls
 from scipy.stats import chi2 as chi_square
 from scipy.stats import f as fisher
@@ -43,6 +43,8 @@ MAX_LAG = 64  # chosen: rows over which a correlation is summed
 SMOOTHED_ROWS = 9  # chosen: of the running mean of a reading in contact
 CLIP_SIGMA = 4.0  # chosen: robust standard deviations at which a sample is clipped before it is correlated
 FEW_STEPS = 2.5  # chosen: range of a channel in steps of its converter, below which it shows the presence of a force and not its size
+SUDDEN_ROWS = 9  # chosen: of a running median, which an outlier leaves as it is
+SUDDEN_SIGMA = 8.0  # chosen: robust standard deviations from it, so few that no sample of normal noise lies beyond
 MIN_DITHER = 1.0  # chosen: noise in steps, above which the quantisation error is independent of the signal and of the row before
 STEP_TOLERANCE = 1.01  # chosen: relative error of a step that is estimated from a record
 SETTLING_TIME = 0.05  # chosen: [s] after a contact in which a reading still shows it
@@ -155,7 +157,7 @@ def _noise(runs: Sequence[MeasuredRun], logged: LowPass | None, shown: Sequence[
     flat = without_tones(flat, tones)
     scale = np.array([1.4826 * np.median(np.abs(np.concatenate([x[:, i] for x in flat]))) for i in range(len(columns))])
     z = [x / np.where(scale > 0.0, scale, 1.0) for x in flat]
-    heavy = _heavy([x[:: logged.stride] for x in z] if logged else z)
+    heavy = _heavy([x[:: logged.stride] for x in z]) if logged else _heavy(z) or sum(_sudden(x) for _, x in apart if len(x)) > MIN_OUTLIERS
     colour = logged.colour if logged else _colour(z, bent)
     rows, fitted = sum(map(len, flat)), sum(bent + 2 * len(tones) for x in flat if len(x))
     lost = math.sqrt(rows / max(rows - fitted, 1))  # of the deviation, by the lines and tones that were fitted
@@ -296,6 +298,14 @@ def _heavy(z: Sequence[Array]) -> bool:
     far = sum(int(np.sum(np.abs(x) > OUTLIER_SIGMA)) for x in z)
     expected = 6.3e-5 * sum(x.size for x in z)
     return far > MIN_OUTLIERS + 3.0 * expected
+
+
+def _sudden(x: Array) -> int:
+    """Readings (n, C) that are far from a running median, four times as far as those beside them: what rings is no outlier."""
+    left = np.abs(x - median_filter(x, (SUDDEN_ROWS, 1)))
+    beside = np.pad(left, ((1, 1), (0, 0)))
+    alone = 4.0 * np.maximum(beside[:-2], beside[2:]) < left
+    return int(np.sum(alone & (left > SUDDEN_SIGMA * 1.4826 * np.median(left, axis=0))))
 
 
 def _colour(z: Sequence[Array], fitted: int) -> float:

@@ -22,6 +22,7 @@ from tests.slow import slow
         slow(("log_rate", 1700.0), 602089),  # latched from the start: its axes at rest show the noise of poses between samples
         slow(("pose_steps", 1e-5), 601476),  # third differences are whole steps
         slow(("slow_drift", 4.0), 601022),  # a wave of which a cubic leaves a tenth
+        slow(("spikes", 0.002), 600641),  # three outliers before the first touch, dozens after it
         slow(("digits", 5.0), 610026),  # a pair that is latched from the start, and turns freely
         slow(("converter_steps", 1.0), 620012),  # forces across that stay within two steps
         slow(("log_rate", 250.0), 610036),  # seven ticks of eight without a row

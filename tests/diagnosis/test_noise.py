@@ -225,6 +225,16 @@ def test_a_share_of_the_reading_is_found_with_its_size_and_a_delay_that_varies_i
     assert found([n + (0.7 * rate * rng.standard_normal(ROWS))[:, None] * along for n in white(5)]).share < 0.1 * share
 
 
+def test_outliers_after_the_contact_count_where_few_rows_lie_before_it_and_ringing_is_none() -> None:
+    rng, t = np.random.default_rng(31), np.arange(ROWS)[:, None]
+    behind = t > END + 0.25 * (ROWS - END)
+    spiked = [n + SIGMA * 20.0 * (behind & (rng.random((ROWS, 6)) < 0.01)) for n in white(31)]
+    assert found(spiked).heavy
+    ringing = [n + SIGMA * 40.0 * np.where(t > END, np.exp(-(t - END) / 60.0) * np.sin(0.7 * t), 0.0) for n in white(32)]
+    assert not found(ringing).heavy
+    assert not found(white(33)).heavy
+
+
 def test_outliers_count_by_their_logarithm_and_the_level_allows_for_them() -> None:
     rng = np.random.default_rng(6)
     spiked = [n + SIGMA * 20.0 * (rng.random((ROWS, 6)) < 0.005) for n in white(6)]
