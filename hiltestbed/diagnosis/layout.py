@@ -277,7 +277,7 @@ def _force_run(run: MeasuredRun, layout: Layout, i: int, rows: int, least: Array
     force = layout.force
     nuisances = force.nuisances(rows, run.record.ticks, np.min(level, axis=0))
     if layout.logged:
-        late = layout.logged.delay_error * np.gradient(reading, axis=0)
+        late = layout.logged.delay_error * np.gradient(run.record.filled("wrench_meas")[:rows], axis=0)
         nuisances = np.concatenate([nuisances, late[:, :, None]], axis=2)
     terms = nuisances if nuisances.shape[2] else None
     return LinkRun(run.scenario, measured, sigma, run.touching(rows), force.heavy, force.tail, terms)
