@@ -158,7 +158,7 @@ class Search:
             before = self.judge(residual, null.effects())
         counts = singles and (not adequate_null or null.score - singles[0].score > least * inflation(singles[0]))
         if counts and not given and self.reread and (other := self.reread(residual, singles[0])) is not residual:
-            return replace(self, reread=None).explain(other)
+            return replace(self, reread=None, earlier=None).explain(other)
         singles += [f for make in self.special if (f := make(residual, null, math.inf)) is not None]  # under the weights of the best model
         singles.sort(key=_order)
         best = singles[0] if singles else null
