@@ -122,9 +122,9 @@ def _with_variants(residual: Residual, found: Fit, ends: Array, candidates: Sequ
     A response that is integrated step by step answers early by some of a tick: too little to be preferred, and enough to bias an estimate.
     Other ways of stepping may differ from the variant by as much as it does from none.
     """
-    out, at = ends.copy(), 0
+    out = ends.copy()
     for i, cause in enumerate(found.causes):
-        here = slice(at, at := at + len(cause.names))
+        here = found.place(i)
         for other in candidates:
             beside = [name for name in other.names if name not in cause.names]
             same = other.kind == cause.kind and other.fixed == cause.fixed and set(cause.names) < set(other.names)

@@ -197,7 +197,7 @@ def cause_of(findings: Findings, c: Named, certain: Certainties | None = None, b
     beside: all named causes, for the complete explanations that have a rival in place of this one.
     """
     ends = (certain or Certainties(findings.explanations)).of(c.link, c.fit).ends
-    start = sum(len(x.names) for x in c.fit.causes[: c.index])
+    start = c.fit.place(c.index).start
     names = c.fit.causes[c.index].names
     effect = c.fit.effects()[c.index]
     found: dict[str, Parameter] = {}

@@ -70,8 +70,12 @@ class Fit:
 
     def part(self, index: int) -> Array:
         """Theta of one cause."""
+        return self.theta[self.place(index)]
+
+    def place(self, index: int) -> slice:
+        """Where the parameters of one cause stand in theta."""
         start = sum(len(c.names) for c in self.causes[:index])
-        return self.theta[start : start + len(self.causes[index].names)]
+        return slice(start, start + len(self.causes[index].names))
 
     def of(self, causes: Sequence[Candidate]) -> Array:
         """Theta of the same ``causes`` in another order."""

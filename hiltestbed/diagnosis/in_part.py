@@ -97,7 +97,7 @@ def _resized(chosen: Fit, size: float) -> Array:
     """The parameters of a fit with each cause ``size`` times as large."""
     theta = chosen.theta.copy()
     for i, cause in enumerate(chosen.causes):
-        at = [sum(len(c.names) for c in chosen.causes[:i]) + j for j in _leading(cause)]
+        at = [chosen.place(i).start + j for j in _leading(cause)]
         theta[at] = _neutral(cause) + size * (theta[at] - _neutral(cause))
     return theta
 
