@@ -89,7 +89,7 @@ class ForceNoise:
         """(rows, 6, D) nuisance terms of a run of ``ticks``, each at one standard deviation; level: (6,) of the noise."""
         unknown = UNKNOWN * level
         at = np.arange(rows, dtype=float)
-        baseline = baseline_terms(places_of(at, ticks), len(self.wander) - 1)[:, None, :] if len(self.wander) else np.zeros((rows, 1, 0))
+        baseline = baseline_terms(_places(at, ticks), len(self.wander) - 1)[:, None, :] if len(self.wander) else np.zeros((rows, 1, 0))
         waves = [wave(w * at)[:, None] * unknown for w in self.tones for wave in (np.sin, np.cos)]
         columns = [baseline * np.minimum(self.wander, unknown).T, *(w[:, :, None] for w in waves)]
         return np.concatenate(columns, axis=2)
@@ -177,7 +177,7 @@ def _noise(runs: Sequence[MeasuredRun], logged: LowPass | None, shown: Sequence[
         scale = white[pressed]
     share = _share(runs, pressed, scale)
     spread = lost * np.array([float(np.std(np.concatenate([x[:, i] for x in flat]))) for i in range(len(columns))]) * colour
-    wander = wander_between([(places_of(r, run.record.ticks), x) for run, (r, x) in zip(runs, apart, strict=True)], spread)
+    wander = wander_between([(_places(r, run.record.ticks), x) for run, (r, x) in zip(runs, apart, strict=True)], spread)
     if wander is not None:
         known = np.full((len(wander), 6), np.inf)
         known[:, columns] = wander
@@ -223,12 +223,12 @@ def _at_rest(run: MeasuredRun, driving: Sequence[int], shown: Array) -> tuple[Ar
     if not driving or len(values) < MIN_NOISE_ROWS:
         return rows.astype(float), left
     beside = np.concatenate([values[2:, driving], values[1:-1, driving], values[:-2, driving]], axis=1)
-    baseline = baseline_terms(places_of(rows[1:-1].astype(float), record.ticks), BASELINE_DEGREE)  # beside it, since baselines look alike
+    baseline = baseline_terms(_places(rows[1:-1].astype(float), record.ticks), BASELINE_DEGREE)  # beside it, since baselines look alike
     part = np.linalg.lstsq(np.concatenate([beside, baseline], axis=1), left[1:-1], rcond=None)[0][: beside.shape[1]]
     return rows[1:-1].astype(float), left[1:-1] - (beside - beside.mean(axis=0)) @ part
 
 
-def places_of(rows: Array, ticks: int) -> Array:
+def _places(rows: Array, ticks: int) -> Array:
     """Rows of a run, scaled from -1 to 1."""
     return 2.0 * rows / max(ticks - 1, 1) - 1.0
 
