@@ -17,7 +17,8 @@ from hiltestbed.diagnosis.floors import floors
 from hiltestbed.diagnosis.lacking import every_run_has, lacking
 from hiltestbed.diagnosis.links import CompensationLink, DynamicsLink, LinkRun, PlatformLink, WrenchLink, flat_pose
 from hiltestbed.diagnosis.low_pass import LowPass, low_pass_between
-from hiltestbed.diagnosis.noise import FEW_STEPS, POSE_PARTS, ForceNoise, few_levels, force_noise, undithered
+from hiltestbed.diagnosis.noise import FEW_STEPS, POSE_PARTS, ForceNoise, few_levels, force_noise
+from hiltestbed.diagnosis.quantised import repetition_factor
 from hiltestbed.diagnosis.scales import scales_of
 from hiltestbed.diagnosis.settings import (
     COMPENSATION_FLOOR,
@@ -267,7 +268,7 @@ def _force_run(run: MeasuredRun, layout: Layout, i: int, rows: int, least: Array
     level = np.maximum([layout.noise.get(name, 0.0) for name in GROUPS["wrench_meas"].columns], least) * layout.force.colour
     reading = np.nan_to_num(run.record.data["wrench_meas"][:rows]) - layout.force.offset[i]
     level = np.hypot(np.hypot(level, layout.force.share * reading), run.record.rounding("wrench_meas")[:rows])
-    level = np.hypot(level * _repetition_factor(run, "wrench_meas", rows), kink_errors(run.record, "wrench_meas")[:rows])
+    level = np.hypot(level * repetition_factor(run, "wrench_meas", rows), kink_errors(run.record, "wrench_meas")[:rows])
     sigma = np.where(run.record.valid["wrench_meas"][:rows], level, np.inf)
     sigma[:, [few_levels(run, name) for name in GROUPS["wrench_meas"].columns]] = np.inf
     path = next((g for g in ("pose_act", "pose_cmd") if run.record.has(g)), None)
@@ -283,18 +284,6 @@ def _force_run(run: MeasuredRun, layout: Layout, i: int, rows: int, least: Array
     return LinkRun(run.scenario, measured, sigma, run.touching(rows), force.heavy, force.tail, terms)
 
 
-def _repetition_factor(run: MeasuredRun, group: str, rows: int) -> Array:
-    """(rows, parts) root of the length of each run of equal readings in a quantised channel without dither; they count as one."""
-    out = np.ones((rows, len(GROUPS[group].columns)))
-    for j, name in enumerate(GROUPS[group].columns):
-        if run.record.has(name) and (undithered(run, name) or name in run.record.digits):
-            values = run.record.column(name)[:rows]
-            starts = np.flatnonzero(np.r_[True, values[1:] != values[:-1]])
-            lengths = np.diff(np.r_[starts, rows])
-            out[:, j] = np.sqrt(np.repeat(lengths, lengths))
-    return out
-
-
 def _pose_run(run: MeasuredRun, noise: Mapping[str, float], doubt: Array, rows: int) -> LinkRun:
     """A measured pose as position and small rotation vector; an attitude counts where all of it was measured.
 
@@ -303,7 +292,7 @@ def _pose_run(run: MeasuredRun, noise: Mapping[str, float], doubt: Array, rows: 
     valid = run.record.valid["pose_act"][:rows]
     level = np.maximum([noise.get(f"pose_act.{part}", 0.0) for part in ("px", "py", "pz", *ROTATIONS)], MIN_POSE_NOISE)
     counted = np.concatenate([valid[:, :3], np.repeat(np.all(valid[:, 3:], axis=1)[:, None], 3, axis=1)], axis=1)
-    level = np.hypot(level, _pose_rounding(run, "pose_act")[:rows]) * _repetition_factor(run, "pose_act", rows)[:, :6]
+    level = np.hypot(level, _pose_rounding(run, "pose_act")[:rows]) * repetition_factor(run, "pose_act", rows)[:, :6]
     sigma = np.where(counted, np.hypot(level, doubt), np.inf)
     sigma[:, [few_levels(run, f"pose_act.{part}") and _told_to_stay(run, part) for part in POSE_PARTS]] = np.inf
     sigma[run.record.unknown("pose_cmd", GAP_MEMORY)[:rows]] = np.inf

@@ -20,6 +20,8 @@ from tests.slow import slow
         (("digits", 4.0), 610027),  # a command in few digits is a rough path
         (("slow_drift", 4.0), 601068),  # latched from the start: the springs balance the drift, and the path shows it
         slow(("log_rate", 1700.0), 602089),  # latched from the start: its axes at rest show the noise of poses between samples
+        (("pose_steps", 1e-5), 601454),  # 60 mm/s are three steps a row
+        slow(("digits", 5.0), 601589),
         slow(("pose_steps", 1e-5), 601476),  # third differences are whole steps
         slow(("slow_drift", 4.0), 601022),  # a wave of which a cubic leaves a tenth
         slow(("spikes", 0.002), 600641),  # three outliers before the first touch, dozens after it
