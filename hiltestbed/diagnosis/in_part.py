@@ -1,7 +1,8 @@
 """Stage "decide": which causes of an explanation hold although more than noise is left.
 
 A stand-in for an effect outside the vocabulary fits only the runs that it was fitted to: its size differs from run to run, it does not
-carry over to left-out runs, it ends at a bound of its search, or other effects do as well in its place. None of this is true of a cause.
+carry over to left-out runs, it varies with the duration of a run or with the force, it ends at a bound of its search, or other effects do
+as well in its place. None of this is true of a cause.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import numpy as np
 from hiltestbed.diagnosis.adequacy import JITTER, contact_leftovers, noise_alone
 from hiltestbed.diagnosis.fit import Fit, at_bound, fit, inflation
 from hiltestbed.diagnosis.grow import log_heldout_rms
+from hiltestbed.diagnosis.invariance import varies
 from hiltestbed.diagnosis.residual import Residual, square
 from hiltestbed.diagnosis.search import Explanation, Search, first_of_each
 from hiltestbed.diagnosis.settings import (
@@ -38,7 +40,8 @@ def holding(found: Explanation) -> tuple[int, ...]:
     if not _enough_evidence(found):
         return ()
     alone = in_each_run(found)
-    return tuple(i for i in range(len(found.chosen.causes)) if _same_size(found, alone, i) and _worthwhile_without_rival(found, i))
+    same = [i for i in range(len(found.chosen.causes)) if _same_size(found, alone, i) and not _varies(found, i)]
+    return tuple(i for i in same if _worthwhile_without_rival(found, i))
 
 
 def confirmed(found: Explanation) -> Explanation | None:
@@ -114,6 +117,11 @@ def _neutral(cause: Candidate) -> float:
 def _same_size(found: Explanation, alone: list[list[Fit]], index: int) -> bool:
     chosen = found.chosen
     return not at_bound(chosen.causes[index], chosen.part(index)) and same_in_each(chosen, alone, index, _least(found))
+
+
+def _varies(found: Explanation, index: int) -> bool:
+    cause = found.chosen.causes[index]
+    return varies(found.residual, found.chosen, index, _leading(cause), _neutral(cause))
 
 
 def _least(found: Explanation) -> int:

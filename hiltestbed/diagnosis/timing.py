@@ -15,7 +15,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from hiltestbed.diagnosis.adequacy import JITTER, contact_leftovers, noise_alone
-from hiltestbed.diagnosis.fit import Fit, fit, inflation, null_fit, refit
+from hiltestbed.diagnosis.fit import BOUND_TOLERANCE, Fit, fit, inflation, null_fit, refit
 from hiltestbed.diagnosis.links import Link, Timing
 from hiltestbed.diagnosis.links.base import NO_SHIFT
 from hiltestbed.diagnosis.residual import Residual
@@ -142,13 +142,16 @@ def _better_timing(residual: Residual, chosen: Fit, bases: Sequence[Fit], fewer:
             known = cost(best) + 2.0 * DETECTION * inflation(best)  # twice the margin below: interpolation halves chi-square at most
             fits.append(_fit_with_timing(residual, base, place, known))
             best = min(best, fits[-1], key=cost)
+    fits = [f for f in fits if _within_range(link, f)]
+    if not fits:
+        return None
     best = min(fits, key=cost)
     need = DETECTION * inflation(best)
     if fewer:
         least = cost(best) + need
         best = min((f for f in fits if cost(f) < least), key=lambda f: (len(f.causes), cost(f)))
     if fewer and len(best.causes) - 1 < len(chosen.causes) and not set(chosen.kinds) <= set(DELAY_EFFECTS):
-        need = -AMBIGUITY * inflation(best)
+        need = -(AMBIGUITY if best.kinds[:-1] else DETECTION) * inflation(best)  # a cause has to be detected beyond any shift
     return link.timing.plus(_fitted_timing(best)) if cost(best) < cost(here) - need else None
 
 
@@ -195,6 +198,12 @@ def _bases(found: Explanation) -> list[Fit]:
 def _fit_with_timing(residual: Residual, base: Fit, later: Candidate, known: float = math.inf) -> Fit:
     """``base`` with the timing ``later`` fitted as well; ``known``: see :func:`fit`."""
     return fit(residual, (*base.causes, later), [np.concatenate([base.theta, s]) for s in later.grid], tries=2, known=known)
+
+
+def _within_range(link: Link, found: Fit) -> bool:
+    """Whether the stamps are off by less than the largest shift: one that would have to be larger is none."""
+    timing = link.timing.plus(_fitted_timing(found))
+    return abs(timing.delay + timing.before) < (1.0 - BOUND_TOLERANCE) * MAX_STAMP_SHIFT_ROWS * link.runs[0].scenario.tick
 
 
 def _without_ends(residual: Residual) -> Residual:

@@ -11,6 +11,7 @@ import pytest
 from hiltestbed.diagnosis.adequacy import contact_leftovers
 from hiltestbed.diagnosis.fit import fit, null_fit
 from hiltestbed.diagnosis.in_part import at_bound, explained, holding, in_each_run, same_in_each
+from hiltestbed.diagnosis.invariance import varies
 from hiltestbed.diagnosis.report.page import TITLES
 from hiltestbed.diagnosis.residual import Residual
 from hiltestbed.diagnosis.result import VERDICTS
@@ -55,6 +56,25 @@ def test_a_cause_has_one_size_in_each_run_and_a_stand_in_has_not() -> None:
         chosen = fit(residual, (preload,), preload.grid)
         alone = [[fit(residual.on([i]), (preload,), preload.grid)] for i in residual.runs]
         assert same_in_each(chosen, alone, 0, 3) is same
+
+
+@pytest.mark.parametrize("what", ["steady", "with the force", "in contact", "with time"])
+def test_the_size_of_a_stand_in_varies_with_a_condition(what: str) -> None:
+    """A bias that is always there is one. What grows with the force, acts in contact only, or fades, is none."""
+    bias = candidates("sensor.bias")[0]
+    link = contact_link(speeds=SPEEDS)
+    rows = np.arange(len(link.runs[0].measured))
+    sizes = {
+        "steady": lambda run, v: 0.0 * rows + 4.0,
+        "with the force": lambda run, v: 0.0 * rows + 4.0 * v / np.mean(SPEEDS),
+        "in contact": lambda run, v: 4.0 * run.touching,
+        "with time": lambda run, v: 4.0 - 4.0 * rows / rows[-1],
+    }
+    along = np.arange(6) == 2
+    logged = [run.measured + sizes[what](run, v)[:, None] * along for run, v in zip(link.runs, SPEEDS, strict=True)]
+    residual = Residual(reread(link, logged))
+    chosen = fit(residual, (bias,), bias.grid)
+    assert varies(residual, chosen, 0, list(range(len(bias.names))), 0.0) is (what != "steady")
 
 
 def test_a_run_that_any_size_fits_says_nothing_of_it() -> None:

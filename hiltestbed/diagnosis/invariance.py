@@ -1,0 +1,95 @@
+"""Stage "decide": whether the size of a cause is the same in every run, in and out of contact, early and late.
+
+The size of a cause is a constant of the rig. What stands in for an effect outside the vocabulary grows or shrinks with the duration of a
+run, with the force, with time, as that effect does: a mass that stands in for drag is larger in longer runs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.ndimage import uniform_filter1d
+
+from hiltestbed.diagnosis.fit import Fit, bounds_of, differences, effects_at, scales
+from hiltestbed.diagnosis.links import LinkRun
+from hiltestbed.diagnosis.residual import Residual
+from hiltestbed.diagnosis.settings import SMOOTHING_ROWS
+from hiltestbed.frames import Array
+
+DERIVATIVE_STEP = 2e-3  # chosen: of a parameter's scale
+MIN_VARIATION = 0.25  # chosen: relative change of a size per unit of a condition; of a stand-in about 1, the share of it in a size
+MIN_SHARE = 0.25  # calibrated: of what is left, that a varying size explains; three stand-ins explain 58 to 90 %, the play of a servo 2 %
+MIN_CONDITION_SPREAD = 0.03  # chosen: standard deviation of a condition between rows, below which it does not vary
+
+
+def varies(residual: Residual, chosen: Fit, index: int, sizes: list[int], neutral: float) -> bool:
+    """Whether the size of a cause depends on a condition: a size in proportion to it, beside all parameters, explains much of what is left.
+
+    Args:
+        chosen: the fit. index: of the cause. sizes: its parameters in `Fit.part` that are its size. neutral: their value without it.
+    """
+    rows, left, jacobian = _derivatives(residual, chosen)
+    low, high, log = bounds_of(chosen.causes)
+    place, scale = chosen.place(index), scales(chosen.theta, low, high, log)
+    relative = ((chosen.part(index)[sizes] - neutral) / scale[place][sizes])[:, None]
+    by_size = (jacobian[:, place][:, sizes] @ relative)[:, 0]  # of the misfits, by the size relative to itself
+    weight = by_size**2
+    if not weight.any():
+        return False
+    as_is = _least(jacobian, left)[1]
+    for condition in conditions([residual.link.runs[i] for i in residual.runs], rows):
+        offset = condition - np.average(condition, weights=weight)
+        if np.sqrt(np.average(offset**2, weights=weight)) < MIN_CONDITION_SPREAD:
+            continue
+        theta, least = _least(np.column_stack([jacobian, by_size * offset]), left)
+        if as_is - least > MIN_SHARE * float(left @ left) and abs(theta[-1]) > MIN_VARIATION:
+            return True
+    return False
+
+
+def conditions(runs: Sequence[LinkRun], rows: Sequence[int]) -> list[Array]:
+    """(M,) of each condition at the misfits of runs, of which each has so many as ``rows`` says: the logarithms of the duration of the run,
+    of that of its contacts and of its largest reading; 1 in contact, 0 outside; the time, from 0 to 1; the way of the motion, 1 or -1."""
+    of_run = [
+        [float(np.log(max(1, len(r.measured)))) for r in runs],
+        [float(np.log(max(1, np.count_nonzero(r.touching)))) for r in runs],
+        [float(np.log(max(np.abs(r.measured).max(initial=0.0), 1e-300))) for r in runs],
+    ]
+    of_row = [
+        [r.touching.astype(float) for r in runs],
+        [np.linspace(0.0, 1.0, len(r.measured)) for r in runs],
+        [_way(r.measured) for r in runs],
+    ]
+    channels = [r.measured.shape[1] for r in runs]
+    expanded = [np.concatenate([np.repeat(x, c) for x, c in zip(parts, channels, strict=True)]) for parts in of_row]
+    return [np.repeat(values, rows) for values in of_run] + expanded
+
+
+def _way(measured: Array) -> Array:
+    """(N,) sign of the change of the channel that changes most."""
+    most = measured[:, int(np.argmax(np.ptp(measured, axis=0)))]
+    return np.sign(np.gradient(uniform_filter1d(most, SMOOTHING_ROWS))) if len(most) > 1 else np.zeros(len(most))
+
+
+def _derivatives(residual: Residual, chosen: Fit) -> tuple[list[int], Array, Array]:
+    """Number of misfits of each run, the misfits (M,), and their derivatives by the scaled parameters (M, P)."""
+    low, high, log = bounds_of(chosen.causes)
+    scale = scales(chosen.theta, low, high, log)
+    left, jacobians = [], []
+    for i in residual.runs:
+        one = residual.on([i])
+        left.append(one(chosen.effects()))
+
+        def moved(thetas: Sequence[Array] | Array, one: Residual = one) -> Array:
+            return one.many([effects_at(chosen.causes, theta) for theta in thetas])
+
+        jacobians.append(differences(moved, chosen.theta, left[-1], scale, low, high, DERIVATIVE_STEP))
+    return [len(r) for r in left], np.concatenate(left), np.concatenate(jacobians)
+
+
+def _least(jacobian: Array, left: Array) -> tuple[Array, float]:
+    """The linear parameters (P,) that leave least of the misfits ``left`` (M,), and its sum of squares."""
+    theta = np.asarray(np.linalg.lstsq(jacobian, -left, rcond=1e-10)[0], dtype=np.float64)
+    rest = left + jacobian @ theta
+    return theta, float(rest @ rest)
