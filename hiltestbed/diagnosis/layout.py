@@ -202,8 +202,13 @@ def compensation_link(layout: Layout, rows: Sequence[int]) -> CompensationLink:
 
 def _filtered(run: LinkRun, logged: LowPass) -> LinkRun:
     """The computed force filtered like the recorded one it is compared with."""
-    sigma = np.hypot(run.sigma, CORRELATION_FACTOR * logged.missed(run.measured))
-    return replace(run, measured=logged(run.measured), sigma=sigma)
+    sigma, filtered = np.hypot(run.sigma, CORRELATION_FACTOR * logged.missed(run.measured)), logged(run.measured)
+    return replace(run, measured=filtered, sigma=sigma, nuisances=_late(filtered, logged)[:, :, None])
+
+
+def _late(force: Array, logged: LowPass) -> Array:
+    """(N, C) change of a force (N, C) by the uncertainty of the filter's delay, at one standard deviation."""
+    return np.asarray(logged.delay_error * np.gradient(force, axis=0))
 
 
 def dynamics_link(layout: Layout, rows: Sequence[int]) -> DynamicsLink:
@@ -278,8 +283,7 @@ def _force_run(run: MeasuredRun, layout: Layout, i: int, rows: int, least: Array
     force = layout.force
     nuisances = force.nuisances(rows, run.record.ticks, np.min(level, axis=0))
     if layout.logged:
-        late = layout.logged.delay_error * np.gradient(run.record.filled("wrench_meas")[:rows], axis=0)
-        nuisances = np.concatenate([nuisances, late[:, :, None]], axis=2)
+        nuisances = np.concatenate([nuisances, _late(run.record.filled("wrench_meas")[:rows], layout.logged)[:, :, None]], axis=2)
     terms = nuisances if nuisances.shape[2] else None
     return LinkRun(run.scenario, measured, sigma, run.touching(rows), force.heavy, force.tail, terms)
 

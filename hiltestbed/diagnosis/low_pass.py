@@ -126,11 +126,7 @@ def low_pass_between(before: Sequence[Array], behind: Sequence[Array], known: Se
         return float(sum(np.sum((b - f)[k] ** 2) for b, f, k in zip(behind, filtered, counted, strict=True)))
 
     def misfit(order: int, x: Array) -> float:
-        one = LowPass(
-            order,
-            float(np.clip(math.exp(x[0]), MIN_CUTOFF, MAX_CUTOFF)),
-            part=float(np.clip(x[1], -MAX_STAMP_SHIFT_ROWS, MAX_STAMP_SHIFT_ROWS)),
-        )
+        one = LowPass(order, _cutoff(x[0]), part=float(np.clip(x[1], -MAX_STAMP_SHIFT_ROWS, MAX_STAMP_SHIFT_ROWS)))
         return left([one(b) for b in before])
 
     found: tuple[float, int, Array] = (math.inf, 0, np.zeros(2))
@@ -144,6 +140,11 @@ def low_pass_between(before: Sequence[Array], behind: Sequence[Array], known: Se
     least, order, x = found
     if least > MAX_RMS_RATIO**2 * left(before):
         return None
-    one = LowPass(order, float(np.clip(math.exp(x[0]), MIN_CUTOFF, MAX_CUTOFF)))
+    one = LowPass(order, _cutoff(x[0]))
     late = min((float(x[1]), float(x[1]) - one.delay), key=abs)
     return replace(one, prompt=late == float(x[1]), part=late if abs(late) < 1.0 else 0.0)  # a larger shift is a stamp delay (log.skew)
+
+
+def _cutoff(logarithm: float) -> float:
+    """The cutoff [cycles per row] within its bounds, however far a search without bounds goes."""
+    return math.exp(min(max(logarithm, math.log(MIN_CUTOFF)), math.log(MAX_CUTOFF)))

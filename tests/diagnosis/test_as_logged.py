@@ -22,6 +22,9 @@ from tests.slow import slow
         slow(("log_rate", 1700.0), 602089),  # latched from the start: its axes at rest show the noise of poses between samples
         (("pose_steps", 1e-5), 601454),  # 60 mm/s are three steps a row
         slow(("digits", 5.0), 601589),
+        slow(("digits", 4.0), 601645),  # a command in four digits
+        slow(("log_rate", 500.0), 602103),  # a search for a logger's filter that went far beyond any cutoff
+        slow(("anti_aliasing", 50.0), 601319),  # the filter's delay is off by a hundredth of a row
         slow(("pose_steps", 1e-5), 601476),  # third differences are whole steps
         slow(("slow_drift", 4.0), 601022),  # a wave of which a cubic leaves a tenth
         slow(("spikes", 0.002), 600641),  # three outliers before the first touch, dozens after it
@@ -53,6 +56,7 @@ def test_what_a_logger_does_is_no_departure(tmp_path: Path, noise: tuple[str, fl
         slow(("anti_aliasing", 150.0), "contact.stiffness", 650011),
         slow(("anti_aliasing", 50.0), "sensor.lag", 660024),
         slow(("anti_aliasing", 150.0), "log.skew", 660027),
+        slow(("digits", 5.0), "frame.mode", 602486),  # of 3.9 Hz, where the valley of chi-square is a tenth wide
     ],
 )
 def test_what_departs_is_named_alone_whatever_the_logger_does(tmp_path: Path, noise: tuple[str, float], effect: str, seed: int) -> None:

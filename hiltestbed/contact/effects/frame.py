@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
 HEAVY = 10.0 / (6.0 * math.pi) ** 2  # [s^2] mass over the contact's stiffness of a frame ten times as stiff whose natural frequency is 3 Hz
 LITTLE = 0.01  # of the contact's stiffness: lower bound of the frame stiffness searched for a captured mechanism
+FREQUENCIES = (3.3, 4.0, 4.8, 5.8, 7.0, 8.4, 10.5, 13.5, 17.5, 22.0, 28.0, 36.0, 60.0)  # chosen: [Hz] of a mode, from which a search starts
+STIFFNESS_RATIOS = (1.5, 5.0, 40.0)  # chosen: of the frame to the contact, from which a search starts
 MOST_STEPS = 1000  # integration steps of the frame's mode per physics step: about 50 us of computing time
 
 
@@ -86,7 +88,7 @@ class FrameMode(Effect):
 
     @classmethod
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:
-        k = scales.stiffness
-        starts = {"frequency": [8, 14, 22, 35, 60], "damping_ratio": [0.03], "mass": [k / 3e4, k / 2e3, k / 300]}
+        k, grids = scales.stiffness, {"frequency": FREQUENCIES, "damping_ratio": [0.03], "mass": []}
+        starts = [(f, 0.03, ratio * k / (2.0 * math.pi * f) ** 2) for f in FREQUENCIES for ratio in STIFFNESS_RATIOS]
         for variant in ({}, {"reads": "reaction"}):
-            yield candidate(cls, starts, bounds={"mass": (1.0, max(2000.0, HEAVY * k))}, variant=variant)
+            yield candidate(cls, grids, starts=starts, bounds={"mass": (1.0, max(2000.0, HEAVY * k))}, variant=variant)
