@@ -19,6 +19,7 @@ from hiltestbed.measured.noise import white_noise
 from hiltestbed.signals import GROUPS
 
 TOUCH_MARGIN_ROWS = 2  # chosen: before the first touch, that are not counted as free
+MOTION_DEGREE = 3  # chosen: of the polynomial that is taken off as motion: the noise of the force moves a body like a random walk
 MAX_FAR_CORRELATION = 0.3  # chosen: of the correlation of neighbours, that rows further apart may have by chance
 FAR_LAGS = (2, 3, 4)  # chosen: rows at which interpolated noise is no longer correlated, while a non-uniform motion is
 
@@ -51,7 +52,7 @@ def smooth_levels(runs: Sequence[MeasuredRun]) -> dict[str, float]:
 
 
 def _free(run: MeasuredRun, name: str) -> Array:
-    """(n,) of the channel before the first touch, less a straight line; of a latched mechanism all of it, less its command."""
+    """(n,) of the channel before the first touch; of a latched mechanism all of it, less its command. Slow motion is taken off."""
     if not run.record.has(name):
         return np.zeros(0)
     latched, told = run.scenario.mechanism.captured, name.replace("act", "cmd")
@@ -64,8 +65,8 @@ def _free(run: MeasuredRun, name: str) -> Array:
     if len(values) <= max(FAR_LAGS):
         return np.zeros(0)
     rows = np.linspace(-1.0, 1.0, len(values))
-    line = np.polynomial.polynomial.polyfit(rows, values, 1)
-    return np.asarray(values - np.polynomial.polynomial.polyval(rows, line))
+    slow = np.polynomial.polynomial.polyfit(rows, values, MOTION_DEGREE)
+    return np.asarray(values - np.polynomial.polynomial.polyval(rows, slow))
 
 
 def _white(runs: Sequence[MeasuredRun], name: str) -> float:
