@@ -88,7 +88,10 @@ class FrameMode(Effect):
 
     @classmethod
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:
-        k, grids = scales.stiffness, {"frequency": FREQUENCIES, "damping_ratio": [0.03], "mass": []}
-        starts = [(f, 0.03, ratio * k / (2.0 * math.pi * f) ** 2) for f in FREQUENCIES for ratio in STIFFNESS_RATIOS]
+        k = scales.stiffness
+        lightest, heaviest = 1.0, max(2000.0, HEAVY * k)
+        stiff = [(f, ratio * k / (2.0 * math.pi * f) ** 2) for f in FREQUENCIES for ratio in STIFFNESS_RATIOS]
+        starts = list(dict.fromkeys((f, 0.03, min(max(mass, lightest), heaviest)) for f, mass in stiff))
+        names = {"frequency": [], "damping_ratio": [], "mass": []}
         for variant in ({}, {"reads": "reaction"}):
-            yield candidate(cls, grids, starts=starts, bounds={"mass": (1.0, max(2000.0, HEAVY * k))}, variant=variant)
+            yield candidate(cls, names, starts=starts, bounds={"mass": (lightest, heaviest)}, variant=variant)
