@@ -59,10 +59,10 @@ def wander_between(free: Sequence[tuple[Array, Array]], spread: Array) -> Array 
     for at, readings in free:
         if len(at) < MIN_BASELINE_ROWS or not (spread > 0.0).all():
             continue
-        basis = baseline_terms(at, BASELINE_DEGREE)
-        inverse = np.linalg.inv(basis.T @ basis)
-        found.append(inverse @ basis.T @ readings)
-        errors.append(np.sqrt(np.diag(inverse))[:, None] * spread)
+        q, r = np.linalg.qr(baseline_terms(at, BASELINE_DEGREE))  # stable where rows are close together
+        inverse = np.linalg.inv(r)
+        found.append(inverse @ (q.T @ readings))
+        errors.append(np.sqrt((inverse**2).sum(axis=1))[:, None] * spread)
     if len(found) < 2:
         return None
     coefficients, error = np.array(found), np.array(errors)

@@ -19,7 +19,7 @@ from hiltestbed.frames import Array
 
 DERIVATIVE_STEP = 2e-3  # chosen: of a parameter's scale
 MIN_VARIATION = 0.25  # chosen: relative change of a size per unit of a condition; of a stand-in about 1, the share of it in a size
-MIN_SHARE = 0.25  # calibrated: of what is left, that a varying size explains; three stand-ins explain 58 to 90 %, the play of a servo 2 %
+MIN_SHARE = 0.25  # calibrated: of what is left, that a varying size explains; five stand-ins explain 27 to 90 %, seven causes up to 17 %
 MIN_CONDITION_SPREAD = 0.03  # chosen: standard deviation of a condition between rows, below which it does not vary
 
 
@@ -37,13 +37,16 @@ def varies(residual: Residual, chosen: Fit, index: int, sizes: list[int], neutra
     weight = by_size**2
     if not weight.any():
         return False
-    as_is = _least(jacobian, left)[1]
+    basis = np.linalg.qr(jacobian)[0]
+    rest = _beside(basis, left)
     for condition in conditions([residual.link.runs[i] for i in residual.runs], rows):
         offset = condition - np.average(condition, weights=weight)
         if np.sqrt(np.average(offset**2, weights=weight)) < MIN_CONDITION_SPREAD:
             continue
-        theta, least = _least(np.column_stack([jacobian, by_size * offset]), left)
-        if as_is - least > MIN_SHARE * float(left @ left) and abs(theta[-1]) > MIN_VARIATION:
+        varied = _beside(basis, by_size * offset)
+        square = float(varied @ varied)
+        change = -float(varied @ rest) / square if square > 0.0 else 0.0  # least squares beside all parameters
+        if change**2 * square > MIN_SHARE * float(left @ left) and abs(change) > MIN_VARIATION:
             return True
     return False
 
@@ -88,8 +91,6 @@ def _derivatives(residual: Residual, chosen: Fit) -> tuple[list[int], Array, Arr
     return [len(r) for r in left], np.concatenate(left), np.concatenate(jacobians)
 
 
-def _least(jacobian: Array, left: Array) -> tuple[Array, float]:
-    """The linear parameters (P,) that leave least of the misfits ``left`` (M,), and its sum of squares."""
-    theta = np.asarray(np.linalg.lstsq(jacobian, -left, rcond=1e-10)[0], dtype=np.float64)
-    rest = left + jacobian @ theta
-    return theta, float(rest @ rest)
+def _beside(basis: Array, column: Array) -> Array:
+    """(M,) the part of a column (M,) that is orthogonal to a basis (M, P)."""
+    return np.asarray(column - basis @ (basis.T @ column), dtype=np.float64)

@@ -297,7 +297,7 @@ def _pose_run(run: MeasuredRun, noise: Mapping[str, float], doubt: Array, rows: 
     level = np.maximum([noise.get(f"pose_act.{part}", 0.0) for part in ("px", "py", "pz", *ROTATIONS)], MIN_POSE_NOISE)
     counted = np.concatenate([valid[:, :3], np.repeat(np.all(valid[:, 3:], axis=1)[:, None], 3, axis=1)], axis=1)
     level = np.hypot(level, _pose_rounding(run, "pose_act")[:rows]) * repetition_factor(run, "pose_act", rows)[:, :6]
-    told = np.hypot(_pose_rounding(run, "pose_cmd"), _pose_steps(run, "pose_cmd"))[:rows] * repetition_factor(run, "pose_cmd", rows)[:, :6]
+    told = _pose_rounding(run, "pose_cmd")[:rows] * repetition_factor(run, "pose_cmd", rows)[:, :6]
     sigma = np.where(counted, np.sqrt(level**2 + told**2 + doubt**2), np.inf)
     sigma[:, [few_levels(run, f"pose_act.{part}") and _told_to_stay(run, part) for part in POSE_PARTS]] = np.inf
     sigma[run.record.unknown("pose_cmd", GAP_MEMORY)[:rows]] = np.inf

