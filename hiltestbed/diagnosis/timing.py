@@ -15,7 +15,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from hiltestbed.diagnosis.adequacy import JITTER, contact_leftovers, noise_alone
-from hiltestbed.diagnosis.fit import BOUND_TOLERANCE, Fit, fit, inflation, null_fit, refit
+from hiltestbed.diagnosis.fit import BOUND_TOLERANCE, Fit, at_bound, fit, inflation, null_fit, refit
 from hiltestbed.diagnosis.links import Link, Timing
 from hiltestbed.diagnosis.links.base import NO_SHIFT
 from hiltestbed.diagnosis.residual import Residual
@@ -201,9 +201,11 @@ def _fit_with_timing(residual: Residual, base: Fit, later: Candidate, known: flo
 
 
 def _within_range(link: Link, found: Fit) -> bool:
-    """Whether the stamps are off by less than the largest shift: one that would have to be larger is none."""
-    timing = link.timing.plus(_fitted_timing(found))
-    return abs(timing.delay + timing.before) < (1.0 - BOUND_TOLERANCE) * MAX_STAMP_SHIFT_ROWS * link.runs[0].scenario.tick
+    """Whether the stamps and instants are off by less than the largest shifts: one that would have to be larger is none."""
+    shift, timing = found.causes[-1], link.timing.plus(_fitted_timing(found))
+    at_an_end = "old" not in shift.names and at_bound(shift, found.part(len(found.causes) - 1))  # all of an old twist is explicit Euler
+    largest = (1.0 - BOUND_TOLERANCE) * MAX_STAMP_SHIFT_ROWS * link.runs[0].scenario.tick
+    return not at_an_end and abs(timing.delay + timing.before) < largest
 
 
 def _without_ends(residual: Residual) -> Residual:
