@@ -12,7 +12,7 @@ import pytest
 from hiltestbed.bench.independent_rig import Nuisances, draw_set, write_set
 from hiltestbed.diagnosis import timing
 from hiltestbed.diagnosis.find import Judged, judge
-from hiltestbed.diagnosis.fit import Fit, null_fit
+from hiltestbed.diagnosis.fit import Fit, fit, null_fit
 from hiltestbed.diagnosis.investigate import investigate
 from hiltestbed.diagnosis.links import CompensationLink, DynamicsLink, LinkRun, Timing
 from hiltestbed.diagnosis.links.base import Link, moved
@@ -26,7 +26,8 @@ from hiltestbed.scenario import scenario_from
 from hiltestbed.yaml_source import dump_yaml, read_source
 from tests.slow import SLOW, slow
 
-from .made import H, contact_link, platform_link, scenario
+from .made import H, contact_link, effect, platform_link, scenario
+from .test_verdict import candidates
 
 
 def judged(folder: Path, seed: int, nuisances: Nuisances, *hidden: str, every: int = 1) -> tuple[Judged, Mapping[str, Any]]:
@@ -170,3 +171,12 @@ def test_the_noise_of_poses_between_two_samples_is_judged_by_that_of_the_samples
     assert levels[0.0] == {}
     for name in ("pose_act.px", "pose_act.py", "pose_act.pz"):
         assert levels[0.4][name] == pytest.approx(made.facility.pose_noise, rel=0.15)
+
+
+@pytest.mark.parametrize(("rows", "stamp"), [(3.05, False), (0.6, True)])
+def test_a_shift_that_would_have_to_be_larger_than_the_largest_is_none(rows: float, stamp: bool) -> None:
+    """Beside a scale, the platform is late by three rows, which no stamp is; or by a part of a row."""
+    residual = Residual(platform_link([effect("platform.scale", factor=1.05, axis="z"), effect("platform.delay", delay=rows * H)]))
+    scale = candidates("platform.scale")[0]
+    there = timing.timing_under(residual, fit(residual, (scale,), scale.grid))
+    assert (there is not residual) is stamp
