@@ -64,16 +64,8 @@ def intervals(residual: Residual, found: Fit) -> Spread:
     count = len(theta)
     normal, middle = np.zeros((count, count)), np.zeros((count, count))
     squares, samples = 0.0, 0
-    jacobians: list[tuple[Array, Array]] = []
-    for i in residual.runs:
-        one = residual.on([i])
-        r = one(effects_at(causes, theta))
-
-        def moved(thetas: Sequence[Array] | Array, one: Residual = one) -> Array:
-            return one.many([effects_at(causes, x) for x in thetas])
-
-        jacobian = differences(moved, theta, r, scale, low, high, WIDE_STEP)
-        jacobians.append((r, jacobian))
+    jacobians = derivatives_by_run(residual, found)
+    for r, jacobian in jacobians:
         normal += np.einsum("mi,mj->ij", jacobian, jacobian)
         gradient = np.einsum("mi,m->i", jacobian, r)
         middle += np.outer(gradient, gradient)
@@ -101,6 +93,22 @@ def intervals(residual: Residual, found: Fit) -> Spread:
         ]
         ends[j] = (profile[0], profile[1]) if not determined[j] else (min(ends[j, 0], profile[0]), max(ends[j, 1], profile[1]))
     return Spread(ends, normal, determined, misfit)
+
+
+def derivatives_by_run(residual: Residual, found: Fit) -> list[tuple[Array, Array]]:
+    """Of each run, the misfits (M,) and their derivatives by the scaled parameters (M, P)."""
+    low, high, log = bounds_of(found.causes)
+    scale = scales(found.theta, low, high, log)
+    out = []
+    for i in residual.runs:
+        one = residual.on([i])
+        r = one(found.effects())
+
+        def moved(thetas: Sequence[Array] | Array, one: Residual = one) -> Array:
+            return one.many([effects_at(found.causes, theta) for theta in thetas])
+
+        out.append((r, differences(moved, found.theta, r, scale, low, high, WIDE_STEP)))
+    return out
 
 
 def stretch_variance(residual: Residual, jacobians: Sequence[tuple[Array, Array]], inverse: Array) -> Array:

@@ -11,15 +11,15 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
-from hiltestbed.diagnosis.fit import Fit, bounds_of, differences, effects_at, scales
+from hiltestbed.diagnosis.fit import Fit, bounds_of, scales
+from hiltestbed.diagnosis.intervals import derivatives_by_run
 from hiltestbed.diagnosis.links import LinkRun
 from hiltestbed.diagnosis.residual import Residual
 from hiltestbed.diagnosis.settings import SMOOTHING_ROWS
 from hiltestbed.frames import Array
 
-DERIVATIVE_STEP = 2e-3  # chosen: of a parameter's scale
 MIN_VARIATION = 0.25  # chosen: relative change of a size per unit of a condition; of a stand-in about 1, the share of it in a size
-MIN_SHARE = 0.25  # calibrated: of what is left, that a varying size explains; five stand-ins explain 27 to 90 %, seven causes up to 17 %
+MIN_SHARE = 0.25  # calibrated: of what is left, that a varying size explains: 16 causes up to 19 %, five stand-ins 27 to 90 %, others less
 MIN_CONDITION_SPREAD = 0.03  # chosen: standard deviation of a condition between rows, below which it does not vary
 
 
@@ -29,7 +29,8 @@ def varies(residual: Residual, chosen: Fit, index: int, sizes: list[int], neutra
     Args:
         chosen: the fit. index: of the cause. sizes: its parameters in `Fit.part` that are its size. neutral: their value without it.
     """
-    rows, left, jacobian = _derivatives(residual, chosen)
+    by_run = derivatives_by_run(residual, chosen)
+    left, jacobian = (np.concatenate(parts) for parts in zip(*by_run, strict=True))
     low, high, log = bounds_of(chosen.causes)
     place, scale = chosen.place(index), scales(chosen.theta, low, high, log)
     relative = ((chosen.part(index)[sizes] - neutral) / scale[place][sizes])[:, None]
@@ -39,7 +40,7 @@ def varies(residual: Residual, chosen: Fit, index: int, sizes: list[int], neutra
         return False
     basis = np.linalg.qr(jacobian)[0]
     rest = _beside(basis, left)
-    for condition in conditions([residual.link.runs[i] for i in residual.runs], rows):
+    for condition in conditions([residual.link.runs[i] for i in residual.runs], [len(r) for r, _ in by_run]):
         offset = condition - np.average(condition, weights=weight)
         if np.sqrt(np.average(offset**2, weights=weight)) < MIN_CONDITION_SPREAD:
             continue
@@ -55,7 +56,7 @@ def conditions(runs: Sequence[LinkRun], rows: Sequence[int]) -> list[Array]:
     """(M,) of each condition at the misfits of runs, of which each has so many as ``rows`` says: the logarithms of the duration of the run,
     of that of its contacts and of its largest reading; 1 in contact, 0 outside; the time, from 0 to 1; the way of the motion, 1 or -1."""
     of_run = [
-        [float(np.log(max(1, len(r.measured)))) for r in runs],
+        [float(np.log(len(r.measured))) for r in runs],
         [float(np.log(max(1, np.count_nonzero(r.touching)))) for r in runs],
         [float(np.log(max(np.abs(r.measured).max(initial=0.0), 1e-300))) for r in runs],
     ]
@@ -72,23 +73,7 @@ def conditions(runs: Sequence[LinkRun], rows: Sequence[int]) -> list[Array]:
 def _way(measured: Array) -> Array:
     """(N,) sign of the change of the channel that changes most."""
     most = measured[:, int(np.argmax(np.ptp(measured, axis=0)))]
-    return np.sign(np.gradient(uniform_filter1d(most, SMOOTHING_ROWS))) if len(most) > 1 else np.zeros(len(most))
-
-
-def _derivatives(residual: Residual, chosen: Fit) -> tuple[list[int], Array, Array]:
-    """Number of misfits of each run, the misfits (M,), and their derivatives by the scaled parameters (M, P)."""
-    low, high, log = bounds_of(chosen.causes)
-    scale = scales(chosen.theta, low, high, log)
-    left, jacobians = [], []
-    for i in residual.runs:
-        one = residual.on([i])
-        left.append(one(chosen.effects()))
-
-        def moved(thetas: Sequence[Array] | Array, one: Residual = one) -> Array:
-            return one.many([effects_at(chosen.causes, theta) for theta in thetas])
-
-        jacobians.append(differences(moved, chosen.theta, left[-1], scale, low, high, DERIVATIVE_STEP))
-    return [len(r) for r in left], np.concatenate(left), np.concatenate(jacobians)
+    return np.sign(np.gradient(uniform_filter1d(most, SMOOTHING_ROWS)))
 
 
 def _beside(basis: Array, column: Array) -> Array:
