@@ -140,9 +140,10 @@ def _better_timing(residual: Residual, chosen: Fit, bases: Sequence[Fit], fewer:
     for base in sorted(bases, key=lambda f: f.chi2):  # the best first, so that those which will not come near are soon left
         for place in _timing_candidates(link):
             known = cost(best) + 2.0 * DETECTION * inflation(best)  # twice the margin below: interpolation halves chi-square at most
-            fits.append(_fit_with_timing(residual, base, place, known))
-            best = min(best, fits[-1], key=cost)
-    fits = [f for f in fits if _within_range(link, f)]
+            shifted = _fit_with_timing(residual, base, place, known)
+            if _within_range(link, shifted):
+                fits.append(shifted)
+                best = min(best, shifted, key=cost)
     if not fits:
         return None
     best = min(fits, key=cost)
