@@ -18,6 +18,7 @@ from scipy.ndimage import median_filter, uniform_filter1d
 from scipy.optimize import brentq, nnls
 from scipy.stats import chi2 as chi_square
 from scipy.stats import f as fisher
+from scipy.stats import theilslopes
 
 from hiltestbed.diagnosis.aside import BASELINE_DEGREE, MIN_BASELINE_ROWS, UNKNOWN, baseline_terms, wander_between
 from hiltestbed.diagnosis.low_pass import LowPass
@@ -45,6 +46,10 @@ CLIP_SIGMA = 4.0  # chosen: robust standard deviations at which a sample is clip
 FEW_STEPS = 2.5  # chosen: range of a channel in steps of its converter, below which it shows the presence of a force and not its size
 SUDDEN_ROWS = 9  # chosen: of a running median, which an outlier leaves as it is
 SUDDEN_SIGMA = 8.0  # chosen: robust standard deviations from it, so few that no sample of normal noise lies beyond
+RISEN_SIGMA = 8.0  # chosen: robust standard deviations of free flight, from which a force that rises before a contact is one
+RISING_SIGMA = 2.0  # chosen: down to which it is followed back
+LINE_ROWS = 200  # chosen: to which the line of free flight is fitted
+MIN_LINE_ROWS = 20  # chosen: from which its scatter is known well enough
 MIN_DITHER = 1.0  # chosen: noise in steps, above which the quantisation error is independent of the signal and of the row before
 STEP_TOLERANCE = 1.01  # chosen: relative error of a step that is estimated from a record
 SETTLING_TIME = 0.05  # chosen: [s] after a contact in which a reading still shows it
@@ -238,10 +243,36 @@ def _free(run: MeasuredRun) -> Array:
     record = run.record
     if not record.has("wrench_meas"):
         return np.zeros((0, 6))
-    end = max(0, run.survey.contacts[0].start - TOUCH_MARGIN_ROWS) if run.survey.contacts else record.ticks
-    values = record.data["wrench_meas"][:end]
+    values = record.data["wrench_meas"][: _first_touch(run)]
     there = np.isfinite(values).any(axis=0)
     return np.where(there, values, 0.0)[np.isfinite(values[:, there]).all(axis=1)]
+
+
+def _first_touch(run: MeasuredRun) -> int:
+    """Rows before the first touch: by the contacts that were found, or by the force where it rises directly before them, since the bodies
+    may meet earlier than believed."""
+    if not run.survey.contacts:
+        return run.record.ticks
+    end = max(0, run.survey.contacts[0].start - TOUCH_MARGIN_ROWS)
+    return min([end, *(end - n - TOUCH_MARGIN_ROWS for n in _risen(run.record.data["wrench_meas"][:end, :3]) if n)])
+
+
+def _risen(forces: Array) -> list[int]:
+    """Of each channel of (n, C) the number of last rows that depart from the line of the others, and reach :data:`RISEN_SIGMA`."""
+    out, rows = [], np.arange(len(forces), dtype=float)
+    for x in forces.T:
+        known = np.flatnonzero(np.isfinite(x))
+        few = known[:: max(1, len(known) // LINE_ROWS)]
+        if len(few) < MIN_LINE_ROWS:
+            out.append(0)
+            continue
+        slope, start, _, _ = theilslopes(x[few], rows[few])  # a quarter of the rows may depart from it
+        far = np.abs(x - start - slope * rows)
+        sigma = 1.4826 * float(np.median(far[known]))
+        risen = far > RISING_SIGMA * sigma
+        count = int(np.argmin(risen[::-1]))
+        out.append(count if count and sigma > 0.0 and far[len(x) - count :].max() > RISEN_SIGMA * sigma else 0)
+    return out
 
 
 def _moves(free: Sequence[Array], j: int) -> bool:
@@ -271,6 +302,8 @@ def _contact_free(run: MeasuredRun, columns: Sequence[int]) -> tuple[Array, Arra
         return np.zeros(0), np.zeros((0, len(columns)))
     values = record.data["wrench_meas"][:, columns]
     apart = ~run.survey.touching(len(values), round((run.scenario.sensor.delay + SETTLING_TIME) * run.scenario.rate))
+    first = _first_touch(run)
+    apart[first : run.survey.contacts[0].start if run.survey.contacts else first] = False
     apart &= np.isfinite(values).all(axis=1)
     return np.flatnonzero(apart).astype(float), values[apart]
 
