@@ -214,7 +214,7 @@ def _investigate_wrench(
         explanation = search.after(explanation).explain(Residual(stepped))
     if not given and (pointed := with_point_contact(explanation)):
         explanation = search.after(explanation).explain(Residual(pointed))
-    if given and not explanation.adequate and _other_reading_betters(explanation, given[1]):
+    if given and _other_reading_betters(explanation, given[1]):
         explanation = search.explain(residual, given[1])
     elif not given and (other := with_time_grid(explanation)):
         explanation = search.after(explanation).explain(Residual(other))
