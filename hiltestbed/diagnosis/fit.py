@@ -39,7 +39,8 @@ class Fit:
     Attributes:
         causes: the candidates. theta: their parameters, concatenated. chi2: sum of squares in units of the noise.
         residual: (M,). jacobian: (M, P) of the residual by the scaled parameters.
-        elsewhere: chi-square of what does not show on the link itself, such as the rebound.
+        elsewhere: chi-square of what does not show on the link itself, such as the rebound, and what smoothing the noise of a recorded
+            input took off.
     """
 
     causes: tuple[Candidate, ...]
@@ -150,7 +151,8 @@ def fit(
     for chi2, i in rated[:tries]:
         reached = min([known, *(f.chi2 for f in descents)])
         descents.append(_descend(run, causes, thetas[i], found[i], chi2, low, high, log, reached))
-    return _polish(run, min(descents, key=lambda f: f.chi2), low, high)
+    best = _polish(run, min(descents, key=lambda f: f.chi2), low, high)
+    return replace(best, elsewhere=residual.smoothed_away(best.effects()))
 
 
 def refit(residual: Residual, found: Fit) -> Fit:

@@ -50,7 +50,8 @@ class Path:
     Attributes:
         poses: (N, 7) at t_k. rates: (N, 6) twist at t_k; None: the slope of the tick that ends there.
         place, rate: white noise of poses [m] and rates [m/s], of an attitude times its lever arm. source: the group it comes from.
-        rates_measured: whether the rates are on record.
+        rates_measured: whether the rates are on record. rounding: (N, 3) of each run, 1 sigma of the rounding error of the positions [m];
+        None: it has none.
     """
 
     poses: Sequence[Array]
@@ -59,6 +60,7 @@ class Path:
     rate: float = 0.0
     source: str = "pose_act"
     rates_measured: bool = False
+    rounding: Sequence[Array] | None = None
 
 
 @dataclass(frozen=True)
@@ -84,7 +86,7 @@ def best_path(layout: Layout, platform: Explanation | None) -> BestPath:
         path, extra = measured, path_noise
     elif platform is not None and platform.adequate:
         poses = platform_link(layout, layout.whole).with_timing(platform.residual.link.timing).paths(platform.chosen.effects())
-        path = Path(poses, _central_rates(layout, poses), source="pose_cmd")
+        path = Path(poses, _central_rates(layout, poses), source="pose_cmd", rounding=_rounding(layout))
         extra = _command_noise(layout, path)
     else:
         poses = _smooth_paths(layout, platform)
@@ -119,7 +121,7 @@ def path_without_delay(layout: Layout, platform: Explanation | None, best: BestP
         return None
     obeyed = Timing(obeyed=platform.residual.link.timing.obeyed)
     poses = platform_link(layout, layout.whole).with_timing(obeyed).paths(effects)
-    path = Path(poses, _central_rates(layout, poses), source="pose_cmd")
+    path = Path(poses, _central_rates(layout, poses), source="pose_cmd", rounding=best.path.rounding)
     return BestPath(path, best.path_noise, _jumped(platform, path))
 
 
@@ -138,6 +140,12 @@ def with_filter_error(layout: Layout, best: BestPath) -> BestPath:
     return replace(best, path_noise=[np.hypot(m, b) for m, b in zip(missed, best.path_noise or [0.0] * len(missed), strict=True)])
 
 
+def _rounding(layout: Layout) -> list[Array] | None:
+    """(N, 3) of each run, 1 sigma of the rounding error of a command with few digits [m]; None: it has many."""
+    out = [r.record.rounding("pose_cmd")[:, :3] for r in layout.runs]
+    return out if any(errors.any() for errors in out) else None
+
+
 def _jumped(platform: Explanation | None, path: Path) -> list[Array] | None:
     """`jumps` of :class:`BestPath`."""
     sticks = platform is not None and platform.adequate and "platform.friction" in platform.chosen.kinds
@@ -147,6 +155,7 @@ def _jumped(platform: Explanation | None, path: Path) -> list[Array] | None:
 def make_wrench_link(layout: Layout, best: BestPath, rows: Sequence[int], decimate: bool = False) -> WrenchLink:
     """Contact and sensor on a path; ``decimate``: in fewer rows, where that loses nothing and no other link continues from them."""
     link = wrench_link(layout, best.path.poses, rows, best.jumps, best.path.rates, best.path_noise).through(layout.logged)
+    link = link if best.path.rounding is None else link.with_rounding(best.path.rounding)
     if _only_commanded(layout):
         assert layout.deflection is not None  # else the link is missing
         return link.commanded(_followed(layout), [found.yielded for found in layout.deflection])
@@ -273,8 +282,11 @@ def diverged(layout: Layout, path: Path) -> list[np.ndarray]:
 
 
 def _command_noise(layout: Layout, path: Path) -> list[Array] | None:
-    """(N, 6) noise of the reading of each run due to a command with few digits, or logged between ticks; None: there is none."""
-    written = max(float(r.record.rounding(path.source)[:, :3].max()) for r in layout.runs)
+    """(N, 6) noise of the reading of each run due to a command with few digits, or logged between ticks; None: there is none.
+
+    The largest of its rounding errors counts everywhere: rounding errors of a slow motion are alike over many rows.
+    """
+    written = max((float(errors.max()) for errors in path.rounding or ()), default=0.0)
     if not written and not _interpolated(layout, path):
         return None
     return _noise_of(layout, replace(path, place=written, rate=math.sqrt(0.5) * written / layout.scales.tick))

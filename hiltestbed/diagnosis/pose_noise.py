@@ -39,11 +39,12 @@ def smooth_levels(runs: Sequence[MeasuredRun]) -> dict[str, float]:
     samples = sum(len(x) for channel in units for x in channel)
     if samples < MIN_NOISE_ROWS * max(len(units), 1):
         return {}
-    first, *others = (sum(float(x[lag:] @ x[:-lag]) for channel in units for x in channel) / samples for lag in (1, *FAR_LAGS))
+    taken = (MOTION_DEGREE + 1) * sum(map(len, units)) / samples  # by the polynomials, from each correlation
+    first, *others = (sum(float(x[lag:] @ x[:-lag]) for channel in units for x in channel) / samples + taken for lag in (1, *FAR_LAGS))
     chance = SIGNIFICANCE_SIGMA / math.sqrt(samples)
     if first < chance or max(map(abs, others)) > max(chance, MAX_FAR_CORRELATION * first):
         return {}
-    found = {name: value * math.sqrt(1.0 + 2.0 * first) for name, value in level.items()}
+    found = {name: value * math.sqrt((1.0 + 2.0 * first) / (1.0 - taken)) for name, value in level.items()}
     if not moving:
         return found
     white = {f"pose_act.{part}": _white(runs, f"pose_act.{part}") for part in POSE_PARTS}

@@ -68,6 +68,18 @@ class Residual:
             out.append(rows)
         return out
 
+    def smoothed_away(self, effects: Effects) -> float:
+        """Chi-square that ``effects`` are expected to take off by smoothing the noise of the input on record, whether they act or not.
+
+        Least squares with errors in the variables prefer a response that smooths (W. A. Fuller, Measurement Error Models, 1987).
+        """
+        out = 0.0
+        for i in self.runs if effects else ():
+            believed, found = self.link.passed_from_input(i, ()), self.link.passed_from_input(i, effects)
+            if believed is not None and found is not None:
+                out += float(np.sum(self.weight[i] ** 2 * (believed - found)))
+        return out
+
     def left(self, i: int, shown: Array) -> Array:
         """(N, C) of run i: measured less ``shown`` (N, C), whitened against the nuisance terms of the run."""
         run = self.link.runs[i]

@@ -14,6 +14,7 @@ from typing import Literal, Self
 
 import numpy as np
 
+from hiltestbed.diagnosis.settings import PERTURBED_COPIES
 from hiltestbed.effects.base import Effect
 from hiltestbed.frames import Array
 from hiltestbed.replay.wrench import shifted
@@ -145,9 +146,19 @@ class Link(ABC):
         """(N, C) predicted output of run i."""
         return self.predict([(i, effects)])[0]
 
+    def passed_from_input(self, i: int, effects: Effects) -> Array | None:
+        """(N, C) variance of the output of run i that comes from the noise of the input on record; None: that has none."""
+        return None
+
     def doubt(self, i: int, effects: Effects) -> Array | None:
         """(N, C) uncertainty of the prediction due to how finely the facility divides its tick; None: none."""
         return None
+
+
+def perturbations(sigma: Array) -> list[Array]:
+    """Some samples of white noise of standard deviation ``sigma`` (N, C); always the same, so that few show what effects make of it."""
+    rng = np.random.default_rng(0)
+    return [sigma * rng.standard_normal(sigma.shape) for _ in range(PERTURBED_COPIES)]
 
 
 def padded(arrays: Sequence[Array]) -> Array:
