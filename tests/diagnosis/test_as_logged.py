@@ -23,6 +23,9 @@ from tests.slow import slow
         (("pose_steps", 1e-5), 601454),  # 60 mm/s are three steps a row
         slow(("digits", 5.0), 601589),
         slow(("digits", 4.0), 601645),  # a command in four digits
+        slow(("digits", 4.0), 601668),  # whose rounding errors a mode would smooth
+        slow(("digits", 4.0), 601670),  # and a lag of the sensor
+        slow(("log_rate", 1700.0), 602087),  # a short flight, from which a cubic is taken off
         slow(("log_rate", 500.0), 602103),  # a search for a logger's filter that went far beyond any cutoff
         slow(("anti_aliasing", 50.0), 601319),  # the filter's delay is off by a hundredth of a row
         slow(("pose_steps", 1e-5), 601476),  # third differences are whole steps

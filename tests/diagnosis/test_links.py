@@ -8,13 +8,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hiltestbed.diagnosis.links import CompensationLink, DynamicsLink, LinkRun, WrenchLink, flat_pose
+from hiltestbed.diagnosis.links import CompensationLink, DynamicsLink, LinkRun, PlatformLink, WrenchLink, flat_pose
 from hiltestbed.diagnosis.links.platform import poses_of
+from hiltestbed.diagnosis.residual import Residual
 from hiltestbed.numerical_model.model import NumericalModel
 from hiltestbed.replay.wrench import shifted
 from hiltestbed.scenario import Scenario, scenario_from
 
-from .made import STIFFNESS, H, bounce, contact_link, effect, platform_link, scenario
+from .made import POSE_NOISE, STIFFNESS, H, bounce, contact_link, effect, platform_link, scenario
 
 
 def free_run(s: Scenario, rows: int) -> LinkRun:
@@ -140,3 +141,32 @@ def test_where_nobody_measured_the_pose_the_platforms_effects_are_felt_in_the_fo
     np.testing.assert_allclose(link.shown(0, [*effects, delay]), felt, rtol=0, atol=1e-9)
     np.testing.assert_array_equal(link.shown(0, [delay]), WrenchLink(runs, believed).shown(0, [delay]))
     assert np.abs(felt - link.shown(0, [delay])).max() > 1.0
+
+
+@pytest.mark.parametrize("part", [0.25, 0.5])
+def test_a_response_between_rows_takes_off_what_it_averages_of_a_rounded_command(part: float) -> None:
+    """Of (1 - p) e_k + p e_(k-1) the variance is 1 - 2 p (1 - p) of that of e."""
+    link, rounding = platform_link(), 1e-6  # [m]
+    errors = [np.full((len(c), 3), rounding) for c in link.commands]
+    residual = Residual(PlatformLink(link.runs, link.commands, link.deflection, errors))
+    counted = 3 * sum(map(len, link.commands))
+    expected = 2.0 * part * (1.0 - part) * counted * (rounding / POSE_NOISE) ** 2
+    assert residual.smoothed_away([effect("platform.delay", delay=part * H)]) == pytest.approx(expected, rel=0.1)
+    assert residual.smoothed_away([effect("platform.delay", delay=H)]) == pytest.approx(0.0, abs=0.01 * expected)
+    assert Residual(link).smoothed_away([effect("platform.delay", delay=part * H)]) == 0.0
+
+
+@pytest.mark.parametrize("factor", [1.0, 3.0])
+def test_rounding_errors_of_a_path_pass_through_spring_and_damper(factor: float) -> None:
+    """Of k e_k + c (e_k - e_(k-1)) / h the variance is (k + c/h)^2 + (c/h)^2 times that of e."""
+    link = contact_link(seed=None)
+    rounded, contact = 1e-6, link.runs[0].scenario.mechanism.contact  # [m]
+    passed = link.with_rounding([np.full((len(p), 3), rounded) for p in link.paths]).passed_from_input(
+        0, [effect("contact.damping", factor=factor)]
+    )
+    assert passed is not None
+    inside = link.runs[0].measured[:, 2] > 20.0
+    slope = factor * contact.damping / H
+    expected = ((contact.stiffness + slope) ** 2 + slope**2) * rounded**2
+    assert passed[inside, 2].mean() == pytest.approx(expected, rel=0.2)  # four copies of 287 rows
+    assert link.passed_from_input(0, ()) is None

@@ -12,7 +12,7 @@ from scipy.stats import f as fisher
 
 from hiltestbed.diagnosis.aside import Aside, wander_between
 from hiltestbed.diagnosis.floors import white_outside
-from hiltestbed.diagnosis.noise import ForceNoise, force_noise, softened
+from hiltestbed.diagnosis.noise import TOUCH_MARGIN_ROWS, ForceNoise, _first_touch, force_noise, softened
 from hiltestbed.diagnosis.settings import DETECTION, SIGNIFICANCE_LEVEL
 from hiltestbed.diagnosis.tones import tones_of
 from hiltestbed.frames import Array
@@ -279,3 +279,20 @@ def test_few_free_rows_leave_the_noise_to_all_of_them(free: int) -> None:
     assert white_outside(values[:free], values) == pytest.approx(1.0, abs=0.08)
     values[free:] += 5.0 * np.random.default_rng(4).standard_normal(1600 - free)
     assert white_outside(values[:free], values) == pytest.approx(1.0, abs=0.6)
+
+
+@pytest.mark.parametrize("hum", [0.0, 1.6])
+def test_a_touch_before_the_believed_one_is_no_free_flight(hum: float) -> None:
+    """A spring that is met 30 rows early, beside a hum: the level is nearly what it is without, and not that of the spring."""
+    rows = np.arange(ROWS)
+    wave = hum * np.sin(0.314 * rows)
+    early = np.where((rows > TOUCH - 30) & (rows <= TOUCH), 0.8 * (rows - TOUCH + 30), 0.0)  # [N] up to 24 N
+    added = np.column_stack([np.zeros((ROWS, 2)), early + wave, np.zeros((ROWS, 3))])
+    flat = [n + np.column_stack([np.zeros((ROWS, 2)), wave, np.zeros((ROWS, 3))]) for n in white(8)]
+    assert found([n + added for n in white(8)]).levels() == pytest.approx(found(flat).levels(), rel=0.2)  # 3 rows are within the hum
+    assert [_first_touch(run(n + added)) for n in white(8)] == pytest.approx([TOUCH - 30] * RUNS, abs=8)
+
+
+def test_a_baseline_that_wanders_up_to_a_touch_is_free_flight() -> None:
+    bend = 3.0 * np.sin(np.linspace(0.0, 3.0, ROWS))[:, None]  # [N], ten times the noise
+    assert [_first_touch(run(n + bend)) for n in white(9)] == [TOUCH - TOUCH_MARGIN_ROWS] * RUNS
