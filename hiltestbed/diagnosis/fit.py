@@ -27,6 +27,7 @@ MIN_SCAN_STEP = 1e-3  # chosen: of such a parameter, at which its search ends
 DAMPINGS_AT_ONCE = 4  # chosen: of the descent, tried in one replay
 BOUND_TOLERANCE = 1e-3  # chosen: of the range of a search
 EXTRAPOLATION_MARGIN = 10.0  # chosen: times the remaining gain by geometric extrapolation; a descent that cannot reach `known` stops
+FIRST_SHARE = 0.25  # chosen: of the departure, in the runs on which a costly link is fitted, or its candidates are rated, first
 MIN_STEPS = 4  # chosen: of a descent; then it also stops if the last two gains, repeated, would not reach `known`
 
 Run = Callable[[Sequence[Array] | Array], Array]  # thetas to residuals (H, M)
@@ -137,11 +138,18 @@ def fit(
     """
     causes = tuple(causes)
     low, high, log = bounds_of(causes)
+    thetas = [np.clip(np.array(s, dtype=float), low, high) for s in starts]
 
     def run(thetas: Sequence[Array] | Array) -> Array:
         return residual.many([effects_at(causes, theta) for theta in thetas])
 
-    thetas = [np.clip(np.array(s, dtype=float), low, high) for s in starts]
+    if tries > 1 and len(low) and residual.link.costly and len(few := telling(residual, run(thetas[:1])[0])) < len(residual.runs):
+        first = fit(residual.on(few), causes, thetas, tries, known)
+        if first.chi2 > known:  # as all the more on all runs
+            r = run([first.theta])[0]
+            slopes = differences(run, first.theta, r, scales(first.theta, low, high, log), low, high)
+            return replace(first, chi2=square(r), residual=r, jacobian=slopes)
+        thetas, tries = [first.theta], 1
     found = run(thetas)
     rated = sorted(((square(r), i) for i, r in enumerate(found)), key=lambda item: item[0])
     if len(low) == 0:
@@ -153,6 +161,16 @@ def fit(
         descents.append(_descend(run, causes, thetas[i], found[i], chi2, low, high, log, reached))
     best = _polish(run, min(descents, key=lambda f: f.chi2), low, high)
     return replace(best, elsewhere=residual.smoothed_away(best.effects()))
+
+
+def telling(residual: Residual, r: Array) -> list[int]:
+    """The runs that depart most a row, with :data:`FIRST_SHARE` of the departure; r: (M,) of all runs under some hypothesis."""
+    misfit = {i: square(r[part]) for i, part in residual.parts().items()}
+    out: list[int] = []
+    for i in sorted(misfit, key=lambda i: -misfit[i] / residual.link.runs[i].rows):
+        if sum(misfit[j] for j in out) < FIRST_SHARE * sum(misfit.values()):
+            out.append(i)
+    return sorted(out)
 
 
 def refit(residual: Residual, found: Fit) -> Fit:

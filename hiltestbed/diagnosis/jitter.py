@@ -39,6 +39,8 @@ def jitter_beside(residual: Residual, base: Fit, _known: float = math.inf) -> Fi
     sigmas = np.geomspace(1e-6, MAX_SIGMA, SIGMAS_TRIED)
     costs = [cost(s) for s in sigmas]
     at = int(np.argmin(costs))
+    if at == SIGMAS_TRIED - 1:  # a spread that large explains any misfit
+        return None
     ends = (sigmas[max(at - 1, 0)], sigmas[min(at + 1, SIGMAS_TRIED - 1)])
     found: Any = minimize_scalar(cost, bounds=ends, method="bounded", options={"xatol": 1e-9})
     if found.fun > base.chi2 - MIN_LINEAR_GAIN:

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from hiltestbed.diagnosis.fit import Fit, bounds_of, differences, effects_at, inflation, scales
+from hiltestbed.diagnosis.fit import Fit, bounds_of, differences, effects_at, inflation, scales, telling
 from hiltestbed.diagnosis.links.base import Effects
 from hiltestbed.diagnosis.residual import Residual, square
 from hiltestbed.diagnosis.settings import MIN_LINEAR_GAIN
@@ -20,7 +20,6 @@ from hiltestbed.frames import Array
 Rated = tuple[float, Candidate, list[Array]]  # largest reduction of chi-square, linearised at each start, and the starts worth a descent
 
 RATED_PER_FIT = 4  # chosen: candidates that are rated on all runs, of each that is fitted
-RATED_SHARE = 0.25  # chosen: of the departure, in the runs on which candidates are rated first
 
 
 def rate(residual: Residual, base: Fit, candidates: Sequence[Candidate], most: int) -> list[Rated]:
@@ -29,33 +28,16 @@ def rate(residual: Residual, base: Fit, candidates: Sequence[Candidate], most: i
     Where a replay is costly, a few runs decide first which of them are rated on all, ``most`` being fitted.
     """
     tried = [(c, [np.clip(np.array(s, dtype=float), c.low, c.high) for s in c.grid]) for c in candidates]
-    runs = _telling(residual, base)
+    runs = telling(residual, base.residual)
     if base.causes and residual.link.costly and len(runs) < len(residual.runs):
         first = _rated(residual.on(runs), _on(residual, base, runs), tried)
         tried = [(c, starts) for _, c, starts in first[: RATED_PER_FIT * most]]
     return _rated(residual, base, tried)
 
 
-def _telling(residual: Residual, base: Fit) -> list[int]:
-    """The runs that depart most a row, with RATED_SHARE of the departure."""
-    misfit = {i: square(base.residual[part]) for i, part in _parts(residual).items()}
-    out: list[int] = []
-    for i in sorted(misfit, key=lambda i: -misfit[i] / residual.link.runs[i].rows):
-        if sum(misfit[j] for j in out) < RATED_SHARE * sum(misfit.values()):
-            out.append(i)
-    return sorted(out)
-
-
-def _parts(residual: Residual) -> dict[int, slice]:
-    """Of a concatenated residual, each run."""
-    sizes = [residual.link.runs[i].measured.size for i in residual.runs]
-    ends = np.cumsum(sizes).tolist()
-    return {i: slice(end - size, end) for i, size, end in zip(residual.runs, sizes, ends, strict=True)}
-
-
 def _on(residual: Residual, base: Fit, runs: Sequence[int]) -> Fit:
     """The same fit on some of its runs."""
-    parts = _parts(residual)
+    parts = residual.parts()
     r = np.concatenate([base.residual[parts[i]] for i in runs])
     return replace(base, residual=r, chi2=square(r), jacobian=np.concatenate([base.jacobian[parts[i]] for i in runs]))
 

@@ -47,6 +47,12 @@ class Residual:
         """On a subset of the runs."""
         return Residual(self.link, runs, self.weight)
 
+    def parts(self) -> dict[int, slice]:
+        """Of a concatenated residual (M,), each run."""
+        sizes = [self.link.runs[i].measured.size for i in self.runs]
+        ends = np.cumsum(sizes).tolist()
+        return {i: slice(end - size, end) for i, size, end in zip(self.runs, sizes, ends, strict=True)}
+
     def through(self, link: Link) -> Residual:
         """Of another interpretation of the link, with the same weights."""
         return Residual(link, self.runs, self.weight)
