@@ -156,7 +156,7 @@ def platform_link(layout: Layout, rows: Sequence[int]) -> PlatformLink:
         runs.append(replace(one, scenario=_from_where_it_stood(run)) if "wrench" in layout.missing else one)
         commands.append(np.ascontiguousarray(run.record.filled("pose_cmd")[:n]))
         away.append(found.away[:n])
-        errors = np.hypot(_pose_rounding(run, "pose_cmd"), _pose_steps(run, "pose_cmd"))[:n, :3]
+        errors = run.record.unsmoothed()[:n]
         rounding.append(errors if errors.any() else None)
     return PlatformLink(runs, commands, away, rounding)
 

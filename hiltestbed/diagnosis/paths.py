@@ -142,7 +142,7 @@ def with_filter_error(layout: Layout, best: BestPath) -> BestPath:
 
 def _rounding(layout: Layout) -> list[Array] | None:
     """(N, 3) of each run, 1 sigma of the rounding error of a command with few digits [m]; None: it has many."""
-    out = [r.record.rounding("pose_cmd")[:, :3] for r in layout.runs]
+    out = [r.record.unsmoothed() for r in layout.runs]
     return out if any(errors.any() for errors in out) else None
 
 
@@ -286,7 +286,7 @@ def _command_noise(layout: Layout, path: Path) -> list[Array] | None:
 
     The largest of its rounding errors counts everywhere: rounding errors of a slow motion are alike over many rows.
     """
-    written = max((float(errors.max()) for errors in path.rounding or ()), default=0.0)
+    written = max(float(r.record.rounding(path.source)[:, :3].max()) for r in layout.runs)
     if not written and not _interpolated(layout, path):
         return None
     return _noise_of(layout, replace(path, place=written, rate=math.sqrt(0.5) * written / layout.scales.tick))

@@ -8,6 +8,8 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import minimum_filter1d
+from scipy.signal import savgol_filter
 
 from hiltestbed.frames import Array
 from hiltestbed.measured.noise import last_digit
@@ -15,6 +17,8 @@ from hiltestbed.signals import GROUPS
 
 MEASURED_GROUPS = ("pose_cmd", "pose_act", "twist_cmd", "twist_act", "wrench_meas", "wrench_comp")
 WITHIN_STEP = 1.5  # derived: steps between neighbours of a smooth signal that lie one step apart; two apart are a jump
+SMOOTHED_ROWS = 17  # chosen: of a local cubic: a third of independent rounding errors is left, and a vibration of 50 rows keeps 99 %
+MAX_ROUNDED = 0.75  # chosen: steps between a sample and the local cubic: half a step by rounding, the rest by the error of the cubic
 FOLLOWING = 20  # samples from which the speed before the first sample is estimated
 IDENTITY = (0.0, 0.0, 0.0, 1.0)
 
@@ -95,9 +99,10 @@ class Record:
         Gaps are interpolated linearly; ticks between the rows of a log with another clock are on a smooth curve (quaternions are
         normalised). Before the first and after the last sample the value is held, except for positions before the first sample, which are
         extrapolated uniformly. Absent axes are zero, an absent attitude is the identity. A command that was logged in steps or with few
-        digits is interpolated between the centres of equal values that are one step apart; a larger jump was commanded.
+        digits is interpolated between the centres of equal values that are one step apart; a larger jump was commanded. Then it is smoothed
+        where a smooth command, rounded, would be what is on record.
         """
-        values, rounding = self.data[group].copy(), self.rounding(group)
+        values = self.data[group].copy()
         default = (0.0,) * 3 + IDENTITY if group.startswith("pose") else (0.0,) * values.shape[1]
         for j in range(values.shape[1]):
             known = self.valid[group][:, j]
@@ -108,14 +113,28 @@ class Record:
                 if group.startswith("pose") and j < 3 and not known[0]:
                     self._run_back(values[:, j], known)
             if group == "pose_cmd" and known.any():
-                step = np.maximum(math.sqrt(12.0) * rounding[:, j], self.steps.get(GROUPS[group].columns[j], 0.0))
-                values[:, j] = _between_steps(values[:, j], step) if step.any() else values[:, j]
+                values[:, j] = self._smooth(values[:, j], j)[0]
         values += self.bends.get(group, 0.0)
         if group.startswith("pose"):
             bridged = ~self.valid[group][:, 3:].all(axis=1) | (group in self.bends)
             norm = np.linalg.norm(values[bridged, 3:], axis=1, keepdims=True)
             values[bridged, 3:] = np.where(norm > 0, values[bridged, 3:] / np.where(norm > 0, norm, 1.0), IDENTITY)
         return values
+
+    def unsmoothed(self) -> Array:
+        """``(ticks, 3)`` 1 sigma of the rounding error of the commanded position, 0 where :meth:`filled` has smoothed it."""
+        out = self.rounding("pose_cmd")[:, :3]
+        for j, name in enumerate(GROUPS["pose_cmd"].columns[:3]):
+            sigma = np.hypot(out[:, j], self.steps.get(name, 0.0) / math.sqrt(12.0))
+            out[:, j] = np.where(self._smooth(self.data["pose_cmd"][:, j], j)[1], 0.0, sigma) if sigma.any() else 0.0
+        return out
+
+    def _smooth(self, values: Array, j: int) -> tuple[Array, NDArray[np.bool_]]:
+        """``(ticks,)`` of the command without its rounding errors as far as possible, and where a smooth curve takes its place."""
+        step = np.maximum(math.sqrt(12.0) * self.rounding("pose_cmd")[:, j], self.steps.get(GROUPS["pose_cmd"].columns[j], 0.0))
+        if not step.any():
+            return values, np.zeros(len(values), dtype=bool)
+        return _within_steps(_between_steps(values, step), step)
 
     def _run_back(self, values: Array, known: NDArray[np.bool_]) -> None:
         """Extend ``values`` (ticks,) before the first sample at the speed of the samples that follow."""
@@ -162,3 +181,13 @@ def _between_steps(values: Array, step: Array) -> Array:
     knots = np.concatenate([0.5 * (starts + ends), ends[:-1][jumps], starts[1:][jumps]])
     order = np.argsort(knots, kind="stable")
     return np.interp(np.arange(len(values)), knots[order], values[np.concatenate([starts, ends[:-1][jumps], starts[1:][jumps]])][order])
+
+
+def _within_steps(values: Array, step: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """``(n,)`` values smoothed by local cubics (A. Savitzky, M. J. E. Golay, Anal. Chem. 36, 1964) where all rows of a window then lie within
+    the rounding to a ``step`` (n,), and where that is; the values as they are elsewhere."""
+    if len(values) < SMOOTHED_ROWS:
+        return values, np.zeros(len(values), dtype=bool)
+    smooth = savgol_filter(values, SMOOTHED_ROWS, 3)
+    within = minimum_filter1d((np.abs(values - smooth) <= MAX_ROUNDED * step).astype(np.uint8), SMOOTHED_ROWS) > 0
+    return np.where(within, smooth, values), within
