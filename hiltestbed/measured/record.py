@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import minimum_filter1d
+from scipy.ndimage import maximum_filter1d, minimum_filter1d
 from scipy.signal import savgol_filter
 
 from hiltestbed.frames import Array
@@ -184,10 +184,11 @@ def _between_steps(values: Array, step: Array) -> Array:
 
 
 def _within_steps(values: Array, step: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """``(n,)`` values smoothed by local cubics (A. Savitzky, M. J. E. Golay, Anal. Chem. 36, 1964) where all rows of a window then lie within
-    the rounding to a ``step`` (n,), and where that is; the values as they are elsewhere."""
+    """``(n,)`` values smoothed by local cubics (A. Savitzky, M. J. E. Golay, Anal. Chem. 36, 1964) where all rows of a window then lie
+    within the rounding to a ``step`` (n,), and where that is; the values as they are elsewhere."""
     if len(values) < SMOOTHED_ROWS:
         return values, np.zeros(len(values), dtype=bool)
     smooth = savgol_filter(values, SMOOTHED_ROWS, 3)
     within = minimum_filter1d((np.abs(values - smooth) <= MAX_ROUNDED * step).astype(np.uint8), SMOOTHED_ROWS) > 0
-    return np.where(within, smooth, values), within
+    varies = maximum_filter1d(values, SMOOTHED_ROWS) > minimum_filter1d(values, SMOOTHED_ROWS)
+    return np.where(within & varies, smooth, values), within

@@ -54,7 +54,15 @@ def test_in_a_docking_a_record_that_is_stamped_late_is_no_friction():
     assert record["intervals_held"] == record["intervals"] == 1
 
 
-@pytest.mark.parametrize("seed", [100, slow(104)])
+@pytest.mark.parametrize(
+    "seed",
+    [
+        100,
+        slow(104),
+        slow(400_105),  # a late record beside a damping: which of its two readings is right shows beside the damping alone
+        slow(400_112),  # a hum in free flight, which ends where the bodies meet, and that is early
+    ],
+)
 def test_two_hidden_effects_are_both_named(seed):
     assert one_set(Task(seed, "pair"))["right"]
 

@@ -98,3 +98,19 @@ def test_a_command_in_steps_is_smooth_where_it_creeps_and_jumps_where_it_was_tol
     np.testing.assert_allclose(filled, told, atol=1.01 * step)
     np.testing.assert_allclose(filled[100:1900], told[100:1900], atol=0.1 * step)
     np.testing.assert_array_equal(filled[2400:], pose[2400:, 2])
+
+
+def test_a_smooth_command_in_few_digits_is_smoothed_and_a_jerk_is_not() -> None:
+    """Rounding errors of a command that moves by several steps a row: a local cubic takes off two thirds, and leaves a jerk as it was."""
+    t, step = np.arange(2000, dtype=np.float64) * 0.001, 1e-5
+    told = 1e-3 * np.sin(2.0 * np.pi * 7.0 * t) + np.where(t >= 1.0, 3.0 * step, 0.0)
+    pose, valid = np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (len(t), 1)), {"pose_cmd": np.ones((len(t), 7), dtype=bool)}
+    pose[:, 2] = step * np.round(told / step)
+    record = Record(1, Path(), t, {"pose_cmd": pose}, valid, steps={"pose_cmd.pz": step})
+    filled, left = record.filled("pose_cmd")[:, 2], record.unsmoothed()[:, 2]
+    near = np.abs(t - 1.0) < 0.004
+    np.testing.assert_allclose(left[near], step / np.sqrt(12.0))
+    assert not left[np.abs(t - 1.0) > 0.03].any()
+    np.testing.assert_allclose(filled[near], told[near], atol=0.51 * step)
+    smooth = left == 0.0
+    assert np.std((filled - told)[smooth]) < 0.45 * step / np.sqrt(12.0)
