@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import numpy as np
+from numba import get_num_threads
 
 from hiltestbed.contact.geometry import arm
 from hiltestbed.contact.latch import closes
@@ -71,15 +73,14 @@ def replay_wrench(felt: Felt | Simulated, lanes: Sequence[Lane], grid: int | Non
     tilt, elements = tilts(rows[:, -1]), chain.elements()
     together = _together(lanes, rows, parts, bool(instants))
     known = {key: felt.kept.get(key) for key in together}
+    new = [members[0] for key, members in together.items() if known[key] is None]
     if isinstance(felt, Simulated):
-        new = [key for key, sub in known.items() if sub is None]
-        simulated = felt.exerted([(lanes[i].run, lanes[i].effects) for i in (together[key][0] for key in new)])
-        known |= zip(new, simulated, strict=True)
+        exerted = iter(felt.exerted([(lanes[i].run, lanes[i].effects) for i in new]))
+    else:
+        exerted = _exerted(felt, [(lanes[i].run, rows[i], parts[i], tilt[i], bool(instants)) for i in new])
     for key, members in together.items():
-        sub, i = known[key], members[0]
-        if sub is None:
-            assert isinstance(felt, Felt)
-            sub = _one_contact(felt, lanes[i].run, rows[i], parts[i], tilt[i], bool(instants))
+        sub = known[key]
+        sub = next(exerted) if sub is None else sub
         felt.kept.keep(key, sub)
         _sense(np.array(members), sub, bool(instants), ticks, h, elements, out)
     for i, lane in enumerate(lanes):
@@ -94,6 +95,16 @@ def _together(lanes: Sequence[Lane], rows: Array, parts: Array, between: bool) -
     for i, lane in enumerate(lanes):
         found.setdefault((lane.run, between, parts[i].tobytes(), rows[i].tobytes()), []).append(i)
     return found
+
+
+def _exerted(felt: Felt, wanted: Sequence[tuple]) -> Iterator[Array]:
+    """The wrenches of several contacts, each with the arguments of :func:`_one_contact`; those on a mount, which take long, in parallel."""
+    workers = min(get_num_threads(), len(wanted))
+    if felt.mount is None or workers < 2:
+        yield from (_one_contact(felt, *one) for one in wanted)
+        return
+    with ThreadPoolExecutor(workers) as pool:
+        yield from pool.map(lambda one: _one_contact(felt, *one), wanted)
 
 
 def _one_contact(felt: Felt, r: int, rows: Array, parts: Array, tilt: Array, between: bool) -> Array:
@@ -170,7 +181,7 @@ def _interpolated(sub, at, late):
         late[j] = a
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _contact(
     poses, twists, ends, bent, before, clear, met, lever, least_creep, h, geometry, captured, latch, r, mount, parts, between, p, tilt, sub
 ):  # fmt: skip

@@ -104,10 +104,10 @@ def test_effects_add_up_in_their_order() -> None:
     assert errors(recorded, readings(recorded))[0] < SOLVED
 
 
-def test_many_hypotheses_at_once_are_each_what_it_is_alone() -> None:
-    recorded = record(
-        [scenario("probe and cone with latch"), scenario("probe and cone with latch", changes={"approach.offset": [0.02, 0.0]})]
-    )
+@pytest.mark.parametrize("rig", ["probe and cone with latch", "probe and cone with latch on a mount"])
+def test_many_hypotheses_at_once_are_each_what_it_is_alone(rig: str) -> None:
+    """To the bit, also on a mount, whose contacts are computed in parallel."""
+    recorded = record([scenario(rig), scenario(rig, changes={"approach.offset": [0.02, 0.0]})])
     s = recorded.scenarios[0]
     kinds = ("contact.stiffness", "sensor.gain", "sensor.delay", "frame.compliance", "sensor.lag", "contact.misalignment")
     effects = [EFFECTS[k](**example(k)) for k in kinds]
