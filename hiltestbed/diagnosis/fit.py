@@ -173,9 +173,9 @@ def telling(residual: Residual, r: Array) -> list[int]:
     return sorted(out)
 
 
-def refit(residual: Residual, found: Fit) -> Fit:
-    """The same hypothesis fitted again from its last estimate, with other weights or runs."""
-    return fit(residual, found.causes, [found.theta], tries=1) if found.causes else null_fit(residual)
+def refit(residual: Residual, found: Fit, known: float = np.inf) -> Fit:
+    """The same hypothesis fitted again from its last estimate, with other weights or runs; known: as of :func:`fit`."""
+    return fit(residual, found.causes, [found.theta], tries=1, known=known) if found.causes else null_fit(residual)
 
 
 def scales(theta: Array, low: Array, high: Array, log: np.ndarray) -> Array:

@@ -56,10 +56,10 @@ def jitter_beside(residual: Residual, base: Fit, _known: float = math.inf) -> Fi
     return Fit((*base.causes, cause), np.append(base.theta, sigma), chi2, r, np.column_stack([base.jacobian, np.zeros(len(r))]))
 
 
-def again(residual: Residual, found: Fit) -> Fit:
-    """The same hypothesis fitted again under other weights."""
+def again(residual: Residual, found: Fit, known: float = math.inf) -> Fit:
+    """The same hypothesis fitted again under other weights; known: as of :func:`~hiltestbed.diagnosis.fit.fit`."""
     if not found.causes or found.kinds[-1] != JITTER:
-        return refit(residual, found)
+        return refit(residual, found, known)
     rest = replace(found, causes=found.causes[:-1], theta=found.theta[:-1])
     base = refit(residual, rest) if rest.causes else null_fit(residual)
     return jitter_beside(residual, base) or found

@@ -19,18 +19,23 @@ from hiltestbed.frames import Array
 
 Rated = tuple[float, Candidate, list[Array]]  # largest reduction of chi-square, linearised at each start, and the starts worth a descent
 
+LARGE_DEPARTURE = 2.0  # chosen: chi-square per sample, above which the share that a candidate explains in a few runs is not chance
 RATED_PER_FIT = 4  # chosen: candidates that are rated on all runs, of each that is fitted
 
 
 def rate(residual: Residual, base: Fit, candidates: Sequence[Candidate], most: int) -> list[Rated]:
     """The candidates that gain more than noise beside ``base``, best first.
 
-    Where a replay is costly, a few runs decide first which of them are rated on all, ``most`` being fitted.
+    Where a replay is costly, a few runs tell: how much of a large departure a candidate explains there counts for all runs; beside causes
+    that leave little, they decide which candidates are rated on all, ``most`` being fitted.
     """
     tried = [(c, [np.clip(np.array(s, dtype=float), c.low, c.high) for s in c.grid]) for c in candidates]
-    runs = telling(residual, base.residual)
-    if base.causes and residual.link.costly and len(runs) < len(residual.runs):
-        first = _rated(residual.on(runs), _on(residual, base, runs), tried)
+    runs = telling(residual, base.residual) if residual.link.costly else residual.runs
+    if len(runs) < len(residual.runs) and (base.causes or inflation(base) > LARGE_DEPARTURE):
+        few = _on(residual, base, runs)
+        first = _rated(residual.on(runs), few, tried)
+        if inflation(base) > LARGE_DEPARTURE:
+            return [(gain * base.chi2 / few.chi2, c, starts) for gain, c, starts in first]
         tried = [(c, starts) for _, c, starts in first[: RATED_PER_FIT * most]]
     return _rated(residual, base, tried)
 

@@ -154,7 +154,7 @@ class Search:
         if singles and (downweighted := residual.downweighted(singles[0].effects())) is not residual:
             residual = downweighted
             null = refit(residual, null)
-            singles = [again(residual, f) for f in first_of_each(singles, "kinds")[:BEAM_WIDTH]]
+            singles = _reweighted(residual, first_of_each(singles, "kinds")[:BEAM_WIDTH])
             before = self.judge(residual, null.effects())
         counts = singles and (not adequate_null or null.score - singles[0].score > least * inflation(singles[0]))
         if counts and not given and self.reread and (other := self.reread(residual, singles[0])) is not residual:
@@ -192,7 +192,7 @@ class Search:
                 break
             if (downweighted := residual.downweighted(found[0].effects())) is not residual:
                 residual = downweighted
-                found = sorted([again(residual, f) for f in found[:MAX_PARTNERS]], key=lambda f: f.score)
+                found = sorted(_reweighted(residual, found[:MAX_PARTNERS]), key=lambda f: f.score)
                 chosen = again(residual, chosen)
             more = [*found, *more]
             need = (self.beside if adequate else SELECTION_INADEQUATE) * inflation(found[0])
@@ -253,6 +253,16 @@ class Search:
         near, _ = _near_best(base, (*fits, *beside), worth)
         fits += [f for make in special if (f := make(residual, base, near)) is not None]
         return sorted(fits, key=_order)
+
+
+def _reweighted(residual: Residual, fits: Sequence[Fit]) -> list[Fit]:
+    """The fits, best first, fitted again under other weights; on a costly link those that will not come near the best are left early."""
+    out: list[Fit] = []
+    for f in fits:
+        best = min(out, key=lambda other: other.chi2, default=None)
+        near = best.chi2 + CLOSE_CHI2 * inflation(best) if best and residual.link.costly else math.inf
+        out.append(again(residual, f, near))
+    return out
 
 
 def _near_best(base: Fit, fits: Sequence[Fit], worth: float) -> tuple[float, Fit]:
