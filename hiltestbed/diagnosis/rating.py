@@ -26,15 +26,15 @@ RATED_PER_FIT = 4  # chosen: candidates that are rated on all runs, of each that
 def rate(residual: Residual, base: Fit, candidates: Sequence[Candidate], most: int) -> list[Rated]:
     """The candidates that gain more than noise beside ``base``, best first.
 
-    Where a replay is costly, a few runs tell: how much of a large departure a candidate explains there counts for all runs; beside causes
-    that leave little, they decide which candidates are rated on all, ``most`` being fitted.
+    Where a replay is costly, a few runs tell. How much of a large departure a candidate alone explains there counts for all runs, since
+    many are fitted; beside other causes they decide which candidates are rated on all, ``most`` being fitted.
     """
     tried = [(c, [np.clip(np.array(s, dtype=float), c.low, c.high) for s in c.grid]) for c in candidates]
     runs = telling(residual, base.residual) if residual.link.costly else residual.runs
     if len(runs) < len(residual.runs) and (base.causes or inflation(base) > LARGE_DEPARTURE):
         few = _on(residual, base, runs)
         first = _rated(residual.on(runs), few, tried)
-        if inflation(base) > LARGE_DEPARTURE:
+        if not base.causes:
             return [(gain * base.chi2 / few.chi2, c, starts) for gain, c, starts in first]
         tried = [(c, starts) for _, c, starts in first[: RATED_PER_FIT * most]]
     return _rated(residual, base, tried)
