@@ -102,19 +102,10 @@ class Record:
         digits is interpolated between the centres of equal values that are one step apart; a larger jump was commanded. Then it is smoothed
         where a smooth command, rounded, would be what is on record.
         """
-        values = self.data[group].copy()
-        default = (0.0,) * 3 + IDENTITY if group.startswith("pose") else (0.0,) * values.shape[1]
-        for j in range(values.shape[1]):
-            known = self.valid[group][:, j]
-            if not known.any():
-                values[:, j] = default[j]
-            elif not known.all():
-                values[:, j] = np.interp(self.t, self.t[known], values[known, j])
-                if group.startswith("pose") and j < 3 and not known[0]:
-                    self._run_back(values[:, j], known)
-            if group == "pose_cmd" and known.any():
-                values[:, j] = self._smooth(values[:, j], j)[0]
-        values += self.bends.get(group, 0.0)
+        columns = [self._bridged(group, j) for j in range(self.data[group].shape[1])]
+        if group == "pose_cmd":
+            columns = [self._smooth(column, j)[0] for j, column in enumerate(columns)]
+        values = np.column_stack(columns) + self.bends.get(group, 0.0)
         if group.startswith("pose"):
             bridged = ~self.valid[group][:, 3:].all(axis=1) | (group in self.bends)
             norm = np.linalg.norm(values[bridged, 3:], axis=1, keepdims=True)
@@ -126,15 +117,27 @@ class Record:
         out = self.rounding("pose_cmd")[:, :3]
         for j, name in enumerate(GROUPS["pose_cmd"].columns[:3]):
             sigma = np.hypot(out[:, j], self.steps.get(name, 0.0) / math.sqrt(12.0))
-            out[:, j] = np.where(self._smooth(self.data["pose_cmd"][:, j], j)[1], 0.0, sigma) if sigma.any() else 0.0
+            out[:, j] = np.where(self._smooth(self._bridged("pose_cmd", j), j)[1], 0.0, sigma) if sigma.any() else 0.0
         return out
+
+    def _bridged(self, group: str, j: int) -> Array:
+        """``(ticks,)`` of one column with its gaps filled."""
+        values, known, pose = self.data[group][:, j].copy(), self.valid[group][:, j], group.startswith("pose")
+        if not known.any():
+            values[:] = ((0.0,) * 3 + IDENTITY)[j] if pose else 0.0
+        elif not known.all():
+            values = np.interp(self.t, self.t[known], values[known])
+            if pose and j < 3 and not known[0]:
+                self._run_back(values, known)
+        return values
 
     def _smooth(self, values: Array, j: int) -> tuple[Array, NDArray[np.bool_]]:
         """``(ticks,)`` of the command without its rounding errors as far as possible, and where a smooth curve takes its place."""
         step = np.maximum(math.sqrt(12.0) * self.rounding("pose_cmd")[:, j], self.steps.get(GROUPS["pose_cmd"].columns[j], 0.0))
         if not step.any():
             return values, np.zeros(len(values), dtype=bool)
-        return _within_steps(_between_steps(values, step), step)
+        smooth, within = _within_steps(_between_steps(values, step), step)
+        return np.where(within, np.clip(smooth, values - 0.5 * step, values + 0.5 * step), smooth), within
 
     def _run_back(self, values: Array, known: NDArray[np.bool_]) -> None:
         """Extend ``values`` (ticks,) before the first sample at the speed of the samples that follow."""
@@ -185,10 +188,11 @@ def _between_steps(values: Array, step: Array) -> Array:
 
 def _within_steps(values: Array, step: Array) -> tuple[Array, NDArray[np.bool_]]:
     """``(n,)`` values smoothed by local cubics (A. Savitzky, M. J. E. Golay, Anal. Chem. 36, 1964) where all rows of a window then lie
-    within the rounding to a ``step`` (n,), and where that is; the values as they are elsewhere."""
+    within the rounding to one ``step`` (n,), and where that is; the values as they are elsewhere."""
     if len(values) < SMOOTHED_ROWS:
         return values, np.zeros(len(values), dtype=bool)
     smooth = savgol_filter(values, SMOOTHED_ROWS, 3)
     within = minimum_filter1d((np.abs(values - smooth) <= MAX_ROUNDED * step).astype(np.uint8), SMOOTHED_ROWS) > 0
-    varies = maximum_filter1d(values, SMOOTHED_ROWS) > minimum_filter1d(values, SMOOTHED_ROWS)
+    varies, coarsens = (maximum_filter1d(x, SMOOTHED_ROWS) > minimum_filter1d(x, SMOOTHED_ROWS) for x in (values, step))
+    within &= ~coarsens
     return np.where(within & varies, smooth, values), within

@@ -114,3 +114,6 @@ def test_a_smooth_command_in_few_digits_is_smoothed_and_a_jerk_is_not() -> None:
     np.testing.assert_allclose(filled[near], told[near], atol=0.51 * step)
     smooth = left == 0.0
     assert np.std((filled - told)[smooth]) < 0.45 * step / np.sqrt(12.0)
+    pose[300], valid["pose_cmd"][300] = np.nan, False
+    np.testing.assert_allclose(record.unsmoothed()[400:, 2], left[400:])
+    assert np.isfinite(record.filled("pose_cmd")).all()
