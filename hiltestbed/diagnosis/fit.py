@@ -148,7 +148,7 @@ def fit(
         if first.chi2 > known:  # as all the more on all runs
             r = run([first.theta])[0]
             slopes = differences(run, first.theta, r, scales(first.theta, low, high, log), low, high)
-            return replace(first, chi2=square(r), residual=r, jacobian=slopes)
+            return replace(first, chi2=square(r), residual=r, jacobian=slopes, elsewhere=residual.smoothed_away(first.effects()))
         thetas, tries = [first.theta], 1
     found = run(thetas)
     rated = sorted(((square(r), i) for i, r in enumerate(found)), key=lambda item: item[0])

@@ -254,7 +254,8 @@ def _first_touch(run: MeasuredRun) -> int:
     if not run.survey.contacts:
         return run.record.ticks
     end = max(0, run.survey.contacts[0].start - TOUCH_MARGIN_ROWS)
-    return min([end, *(end - n - TOUCH_MARGIN_ROWS for n in _risen(run.record.data["wrench_meas"][:end, :3]) if n)])
+    risen = max(_risen(run.record.data["wrench_meas"][:end, :3]))
+    return max(0, end - risen - TOUCH_MARGIN_ROWS) if risen else end
 
 
 def _risen(forces: Array) -> list[int]:
