@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from scipy.ndimage import median_filter, uniform_filter1d
@@ -267,8 +268,8 @@ def _risen(forces: Array) -> list[int]:
         if len(few) < MIN_LINE_ROWS:
             out.append(0)
             continue
-        slope, start, _, _ = theilslopes(x[few], rows[few])  # a quarter of the rows may depart from it
-        far = np.abs(x - start - slope * rows)
+        line: Any = theilslopes(x[few], rows[few])  # a quarter of the rows may depart from it
+        far = np.abs(x - line.intercept - line.slope * rows)
         sigma = 1.4826 * float(np.median(far[known]))
         risen = far > RISING_SIGMA * sigma
         count = int(np.argmin(risen[::-1]))

@@ -191,7 +191,7 @@ def _within_steps(values: Array, step: Array) -> tuple[Array, NDArray[np.bool_]]
     within the rounding to one ``step`` (n,), and where that is; the values as they are elsewhere."""
     if len(values) < SMOOTHED_ROWS:
         return values, np.zeros(len(values), dtype=bool)
-    smooth = savgol_filter(values, SMOOTHED_ROWS, 3)
+    smooth = np.asarray(savgol_filter(values, SMOOTHED_ROWS, 3))
     within = minimum_filter1d((np.abs(values - smooth) <= MAX_ROUNDED * step).astype(np.uint8), SMOOTHED_ROWS) > 0
     varies, coarsens = (maximum_filter1d(x, SMOOTHED_ROWS) > minimum_filter1d(x, SMOOTHED_ROWS) for x in (values, step))
     within &= ~coarsens

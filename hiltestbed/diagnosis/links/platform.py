@@ -56,10 +56,8 @@ class PlatformLink(Link):
             return None
         command = self.commands[i]
         commands = [command, *(np.column_stack([command[:, :3] + e, command[:, 3:]]) for e in perturbations(sigma))]
-        runs, deflection = ([one] * len(commands) for one in (self.runs[i], self.deflection[i]))
-        exact, *found = (
-            PlatformLink(runs, commands, deflection).with_timing(self.timing).predict([(k, effects) for k in range(len(commands))])
-        )
+        copies = PlatformLink([self.runs[i]] * len(commands), commands, [self.deflection[i]] * len(commands)).with_timing(self.timing)
+        exact, *found = copies.predict([(k, effects) for k in range(len(commands))])
         return np.asarray(np.mean([np.square(f - exact) for f in found], axis=0))
 
     def doubt(self, i: int, effects: Effects) -> Array | None:
