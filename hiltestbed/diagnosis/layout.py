@@ -150,15 +150,13 @@ def _deflections(
 def platform_link(layout: Layout, rows: Sequence[int]) -> PlatformLink:
     """The platform on the first ``rows`` of each run."""
     assert layout.deflection is not None  # else the link is missing
-    runs, commands, away, rounding = [], [], [], []
+    runs, commands, away = [], [], []
     for run, found, n in zip(layout.runs, layout.deflection, rows, strict=True):
         one = _pose_run(run, layout.noise, found.doubt[:n], n)
         runs.append(replace(one, scenario=_from_where_it_stood(run)) if "wrench" in layout.missing else one)
         commands.append(np.ascontiguousarray(run.record.filled("pose_cmd")[:n]))
         away.append(found.away[:n])
-        errors = run.record.unsmoothed()[:n]
-        rounding.append(errors if errors.any() else None)
-    return PlatformLink(runs, commands, away, rounding)
+    return PlatformLink(runs, commands, away).with_rounding(_cut([r.record.unsmoothed() for r in layout.runs], rows))
 
 
 def _from_where_it_stood(run: MeasuredRun) -> Scenario:

@@ -51,7 +51,7 @@ class Path:
         poses: (N, 7) at t_k. rates: (N, 6) twist at t_k; None: the slope of the tick that ends there.
         place, rate: white noise of poses [m] and rates [m/s], of an attitude times its lever arm. source: the group it comes from.
         rates_measured: whether the rates are on record. rounding: (N, 3) of each run, 1 sigma of the rounding error of the positions [m];
-        None: it has none.
+        empty: there is none.
     """
 
     poses: Sequence[Array]
@@ -60,7 +60,7 @@ class Path:
     rate: float = 0.0
     source: str = "pose_act"
     rates_measured: bool = False
-    rounding: Sequence[Array] | None = None
+    rounding: Sequence[Array] = ()
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,8 @@ def best_path(layout: Layout, platform: Explanation | None) -> BestPath:
         path, extra = measured, path_noise
     elif platform is not None and platform.adequate:
         poses = platform_link(layout, layout.whole).with_timing(platform.residual.link.timing).paths(platform.chosen.effects())
-        path = Path(poses, _central_rates(layout, poses), source="pose_cmd", rounding=_rounding(layout))
+        rounding = [r.record.unsmoothed() for r in layout.runs]
+        path = Path(poses, _central_rates(layout, poses), source="pose_cmd", rounding=rounding)
         extra = _command_noise(layout, path)
     else:
         poses = _smooth_paths(layout, platform)
@@ -140,12 +141,6 @@ def with_filter_error(layout: Layout, best: BestPath) -> BestPath:
     return replace(best, path_noise=[np.hypot(m, b) for m, b in zip(missed, best.path_noise or [0.0] * len(missed), strict=True)])
 
 
-def _rounding(layout: Layout) -> list[Array] | None:
-    """(N, 3) of each run, 1 sigma of the rounding error of a command with few digits [m]; None: it has many."""
-    out = [r.record.unsmoothed() for r in layout.runs]
-    return out if any(errors.any() for errors in out) else None
-
-
 def _jumped(platform: Explanation | None, path: Path) -> list[Array] | None:
     """`jumps` of :class:`BestPath`."""
     sticks = platform is not None and platform.adequate and "platform.friction" in platform.chosen.kinds
@@ -154,8 +149,8 @@ def _jumped(platform: Explanation | None, path: Path) -> list[Array] | None:
 
 def make_wrench_link(layout: Layout, best: BestPath, rows: Sequence[int], decimate: bool = False) -> WrenchLink:
     """Contact and sensor on a path; ``decimate``: in fewer rows, where that loses nothing and no other link continues from them."""
-    link = wrench_link(layout, best.path.poses, rows, best.jumps, best.path.rates, best.path_noise).through(layout.logged)
-    link = link if best.path.rounding is None else link.with_rounding(best.path.rounding)
+    link = wrench_link(layout, best.path.poses, rows, best.jumps, best.path.rates, best.path_noise)
+    link = link.through(layout.logged).with_rounding(best.path.rounding)
     if _only_commanded(layout):
         assert layout.deflection is not None  # else the link is missing
         return link.commanded(_followed(layout), [found.yielded for found in layout.deflection])

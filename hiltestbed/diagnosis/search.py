@@ -186,7 +186,7 @@ class Search:
             found: list[Fit] = []
             for base in level[: 1 if adequate else BEAM_WIDTH]:
                 search = self._near(residual, base, found) if count > 1 else self
-                found += search.extend(residual, base, MAX_PARTNERS, self.special, found, self.beside if adequate else 0.0)
+                found += search.extend(residual, base, MAX_PARTNERS, self.special, beside=found, worth=self.beside if adequate else 0.0)
             found = first_of_each(sorted(found, key=lambda f: f.score), "key")
             if not found:
                 break

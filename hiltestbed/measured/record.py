@@ -104,7 +104,7 @@ class Record:
         """
         columns = [self._bridged(group, j) for j in range(self.data[group].shape[1])]
         if group == "pose_cmd":
-            columns = [self._smooth(column, j)[0] for j, column in enumerate(columns)]
+            columns = [_without_rounding(column, step)[0] for column, step in zip(columns, self._command_steps().T, strict=True)]
         values = np.column_stack(columns) + self.bends.get(group, 0.0)
         if group.startswith("pose"):
             bridged = ~self.valid[group][:, 3:].all(axis=1) | (group in self.bends)
@@ -114,11 +114,15 @@ class Record:
 
     def unsmoothed(self) -> Array:
         """``(ticks, 3)`` 1 sigma of the rounding error of the commanded position, 0 where :meth:`filled` has smoothed it."""
-        out = self.rounding("pose_cmd")[:, :3]
-        for j, name in enumerate(GROUPS["pose_cmd"].columns[:3]):
-            sigma = np.hypot(out[:, j], self.steps.get(name, 0.0) / math.sqrt(12.0))
-            out[:, j] = np.where(self._smooth(self._bridged("pose_cmd", j), j)[1], 0.0, sigma) if sigma.any() else 0.0
+        out = self._command_steps()[:, :3] / math.sqrt(12.0)
+        for j in np.flatnonzero(out.any(axis=0)):
+            out[_without_rounding(self._bridged("pose_cmd", int(j)), math.sqrt(12.0) * out[:, j])[1], j] = 0.0
         return out
+
+    def _command_steps(self) -> Array:
+        """``(ticks, parts)`` step with which the command was written: of its last digit, or of its quantisation; 0 where there is none."""
+        steps = np.array([self.steps.get(name, 0.0) for name in GROUPS["pose_cmd"].columns])
+        return np.maximum(math.sqrt(12.0) * self.rounding("pose_cmd"), steps)
 
     def _bridged(self, group: str, j: int) -> Array:
         """``(ticks,)`` of one column with its gaps filled."""
@@ -130,14 +134,6 @@ class Record:
             if pose and j < 3 and not known[0]:
                 self._run_back(values, known)
         return values
-
-    def _smooth(self, values: Array, j: int) -> tuple[Array, NDArray[np.bool_]]:
-        """``(ticks,)`` of the command without its rounding errors as far as possible, and where a smooth curve takes its place."""
-        step = np.maximum(math.sqrt(12.0) * self.rounding("pose_cmd")[:, j], self.steps.get(GROUPS["pose_cmd"].columns[j], 0.0))
-        if not step.any():
-            return values, np.zeros(len(values), dtype=bool)
-        smooth, within = _within_steps(_between_steps(values, step), step)
-        return np.where(within, np.clip(smooth, values - 0.5 * step, values + 0.5 * step), smooth), within
 
     def _run_back(self, values: Array, known: NDArray[np.bool_]) -> None:
         """Extend ``values`` (ticks,) before the first sample at the speed of the samples that follow."""
@@ -184,6 +180,15 @@ def _between_steps(values: Array, step: Array) -> Array:
     knots = np.concatenate([0.5 * (starts + ends), ends[:-1][jumps], starts[1:][jumps]])
     order = np.argsort(knots, kind="stable")
     return np.interp(np.arange(len(values)), knots[order], values[np.concatenate([starts, ends[:-1][jumps], starts[1:][jumps]])][order])
+
+
+def _without_rounding(values: Array, step: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """``(n,)`` values without the errors of their rounding to a ``step`` (n,), 0 for none, as far as possible; and where a smooth curve
+    takes their place."""
+    if not step.any():
+        return values, np.zeros(len(values), dtype=bool)
+    smooth, within = _within_steps(_between_steps(values, step), step)
+    return np.where(within, np.clip(smooth, values - 0.5 * step, values + 0.5 * step), smooth), within
 
 
 def _within_steps(values: Array, step: Array) -> tuple[Array, NDArray[np.bool_]]:

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hiltestbed.diagnosis.links import CompensationLink, DynamicsLink, LinkRun, PlatformLink, WrenchLink, flat_pose
+from hiltestbed.diagnosis.links import CompensationLink, DynamicsLink, LinkRun, WrenchLink, flat_pose
 from hiltestbed.diagnosis.links.platform import poses_of
 from hiltestbed.diagnosis.residual import Residual
 from hiltestbed.numerical_model.model import NumericalModel
@@ -148,7 +148,7 @@ def test_a_response_between_rows_takes_off_what_it_averages_of_a_rounded_command
     """Of (1 - p) e_k + p e_(k-1) the variance is 1 - 2 p (1 - p) of that of e."""
     link, rounding = platform_link(), 1e-6  # [m]
     errors = [np.full((len(c), 3), rounding) for c in link.commands]
-    residual = Residual(PlatformLink(link.runs, link.commands, link.deflection, errors))
+    residual = Residual(link.with_rounding(errors))
     counted = 3 * sum(map(len, link.commands))
     expected = 2.0 * part * (1.0 - part) * counted * (rounding / POSE_NOISE) ** 2
     assert residual.smoothed_away([effect("platform.delay", delay=part * H)]) == pytest.approx(expected, rel=0.1)

@@ -88,6 +88,7 @@ class Link(ABC):
         name: of the link. channels: what was measured at its output. runs: as it sees them.
         witnesses: [s] lengths of stretches of a run whose misfits are independent of each other; empty where each row's is.
         timing: of the facility, as far as it differs from the believed one.
+        rounding: (N, 3) of each run, standard deviation of the rounding errors of the input's positions [m]; empty: there are none.
     """
 
     name: str
@@ -95,6 +96,13 @@ class Link(ABC):
     runs: Sequence[LinkRun]
     witnesses: tuple[float, ...] = ()
     timing: Timing = NO_SHIFT
+    rounding: Sequence[Array] = ()
+
+    def with_rounding(self, rounding: Sequence[Array]) -> Self:
+        """The same link with ``rounding`` errors in its input."""
+        out = copy(self)
+        out.rounding = rounding
+        return out
 
     def with_timing(self, place: Timing) -> Self:
         """The same link of a facility with the timing ``place``."""
@@ -147,18 +155,34 @@ class Link(ABC):
         return self.predict([(i, effects)])[0]
 
     def passed_from_input(self, i: int, effects: Effects) -> Array | None:
-        """(N, C) variance of the output of run i that comes from the noise of the input on record; None: that has none."""
-        return None
+        """(N, C) variance of the output of run i that comes from the rounding of the input on record; None: that has none."""
+        if not self.rounding or not self.rounding[i].any():
+            return None
+        return variance_among(self._with_errors(i), effects)
+
+    def _with_errors(self, i: int) -> Link:
+        """Run i on its input, and on copies of it with rounding errors."""
+        raise NotImplementedError(f"the input of the link {self.name} has no rounding errors")
 
     def doubt(self, i: int, effects: Effects) -> Array | None:
         """(N, C) uncertainty of the prediction due to how finely the facility divides its tick; None: none."""
         return None
 
 
-def perturbations(sigma: Array) -> list[Array]:
-    """Some samples of white noise of standard deviation ``sigma`` (N, C); always the same, so that few show what effects make of it."""
+def perturbed(poses: Array, sigma: Array) -> list[Array]:
+    """Poses (N, 7), and copies of them whose positions have white errors of standard deviation ``sigma`` (N, 3) [m].
+
+    The errors are always the same, so that few copies show what effects make of them.
+    """
     rng = np.random.default_rng(0)
-    return [sigma * rng.standard_normal(sigma.shape) for _ in range(PERTURBED_COPIES)]
+    errors = [sigma * rng.standard_normal(sigma.shape) for _ in range(PERTURBED_COPIES)]
+    return [poses, *(np.column_stack([poses[:, :3] + e, poses[:, 3:]]) for e in errors)]
+
+
+def variance_among(copies: Link, effects: Effects) -> Array:
+    """(N, C) variance of the output of the runs of ``copies`` about that of the first."""
+    exact, *others = copies.predict([(k, effects) for k in range(len(copies.runs))])
+    return np.asarray(np.mean([np.square(other - exact) for other in others], axis=0))
 
 
 def padded(arrays: Sequence[Array]) -> Array:

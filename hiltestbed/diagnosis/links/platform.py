@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hiltestbed.diagnosis.links.base import Effects, Lane, Link, LinkRun, flat_pose, moved, padded, perturbations
+from hiltestbed.diagnosis.links.base import Effects, Lane, Link, LinkRun, flat_pose, moved, padded, perturbed
 from hiltestbed.frames import Array
 from hiltestbed.numerical_model.bodies import approach_state
 from hiltestbed.platform.effects.response import PlatformDelay
@@ -23,12 +23,9 @@ class PlatformLink(Link):
     name = "platform"
     channels = ("pose_act.px", "pose_act.py", "pose_act.pz", "pose_act.rx", "pose_act.ry", "pose_act.rz")
 
-    def __init__(
-        self, runs: Sequence[LinkRun], commands: Sequence[Array], deflection: Sequence[Array], rounding: Sequence[Array | None] = ()
-    ) -> None:
-        """commands: (N, 7) pose_cmd of each run. deflection: (N, 6) of the believed drives from it [m, rad]. rounding: (N, 3) standard
-        deviation of the rounding error of the command on record [m]; None where it has none."""
-        self.runs, self.commands, self.deflection, self.rounding = runs, commands, deflection, rounding
+    def __init__(self, runs: Sequence[LinkRun], commands: Sequence[Array], deflection: Sequence[Array]) -> None:
+        """commands: (N, 7) pose_cmd of each run. deflection: (N, 6) of the believed drives from it [m, rad]."""
+        self.runs, self.commands, self.deflection = runs, commands, deflection
         self._padded = padded(commands)
         starts = [approach_state(r.scenario)[None, :7] for r in runs]
         self._attitude = [flat_pose(np.concatenate([s, c[:-1]]))[:, 3:] for s, c in zip(starts, commands, strict=True)]
@@ -50,15 +47,10 @@ class PlatformLink(Link):
         obeyed = np.array([self.timing_with(effects).obeyed for _, effects in lanes])
         return replay_platform(scenarios, parameters, self._padded, run, obeyed)
 
-    def passed_from_input(self, i: int, effects: Effects) -> Array | None:
-        """(N, 6) variance of the pose of run i due to the rounding errors of its command: by replays of commands with such errors."""
-        if not self.rounding or (sigma := self.rounding[i]) is None:
-            return None
-        command = self.commands[i]
-        commands = [command, *(np.column_stack([command[:, :3] + e, command[:, 3:]]) for e in perturbations(sigma))]
-        copies = PlatformLink([self.runs[i]] * len(commands), commands, [self.deflection[i]] * len(commands)).with_timing(self.timing)
-        exact, *found = copies.predict([(k, effects) for k in range(len(commands))])
-        return np.asarray(np.mean([np.square(f - exact) for f in found], axis=0))
+    def _with_errors(self, i: int) -> PlatformLink:
+        commands = perturbed(self.commands[i], self.rounding[i])
+        count = len(commands)
+        return PlatformLink([self.runs[i]] * count, commands, [self.deflection[i]] * count).with_timing(self.timing)
 
     def doubt(self, i: int, effects: Effects) -> Array | None:
         """(N, 6) change of a platform with stiction in rows whose jump may have come a row sooner or later; None without stiction."""

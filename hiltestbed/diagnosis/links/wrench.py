@@ -15,7 +15,7 @@ from hiltestbed.contact.latch import latch_limits
 from hiltestbed.contact.mount_dynamics import MountDynamics
 from hiltestbed.contact.parameters import ContactParameters, believed_contacts, contact_rows
 from hiltestbed.contact.sides import sides_of
-from hiltestbed.diagnosis.links.base import Effects, Lane, Link, LinkRun, Timing, moved, padded, perturbations
+from hiltestbed.diagnosis.links.base import Effects, Lane, Link, LinkRun, Timing, moved, padded, perturbed
 from hiltestbed.diagnosis.low_pass import LowPass
 from hiltestbed.diagnosis.settings import BLOCK_ROWS
 from hiltestbed.frames import Array, pose_step
@@ -91,7 +91,6 @@ class WrenchLink(Link):
         self.of_rows = 1
         self.exact: Effects | None = None
         self._step_error: list[Array] | None = None
-        self._rounding: Sequence[Array] | None = None
         self._believed = [_numbers(r.scenario, self.lever, self.blunt, self.ring) for r in runs]
         scenarios = [r.scenario for r in runs]
         first, before = scenarios[0], np.empty((len(runs), 7))
@@ -170,24 +169,10 @@ class WrenchLink(Link):
         out.logged = logged
         return out
 
-    def with_rounding(self, rounding: Sequence[Array] | None) -> WrenchLink:
-        """The same link whose paths have rounding errors; (N, 3) of each run, 1 sigma [m]; None: they have none."""
-        out = copy(self)
-        out._rounding = rounding
-        return out
-
-    def passed_from_input(self, i: int, effects: Effects) -> Array | None:
-        """(N, 6) variance of the reading of run i due to the rounding errors of its path: by replays of copies with such errors."""
-        if self._rounding is None:
-            return None
-        path, run = self.paths[i], self.runs[i]
-        errors = perturbations(self._rounding[i][: run.rows])
-        paths = [path, *(np.column_stack([path[:, :3] + e, path[:, 3:]]) for e in errors)]
-        runs = [run] * len(paths)
-        link = WrenchLink(runs, paths, None, None if self.rates is None else [central_rates(run.scenario, p) for p in paths])
-        link = link.as_interpreted(self).through(self.logged)
-        exact, *found = link.predict([(k, effects) for k in range(len(paths))])
-        return np.asarray(np.mean([np.square(f - exact) for f in found], axis=0))
+    def _with_errors(self, i: int) -> WrenchLink:
+        paths, run = perturbed(self.paths[i], self.rounding[i][: self.runs[i].rows]), self.runs[i]
+        rates = None if self.rates is None else [central_rates(run.scenario, p) for p in paths]
+        return WrenchLink([run] * len(paths), paths, None, rates).as_interpreted(self).through(self.logged)
 
     def _replay(self, lanes: Sequence[Lane]) -> list[Array]:
         moved = [n for n, (_, effects) in enumerate(lanes) if any(e.link == "platform" for e in effects)] if self.commands else []
