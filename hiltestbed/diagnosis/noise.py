@@ -12,16 +12,15 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 from scipy.ndimage import median_filter, uniform_filter1d
 from scipy.optimize import brentq, nnls
 from scipy.stats import chi2 as chi_square
 from scipy.stats import f as fisher
-from scipy.stats import theilslopes
 
 from hiltestbed.diagnosis.aside import BASELINE_DEGREE, MIN_BASELINE_ROWS, UNKNOWN, baseline_terms, wander_between
+from hiltestbed.diagnosis.free_flight import free_readings, readings_apart, shows_noise, straightened
 from hiltestbed.diagnosis.low_pass import LowPass
 from hiltestbed.diagnosis.settings import (
     MIN_NOISE_ROWS,
@@ -39,7 +38,6 @@ from hiltestbed.signals import GROUPS
 
 CHANNELS = GROUPS["wrench_meas"].columns
 POSE_PARTS = ("px", "py", "pz", "qx", "qy", "qz")  # of the axes of CHANNELS
-TOUCH_MARGIN_ROWS = 2  # chosen: before the first touch, that are not counted as free
 CONTACT_MARGIN_ROWS = 6  # chosen: after a touch and before its end, whose differences show the touch
 MAX_LAG = 64  # chosen: rows over which a correlation is summed
 SMOOTHED_ROWS = 9  # chosen: of the running mean of a reading in contact
@@ -47,13 +45,8 @@ CLIP_SIGMA = 4.0  # chosen: robust standard deviations at which a sample is clip
 FEW_STEPS = 2.5  # chosen: range of a channel in steps of its converter, below which it shows the presence of a force and not its size
 SUDDEN_ROWS = 9  # chosen: of a running median, which an outlier leaves as it is
 SUDDEN_SIGMA = 8.0  # chosen: robust standard deviations from it, so few that no sample of normal noise lies beyond
-RISEN_SIGMA = 8.0  # chosen: robust standard deviations of free flight, from which a force that rises before a contact is one
-RISING_SIGMA = 2.0  # chosen: down to which it is followed back
-LINE_ROWS = 200  # chosen: to which the line of free flight is fitted
-MIN_LINE_ROWS = 20  # chosen: from which its scatter is known well enough
 MIN_DITHER = 1.0  # chosen: noise in steps, above which the quantisation error is independent of the signal and of the row before
 STEP_TOLERANCE = 1.01  # chosen: relative error of a step that is estimated from a record
-SETTLING_TIME = 0.05  # chosen: [s] after a contact in which a reading still shows it
 MAX_REST = 0.02  # chosen: share of the largest motion of a latched mechanism, below which an axis counts as at rest
 OUTLIER_SIGMA = 4.0  # derived: robust standard deviations, beyond which 6e-5 of normal samples lie
 THIRD_DIFFERENCE_VARIANCE = 20.0  # derived: of third differences of unit white noise: 1 + 9 + 9 + 1
@@ -147,14 +140,14 @@ def _noise(runs: Sequence[MeasuredRun], logged: LowPass | None, shown: Sequence[
     each = [set(moved_axes(run)) for run in runs if latched and run.record.has("wrench_meas")] or [set[int]()]
     moved, driving = sorted(set.union(*each)), sorted(set.intersection(*each))
     at_rest = [_at_rest(run, driving, s) for run, s in zip(runs, shown, strict=True)] if latched else []
-    free = [readings for _, readings in at_rest] if latched else [_free(run) for run in runs]
+    free = [readings for _, readings in at_rest] if latched else [free_readings(run) for run in runs]
     if sum(len(x) for x in free) < MIN_NOISE_ROWS:
         return still
-    columns = [j for j in measured if j not in moved and _moves(free, j)]
+    columns = [j for j in measured if j not in moved and shows_noise(free, j)]
     if not columns:
         return still
-    apart = [(rows, x[:, columns]) for rows, x in at_rest] if latched else [_contact_free(run, columns) for run in runs]
-    flat, start = _straightened(free, columns)
+    apart = [(rows, x[:, columns]) for rows, x in at_rest] if latched else [readings_apart(run, columns) for run in runs]
+    flat, start = straightened(free, columns)
     if latched:  # whole runs, over which a baseline wanders more than along a line
         flat = [_without_baseline(x) for x in flat]
     bent = 1 + BASELINE_DEGREE if latched else 2  # numbers of the baseline, or of the line, of a channel in one run
@@ -239,49 +232,6 @@ def _places(rows: Array, ticks: int) -> Array:
     return 2.0 * rows / max(ticks - 1, 1) - 1.0
 
 
-def _free(run: MeasuredRun) -> Array:
-    """(n, 6) readings before the first touch, without rows in which a measured channel is missing."""
-    record = run.record
-    if not record.has("wrench_meas"):
-        return np.zeros((0, 6))
-    values = record.data["wrench_meas"][: _first_touch(run)]
-    there = np.isfinite(values).any(axis=0)
-    return np.where(there, values, 0.0)[np.isfinite(values[:, there]).all(axis=1)]
-
-
-def _first_touch(run: MeasuredRun) -> int:
-    """Rows before the first touch: by the contacts that were found, or by the force where it rises directly before them, since the bodies
-    may meet earlier than believed."""
-    if not run.survey.contacts:
-        return run.record.ticks
-    end = max(0, run.survey.contacts[0].start - TOUCH_MARGIN_ROWS)
-    risen = max(_risen(run.record.data["wrench_meas"][:end, :3]))
-    return max(0, end - risen - TOUCH_MARGIN_ROWS) if risen else end
-
-
-def _risen(forces: Array) -> list[int]:
-    """Of each channel of (n, C) the number of last rows that depart from the line of the others, and reach :data:`RISEN_SIGMA`."""
-    out, rows = [], np.arange(len(forces), dtype=float)
-    for x in forces.T:
-        known = np.flatnonzero(np.isfinite(x))
-        few = known[:: max(1, len(known) // LINE_ROWS)]
-        if len(few) < MIN_LINE_ROWS:
-            out.append(0)
-            continue
-        line: Any = theilslopes(x[few], rows[few])  # a quarter of the rows may depart from it
-        far = np.abs(x - line.intercept - line.slope * rows)
-        sigma = 1.4826 * float(np.median(far[known]))
-        risen = far > RISING_SIGMA * sigma
-        count = int(np.argmin(risen[::-1]))
-        out.append(count if count and sigma > 0.0 and far[len(x) - count :].max() > RISEN_SIGMA * sigma else 0)
-    return out
-
-
-def _moves(free: Sequence[Array], j: int) -> bool:
-    """Whether a channel shows any noise: not if it was not measured, or reads zero below a threshold."""
-    return all(np.median(np.abs(np.diff(x[:, j]))) > 0.0 for x in free if len(x) > 10)
-
-
 def undithered(run: MeasuredRun, name: str) -> bool:
     """Whether noise does not dither the quantisation of a channel, so that the noise cannot be estimated from it."""
     step = run.record.steps.get(name, 0.0)
@@ -295,30 +245,6 @@ def few_levels(run: MeasuredRun, name: str) -> bool:
     values = run.record.column(name)
     known = values[np.isfinite(values)]
     return len(known) > 0 and float(np.ptp(known)) < FEW_STEPS * run.record.steps[name]
-
-
-def _contact_free(run: MeasuredRun, columns: Sequence[int]) -> tuple[Array, Array]:
-    """Rows (M,) away from contacts, and the readings (M, C) there."""
-    record = run.record
-    if not record.has("wrench_meas"):
-        return np.zeros(0), np.zeros((0, len(columns)))
-    values = record.data["wrench_meas"][:, columns]
-    apart = ~run.survey.touching(len(values), round((run.scenario.sensor.delay + SETTLING_TIME) * run.scenario.rate))
-    first = _first_touch(run)
-    apart[first : run.survey.contacts[0].start if run.survey.contacts else first] = False
-    apart &= np.isfinite(values).all(axis=1)
-    return np.flatnonzero(apart).astype(float), values[apart]
-
-
-def _straightened(free: Sequence[Array], columns: Sequence[int]) -> tuple[list[Array], Array]:
-    """Readings less a straight line for each run and channel, of one slope in all runs; and the values of the lines at the start (R, C)."""
-    rows = [np.arange(len(x), dtype=float) for x in free]
-    above = sum(float(np.sum((t - t.mean()) ** 2)) for t in rows if len(t))
-    slope = sum(((t - t.mean())[:, None] * x[:, columns]).sum(axis=0) for t, x in zip(rows, free, strict=True) if len(t)) / above
-    start = np.array(
-        [x[:, columns].mean(axis=0) - slope * t.mean() if len(t) else np.zeros(len(columns)) for t, x in zip(rows, free, strict=True)]
-    )
-    return [x[:, columns] - s - t[:, None] * slope for t, x, s in zip(rows, free, start, strict=True)], start
 
 
 def _without_baseline(x: Array) -> Array:

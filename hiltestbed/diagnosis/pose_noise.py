@@ -11,6 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from hiltestbed.diagnosis.free_flight import TOUCH_MARGIN_ROWS, first_touch
 from hiltestbed.diagnosis.noise import POSE_PARTS, moved_axes
 from hiltestbed.diagnosis.settings import MIN_NOISE_ROWS, SIGNIFICANCE_SIGMA
 from hiltestbed.frames import Array
@@ -18,7 +19,6 @@ from hiltestbed.measured import MeasuredRun
 from hiltestbed.measured.noise import white_noise
 from hiltestbed.signals import GROUPS
 
-TOUCH_MARGIN_ROWS = 2  # chosen: before the first touch, that are not counted as free
 MOTION_DEGREE = 3  # chosen: of the polynomial that is taken off as motion: the noise of the force moves a body like a random walk
 MAX_FAR_CORRELATION = 0.3  # chosen: of the correlation of neighbours, that rows further apart may have by chance
 FAR_LAGS = (2, 3, 4)  # chosen: rows at which interpolated noise is no longer correlated, while a non-uniform motion is
@@ -57,8 +57,7 @@ def _free(run: MeasuredRun, name: str) -> Array:
     if not run.record.has(name):
         return np.zeros(0)
     latched, told = run.scenario.mechanism.captured, name.replace("act", "cmd")
-    touched = run.survey.contacts and not latched
-    end = max(0, run.survey.contacts[0].start - TOUCH_MARGIN_ROWS) if touched else run.record.ticks
+    end = run.record.ticks if latched else first_touch(run)
     values = run.record.column(name)[TOUCH_MARGIN_ROWS:end]
     if latched and run.record.has(told):  # which is reached a row later
         values = values - run.record.column(told)[TOUCH_MARGIN_ROWS - 1 : end - 1]

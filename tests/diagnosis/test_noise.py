@@ -12,7 +12,8 @@ from scipy.stats import f as fisher
 
 from hiltestbed.diagnosis.aside import Aside, wander_between
 from hiltestbed.diagnosis.floors import white_outside
-from hiltestbed.diagnosis.noise import TOUCH_MARGIN_ROWS, ForceNoise, _first_touch, force_noise, softened
+from hiltestbed.diagnosis.free_flight import TOUCH_MARGIN_ROWS, first_touch
+from hiltestbed.diagnosis.noise import ForceNoise, force_noise, softened
 from hiltestbed.diagnosis.settings import DETECTION, SIGNIFICANCE_LEVEL
 from hiltestbed.diagnosis.tones import tones_of
 from hiltestbed.frames import Array
@@ -290,9 +291,9 @@ def test_a_touch_before_the_believed_one_is_no_free_flight(hum: float) -> None:
     added = np.column_stack([np.zeros((ROWS, 2)), early + wave, np.zeros((ROWS, 3))])
     flat = [n + np.column_stack([np.zeros((ROWS, 2)), wave, np.zeros((ROWS, 3))]) for n in white(8)]
     assert found([n + added for n in white(8)]).levels() == pytest.approx(found(flat).levels(), rel=0.2)  # 3 rows are within the hum
-    assert [_first_touch(run(n + added)) for n in white(8)] == pytest.approx([TOUCH - 30] * RUNS, abs=8)
+    assert [first_touch(run(n + added)) for n in white(8)] == pytest.approx([TOUCH - 30] * RUNS, abs=8)
 
 
 def test_a_baseline_that_wanders_up_to_a_touch_is_free_flight() -> None:
     bend = 3.0 * np.sin(np.linspace(0.0, 3.0, ROWS))[:, None]  # [N], ten times the noise
-    assert [_first_touch(run(n + bend)) for n in white(9)] == [TOUCH - TOUCH_MARGIN_ROWS] * RUNS
+    assert [first_touch(run(n + bend)) for n in white(9)] == [TOUCH - TOUCH_MARGIN_ROWS] * RUNS

@@ -1,0 +1,88 @@
+"""Stage "layout": free flight in the recorded force: the rows before the first touch and between contacts, where a sensor reads nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from scipy.stats import theilslopes
+
+from hiltestbed.frames import Array
+from hiltestbed.measured import MeasuredRun
+
+TOUCH_MARGIN_ROWS = 2  # chosen: before the first touch, that are not counted as free
+RISEN_SIGMA = 8.0  # chosen: robust standard deviations of free flight, from which a force that rises before a contact is one
+RISING_SIGMA = 2.0  # chosen: down to which it is followed back
+LINE_ROWS = 200  # chosen: to which the line of free flight is fitted
+MIN_LINE_ROWS = 20  # chosen: from which its scatter is known well enough
+SETTLING_TIME = 0.05  # chosen: [s] after a contact in which a reading still shows it
+
+
+def first_touch(run: MeasuredRun) -> int:
+    """Rows before the first touch: by the contacts that were found, or by the force where it rises directly before them, since the bodies
+    may meet earlier than believed."""
+    if not run.survey.contacts:
+        return run.record.ticks
+    end = max(0, run.survey.contacts[0].start - TOUCH_MARGIN_ROWS)
+    if not run.record.has("wrench_meas"):
+        return end
+    risen = max(_risen(run.record.data["wrench_meas"][:end, :3]))
+    return max(0, end - risen - TOUCH_MARGIN_ROWS) if risen else end
+
+
+def _risen(forces: Array) -> list[int]:
+    """Of each channel of (n, C) the number of last rows that depart from the line of the others, and reach :data:`RISEN_SIGMA`."""
+    out, rows = [], np.arange(len(forces), dtype=float)
+    for x in forces.T:
+        known = np.flatnonzero(np.isfinite(x))
+        few = known[:: max(1, len(known) // LINE_ROWS)]
+        if len(few) < MIN_LINE_ROWS:
+            out.append(0)
+            continue
+        line: Any = theilslopes(x[few], rows[few])  # a quarter of the rows may depart from it
+        far = np.abs(x - line.intercept - line.slope * rows)
+        sigma = 1.4826 * float(np.median(far[known]))
+        risen = far > RISING_SIGMA * sigma
+        count = int(np.argmin(risen[::-1]))
+        out.append(count if count and sigma > 0.0 and far[len(x) - count :].max() > RISEN_SIGMA * sigma else 0)
+    return out
+
+
+def free_readings(run: MeasuredRun) -> Array:
+    """(n, 6) readings before the first touch, without rows in which a measured channel is missing."""
+    record = run.record
+    if not record.has("wrench_meas"):
+        return np.zeros((0, 6))
+    values = record.data["wrench_meas"][: first_touch(run)]
+    there = np.isfinite(values).any(axis=0)
+    return np.where(there, values, 0.0)[np.isfinite(values[:, there]).all(axis=1)]
+
+
+def readings_apart(run: MeasuredRun, columns: Sequence[int]) -> tuple[Array, Array]:
+    """Rows (M,) away from contacts, and the readings (M, C) there."""
+    record = run.record
+    if not record.has("wrench_meas"):
+        return np.zeros(0), np.zeros((0, len(columns)))
+    values = record.data["wrench_meas"][:, columns]
+    apart = ~run.survey.touching(len(values), round((run.scenario.sensor.delay + SETTLING_TIME) * run.scenario.rate))
+    first = first_touch(run)
+    apart[first : run.survey.contacts[0].start if run.survey.contacts else first] = False
+    apart &= np.isfinite(values).all(axis=1)
+    return np.flatnonzero(apart).astype(float), values[apart]
+
+
+def straightened(free: Sequence[Array], columns: Sequence[int]) -> tuple[list[Array], Array]:
+    """Readings less a straight line for each run and channel, of one slope in all runs; and the values of the lines at the start (R, C)."""
+    rows = [np.arange(len(x), dtype=float) for x in free]
+    above = sum(float(np.sum((t - t.mean()) ** 2)) for t in rows if len(t))
+    slope = sum(((t - t.mean())[:, None] * x[:, columns]).sum(axis=0) for t, x in zip(rows, free, strict=True) if len(t)) / above
+    start = np.array(
+        [x[:, columns].mean(axis=0) - slope * t.mean() if len(t) else np.zeros(len(columns)) for t, x in zip(rows, free, strict=True)]
+    )
+    return [x[:, columns] - s - t[:, None] * slope for t, x, s in zip(rows, free, start, strict=True)], start
+
+
+def shows_noise(free: Sequence[Array], j: int) -> bool:
+    """Whether a channel shows any noise: not if it was not measured, or reads zero below a threshold."""
+    return all(np.median(np.abs(np.diff(x[:, j]))) > 0.0 for x in free if len(x) > 10)
