@@ -371,3 +371,33 @@ def test_a_damping_that_grows_with_depth_is_sought_to_where_little_is_left_of_a_
     assert gone / most < 0.2
     assert c.low[0] == 0.0
     assert [1.0 - 2.0 / 3.0 * s[0] * speed > 0.9 for s in c.grid] == [True, True, False, False]  # starts of small losses and of large ones
+
+
+def test_a_costly_link_is_explained_as_any_other_from_fewer_replays(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Fits on a few runs come first; what all runs then give is the same."""
+    hidden = [effect("contact.stiffness", factor=1.3), effect("contact.dry_friction", force=8.0)]
+    residual = Residual(contact_link(hidden, speeds=(0.01, 0.02, 0.03, 0.04, 0.05, 0.06)))
+    candidates = tuple(c for e in EFFECTS.values() if e.link in ("contact", "sensor") for c in e.candidates(SCALES))
+    replayed, found, replay = [0, 0], [], WrenchLink._replay
+    for i, costly in enumerate((False, True)):
+        monkeypatch.setattr(WrenchLink, "costly", costly)
+        monkeypatch.setattr(WrenchLink, "_replay", lambda self, lanes, i=i: count(replayed, i, lanes) or replay(self, lanes))
+        found.append(Search(candidates).explain(residual))
+    monkeypatch.undo()
+    assert replayed[1] < 0.9 * replayed[0]
+    assert found[0].adequate
+    assert found[1].adequate
+    assert sorted(found[1].chosen.kinds) == sorted(found[0].chosen.kinds) == ["contact.dry_friction", "contact.stiffness"]
+    np.testing.assert_allclose(found[1].chosen.of(found[0].chosen.causes), found[0].chosen.theta, rtol=1e-4)
+    assert found[1].chosen.chi2 == pytest.approx(found[0].chosen.chi2, abs=0.1)
+
+
+@pytest.mark.parametrize(("sigma", "counts"), [(1e-3, True), (0.2, False)])
+def test_a_jitter_at_the_end_of_its_search_is_none(sigma: float, counts: bool) -> None:
+    """It would explain any misfit: here noise in proportion to the rate of the reading, ten times as large as the largest jitter's."""
+    link, rng = contact_link(), np.random.default_rng(5)
+    shaken = [r.measured + sigma * s * rng.standard_normal((len(s), 1)) for r, s in zip(link.runs, link.slopes(()), strict=True)]
+    residual = Residual(reread(link, shaken))
+    found = jitter_beside(residual, null_fit(residual))
+    assert (found is not None) == counts
+    assert found is None or found.theta[0] == pytest.approx(sigma, rel=0.2)
