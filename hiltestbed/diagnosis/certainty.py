@@ -12,6 +12,7 @@ from hiltestbed.diagnosis.fit import Fit, bounds_of, effects_at, fit, scales
 from hiltestbed.diagnosis.intervals import Spread, intervals
 from hiltestbed.diagnosis.residual import Residual, square
 from hiltestbed.diagnosis.search import Explanation
+from hiltestbed.diagnosis.timing import DELAY_EFFECTS, instants_off
 from hiltestbed.effects.search import Candidate
 from hiltestbed.frames import Array
 
@@ -90,17 +91,24 @@ class Certainties:
         """The certainty of a fit to the link."""
         if found not in self._known:
             e = self._explanations[link]
-            self._known[found] = certainty(link, e.residual, found, e.candidates)
+            self._known[found] = certainty(link, e.residual, found, e.candidates, instants_off(self._explanations))
         return self._known[found]
 
     def __iter__(self):
         return (c for c in self._known.values() if c.profiles)
 
 
-def certainty(link: str, residual: Residual, found: Fit, candidates: Sequence[Candidate] = ()) -> Certainty:
-    """The certainty of a fit to the residual of a link; candidates: that were compared, for the variants of its causes."""
+def certainty(link: str, residual: Residual, found: Fit, candidates: Sequence[Candidate] = (), off: float = 0.0) -> Certainty:
+    """The certainty of a fit to the residual of a link.
+
+    Args:
+        candidates: that were compared, for the variants of its causes.
+        off: [s] by which instants of the facility may be off, which no channel tells from a delay.
+    """
     spread = intervals(residual, found)
     spread = replace(spread, ends=_with_variants(residual, found, spread.ends, candidates))
+    if off:
+        spread = replace(spread, ends=_with_instants(found, spread.ends, off))
     low, high, log = bounds_of(found.causes)
     close = BOUND_TOLERANCE * scales(found.theta, low, high, log) if len(found.theta) else np.zeros(0)
     base = square(residual(found.effects()))
@@ -138,6 +146,14 @@ def _with_variants(residual: Residual, found: Fit, ends: Array, candidates: Sequ
             there, shift = intervals(residual, again).ends[own], np.abs(again.theta[own] - found.theta[here])
             out[here] = np.column_stack([np.minimum(out[here, 0], there[:, 0] - shift), np.maximum(out[here, 1], there[:, 1] + shift)])
     return out
+
+
+def _with_instants(found: Fit, ends: Array, off: float) -> Array:
+    """(P, 2) ends of the intervals, those of delays wider by ``off`` [s] on each side."""
+    low, high, _ = bounds_of(found.causes)
+    names = [(c.kind, name) for c in found.causes for name in c.names]
+    wider = np.array([off if kind in DELAY_EFFECTS and name == "delay" else 0.0 for kind, name in names])
+    return np.clip(ends + wider[:, None] * np.array([-1.0, 1.0]), low[:, None], high[:, None])
 
 
 def _unit(c: Candidate, name: str) -> str:

@@ -6,15 +6,16 @@ The order of the links is that in which one link's explanation helps the next.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from hiltestbed.diagnosis import judges
+from hiltestbed.diagnosis.adequacy import noise_alone
 from hiltestbed.diagnosis.all_rows import refit_on_all_rows
 from hiltestbed.diagnosis.driven import AXIS_EFFECTS, DISPLACEMENT_SPAN, axis_link, mass_and_force, simplest_force
-from hiltestbed.diagnosis.fit import Fit, fit, inflation, null_fit, refit
+from hiltestbed.diagnosis.fit import BOUND_TOLERANCE, Fit, fit, inflation, null_fit, refit
 from hiltestbed.diagnosis.jitter import JITTER, jitter_beside
 from hiltestbed.diagnosis.layout import Layout, compensation_link, dynamics_link, lay_out, platform_link, with_noise_beside, with_readings
 from hiltestbed.diagnosis.lines import hum_beside, lines
@@ -25,8 +26,8 @@ from hiltestbed.diagnosis.paths import (
     compared_share,
     make_wrench_link,
     path_without_delay,
+    with_clocks_off,
     with_filter_error,
-    with_interpolation_error,
 )
 from hiltestbed.diagnosis.plain import LINK_NAMES
 from hiltestbed.diagnosis.readings import (
@@ -46,7 +47,16 @@ from hiltestbed.diagnosis.richer import Richer
 from hiltestbed.diagnosis.search import Explanation, Progress, Search, labelled
 from hiltestbed.diagnosis.settings import DETECTION, MAX_NOISE_SIGMA, MAX_SKEW_RESIDUAL, MIN_COMPARED
 from hiltestbed.diagnosis.stiction import stick_starts
-from hiltestbed.diagnosis.timing import MAX_STAMP_SHIFT_ROWS, best_placed, explain_with_timing, part_of_a_tick, timing_departs, timing_under
+from hiltestbed.diagnosis.timing import (
+    MAX_STAMP_SHIFT_ROWS,
+    best_placed,
+    exactly_stamped,
+    explain_with_timing,
+    may_be_stamp,
+    stamps_known,
+    timing_departs,
+    timing_under,
+)
 from hiltestbed.effects.search import Candidate, Scales
 from hiltestbed.effects.table import EFFECTS
 from hiltestbed.frames import Array
@@ -54,11 +64,13 @@ from hiltestbed.log import log_parameters
 from hiltestbed.measured import MeasuredDataset
 from hiltestbed.replay import follows_exactly
 from hiltestbed.replay.wrench import shifted
+from hiltestbed.signals import GROUPS
 
 MAX_RESTART_CHI2 = 0.9  # chosen: of chi-square, below which another estimate of the initial state is taken
 MIN_SKEW_SHARE = 0.25  # chosen: of a skew in the compensation: if contact and sensor show less, wrench_meas is not late
 SHIFT_LOOK_ALIKES = ("sensor.delay", "contact.damping", "contact.stiffness", "sensor.lag")  # look-alikes of a path shifted in time
-ORDER = ("platform", "compensation", "wrench", "dynamics")  # of the links
+LOST_START = 2.0  # derived: times the noise: of a row that is extrapolated from the two beside it
+ORDER = ("compensation", "dynamics", "platform", "wrench")  # of the links
 WRENCH_LINKS = ("contact", "sensor")  # links of the vocabulary that act between the pose and the reading
 
 
@@ -88,14 +100,16 @@ def investigate(dataset: MeasuredDataset, progress: Progress | None = None) -> F
     layout = lay_out(dataset)
     found: dict[str, Explanation] = {}
     whole: dict[str, Link] = {}
-    if "platform" not in layout.missing:
-        link = platform_link(layout, layout.rows)
-        found["platform"] = _explain_platform(layout, link, _begin(progress, layout, "platform"))
-        whole["platform"] = platform_link(layout, layout.whole).with_timing(found["platform"].residual.link.timing)
     if "compensation" not in layout.missing:
         candidates = _candidates(layout.scales, ("compensation", "log"))
         found["compensation"] = _explain_compensation(layout, compensation_link(layout, layout.rows), candidates, progress)
         whole["compensation"] = compensation_link(layout, layout.whole).with_timing(found["compensation"].residual.link.timing)
+    if "dynamics" not in layout.missing:
+        found["dynamics"], whole["dynamics"] = _explain_dynamics(layout, found, progress)
+    if "platform" not in layout.missing:
+        link = _stamped_platform(layout, found)
+        found["platform"] = _explain_platform(layout, link, _begin(progress, layout, "platform"))
+        whole["platform"] = platform_link(layout, layout.whole).with_timing(found["platform"].residual.link.timing)
     missing = dict(layout.missing)
     if "wrench" not in missing:
         path = _choose_path(layout, found, whole, progress)
@@ -104,17 +118,7 @@ def investigate(dataset: MeasuredDataset, progress: Progress | None = None) -> F
             missing["wrench"] = why
         else:
             layout = _settle_platform(layout, found, whole, progress)
-    if "dynamics" not in layout.missing:
-        if layout.scales.driven is None:
-            residual = Residual(dynamics_link(layout, layout.rows))
-            search = Search(
-                _candidates(layout.scales, ("dynamics",)), judges.of_dynamics(residual), (), _begin(progress, layout, "dynamics")
-            )
-            found["dynamics"] = explain_with_timing(residual, search)
-            whole["dynamics"] = dynamics_link(layout, layout.whole).with_timing(found["dynamics"].residual.link.timing)
-        else:
-            found["dynamics"], whole["dynamics"] = _explain_axis(layout, _begin(progress, layout, "dynamics", "driven axis"))
-    return Findings(layout, found, missing, whole)
+    return Findings(layout, {name: found[name] for name in LINK_NAMES if name in found}, missing, whole)
 
 
 def _candidates(scales: Scales, links: Sequence[str], rich: bool = False) -> tuple[Candidate, ...]:
@@ -146,6 +150,25 @@ def _explain_platform(layout: Layout, link: PlatformLink, progress: Progress | N
     return other if placed is found else placed
 
 
+def _explain_dynamics(layout: Layout, found: Mapping[str, Explanation], progress: Progress | None) -> tuple[Explanation, Link]:
+    """The explanation of the numerical model, or of a driven axis; and that link on whole runs.
+
+    found: of the compensation, which may show that stamps are off: then a departure no larger than what interpolation does shows nothing.
+    """
+    if layout.scales.driven is not None:
+        return _explain_axis(layout, _begin(progress, layout, "dynamics", "driven axis"))
+    link = dynamics_link(layout, layout.rows).stamped({"before": -stamps_known(found).get("wrench_comp", 0.0)})
+    judge = judges.of_dynamics(Residual(link))
+    if not noise_alone(judge(Residual(link), ())):
+        noise = [layout.noise.get(name, 0.0) for name in GROUPS["wrench_comp"].columns]
+        link = link.with_unknown_start(LOST_START * np.array(noise))
+    search = Search(
+        _candidates(layout.scales, ("dynamics",)), judge, (), _begin(progress, layout, "dynamics"), bounded=timing_departs(found)
+    )
+    explanation = explain_with_timing(Residual(link), search)
+    return explanation, dynamics_link(layout, layout.whole).with_timing(explanation.residual.link.timing)
+
+
 def _explain_axis(layout: Layout, progress: Progress | None) -> tuple[Explanation, AxisLink]:
     """The explanation of a driven axis: its mass and what resists it, sought together from the estimates of a regression."""
     link = axis_link(layout.runs)
@@ -165,6 +188,8 @@ def _explain_compensation(
     judge = judges.of_compensation(link, layout.noise)
     approximate = layout.logged is not None or any("wrench_meas" in run.record.bends for run in layout.runs)
     search = Search(tuple(candidates), judge, (), _begin(progress, layout, "compensation"), bounded=approximate)
+    if not noise_alone(judge(Residual(link), ())) and (stamped := exactly_stamped(Residual(link), search)):
+        return search.explain(stamped)
     led = [link.noise_gain() * layout.noise.get(name.replace("comp", "meas"), 0.0) for name in link.channels]
     return explain_with_timing(Residual(link), search, weigh=lambda residual: residual.with_noise(np.array(led)))
 
@@ -190,15 +215,17 @@ def _investigate_wrench(
         return (
             f"the smallest difference decides how the mechanism moves after the touch: {part:.0%} of the rows in contact could be replayed"
         )
-    link = choose_steps(choose_ring(choose_lever(make_wrench_link(layout, path, layout.rows, decimate="compensation" not in found))))
+    link = make_wrench_link(layout, path, layout.rows, decimate="compensation" not in found)
+    link = choose_steps(choose_ring(choose_lever(_as_stamped(link, found))))
     scales = replace(layout.scales, lines=lines(link))
     unseen = ("platform",) if link.commands else ()  # its response then is in the path
     candidates = _candidates(scales, (*WRENCH_LINKS, *unseen) if "compensation" in found else (*WRENCH_LINKS, *unseen, "log"))
     given = _stamped_late(layout, link, found.get("compensation"))
     if given and _by_its_stamp(layout, link, found, whole, given[0], progress):
         given = []
-    if given:  # which the contact alone cannot tell from a late sensor
-        candidates = tuple(c for c in candidates if c.kind != "sensor.delay")
+    if given:
+        if given[0].causes[0].names:  # an estimate, which the contact alone cannot tell from a late sensor
+            candidates = tuple(c for c in candidates if c.kind != "sensor.delay")
         levered = wrench_link_of(lever_under(Residual(link), given[0]))
         if levered is not link:
             link, given = levered, _stamped_late(layout, levered, found["compensation"]) or given
@@ -231,26 +258,38 @@ def _investigate_wrench(
     return None
 
 
+def _as_stamped(link: WrenchLink, found: Mapping[str, Explanation]) -> WrenchLink:
+    """The link with the stamps of wrench_meas that the compensation shows."""
+    return link.stamped({"before": stamps_known(found).get("wrench_meas", 0.0)})
+
+
 def _choose_path(layout: Layout, found: dict[str, Explanation], whole: dict[str, Link], progress: Progress | None) -> BestPath:
     """The path that fits contact and sensor best, of those that the platform leaves open; and the platform explained to match it."""
     best = best_path(layout, found.get("platform"))
     if other := path_without_delay(layout, found.get("platform"), best):
-        links = [choose_lever(make_wrench_link(layout, with_interpolation_error(layout, path), layout.rows)) for path in (best, other)]
+        links = [make_wrench_link(layout, with_clocks_off(layout, path), layout.rows) for path in (best, other)]
+        links = [choose_lever(_as_stamped(link, found)) for link in links]
         resembling = [c for c in _candidates(layout.scales, WRENCH_LINKS) if c.kind in SHIFT_LOOK_ALIKES and not c.variant]
         if best_placed(links, resembling):
             best = other
-            found["platform"], whole["platform"] = _stamped_elsewhere(layout, found["platform"], progress)
+            found["platform"], whole["platform"] = _stamped_elsewhere(layout, found, progress)
     off = timing_departs(found) or any(r.record.bends for r in layout.runs)
-    return with_filter_error(layout, with_interpolation_error(layout, best) if off else best)
+    return with_filter_error(layout, with_clocks_off(layout, best) if off else best)
 
 
-def _stamped_elsewhere(layout: Layout, platform: Explanation, progress: Progress | None) -> tuple[Explanation, Link]:
-    """The platform, if the fractions of a tick by which it is late are the stamp's: explained again, and on whole runs."""
-    tick, timing = layout.scales.tick, platform.residual.link.timing
+def _stamped_platform(layout: Layout, found: Mapping[str, Explanation]) -> PlatformLink:
+    """The platform with the stamps of pose_cmd that the numerical model shows."""
+    return platform_link(layout, layout.rows).stamped({"before": -stamps_known(found).get("pose_cmd", 0.0)})
+
+
+def _stamped_elsewhere(layout: Layout, found: Mapping[str, Explanation], progress: Progress | None) -> tuple[Explanation, Link]:
+    """The platform, if what little it is late is its stamp: explained again, and on whole runs."""
+    platform = found["platform"]
+    timing = platform.residual.link.timing
     for effect in platform.chosen.effects():
-        if part_of_a_tick(effect, tick):
+        if may_be_stamp(effect, platform.residual.link):
             timing = timing.plus(Timing(delay=effect.parameters()["delay"]))
-    again = _explain_platform(layout, platform_link(layout, layout.rows).with_timing(timing), _begin(progress, layout, "platform"))
+    again = _explain_platform(layout, _stamped_platform(layout, found).with_timing(timing), _begin(progress, layout, "platform"))
     return again, platform_link(layout, layout.whole).with_timing(again.residual.link.timing)
 
 
@@ -258,6 +297,7 @@ def _stamped_late(layout: Layout, link: WrenchLink, compensation: Explanation | 
     """The hypotheses of a record that is stamped late, the likelier first; none where the compensation shows no late record.
 
     The compensation determines the delay to a tick. A contact that does not show it may hide it: a late reading looks like less damping.
+    A contact that is later still bears no estimate within the tick: the record is as late as the compensation shows, and the sensor may be.
     """
     skew = log_parameters(compensation.chosen.effects()).skew if compensation else 0.0
     if compensation is None or not skew:
@@ -265,6 +305,8 @@ def _stamped_late(layout: Layout, link: WrenchLink, compensation: Explanation | 
     residual = Residual(link)
     candidates = _candidates(replace(layout.scales, late=skew), ("log",))
     fits = sorted((fit(residual, (c,), c.grid) for c in candidates), key=lambda f: f.chi2)
+    if fits[0].theta[0] >= (1.0 - BOUND_TOLERANCE) * fits[0].causes[0].high[0]:
+        fits = [fit(residual, (c.held(0, skew),), [()]) for f in fits for c in f.causes]
     residual = residual.downweighted(fits[0].effects())
     fits = [refit(residual, f) for f in fits]
     borne_out = null_fit(residual).chi2 - fits[0].chi2 > DETECTION
@@ -280,8 +322,8 @@ def _by_its_stamp(
     """
     skew = log_parameters(found["compensation"].chosen.effects()).skew
     residual = Residual(link)
-    told = square(residual([c.at(np.array([skew])) for c in late.causes]))
-    refuted = float(late.theta[-1]) < MIN_SKEW_SHARE * skew or told > null_fit(residual).chi2 + DETECTION
+    told = square(residual([c.at(np.full(len(c.names), skew)) for c in late.causes]))
+    refuted = log_parameters(late.effects()).skew < MIN_SKEW_SHARE * skew or told > null_fit(residual).chi2 + DETECTION
     if skew > MAX_STAMP_SHIFT_ROWS * layout.scales.tick or not refuted:
         return False
     early = compensation_link(layout, layout.rows).with_timing(Timing(delay=-skew))
@@ -347,7 +389,7 @@ def _settle_platform(layout: Layout, found: dict[str, Explanation], whole: dict[
     if again is None:
         return layout
     found["platform"] = _explain_platform(
-        again, platform_link(again, again.rows), _begin(progress, again, "platform", "platform under the force found")
+        again, _stamped_platform(again, found), _begin(progress, again, "platform", "platform under the force found")
     )
     whole["platform"] = platform_link(again, again.whole).with_timing(found["platform"].residual.link.timing)
     return again

@@ -34,7 +34,7 @@ from hiltestbed.diagnosis.settings import (
     PERTURBED_COPIES,
     SMOOTHING_ROWS,
 )
-from hiltestbed.diagnosis.timing import part_of_a_tick
+from hiltestbed.diagnosis.timing import may_be_stamp
 from hiltestbed.frames import Array
 from hiltestbed.measured import MeasuredRun
 from hiltestbed.measured.noise import finest_noise
@@ -70,11 +70,13 @@ class BestPath:
     Attributes:
         path_noise: (N, 6) of each run, noise of the reading that is due to the path; None: none. jumps: (N,) of each run, distance by which
             a platform with stiction jumped [m] in the tick that ends at each row; None: it has no stiction.
+        clocks_off: whether channels are stamped, or instants lie, between rows.
     """
 
     path: Path
     path_noise: Sequence[Array] | None
     jumps: Sequence[Array] | None
+    clocks_off: bool = False
 
 
 def best_path(layout: Layout, platform: Explanation | None) -> BestPath:
@@ -117,20 +119,23 @@ def path_without_delay(layout: Layout, platform: Explanation | None, best: BestP
     """
     if platform is None or not platform.adequate or best.path.source != "pose_cmd":
         return None
-    effects = [e for e in platform.chosen.effects() if not part_of_a_tick(e, layout.scales.tick)]
-    if len(effects) == len(platform.chosen.causes) and platform.residual.link.timing == NO_SHIFT:
+    found = platform.residual.link
+    effects = [e for e in platform.chosen.effects() if not may_be_stamp(e, found)]
+    if len(effects) == len(platform.chosen.causes) and found.timing == NO_SHIFT:
         return None
-    obeyed = Timing(obeyed=platform.residual.link.timing.obeyed)
-    poses = platform_link(layout, layout.whole).with_timing(obeyed).paths(effects)
+    loop = Timing(obeyed=found.timing.obeyed, before=found.timing.before if "before" in found.known else 0.0)
+    poses = platform_link(layout, layout.whole).with_timing(loop).paths(effects)
     path = Path(poses, _central_rates(layout, poses), source="pose_cmd", rounding=best.path.rounding)
     return BestPath(path, best.path_noise, _jumped(platform, path))
 
 
-def with_interpolation_error(layout: Layout, best: BestPath) -> BestPath:
+def with_clocks_off(layout: Layout, best: BestPath) -> BestPath:
     """The same path with added noise for channels that are stamped between rows, where a reading is not on record and interpolation smooths
-    the motion. The error is alike over many rows, and counts like noise that is larger by the root of a block."""
+    the motion. The error is alike over many rows, and counts like noise that is larger by the root of a block. The instant at which a
+    facility takes the rate of the contact is not known either, see :meth:`WrenchLink.with_unknown_rate`."""
     error = [math.sqrt(BLOCK_ROWS) * MODEL_ERROR * np.abs(np.nan_to_num(r.record.data["wrench_meas"])) for r in layout.runs]
-    return replace(best, path_noise=[np.hypot(e, b) for e, b in zip(error, best.path_noise or [0.0] * len(error), strict=True)])
+    noise = [np.hypot(e, b) for e, b in zip(error, best.path_noise or [0.0] * len(error), strict=True)]
+    return replace(best, path_noise=noise, clocks_off=True)
 
 
 def with_filter_error(layout: Layout, best: BestPath) -> BestPath:
@@ -151,6 +156,8 @@ def make_wrench_link(layout: Layout, best: BestPath, rows: Sequence[int], decima
     """Contact and sensor on a path; ``decimate``: in fewer rows, where that loses nothing and no other link continues from them."""
     link = wrench_link(layout, best.path.poses, rows, best.jumps, best.path.rates, best.path_noise)
     link = link.through(layout.logged).with_rounding(best.path.rounding)
+    if best.clocks_off:
+        link = link.with_unknown_rate()
     if _only_commanded(layout):
         assert layout.deflection is not None  # else the link is missing
         return link.commanded(_followed(layout), [found.yielded for found in layout.deflection])

@@ -18,7 +18,7 @@ from hiltestbed.diagnosis.adequacy import JITTER, contact_leftovers, noise_alone
 from hiltestbed.diagnosis.fit import BOUND_TOLERANCE, Fit, at_bound, fit, inflation, null_fit, refit
 from hiltestbed.diagnosis.links import Link, Timing
 from hiltestbed.diagnosis.links.base import NO_SHIFT
-from hiltestbed.diagnosis.residual import Residual
+from hiltestbed.diagnosis.residual import Residual, square
 from hiltestbed.diagnosis.search import Explanation, Search, first_of_each
 from hiltestbed.diagnosis.settings import AMBIGUITY, DETECTION, INTERPRETATION_PENALTY
 from hiltestbed.effects.base import Effect
@@ -29,8 +29,10 @@ Explain = Callable[[Search, Residual], Explanation]
 Weigh = Callable[[Residual], Residual]
 
 MAX_STAMP_SHIFT_ROWS = 2.25  # derived: two channels, each stamped up to a row off; a record with more is refused
+MAX_STAMP_ROWS = 1.0  # chosen: by which one channel is stamped off
 MAX_UNNAMED_DELAY_ROWS = 1.05  # chosen: two instants, each up to half a tick off, and the error due to noise
 STARTS, STARTS_TOGETHER = (0.15, 0.4, 1.0, 1.6), (0.4, 1.0)  # chosen: rows: of one shift, and of several together
+MAX_EXACT_VARIANCE = 0.5  # derived: of what a computed channel may leave; one that does not follow exactly leaves 1, its own noise, or more
 MAX_ROUNDS = 2  # chosen: explanations of a link, each under the timing found with the last
 MAX_BASES = 4  # chosen: sets of causes beside which the timing is fitted
 CONVERGED_ROWS = 0.02  # chosen: change of the timing below which a link is not explained again
@@ -49,6 +51,7 @@ SHIFTS: Mapping[str, tuple[Mapping[str, tuple[float, float]], ...]] = {  # chann
         {"delay": EITHER, "before": EITHER, "old": OLD_TWIST_RANGE},
     ),
 }
+SHIFTS_AS_STAMPED = ({"delay": (-MAX_STAMP_SHIFT_ROWS, MAX_UNNAMED_DELAY_ROWS)},)  # of wrench_meas, when other links show its stamps
 ONE_CAUSE_LINKS = ("platform", "compensation", "dynamics")  # on which a single cause that leaves only noise is not replaced by a shift
 STEP_DELAY = "dynamics.step_delay"
 DELAY_EFFECTS = ("platform.delay", "sensor.delay", "log.skew", STEP_DELAY, "dynamics.integrator")
@@ -99,6 +102,28 @@ def _timing_alone(residual: Residual, search: Search, weigh: Weigh) -> Residual 
         return None
     there = _without_ends(Residual(residual.link.with_timing(residual.link.timing.plus(_fitted_timing(best)))))
     return there if noise_alone(search.judge(there, ())) else None
+
+
+def exactly_stamped(residual: Residual, search: Search) -> Residual | None:
+    """The link of a computed channel with stamps of output and input that leave next to nothing; None where there are none.
+
+    What was interpolated between rows follows exactly only with the same interpolation, and a linear compensation commutes with it: no
+    other explanation leaves nothing. Whole rows by which both stamps are off do not show: the smallest stamps are taken, and none where
+    both are whole, since either may be off. A late input alone is `log.skew`.
+    """
+    there, link = _without_ends(residual), residual.link
+    tick, null = link.runs[0].scenario.tick, null_fit(there)
+    both, late_input = (_shift_candidate(link, way) for way in ({"delay": EITHER, "before": EITHER}, {"before": EARLY}))
+    found = _fit_with_timing(there, null, both)
+    late, early = found.theta / tick
+    in_rows = square(there([Timing(delay=round(late + early) * tick)]))
+    if min(in_rows, _fit_with_timing(there, null, late_input).chi2) < found.chi2 + DETECTION:
+        return None
+    whole = min((round(late), round(-early)), key=lambda n: abs(late - n) + abs(early + n))
+    stamps = Timing(delay=(late - whole) * tick, before=(early + whole) * tick)
+    placed = Residual(link.with_timing(link.timing.plus(stamps)), there.runs, there.weight)
+    left = search.judge(placed, ())
+    return placed if left and all(x.variance < MAX_EXACT_VARIANCE for x in left.values()) else None
 
 
 def timing_under(residual: Residual, best: Fit) -> Residual:
@@ -175,17 +200,22 @@ def _in_rows(place: Timing, link: Link) -> Array:
 
 def _timing_candidates(link: Link) -> list[Candidate]:
     """The timings that are tried, as hypotheses."""
-    tick, now, out = link.runs[0].scenario.tick, link.timing.parameters(), []
-    for way in SHIFTS[link.name]:
-        names, ends = tuple(way), tuple(way.values())
-        units = np.array([1.0 if name == "old" else tick for name in names])
-        here = np.array([now[name] for name in names])
-        sizes = STARTS if len(names) == 1 else STARTS_TOGETHER
-        starts = [[s for s in (*(-s for s in sizes), *sizes) if low <= s <= high] for low, high in ends]
-        grid = tuple(tuple(np.array(start) * units - here) for start in itertools.product(*starts))
-        low, high = (np.array(end) * units - here for end in zip(*ends, strict=True))
-        out.append(Candidate(Timing, names, low, high, np.zeros(len(names), bool), grid))
-    return out
+    ways = SHIFTS_AS_STAMPED if link.known and link.name == "wrench" else SHIFTS[link.name]
+    free = [{name: ends for name, ends in way.items() if name not in link.known} for way in ways]
+    return [_shift_candidate(link, way) for n, way in enumerate(free) if way and way not in free[:n]]
+
+
+def _shift_candidate(link: Link, way: Mapping[str, tuple[float, float]]) -> Candidate:
+    """The shifts named in ``way`` together, each within its range, as a hypothesis."""
+    tick, now = link.runs[0].scenario.tick, link.timing.parameters()
+    names, ends = tuple(way), tuple(way.values())
+    units = np.array([1.0 if name == "old" else tick for name in names])
+    here = np.array([now[name] for name in names])
+    sizes = STARTS if len(names) == 1 else STARTS_TOGETHER
+    starts = [[s for s in (*(-s for s in sizes), *sizes) if low <= s <= high] for low, high in ends]
+    grid = tuple(tuple(np.array(start) * units - here) for start in itertools.product(*starts))
+    low, high = (np.array(end) * units - here for end in zip(*ends, strict=True))
+    return Candidate(Timing, names, low, high, np.zeros(len(names), bool), grid)
 
 
 def _bases(found: Explanation) -> list[Fit]:
@@ -218,9 +248,28 @@ def _without_ends(residual: Residual) -> Residual:
     return Residual(residual.link, residual.runs, weight)
 
 
+def stamps_known(explanations: Mapping[str, Explanation]) -> dict[str, float]:
+    """Channel to the time [s] by which it is stamped late, for those of which links without noise show it.
+
+    The compensation shows what its two channels have between them; the numerical model, whose start is known, shows the command's.
+    """
+    out = {}
+    for name, e in explanations.items():
+        if name in ("compensation", "dynamics") and e.adequate:
+            output, given = LINK_CHANNELS[name]
+            out.setdefault(given, -e.residual.link.timing.before)
+            out.setdefault(output, e.residual.link.timing.delay)
+    return out
+
+
 def output_shift_rows(explanation: Explanation) -> float:
     """Rows by which the output of a link was found to be late."""
     return float(_in_rows(explanation.residual.link.timing, explanation.residual.link).sum())
+
+
+def _stamp_shift_rows(link: Link) -> float:
+    """Rows by which the output of a link is stamped late relative to its input, without what the numerical model's steps add."""
+    return float(_in_rows(link.timing, link)[:-1].sum())
 
 
 def delays_not_causes(explanations: Mapping[str, Explanation]) -> dict[str, dict[str, float]]:
@@ -231,21 +280,34 @@ def delays_not_causes(explanations: Mapping[str, Explanation]) -> dict[str, dict
     departures = sum(max(len(e.chosen.causes), int(not e.adequate)) for e in departing.values()) + sum(rows != 0.0 for rows in places)
     if departures < 2:
         return {}
-    taken_back = -sum(min(rows, 0.0) for rows in places)
+    taken_back = max(-sum(_stamp_shift_rows(e.residual.link) for e in explanations.values()), 0.0)  # stamps cancel around the loop
     out: dict[str, dict[str, float]] = {}
     for name, e in departing.items():
         for effect in e.chosen.effects():
             rows = _delay_rows(effect, e.residual.link.runs[0].scenario.tick)
-            parts = 0.0 if effect.kind in TICK_EFFECTS else MAX_UNNAMED_DELAY_ROWS
-            if rows is not None and rows <= max(parts, taken_back + 0.5 if taken_back else 0.0):
+            parts = MAX_UNNAMED_DELAY_ROWS if effect.kind not in TICK_EFFECTS else 0.5 if taken_back else 0.0
+            if rows is not None and rows <= taken_back + parts:
                 out.setdefault(name, {})[effect.kind] = rows
     return out
+
+
+def instants_off(explanations: Mapping[str, Explanation]) -> float:
+    """[s] by which a delay may be off because stamps and instants are; 0 where none is seen to be off the believed ones."""
+    links = [e.residual.link for e in explanations.values()]
+    off = any(link.timing != NO_SHIFT for link in links) or bool(delays_not_causes(explanations))
+    return MAX_UNNAMED_DELAY_ROWS * links[0].runs[0].scenario.tick if off else 0.0
 
 
 def part_of_a_tick(effect: Effect, tick: float) -> bool:
     """Whether an effect is a delay that the timing of a facility can explain."""
     rows = _delay_rows(effect, tick)
     return effect.kind not in TICK_EFFECTS and rows is not None and 0.0 < rows <= MAX_UNNAMED_DELAY_ROWS
+
+
+def may_be_stamp(effect: Effect, link: Link) -> bool:
+    """Whether an effect is a delay that may be the stamp's, of a row more where other links show that stamps are off by rows."""
+    rows, most = _delay_rows(effect, link.runs[0].scenario.tick), MAX_UNNAMED_DELAY_ROWS + (MAX_STAMP_ROWS if link.known else 0.0)
+    return effect.kind not in TICK_EFFECTS and rows is not None and 0.0 < rows <= most
 
 
 def best_placed(links: Sequence[Link], candidates: Sequence[Candidate]) -> int:

@@ -22,8 +22,9 @@ WHOLE = 1e-9  # ticks within which a delay counts as a whole number
 
 
 def replay_platform(
-    scenarios: Sequence[Scenario], parameters: Sequence[PlatformParameters], commands: Array, run: np.ndarray, obeyed: Array | None = None
-) -> Array:
+    scenarios: Sequence[Scenario], parameters: Sequence[PlatformParameters], commands: Array, run: np.ndarray, obeyed: Array | None = None,
+    early: Array | None = None,
+) -> Array:  # fmt: skip
     """``(L, N, 3)`` positions of A in P [m] at t_k that platforms reach on recorded commands.
 
     The law is that of the loop (:func:`hiltestbed.platform.response.follow`). A tick is divided at the kinks of the delayed command,
@@ -32,7 +33,9 @@ def replay_platform(
 
     Args:
         scenarios, parameters: of each lane. commands: ``(R, N, >= 3)`` pose_cmd; row k is to be reached at t_(k+1).
-        obeyed: (L,) [s] by which commands take effect later than at t_k, on a platform at rest in the start pose at t = 0.
+        obeyed: (L,) [s] by which commands take effect later than at t_k, on a platform that is where its delay alone has it at t = 0.
+        early: (L,) [s], not negative, by which commands are on record earlier than they were given: at t = 0 the platform has approached
+            for as long.
     """
     tick = scenarios[0].tick
     p = stack(parameters)
@@ -46,10 +49,14 @@ def replay_platform(
     lag_long, mode_long = (_kernels(x, long, (long > 0.0).sum(axis=1), base) for x, base in ((p.lag, 0.0), (p.mode, 1.0)))
     start = np.array([[*s.approach.offset, -s.approach.gap] for s in scenarios])
     velocity = np.array([s.approach.velocity for s in scenarios], dtype=float)
+    begun = np.zeros(len(run)) if early is None else np.asarray(early, dtype=float)
+    start += begun[:, None] * velocity
+    once = np.ones(len(run), dtype=int)
+    lag_first, mode_first = (_kernels(x, begun[:, None], once, base) for x, base in ((p.lag, 0.0), (p.mode, 1.0)))
     out = np.empty((len(run), commands.shape[1], 3))
     _replay(
-        commands, np.asarray(run), start, velocity, tick, late, at_start != 0.0, parts, count, steps, p.step, p.speed, p.play, p.stick,
-        p.scale, p.drive, lag, mode, ends, long, lag_long, mode_long, w, out,
+        commands, np.asarray(run), start, velocity, tick, late, at_start / tick, parts, count, steps, p.step, p.speed, p.play, p.stick,
+        p.scale, p.drive, lag, mode, ends, long, lag_long, mode_long, w, begun, lag_first, mode_first, out,
     )  # fmt: skip
     return out
 
@@ -95,7 +102,7 @@ def _kernels(numbers: Array, steps: Array, count: np.ndarray, base: float) -> Ar
 @njit(cache=True)
 def _replay(
     commands, run, start, velocity, h, late, at_start, parts, count, steps, response, speed, play, stick, scale, drive, lag, mode,
-    ends, long, lag_long, mode_long, w, out,
+    ends, long, lag_long, mode_long, w, begun, lag_first, mode_first, out,
 ):  # fmt: skip
     driven = np.zeros(STATE)
     saved = np.zeros((len(w[0]), 2))
@@ -116,15 +123,24 @@ def _replay(
                 continue
             if learned[0] > 0.0:
                 _sum_up(command, start[i, axis], h, sums)
-            before = _answered(command, sums, learned, start[i, axis], velocity[i, axis], -late[i], h)
-            rest = _answered(command, sums, learned, start[i, axis], velocity[i, axis], -max(late[i], 0.0), h)  # starts no earlier
-            rest = start[i, axis] if at_start[i] else rest
+            first = -begun[i] / h
+            before = _answered(command, sums, learned, start[i, axis], velocity[i, axis], first - late[i], h)
+            rest = first - max(late[i] - at_start[i], 0.0)  # it starts no earlier, and does not wait for what it obeys late
+            rest = _answered(command, sums, learned, start[i, axis], velocity[i, axis], rest, h)
             share = learned[len(learned) // 2 + int(learned[0])] if learned[0] > 0.0 else 1.0
             memory[:] = rest
             driven[:] = 0.0
             driven[PLACE] = lagged[:, 0] = shaken[:, 0] = rest
             driven[RATE] = lagged[:, 1] = shaken[:, 1] = share * velocity[i, axis]
             out[i, 0, axis] = start[i, axis]
+            if begun[i] > 0.0:
+                after = _answered(command, sums, learned, start[i, axis], velocity[i, axis], -late[i], h)
+                led, goal, limit = before, after, speed[i]
+                if driving[W] > 0.0:
+                    led, goal = behind_drive(before, after, begun[i], limit, driving, driven, memory)
+                    limit = np.inf
+                follow(led, goal, begun[i], limit, play[i], stick[i], lag_first[i, 0], mode_first[i, 0], lagged, shaken, memory)
+                before = after
             simple = learned[0] == 0.0 and stick[i] > 0.0 and np.count_nonzero(w[i]) <= 1 and driving[W] == 0.0
             for k in range(out.shape[1] - 1):
                 reached = before

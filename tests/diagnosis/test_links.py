@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hiltestbed.diagnosis.links import CompensationLink, DynamicsLink, LinkRun, WrenchLink, flat_pose
+from hiltestbed.diagnosis.links import CompensationLink, DynamicsLink, LinkRun, PlatformLink, Timing, WrenchLink, flat_pose
 from hiltestbed.diagnosis.links.platform import poses_of
 from hiltestbed.diagnosis.residual import Residual
 from hiltestbed.numerical_model.model import NumericalModel
@@ -170,3 +170,41 @@ def test_rounding_errors_of_a_path_pass_through_spring_and_damper(factor: float)
     expected = ((contact.stiffness + slope) ** 2 + slope**2) * rounded**2
     assert passed[inside, 2].mean() == pytest.approx(expected, rel=0.2)  # four copies of 287 rows
     assert link.passed_from_input(0, ()) is None
+
+
+def test_a_command_stamped_late_begins_with_the_approach() -> None:
+    """Its first rows are not on record, which repeats what it begins with; a mode would see a stop and a jump there."""
+    t, mode = np.arange(1, 301) * H, [effect("platform.mode", frequency=40.0, damping_ratio=0.02)]
+    command = np.zeros((300, 7))
+    command[:, 2], command[:, 6] = -0.003 + 0.03 * (t - 0.5 * np.maximum(t - 0.15, 0.0)), 1.0
+    link = PlatformLink([free_run(scenario(), 300)], [command], [np.zeros((300, 6))])
+    late = np.concatenate([command[:1], command[:-1]])
+    other = PlatformLink(link.runs, [late], link.deflection)
+    reached = other.with_timing(Timing(before=-H)).paths(mode)[0]  # as it is stamped: a row before the command
+    np.testing.assert_allclose(reached[:-1, 2], link.shown(0, mode)[:-1, 2], rtol=0, atol=1e-12)
+    unknown = other.shown(0, mode)[1:, 2] - link.shown(0, mode)[:-1, 2]
+    assert np.abs(unknown[:20]).max() > 1e-5
+
+
+def test_an_unknown_rate_is_worth_a_tick_of_the_damping_force() -> None:
+    """The readings of rates taken a tick later differ by c a h, with a = -x w^2 in contact and the damping c = 400 N s/m."""
+    link = contact_link(seed=None).with_unknown_rate()
+    term, back = link.runs[0].nuisances, 5  # rows of the sensor's delay
+    assert term is not None
+    assert term.shape == (500, 6, 1)
+    inside = np.arange(150, 350)
+    expected = -400.0 * H * (math.pi / 0.3) ** 2 * bounce()[inside - back, 2]
+    np.testing.assert_allclose(term[inside, 2, 0], expected, rtol=0, atol=0.03 * np.abs(expected).max())
+    assert np.abs(term[:90, 2, 0]).max() == 0.0  # the approach is uniform
+    assert link.with_unknown_rate().runs[0].nuisances.shape == (500, 6, 2)  # type: ignore[union-attr]
+
+
+def test_a_wrench_that_is_not_on_record_makes_the_bodies_drift() -> None:
+    """A force f in the first tick gives two bodies of 500 kg each the relative velocity f h (1/500 + 1/500)."""
+    link = DynamicsLink([free_run(scenario(), 200)], [np.zeros((200, 6))]).with_unknown_start(np.full(6, 2.0))
+    terms = link.runs[0].nuisances
+    assert terms is not None
+    assert terms.shape == (200, 6, 6)
+    drift = np.diff(terms[:, 2, 2]) / H
+    np.testing.assert_allclose(np.abs(drift[5:]), 2.0 * H * 2.0 / 500.0, rtol=1e-6)
+    assert np.abs(terms[:, 0, 2]).max() < 1e-3 * np.abs(terms[-1, 2, 2])

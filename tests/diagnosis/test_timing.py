@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -11,14 +12,17 @@ import pytest
 
 from hiltestbed.bench.independent_rig import Nuisances, draw_set, write_set
 from hiltestbed.diagnosis import timing
+from hiltestbed.diagnosis.certainty import certainty
 from hiltestbed.diagnosis.find import Judged, judge
 from hiltestbed.diagnosis.fit import Fit, fit, null_fit
 from hiltestbed.diagnosis.investigate import investigate
+from hiltestbed.diagnosis.judges import of_compensation
 from hiltestbed.diagnosis.links import CompensationLink, DynamicsLink, LinkRun, Timing
 from hiltestbed.diagnosis.links.base import Link, moved
 from hiltestbed.diagnosis.pose_noise import smooth_levels
 from hiltestbed.diagnosis.residual import Residual
-from hiltestbed.diagnosis.search import Explanation
+from hiltestbed.diagnosis.search import Explanation, Search
+from hiltestbed.diagnosis.settings import COMPENSATION_FLOOR, CORRELATED_ROWS
 from hiltestbed.effects import EFFECTS
 from hiltestbed.effects.search import Candidate
 from hiltestbed.measured import load_dataset
@@ -99,6 +103,44 @@ def test_what_is_made_of_readings_between_rows_lies_between_its_own_rows() -> No
     assert left[1] < 1e-9
 
 
+def stamped_compensation(output: float, given: float, seed: int = 1) -> CompensationLink:
+    """A phase lead on noise and a bump, with its output and its input stamped so many rows late, both interpolated between rows."""
+    told = scenario().model_dump(mode="json") | {"compensation": {"force": {"kind": "phase_lead"}, "motion": {"kind": "none"}}}
+    s, readings = scenario_from(told), np.random.default_rng(seed).normal(0, 0.5, (2000, 6))
+    readings[150:250, 2] += 40.0 * np.sin(np.pi * np.arange(100) / 100)
+    touching = np.zeros(2000, dtype=bool)
+    touching[150:250] = True
+    made = CompensationLink([LinkRun(s, np.zeros((2000, 6)), np.ones((2000, 6)), touching)], [readings], {}).shown(0)
+    sigma = np.full((2000, 6), COMPENSATION_FLOOR * 0.5 * math.sqrt(CORRELATED_ROWS))  # as laid out
+    run = LinkRun(s, moved(made, output), sigma, touching)
+    return CompensationLink([run], [moved(readings, given)], {})
+
+
+def exactly(link: CompensationLink) -> Timing | None:
+    noise = {name.replace("comp", "meas"): 0.5 for name in link.channels}
+    found = timing.exactly_stamped(Residual(link), Search((), of_compensation(link, noise)))
+    return found and found.link.timing
+
+
+@pytest.mark.parametrize(("output", "given"), [(0.05, 0.44), (-0.77, 0.0), (0.3, -0.6), (-0.03, 0.98)])
+def test_a_linear_compensation_shows_both_stamps(output: float, given: float) -> None:
+    found = exactly(stamped_compensation(output, given))
+    assert found is not None
+    assert found.delay == pytest.approx(output * H, abs=0.02 * H)
+    assert found.before == pytest.approx(-given * H, abs=0.02 * H)
+
+
+@pytest.mark.parametrize(("output", "given"), [(1.0, 0.0), (0.0, 1.0), (0.0, 0.4)])
+def test_whole_rows_and_a_late_input_alone_are_left_to_others(output: float, given: float) -> None:
+    assert exactly(stamped_compensation(output, given)) is None
+
+
+def test_readings_taken_again_between_two_rows_follow_from_no_stamp() -> None:
+    link = stamped_compensation(-0.4, 0.0)
+    other = stamped_compensation(-0.4, 0.0, seed=2)  # another noise
+    assert exactly(CompensationLink(link.runs, other.wrenches, {})) is None
+
+
 def test_an_old_twist_in_the_new_pose_lies_between_both_integrators() -> None:
     wrench = np.zeros((200, 6))
     wrench[50:100] = [3.0, -2.0, 40.0, 0.5, 1.0, -0.3]
@@ -150,6 +192,40 @@ def test_whole_ticks_are_causes_unless_another_link_takes_them_back() -> None:
     assert found(1, 0.0) == {}
     assert found(1, -1.0) == {"dynamics": {"dynamics.step_delay": 1.0}}
     assert found(2, -1.0) == {}
+
+
+def test_a_delay_counts_beyond_what_stamps_take_back_around_the_loop() -> None:
+    """The command is stamped a row early: the platform is late by that, and by the parts of a tick that need no fault."""
+
+    def found(delay: float, stamped: float) -> bool:
+        dynamics = DynamicsLink([platform_link().runs[0]], [np.zeros((500, 6))]).with_timing(Timing(delay=-stamped * H))
+        late = ("platform.delay", {"delay": delay * H})
+        both = {"platform": explained(platform_link(), late), "dynamics": explained(dynamics)}
+        return timing.delays_not_causes(both | {"wrench": explained(contact_link(seed=None), ("contact.stiffness", {"factor": 0.8}))}) == {}
+
+    assert not found(1.45, 1.0)
+    assert found(1.45, 0.0)
+    assert found(2.45, 1.0)
+
+
+def test_stamps_that_links_without_noise_show_are_those_of_the_next() -> None:
+    link = stamped_compensation(0.05, 0.44).with_timing(Timing(delay=0.05 * H, before=-0.44 * H))
+    dynamics = DynamicsLink([platform_link().runs[0]], [np.zeros((500, 6))]).with_timing(Timing(delay=-0.3 * H, before=-0.05 * H))
+    found = {"compensation": explained(link), "dynamics": explained(dynamics)}
+    assert timing.stamps_known(found) == pytest.approx({"wrench_meas": 0.44 * H, "wrench_comp": 0.05 * H, "pose_cmd": -0.3 * H})
+    assert timing.stamps_known({"dynamics": explained(dynamics, adequate=False)}) == {}
+
+
+def test_a_delay_is_known_to_a_row_where_stamps_are_off() -> None:
+    contact = explained(contact_link(seed=None), ("contact.stiffness", {"factor": 0.8}))
+    platform = {shift: explained(platform_link().with_timing(Timing(delay=shift * H))) for shift in (0.0, 0.4)}
+    assert timing.instants_off({"wrench": contact, "platform": platform[0.0]}) == 0.0
+    assert timing.instants_off({"wrench": contact, "platform": platform[0.4]}) == timing.MAX_UNNAMED_DELAY_ROWS * H
+    residual = Residual(contact_link([effect("sensor.delay", delay=3.0 * H)]))
+    late = candidates("sensor.delay")[0]
+    found = fit(residual, (late,), late.grid)
+    known, less = (certainty("wrench", residual, found, off=off).ends for off in (0.0, 1.05 * H))
+    np.testing.assert_allclose(less - known, [[-1.05 * H, 1.05 * H]], rtol=1e-9)
 
 
 def test_a_whole_tick_of_delay_stays_a_cause_beside_others() -> None:

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 from hiltestbed.effects import EFFECTS
+from hiltestbed.frames import Array
 from hiltestbed.platform.parameters import PlatformParameters
 from hiltestbed.platform.response import PlatformResponse
 from hiltestbed.replay import follows_exactly, replay_platform
+from hiltestbed.scenario import Scenario
 from tests.effects.examples import example
 from tests.replay.recorded import record, scenario
 
@@ -91,3 +93,51 @@ def test_of_two_responses_in_a_row_the_second_sees_the_first_bend_within_a_tick(
     recorded = record([s])
     reached = replay_platform([s], [PlatformParameters.believed(s).with_effects(s.effects)], recorded["pose_cmd"], recorded.lanes)
     assert np.abs(reached - recorded["pose_act"][..., :3]).max() < 3e-7
+
+
+def approaching(ticks: int = 300) -> tuple[Scenario, Array]:
+    """A scenario that approaches along z, and a command (1, N, 7) that brakes half way; row k is to be reached at t_(k+1)."""
+    s = scenario("bumper with friction")
+    t = (1 + np.arange(ticks)) * s.tick
+    along = np.array(s.approach.velocity)[:, None] * (t - 0.5 * np.maximum(t - 0.5 * ticks * s.tick, 0.0))
+    pose = np.zeros((1, ticks, 7))
+    pose[0, :, :3] = (np.array([*s.approach.offset, -s.approach.gap])[:, None] + along).T
+    return s, pose
+
+
+def test_a_command_on_record_early_moves_the_platform_as_early_and_starts_no_vibration() -> None:
+    """The approach is uniform, so that a mode that moves with it from the start does not vibrate, whenever its command is stamped."""
+    s, pose = approaching()
+    p = PlatformParameters(s.tick)
+    p.mode = [(2.0 * np.pi * 20.0, 0.02)]
+    rows = 0.4 * s.tick
+    early = pose.copy()
+    early[0, :-1, :3] = 0.6 * pose[0, :-1, :3] + 0.4 * pose[0, 1:, :3]
+    there = replay_platform([s], [p], pose, np.zeros(1, int))[0]
+    moved, not_begun = (replay_platform([s], [p], early, np.zeros(1, int), None, np.array([e]))[0] for e in (rows, 0.0))
+    expected = 0.6 * there[:-1] + 0.4 * there[1:]
+    quiet = slice(0, 140)  # before the command brakes
+    speed = np.abs(s.approach.velocity).max()
+    assert np.abs(moved[:-1] - expected)[quiet].max() < 1e-12
+    assert np.abs(not_begun[:-1] - expected)[quiet].max() > 0.3 * rows * speed
+    assert np.abs(moved[:-2] - expected[:-1]).max() < 1e-3 * rows * speed  # the command's bend is cut at its corner
+
+
+def test_what_is_obeyed_late_joins_what_is_obeyed_at_once() -> None:
+    """With a delay of its own beside it, the platform is where that delay has it at the start."""
+    s, pose = approaching()
+    p = PlatformParameters(s.tick)
+    p.mode, p.delay = [(2.0 * np.pi * 20.0, 0.02)], 1.4 * s.tick
+    at_once, hardly = (replay_platform([s], [p], pose, np.zeros(1, int), np.array([e * s.tick]))[0] for e in (0.0, 1e-6))
+    assert np.abs(hardly - at_once).max() < 1e-5 * s.tick * np.abs(s.approach.velocity).max()
+
+
+def test_a_command_a_row_early_moves_a_lag_a_row_early_from_the_start_on() -> None:
+    """A lag starts at its command and falls behind it: it does so from the time at which the platform starts, before the record does."""
+    s, pose = approaching()
+    p = PlatformParameters(s.tick)
+    p.lag, p.delay = [(2.0 * np.pi * 20.0, 0.7)], 0.3 * s.tick
+    early = np.concatenate([pose[:, 1:], pose[:, -1:]], axis=1)
+    there = replay_platform([s], [p], pose, np.zeros(1, int))[0]
+    moved = replay_platform([s], [p], early, np.zeros(1, int), None, np.array([s.tick]))[0]
+    assert np.abs(moved[1:-2] - there[2:-1]).max() < 1e-13

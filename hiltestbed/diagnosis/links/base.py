@@ -7,7 +7,7 @@ under a list of effects.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass
 from typing import Literal, Self
@@ -87,7 +87,7 @@ class Link(ABC):
     Attributes:
         name: of the link. channels: what was measured at its output. runs: as it sees them.
         witnesses: [s] lengths of stretches of a run whose misfits are independent of each other; empty where each row's is.
-        timing: of the facility, as far as it differs from the believed one.
+        timing: of the facility, as far as it differs from the believed one. known: its shifts that other links show, which are not fitted.
         rounding: (N, 3) of each run, standard deviation of the rounding errors of the input's positions [m]; empty: there are none.
     """
 
@@ -96,6 +96,7 @@ class Link(ABC):
     runs: Sequence[LinkRun]
     witnesses: tuple[float, ...] = ()
     timing: Timing = NO_SHIFT
+    known: frozenset[str] = frozenset()
     rounding: Sequence[Array] = ()
 
     def with_rounding(self, rounding: Sequence[Array]) -> Self:
@@ -108,6 +109,12 @@ class Link(ABC):
         """The same link of a facility with the timing ``place``."""
         out = copy(self)
         out.timing = place
+        return out
+
+    def stamped(self, stamps: Mapping[str, float]) -> Self:
+        """The same link with the shifts [s] in ``stamps``, by their name in `Timing`, which other links show."""
+        out = self.with_timing(self.timing.plus(Timing(**stamps)))
+        out.known = self.known | {name for name, shift in stamps.items() if shift}
         return out
 
     def timing_with(self, effects: Effects) -> Timing:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
+from dataclasses import replace
 
 import numpy as np
 
@@ -22,6 +24,24 @@ class DynamicsLink(Link):
         """wrenches: (N, 6) wrench_comp of each run. The runs' `measured` is (N, 6), see `flat_pose`."""
         self.runs = runs
         self._wrenches = padded(wrenches)
+
+    def with_unknown_start(self, level: Array) -> DynamicsLink:
+        """The same link where the wrench that acted first may not be on record: nuisance terms of each run, which go on for its length.
+
+        Of a wrench whose stamps are shifted, the record lacks up to a row at one end, of which only the noise, ``level`` (6,) [N, N m], is
+        known: it makes the bodies drift.
+        """
+        out, terms = copy(self), [np.empty((r.rows, 6, 6)) for r in self.runs]
+        everything = [(i, ()) for i in range(len(self.runs))]
+        believed = self.predict(everything)
+        for axis in range(6):
+            first = self._wrenches.copy()
+            first[:, 0, axis] += level[axis]
+            shown = DynamicsLink(self.runs, list(first)).predict(everything)
+            for t, a, b in zip(terms, believed, shown, strict=True):
+                t[:, :, axis] = b - a
+        out.runs = [replace(r, nuisances=t) for r, t in zip(self.runs, terms, strict=True)]
+        return out
 
     def _replay(self, lanes: Sequence[Lane]) -> list[Array]:
         run = np.array([i for i, _ in lanes])

@@ -13,6 +13,7 @@ from hiltestbed.platform.effects.response import PlatformDelay
 from hiltestbed.platform.effects.tracking import PlatformFriction
 from hiltestbed.platform.parameters import PlatformParameters
 from hiltestbed.replay import replay_platform
+from hiltestbed.replay.platform import WHOLE
 
 JUMP_INSTANT_ERROR = 0.25  # chosen: ticks: uncertainty of the instant of a jump, since how a facility divides a tick is not known
 
@@ -31,12 +32,15 @@ class PlatformLink(Link):
         self._attitude = [flat_pose(np.concatenate([s, c[:-1]]))[:, 3:] for s, c in zip(starts, commands, strict=True)]
 
     def _replay(self, lanes: Sequence[Lane]) -> list[Array]:
+        poses = zip(self._reached(lanes), lanes, strict=True)
+        return [self._between(i, pose, self.timing_with(effects)) for pose, (i, effects) in poses]
+
+    def _reached(self, lanes: Sequence[Lane]) -> list[Array]:
+        """(N, 6) of each lane, what the platform reaches on its commands as they are stamped."""
         out = []
         for place, (i, effects) in zip(self.places(lanes), lanes, strict=True):
-            timing = self.timing_with(effects)
-            turned = moved(self._attitude[i], timing.obeyed / self.runs[i].scenario.tick)
-            pose = np.concatenate([place[: self.runs[i].rows], turned], axis=1) + self.deflection[i]
-            out.append(self._between(i, pose, timing))
+            turned = moved(self._attitude[i], self.timing_with(effects).obeyed / self.runs[i].scenario.tick)
+            out.append(np.concatenate([place[: self.runs[i].rows], turned], axis=1) + self.deflection[i])
         return out
 
     def places(self, lanes: Sequence[Lane]) -> Array:
@@ -44,8 +48,14 @@ class PlatformLink(Link):
         run = np.array([i for i, _ in lanes])
         scenarios = [self.runs[i].scenario for i in run]
         parameters = [PlatformParameters.believed(s).with_effects(effects) for s, (_, effects) in zip(scenarios, lanes, strict=True)]
-        obeyed = np.array([self.timing_with(effects).obeyed for _, effects in lanes])
-        return replay_platform(scenarios, parameters, self._padded, run, obeyed)
+        timing = [self.timing_with(effects) for _, effects in lanes]
+        obeyed, early = np.array([t.obeyed for t in timing]), np.array([t.before for t in timing])
+        lost = np.ceil(np.maximum(-early / scenarios[0].tick - WHOLE, 0.0)).astype(int)  # rows before the first command
+        if not lost.any():
+            return replay_platform(scenarios, parameters, self._padded, run, obeyed, early)
+        commands = np.stack([np.concatenate([c[n:], np.repeat(c[-1:], n, axis=0)]) for c, n in zip(self._padded[run], lost, strict=True)])
+        found = replay_platform(scenarios, parameters, commands, np.arange(len(lanes)), obeyed, early + lost * scenarios[0].tick)
+        return np.stack([np.concatenate([np.repeat(p[:1], n, axis=0), p[: len(p) - n]]) for p, n in zip(found, lost, strict=True)])
 
     def _with_errors(self, i: int) -> PlatformLink:
         commands = perturbed(self.commands[i], self.rounding[i])
@@ -63,8 +73,8 @@ class PlatformLink(Link):
 
     def paths(self, effects: Effects) -> list[Array]:
         """(N, 7) poses that the platform reaches in each run, with the commanded attitude, as they are stamped."""
-        timing = self.timing.model_copy(update={"delay": self.timing.delay + self.timing.before, "before": 0.0})
-        return [poses_of(shown) for shown in self.with_timing(timing).predict([(i, effects) for i in range(len(self.runs))])]
+        reached, late = self._reached([(i, effects) for i in range(len(self.runs))]), self.timing.delay + self.timing.before
+        return [poses_of(moved(r, late / run.scenario.tick)) for r, run in zip(reached, self.runs, strict=True)]
 
 
 def poses_of(flat: Array) -> Array:

@@ -163,6 +163,22 @@ class WrenchLink(Link):
         out.commands, out.deflection = commands, deflection
         return out
 
+    def with_unknown_rate(self) -> WrenchLink:
+        """The same link of a facility that takes the rate of the contact at an instant that is not known: a nuisance term of each run.
+
+        Its standard deviation is a tick: the rate may be the slope of a tick or of its last half, and pose, command and reading may each
+        be up to half a tick from where they are stamped.
+        """
+        smooth = [central_rates(r.scenario, p) for r, p in zip(self.runs, self.paths, strict=True)] if self.rates is None else None
+        everything = [(i, ()) for i in range(len(self.runs))]
+        half = zip(self.predict(everything), WrenchLink(self.runs, self.paths, None, smooth).predict(everything), strict=True)
+        out, terms = copy(self), [2.0 * (b - a)[:, :, None] for a, b in half]
+        out.runs = [
+            replace(r, nuisances=t if r.nuisances is None else np.concatenate([r.nuisances, t], axis=2))
+            for r, t in zip(self.runs, terms, strict=True)
+        ]
+        return out
+
     def through(self, logged: LowPass | None) -> WrenchLink:
         """The same link whose readings went through a filter to the record."""
         out = copy(self)
