@@ -50,9 +50,11 @@ from hiltestbed.diagnosis.stiction import stick_starts
 from hiltestbed.diagnosis.timing import (
     MAX_STAMP_SHIFT_ROWS,
     best_placed,
+    exact,
     exactly_stamped,
     explain_with_timing,
     may_be_stamp,
+    only_late_record,
     stamps_known,
     timing_departs,
     timing_under,
@@ -95,14 +97,14 @@ class Findings:
         return dict(self.layout.noise)
 
 
-def investigate(dataset: MeasuredDataset, progress: Progress | None = None) -> Findings:
-    """Explain every link that the dataset's channels allow."""
+def investigate(dataset: MeasuredDataset, progress: Progress | None = None, stamps: bool = True) -> Findings:
+    """Explain every link that the dataset's channels allow; stamps: whether a late record may be a matter of its stamps."""
     layout = lay_out(dataset)
     found: dict[str, Explanation] = {}
     whole: dict[str, Link] = {}
     if "compensation" not in layout.missing:
         candidates = _candidates(layout.scales, ("compensation", "log"))
-        found["compensation"] = _explain_compensation(layout, compensation_link(layout, layout.rows), candidates, progress)
+        found["compensation"] = _explain_compensation(layout, compensation_link(layout, layout.rows), candidates, progress, stamps)
         whole["compensation"] = compensation_link(layout, layout.whole).with_timing(found["compensation"].residual.link.timing)
     if "dynamics" not in layout.missing:
         found["dynamics"], whole["dynamics"] = _explain_dynamics(layout, found, progress)
@@ -118,6 +120,8 @@ def investigate(dataset: MeasuredDataset, progress: Progress | None = None) -> F
             missing["wrench"] = why
         else:
             layout = _settle_platform(layout, found, whole, progress)
+    if stamps and only_late_record(found):  # where nothing else departs, a part of a row counts
+        return investigate(dataset, progress, stamps=False)
     return Findings(layout, {name: found[name] for name in LINK_NAMES if name in found}, missing, whole)
 
 
@@ -183,12 +187,12 @@ def _explain_axis(layout: Layout, progress: Progress | None) -> tuple[Explanatio
 
 
 def _explain_compensation(
-    layout: Layout, link: CompensationLink, candidates: Sequence[Candidate], progress: Progress | None
+    layout: Layout, link: CompensationLink, candidates: Sequence[Candidate], progress: Progress | None, stamps: bool = False
 ) -> Explanation:
     judge = judges.of_compensation(link, layout.noise)
     approximate = layout.logged is not None or any("wrench_meas" in run.record.bends for run in layout.runs)
     search = Search(tuple(candidates), judge, (), _begin(progress, layout, "compensation"), bounded=approximate)
-    if not noise_alone(judge(Residual(link), ())) and (stamped := exactly_stamped(Residual(link), search)):
+    if stamps and not noise_alone(judge(Residual(link), ())) and (stamped := exactly_stamped(Residual(link), search)):
         return search.explain(stamped)
     led = [link.noise_gain() * layout.noise.get(name.replace("comp", "meas"), 0.0) for name in link.channels]
     return explain_with_timing(Residual(link), search, weigh=lambda residual: residual.with_noise(np.array(led)))
@@ -297,7 +301,8 @@ def _stamped_late(layout: Layout, link: WrenchLink, compensation: Explanation | 
     """The hypotheses of a record that is stamped late, the likelier first; none where the compensation shows no late record.
 
     The compensation determines the delay to a tick. A contact that does not show it may hide it: a late reading looks like less damping.
-    A contact that is later still bears no estimate within the tick: the record is as late as the compensation shows, and the sensor may be.
+    There is no estimate within the tick if the compensation follows exactly, or the contact is later still: the record is then as late as
+    the compensation shows, and the sensor may be late as well.
     """
     skew = log_parameters(compensation.chosen.effects()).skew if compensation else 0.0
     if compensation is None or not skew:
@@ -305,7 +310,9 @@ def _stamped_late(layout: Layout, link: WrenchLink, compensation: Explanation | 
     residual = Residual(link)
     candidates = _candidates(replace(layout.scales, late=skew), ("log",))
     fits = sorted((fit(residual, (c,), c.grid) for c in candidates), key=lambda f: f.chi2)
-    if fits[0].theta[0] >= (1.0 - BOUND_TOLERANCE) * fits[0].causes[0].high[0]:
+    judge = judges.of_compensation(compensation_link(layout, layout.rows), layout.noise)
+    known = exact(judge(compensation.residual, compensation.chosen.effects()))
+    if known or fits[0].theta[0] >= (1.0 - BOUND_TOLERANCE) * fits[0].causes[0].high[0]:
         fits = [fit(residual, (c.held(0, skew),), [()]) for f in fits for c in f.causes]
     residual = residual.downweighted(fits[0].effects())
     fits = [refit(residual, f) for f in fits]

@@ -197,7 +197,7 @@ def _white_levels(readings: Sequence[Array]) -> Array:
 
 
 def moved_axes(run: MeasuredRun) -> list[int]:
-    """Axes that move in a latched mechanism: by more than their noise, and by a share of what the one that moves most does [m, rad].
+    """Axes that move: by more than their noise, and by a share of what the one that moves most does [m, rad].
 
     An axis whose pose is not on record may move.
     """

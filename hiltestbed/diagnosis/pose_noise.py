@@ -28,10 +28,16 @@ def smooth_levels(runs: Sequence[MeasuredRun]) -> dict[str, float]:
     """Channel of pose_act to the root of the spectral density of its noise at low frequency [its unit], where rows lie between two samples.
 
     Smooth departures are judged by that level: for rows ``(1 - p) w_k + p w_(k-1)`` it is that of the samples ``w``. Empty where neighbours
-    are not correlated, or rows further apart are too: that is a motion. An axis that moves in a latched mechanism is taken to have as
-    much of it above third differences as those at rest have.
+    are not correlated, or rows further apart are too: that is a motion. Then the axes at rest may show it; one that moves is taken to have
+    as much of it above third differences as those have. In a latched mechanism it always is.
     """
-    moving = sorted({POSE_PARTS[j] for run in runs if run.scenario.mechanism.captured for j in moved_axes(run)})
+    moving = sorted({POSE_PARTS[j] for run in runs for j in moved_axes(run)})
+    latched = any(run.scenario.mechanism.captured for run in runs)
+    return (_levels(runs, ()) if not latched else {}) or _levels(runs, moving)
+
+
+def _levels(runs: Sequence[MeasuredRun], moving: Sequence[str]) -> dict[str, float]:
+    """:func:`smooth_levels`, with those of the ``moving`` axes by the others'."""
     names = [name for name in GROUPS["pose_act"].columns if name.rpartition(".")[2] not in moving]
     free = {name: [x for run in runs if len(x := _free(run, name)) > max(FAR_LAGS)] for name in names}
     level = {name: float(np.sqrt(np.mean(np.concatenate(x) ** 2))) for name, x in free.items() if x}

@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from hiltestbed.diagnosis.adequacy import JITTER, contact_leftovers, noise_alone
+from hiltestbed.diagnosis.adequacy import JITTER, Leftover, contact_leftovers, noise_alone
 from hiltestbed.diagnosis.fit import BOUND_TOLERANCE, Fit, at_bound, fit, inflation, null_fit, refit
 from hiltestbed.diagnosis.links import Link, Timing
 from hiltestbed.diagnosis.links.base import NO_SHIFT
@@ -29,6 +29,7 @@ Explain = Callable[[Search, Residual], Explanation]
 Weigh = Callable[[Residual], Residual]
 
 MAX_STAMP_SHIFT_ROWS = 2.25  # derived: two channels, each stamped up to a row off; a record with more is refused
+MIN_STAMP_ROWS = 1e-4  # chosen: by which a channel is stamped off: less is round-off
 MAX_STAMP_ROWS = 1.0  # chosen: by which one channel is stamped off
 MAX_UNNAMED_DELAY_ROWS = 1.05  # chosen: two instants, each up to half a tick off, and the error due to noise
 STARTS, STARTS_TOGETHER = (0.15, 0.4, 1.0, 1.6), (0.4, 1.0)  # chosen: rows: of one shift, and of several together
@@ -109,21 +110,36 @@ def exactly_stamped(residual: Residual, search: Search) -> Residual | None:
 
     What was interpolated between rows follows exactly only with the same interpolation, and a linear compensation commutes with it: no
     other explanation leaves nothing. Whole rows by which both stamps are off do not show: the smallest stamps are taken, and none where
-    both are whole, since either may be off. A late input alone is `log.skew`.
+    both are whole, since either may be off. An input that is later than stamps may be is `log.skew`.
     """
     there, link = _without_ends(residual), residual.link
     tick, null = link.runs[0].scenario.tick, null_fit(there)
     both, late_input = (_shift_candidate(link, way) for way in ({"delay": EITHER, "before": EITHER}, {"before": EARLY}))
-    found = _fit_with_timing(there, null, both)
-    late, early = found.theta / tick
-    in_rows = square(there([Timing(delay=round(late + early) * tick)]))
-    if min(in_rows, _fit_with_timing(there, null, late_input).chi2) < found.chi2 + DETECTION:
+    found, alone = _fit_with_timing(there, null, both), _fit_with_timing(there, null, late_input)
+    late, early = (0.0, alone.theta[0] / tick) if alone.chi2 < found.chi2 + DETECTION else found.theta / tick
+    if square(there([Timing(delay=round(late + early) * tick)])) < found.chi2 + DETECTION:
         return None
-    whole = min((round(late), round(-early)), key=lambda n: abs(late - n) + abs(early + n))
+    whole = min((round(late), round(-early)), key=lambda n: abs(late - n) + abs(early + n)) if late else 0
+    if early + whole < -MAX_UNNAMED_DELAY_ROWS:
+        return None
     stamps = Timing(delay=(late - whole) * tick, before=(early + whole) * tick)
     placed = Residual(link.with_timing(link.timing.plus(stamps)), there.runs, there.weight)
-    left = search.judge(placed, ())
-    return placed if left and all(x.variance < MAX_EXACT_VARIANCE for x in left.values()) else None
+    return placed if exact(search.judge(placed, ())) else None
+
+
+def exact(leftovers: Mapping[str, Leftover]) -> bool:
+    """Whether a computed channel follows exactly from its input: it leaves less than its own noise, which is no part of the input's."""
+    return bool(leftovers) and all(left.variance < MAX_EXACT_VARIANCE for left in leftovers.values())
+
+
+def only_late_record(explanations: Mapping[str, Explanation]) -> bool:
+    """Whether nothing departs but a part of a row by which wrench_meas is stamped late, as by `log.skew`."""
+    links = {name: e.residual.link for name, e in explanations.items()}
+    if "compensation" not in links or any(e.departs for e in explanations.values()):
+        return False
+    others = [link.timing for name, link in links.items() if name not in ("compensation", "wrench")]
+    timing = links["compensation"].timing
+    return timing.before < 0.0 and timing == Timing(before=timing.before) and all(other == NO_SHIFT for other in others)
 
 
 def timing_under(residual: Residual, best: Fit) -> Residual:
@@ -257,8 +273,9 @@ def stamps_known(explanations: Mapping[str, Explanation]) -> dict[str, float]:
     for name, e in explanations.items():
         if name in ("compensation", "dynamics") and e.adequate:
             output, given = LINK_CHANNELS[name]
-            out.setdefault(given, -e.residual.link.timing.before)
-            out.setdefault(output, e.residual.link.timing.delay)
+            tick, timing = e.residual.link.runs[0].scenario.tick, e.residual.link.timing
+            for channel, late in ((given, -timing.before), (output, timing.delay)):
+                out.setdefault(channel, late if abs(late) > MIN_STAMP_ROWS * tick else 0.0)
     return out
 
 

@@ -122,7 +122,7 @@ def exactly(link: CompensationLink) -> Timing | None:
     return found and found.link.timing
 
 
-@pytest.mark.parametrize(("output", "given"), [(0.05, 0.44), (-0.77, 0.0), (0.3, -0.6), (-0.03, 0.98)])
+@pytest.mark.parametrize(("output", "given"), [(0.05, 0.44), (-0.77, 0.0), (0.3, -0.6), (-0.03, 0.98), (0.0, 0.4)])
 def test_a_linear_compensation_shows_both_stamps(output: float, given: float) -> None:
     found = exactly(stamped_compensation(output, given))
     assert found is not None
@@ -130,8 +130,8 @@ def test_a_linear_compensation_shows_both_stamps(output: float, given: float) ->
     assert found.before == pytest.approx(-given * H, abs=0.02 * H)
 
 
-@pytest.mark.parametrize(("output", "given"), [(1.0, 0.0), (0.0, 1.0), (0.0, 0.4)])
-def test_whole_rows_and_a_late_input_alone_are_left_to_others(output: float, given: float) -> None:
+@pytest.mark.parametrize(("output", "given"), [(1.0, 0.0), (0.0, 1.0), (0.0, 1.6)])
+def test_whole_rows_and_an_input_later_than_a_row_are_left_to_others(output: float, given: float) -> None:
     assert exactly(stamped_compensation(output, given)) is None
 
 

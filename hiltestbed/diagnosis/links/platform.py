@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hiltestbed.diagnosis.links.base import Effects, Lane, Link, LinkRun, flat_pose, moved, padded, perturbed
+from hiltestbed.diagnosis.links.base import NO_SHIFT, Effects, Lane, Link, LinkRun, Timing, flat_pose, moved, padded, perturbed
 from hiltestbed.frames import Array
 from hiltestbed.numerical_model.bodies import approach_state
 from hiltestbed.platform.effects.response import PlatformDelay
@@ -63,13 +63,23 @@ class PlatformLink(Link):
         return PlatformLink([self.runs[i]] * count, commands, [self.deflection[i]] * count).with_timing(self.timing)
 
     def doubt(self, i: int, effects: Effects) -> Array | None:
-        """(N, 6) change of a platform with stiction in rows whose jump may have come a row sooner or later; None without stiction."""
-        if all(e.kind != PlatformFriction.model_fields["kind"].default for e in effects):
+        """(N, 6) uncertainty of where a platform jumps, bends or stops.
+
+        With stiction: its change in rows whose jump may have come a row sooner or later. Where instants or stamps lie between rows: its
+        bend within half a tick, which interpolation between rows cuts off. None otherwise.
+        """
+        tick = self.runs[i].scenario.tick
+        if any(e.kind == PlatformFriction.model_fields["kind"].default for e in effects):
+            sooner, later = (
+                [*effects, PlatformDelay.hypothesis({}, delay=d)] for d in (-JUMP_INSTANT_ERROR * tick, JUMP_INSTANT_ERROR * tick)
+            )
+            early, late = self.predict([(i, sooner), (i, later)])
+            return np.abs(late - early)
+        if self.timing == NO_SHIFT or not effects:
             return None
-        off = JUMP_INSTANT_ERROR * self.runs[i].scenario.tick
-        sooner, later = ([*effects, PlatformDelay.hypothesis({}, delay=d)] for d in (-off, off))
-        early, late = self.predict([(i, sooner), (i, later)])
-        return np.abs(late - early)
+        sooner, later = ([*effects, Timing(delay=d)] for d in (-0.5 * tick, 0.5 * tick))
+        early, late, now = self.predict([(i, sooner), (i, later), (i, effects)])
+        return np.abs(early + late - 2.0 * now)
 
     def paths(self, effects: Effects) -> list[Array]:
         """(N, 7) poses that the platform reaches in each run, with the commanded attitude, as they are stamped."""
