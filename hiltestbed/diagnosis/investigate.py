@@ -161,7 +161,8 @@ def _explain_dynamics(layout: Layout, found: Mapping[str, Explanation], progress
     """
     if layout.scales.driven is not None:
         return _explain_axis(layout, _begin(progress, layout, "dynamics", "driven axis"))
-    link = dynamics_link(layout, layout.rows).stamped({"before": -stamps_known(found).get("wrench_comp", 0.0)})
+    link, stamps = dynamics_link(layout, layout.rows), stamps_known(found)
+    link = link.stamped(before=-stamps["wrench_comp"]) if stamps else link
     judge = judges.of_dynamics(Residual(link))
     if not noise_alone(judge(Residual(link), ())):
         noise = [layout.noise.get(name, 0.0) for name in GROUPS["wrench_comp"].columns]
@@ -264,7 +265,8 @@ def _investigate_wrench(
 
 def _as_stamped(link: WrenchLink, found: Mapping[str, Explanation]) -> WrenchLink:
     """The link with the stamps of wrench_meas that the compensation shows."""
-    return link.stamped({"before": stamps_known(found).get("wrench_meas", 0.0)})
+    stamps = stamps_known(found)
+    return link.stamped(before=stamps["wrench_meas"]) if "wrench_meas" in stamps else link
 
 
 def _choose_path(layout: Layout, found: dict[str, Explanation], whole: dict[str, Link], progress: Progress | None) -> BestPath:
@@ -283,7 +285,8 @@ def _choose_path(layout: Layout, found: dict[str, Explanation], whole: dict[str,
 
 def _stamped_platform(layout: Layout, found: Mapping[str, Explanation]) -> PlatformLink:
     """The platform with the stamps of pose_cmd that the numerical model shows."""
-    return platform_link(layout, layout.rows).stamped({"before": -stamps_known(found).get("pose_cmd", 0.0)})
+    link, stamps = platform_link(layout, layout.rows), stamps_known(found)
+    return link.stamped(before=-stamps["pose_cmd"]) if "pose_cmd" in stamps else link
 
 
 def _stamped_elsewhere(layout: Layout, found: Mapping[str, Explanation], progress: Progress | None) -> tuple[Explanation, Link]:

@@ -16,7 +16,7 @@ import numpy as np
 
 from hiltestbed.diagnosis.adequacy import JITTER, Leftover, contact_leftovers, noise_alone
 from hiltestbed.diagnosis.fit import BOUND_TOLERANCE, Fit, at_bound, fit, inflation, null_fit, refit
-from hiltestbed.diagnosis.links import Link, Timing
+from hiltestbed.diagnosis.links import CompensationLink, Link, Timing
 from hiltestbed.diagnosis.links.base import NO_SHIFT
 from hiltestbed.diagnosis.residual import Residual, square
 from hiltestbed.diagnosis.search import Explanation, Search, first_of_each
@@ -106,14 +106,18 @@ def _timing_alone(residual: Residual, search: Search, weigh: Weigh) -> Residual 
 
 
 def exactly_stamped(residual: Residual, search: Search) -> Residual | None:
-    """The link of a computed channel with stamps of output and input that leave next to nothing; None where there are none.
+    """The compensation with stamps of output and input that leave next to nothing; None where there are none, or it is not linear.
 
     What was interpolated between rows follows exactly only with the same interpolation, and a linear compensation commutes with it: no
     other explanation leaves nothing. Whole rows by which both stamps are off do not show: the smallest stamps are taken, and none where
     both are whole, since either may be off. An input that is later than stamps may be is `log.skew`.
     """
-    there, link = _without_ends(residual), residual.link
-    tick, null = link.runs[0].scenario.tick, null_fit(there)
+    link, tick = residual.link, residual.link.runs[0].scenario.tick
+    memory = link.memory() if isinstance(link, CompensationLink) else None
+    if memory is None:
+        return None
+    there = _without_ends(residual, round(memory / tick))  # of what came before the record
+    null = null_fit(there)
     both, late_input = (_shift_candidate(link, way) for way in ({"delay": EITHER, "before": EITHER}, {"before": EARLY}))
     found, alone = _fit_with_timing(there, null, both), _fit_with_timing(there, null, late_input)
     late, early = (0.0, alone.theta[0] / tick) if alone.chi2 < found.chi2 + DETECTION else found.theta / tick
@@ -255,17 +259,17 @@ def _within_range(link: Link, found: Fit) -> bool:
     return not at_an_end and abs(timing.delay + timing.before) < largest
 
 
-def _without_ends(residual: Residual) -> Residual:
-    """Without the first and the last rows, for which a shifted channel has no data."""
+def _without_ends(residual: Residual, memory: int = 0) -> Residual:
+    """Without the first and the last rows, for which a shifted channel has no data; memory: more of the first rows."""
     ends = math.ceil(MAX_STAMP_SHIFT_ROWS)
     weight = [w.copy() for w in residual.weight]
     for w in weight:
-        w[:ends], w[len(w) - ends :] = 0.0, 0.0
+        w[: ends + memory], w[len(w) - ends :] = 0.0, 0.0
     return Residual(residual.link, residual.runs, weight)
 
 
 def stamps_known(explanations: Mapping[str, Explanation]) -> dict[str, float]:
-    """Channel to the time [s] by which it is stamped late, for those of which links without noise show it.
+    """Channel to the time [s] by which it is stamped late, for those of which links without noise show it; empty where none is off.
 
     The compensation shows what its two channels have between them; the numerical model, whose start is known, shows the command's.
     """
@@ -276,7 +280,7 @@ def stamps_known(explanations: Mapping[str, Explanation]) -> dict[str, float]:
             tick, timing = e.residual.link.runs[0].scenario.tick, e.residual.link.timing
             for channel, late in ((given, -timing.before), (output, timing.delay)):
                 out.setdefault(channel, late if abs(late) > MIN_STAMP_ROWS * tick else 0.0)
-    return out
+    return out if any(out.values()) else {}
 
 
 def output_shift_rows(explanation: Explanation) -> float:

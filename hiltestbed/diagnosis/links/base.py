@@ -7,7 +7,7 @@ under a list of effects.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass
 from typing import Literal, Self
@@ -111,10 +111,10 @@ class Link(ABC):
         out.timing = place
         return out
 
-    def stamped(self, stamps: Mapping[str, float]) -> Self:
-        """The same link with the shifts [s] in ``stamps``, by their name in `Timing`, which other links show."""
-        out = self.with_timing(self.timing.plus(Timing(**stamps)))
-        out.known = self.known | {name for name, shift in stamps.items() if shift}
+    def stamped(self, **shifts: float) -> Self:
+        """The same link with ``shifts`` [s], by their names in `Timing`, which other links show."""
+        out = self.with_timing(self.timing.plus(Timing(**shifts)))
+        out.known = self.known | set(shifts)
         return out
 
     def timing_with(self, effects: Effects) -> Timing:
