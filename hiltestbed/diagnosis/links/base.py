@@ -113,7 +113,7 @@ class Link(ABC):
 
     def stamped(self, **shifts: float) -> Self:
         """The same link with ``shifts`` [s], by their names in `Timing`, which other links show."""
-        out = self.with_timing(self.timing.plus(Timing(**shifts)))
+        out = self.with_timing(self.timing.model_copy(update={name: getattr(self.timing, name) + s for name, s in shifts.items()}))
         out.known = self.known | set(shifts)
         return out
 
