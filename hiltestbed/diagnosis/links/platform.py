@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hiltestbed.diagnosis.links.base import NO_SHIFT, Effects, Lane, Link, LinkRun, Timing, flat_pose, moved, padded, perturbed
+from hiltestbed.diagnosis.links.base import Effects, Lane, Link, LinkRun, Timing, flat_pose, moved, padded, perturbed
 from hiltestbed.frames import Array
 from hiltestbed.numerical_model.bodies import approach_state
 from hiltestbed.platform.effects.response import PlatformDelay
@@ -65,8 +65,8 @@ class PlatformLink(Link):
     def doubt(self, i: int, effects: Effects) -> Array | None:
         """(N, 6) uncertainty of where a platform jumps, bends or stops.
 
-        With stiction: its change in rows whose jump may have come a row sooner or later. Where instants or stamps lie between rows: its
-        bend within half a tick, which interpolation between rows cuts off. None otherwise.
+        With stiction: its change in rows whose jump may have come a row sooner or later. Where other links show that stamps lie between
+        rows: its bend within half a tick, which interpolation between rows cuts off. None otherwise.
         """
         tick = self.runs[i].scenario.tick
         if any(e.kind == PlatformFriction.model_fields["kind"].default for e in effects):
@@ -75,7 +75,7 @@ class PlatformLink(Link):
             )
             early, late = self.predict([(i, sooner), (i, later)])
             return np.abs(late - early)
-        if self.timing == NO_SHIFT or not effects:
+        if not self.known or not effects:
             return None
         sooner, later = ([*effects, Timing(delay=d)] for d in (-0.5 * tick, 0.5 * tick))
         early, late, now = self.predict([(i, sooner), (i, later), (i, effects)])
