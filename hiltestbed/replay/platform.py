@@ -51,7 +51,7 @@ def replay_platform(
     velocity = np.array([s.approach.velocity for s in scenarios], dtype=float)
     begun = np.zeros(len(run)) if early is None else np.asarray(early, dtype=float)
     start += begun[:, None] * velocity
-    once = np.ones(len(run), dtype=int)
+    once = (begun > 0.0).astype(int)
     lag_first, mode_first = (_kernels(x, begun[:, None], once, base) for x, base in ((p.lag, 0.0), (p.mode, 1.0)))
     out = np.empty((len(run), commands.shape[1], 3))
     _replay(
@@ -116,7 +116,7 @@ def _replay(
                 out[i, :, axis] = start[i, axis]
                 out[i, 1:, axis] *= scale[i, axis]
                 continue
-            if learned[0] == 0.0 and _sticks_alone(speed[i], play[i], stick[i], driving, lag[i], mode[i], late[i]):
+            if learned[0] == 0.0 and begun[i] == 0.0 and _sticks_alone(speed[i], play[i], stick[i], driving, lag[i], mode[i], late[i]):
                 _stick(
                     command, start[i, axis], velocity[i, axis], h, int(round(late[i])), count[i], stick[i], scale[i, axis], out[i, :, axis]
                 )
