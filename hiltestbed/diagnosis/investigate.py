@@ -15,11 +15,12 @@ from hiltestbed.diagnosis import judges
 from hiltestbed.diagnosis.adequacy import noise_alone
 from hiltestbed.diagnosis.all_rows import refit_on_all_rows
 from hiltestbed.diagnosis.driven import AXIS_EFFECTS, DISPLACEMENT_SPAN, axis_link, mass_and_force, simplest_force
-from hiltestbed.diagnosis.fit import BOUND_TOLERANCE, Fit, fit, inflation, null_fit, refit
-from hiltestbed.diagnosis.jitter import JITTER, jitter_beside
+from hiltestbed.diagnosis.fit import Fit, null_fit, refit
+from hiltestbed.diagnosis.jitter import jitter_beside
+from hiltestbed.diagnosis.late_record import other_reading_betters, stamped_late, used_readings, without_end
 from hiltestbed.diagnosis.layout import Layout, compensation_link, dynamics_link, lay_out, platform_link, with_noise_beside, with_readings
 from hiltestbed.diagnosis.lines import hum_beside, lines
-from hiltestbed.diagnosis.links import AxisLink, CompensationLink, Link, LinkRun, PlatformLink, Timing, WrenchLink
+from hiltestbed.diagnosis.links import AxisLink, CompensationLink, Link, PlatformLink, Timing, WrenchLink
 from hiltestbed.diagnosis.paths import (
     BestPath,
     best_path,
@@ -45,12 +46,11 @@ from hiltestbed.diagnosis.readings import (
 from hiltestbed.diagnosis.residual import Residual, square
 from hiltestbed.diagnosis.richer import Richer
 from hiltestbed.diagnosis.search import Explanation, Progress, Search, labelled
-from hiltestbed.diagnosis.settings import DETECTION, MAX_NOISE_SIGMA, MAX_SKEW_RESIDUAL, MIN_COMPARED
+from hiltestbed.diagnosis.settings import DETECTION, MIN_COMPARED
 from hiltestbed.diagnosis.stiction import stick_starts
 from hiltestbed.diagnosis.timing import (
     MAX_STAMP_SHIFT_ROWS,
     best_placed,
-    exact,
     exactly_stamped,
     explain_with_timing,
     may_be_stamp,
@@ -61,17 +61,15 @@ from hiltestbed.diagnosis.timing import (
 )
 from hiltestbed.effects.search import Candidate, Scales
 from hiltestbed.effects.table import EFFECTS
-from hiltestbed.frames import Array
 from hiltestbed.log import log_parameters
 from hiltestbed.measured import MeasuredDataset
 from hiltestbed.replay import follows_exactly
-from hiltestbed.replay.wrench import shifted
 from hiltestbed.signals import GROUPS
 
 MAX_RESTART_CHI2 = 0.9  # chosen: of chi-square, below which another estimate of the initial state is taken
 MIN_SKEW_SHARE = 0.25  # chosen: of a skew in the compensation: if contact and sensor show less, wrench_meas is not late
 SHIFT_LOOK_ALIKES = ("sensor.delay", "contact.damping", "contact.stiffness", "sensor.lag")  # look-alikes of a path shifted in time
-LOST_START = 2.0  # derived: times the noise: of a row that is extrapolated from the two beside it
+LOST_START = 2.0  # chosen: times the noise: a row extrapolated from two by s rows has hypot(1 + s, s) times theirs: 2 for 0.8 rows
 ORDER = ("compensation", "dynamics", "platform", "wrench")  # of the links
 WRENCH_LINKS = ("contact", "sensor")  # links of the vocabulary that act between the pose and the reading
 
@@ -225,7 +223,7 @@ def _investigate_wrench(
     scales = replace(layout.scales, lines=lines(link))
     unseen = ("platform",) if link.commands else ()  # its response then is in the path
     candidates = _candidates(scales, (*WRENCH_LINKS, *unseen) if "compensation" in found else (*WRENCH_LINKS, *unseen, "log"))
-    given = _stamped_late(layout, link, found.get("compensation"))
+    given = stamped_late(layout, link, found.get("compensation"))
     if given and _by_its_stamp(layout, link, found, whole, given[0], progress):
         given = []
     if given:
@@ -233,20 +231,20 @@ def _investigate_wrench(
             candidates = tuple(c for c in candidates if c.kind != "sensor.delay")
         levered = wrench_link_of(lever_under(Residual(link), given[0]))
         if levered is not link:
-            link, given = levered, _stamped_late(layout, levered, found["compensation"]) or given
+            link, given = levered, stamped_late(layout, levered, found["compensation"]) or given
     residual = Residual(link)
     search = Search(candidates, special=(jitter_beside, hum_beside), progress=_begin(progress, layout, "wrench"), reread=reinterpreted)
     late = given[0] if given else None
     explanation = explain_with_timing(residual, search, lambda s, there: s.explain(there, late), not given and timing_departs(found))
     if levered := other_lever(explanation):
         residual = Residual(levered)
-        given = given and (_stamped_late(layout, levered, found["compensation"]) or given)
+        given = given and (stamped_late(layout, levered, found["compensation"]) or given)
         explanation = search.after(explanation).explain(residual, given[0] if given else None)
     if not given and (stepped := other_steps(explanation)):
         explanation = search.after(explanation).explain(Residual(stepped))
     if not given and (pointed := with_point_contact(explanation)):
         explanation = search.after(explanation).explain(Residual(pointed))
-    if given and _other_reading_betters(explanation, given[1]):
+    if given and other_reading_betters(explanation, given[1]):
         explanation = search.explain(residual, given[1])
     elif not given and (other := with_time_grid(explanation)):
         explanation = search.after(explanation).explain(Residual(other))
@@ -300,29 +298,6 @@ def _stamped_elsewhere(layout: Layout, found: Mapping[str, Explanation], progres
     return again, platform_link(layout, layout.whole).with_timing(again.residual.link.timing)
 
 
-def _stamped_late(layout: Layout, link: WrenchLink, compensation: Explanation | None) -> list[Fit]:
-    """The hypotheses of a record that is stamped late, the likelier first; none where the compensation shows no late record.
-
-    The compensation determines the delay to a tick. A contact that does not show it may hide it: a late reading looks like less damping.
-    There is no estimate within the tick if the compensation follows exactly, or the contact is later still: the record is then as late as
-    the compensation shows, and the sensor may be late as well.
-    """
-    skew = log_parameters(compensation.chosen.effects()).skew if compensation else 0.0
-    if compensation is None or not skew:
-        return []
-    residual = Residual(link)
-    candidates = _candidates(replace(layout.scales, late=skew), ("log",))
-    fits = sorted((fit(residual, (c,), c.grid) for c in candidates), key=lambda f: f.chi2)
-    judge = judges.of_compensation(compensation_link(layout, layout.rows), layout.noise)
-    known = exact(judge(compensation.residual, compensation.chosen.effects()))
-    if known or fits[0].theta[0] >= (1.0 - BOUND_TOLERANCE) * fits[0].causes[0].high[0]:
-        fits = [fit(residual, (c.held(0, skew),), [()]) for f in fits for c in f.causes]
-    residual = residual.downweighted(fits[0].effects())
-    fits = [refit(residual, f) for f in fits]
-    borne_out = null_fit(residual).chi2 - fits[0].chi2 > DETECTION
-    return fits if borne_out or compensation.chosen.chi2 < MAX_SKEW_RESIDUAL * compensation.null.chi2 else []
-
-
 def _by_its_stamp(
     layout: Layout, link: WrenchLink, found: dict[str, Explanation], whole: dict[str, Link], late: Fit, progress: Progress | None
 ) -> bool:
@@ -342,15 +317,6 @@ def _by_its_stamp(
     return True
 
 
-def _other_reading_betters(found: Explanation, other: Fit) -> bool:
-    """Whether the chosen causes, the first of which is a late record, fit better with the interpretation of `other` for it."""
-    causes = (*other.causes, *found.chosen.causes[1:])
-    if any(c.kind == JITTER for c in causes):
-        return False
-    again = fit(found.residual, causes, [found.chosen.theta], tries=1)
-    return again.chi2 < found.chosen.chi2 - DETECTION * inflation(found.chosen)
-
-
 def _settle_compensation(
     layout: Layout, path: BestPath, found: dict[str, Explanation], whole: dict[str, Link], progress: Progress | None
 ) -> None:
@@ -367,9 +333,9 @@ def _settle_compensation(
         wrench = make_wrench_link(layout, path, rows).as_interpreted(chosen)
         everything = range(len(wrench.runs))
         late, prompt = wrench.predict([(i, effects) for i in everything]), wrench.predict([(i, in_time) for i in everything])
-        used = [_used_readings(run, a, b, ticks) for run, a, b in zip(wrench.runs, late, prompt, strict=True)]
+        used = [used_readings(run, a, b, ticks) for run, a, b in zip(wrench.runs, late, prompt, strict=True)]
         link = compensation_link(layout, rows)
-        links.append(link.on_used(used, [_without_end(run, ticks) for run in link.runs]))
+        links.append(link.on_used(used, [without_end(run, ticks) for run in link.runs]))
     late_record = Candidate(
         EFFECTS["log.skew"], (), np.zeros(0), np.zeros(0), np.zeros(0, bool), ((),), {"delay": skew}
     )  # as found on the contact
@@ -403,20 +369,3 @@ def _settle_platform(layout: Layout, found: dict[str, Explanation], whole: dict[
     )
     whole["platform"] = platform_link(again, again.whole).with_timing(found["platform"].residual.link.timing)
     return again
-
-
-def _used_readings(run: LinkRun, modelled: Array, in_time: Array, ticks: int) -> Array:
-    """(N, 6) the readings that the loop used, of which the record, `run.measured`, was stamped so many ticks late.
-
-    modelled: (N, 6) prediction of the record. in_time: of the loop's readings. Only the noise, the difference of record and model, is
-    shifted: across a touch a reading cannot be interpolated from the rows beside it, and a larger difference there is a model error.
-    """
-    most = MAX_NOISE_SIGMA * np.where(np.isfinite(run.sigma), run.sigma, 0.0)
-    return in_time + shifted(np.clip(run.measured - modelled, -most, most), float(ticks))
-
-
-def _without_end(run: LinkRun, ticks: int) -> LinkRun:
-    """Without the last rows: the loop's last readings were stamped after the end of the record."""
-    sigma = run.sigma.copy()
-    sigma[len(sigma) - ticks :] = np.inf
-    return replace(run, sigma=sigma)

@@ -14,8 +14,8 @@ from scipy.optimize import brentq
 from hiltestbed.diagnosis import search
 from hiltestbed.diagnosis.adequacy import Leftover
 from hiltestbed.diagnosis.fit import fit, null_fit
-from hiltestbed.diagnosis.investigate import _used_readings
 from hiltestbed.diagnosis.jitter import jitter_beside
+from hiltestbed.diagnosis.late_record import used_readings
 from hiltestbed.diagnosis.lines import hum_beside, lines
 from hiltestbed.diagnosis.links import Link, LinkRun, PlatformLink, WrenchLink
 from hiltestbed.diagnosis.links.base import Effects, Lane
@@ -249,7 +249,7 @@ def test_what_the_loop_read_is_had_from_a_late_record_across_a_touch() -> None:
     noise = NOISE * np.random.default_rng(4).standard_normal((500, 6))
     in_time, late = link.shown(0), link.shown(0, [skew])
     run = replace(link.runs[0], measured=late + np.concatenate([np.zeros((3, 6)), noise[:-3]]))
-    used = _used_readings(run, late, in_time, 3)
+    used = used_readings(run, late, in_time, 3)
     assert used[:-3] == pytest.approx((in_time + noise)[:-3], abs=4.0 * NOISE)  # beyond which nothing is taken for noise
     kept = np.abs(noise[:-3]) < 4.0 * NOISE
     assert used[:-3][kept] == pytest.approx((in_time + noise)[:-3][kept], abs=1e-9)
