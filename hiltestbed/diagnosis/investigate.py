@@ -47,7 +47,7 @@ from hiltestbed.diagnosis.residual import Residual, square
 from hiltestbed.diagnosis.richer import Richer
 from hiltestbed.diagnosis.search import Explanation, Progress, Search, labelled
 from hiltestbed.diagnosis.settings import DETECTION, MIN_COMPARED
-from hiltestbed.diagnosis.stiction import stick_starts
+from hiltestbed.diagnosis.stiction import sticking
 from hiltestbed.diagnosis.timing import (
     MAX_STAMP_SHIFT_ROWS,
     best_placed,
@@ -140,7 +140,10 @@ def _begin(progress: Progress | None, layout: Layout, link: str, words: str = ""
 def _explain_platform(layout: Layout, link: PlatformLink, progress: Progress | None) -> Explanation:
     """The explanation of the platform, with starts for stiction from the data."""
     noise = min((level for c in link.channels[:3] if (level := layout.noise.get(c))), default=0.0)
-    scales = replace(layout.scales, sticks=stick_starts(link, noise, layout.scales.substeps))
+    sticks = sticking(link, noise, layout.scales.substeps)
+    scales = replace(layout.scales, sticks=sticks.starts)
+    if sticks.timing is not None:
+        link = link.with_timing(sticks.timing)
     search = Search(_candidates(scales, ("platform",)), progress=progress, reread=timing_under)
     found = explain_with_timing(Residual(link), search)
     richer = Richer(search, _candidates(scales, ("platform",), rich=True))

@@ -1,188 +1,256 @@
 """Stage "select": starts for the fit of a platform with stiction.
 
-Each jump begins where the last one ended, so that some hundred jumps in a row end in the right place only for a stick that is right to
-1e-5 and for the right number of instants a tick: chi-square is rugged. The first jumps determine the stick to a hundredth, whatever the
-instants. So the beginning of the slowest run, which jumps least, is scanned first; what fits best is scanned again on more and more rows,
-of the other runs too, ever finer; then in ever finer scans on all rows.
+Each jump begins where the last one ended, so that some hundred jumps in a row end in the right place only for a stick that is right to 1e-5
+and for the right instants within a tick: chi-square is rugged. But it has few values: the path changes only where the stick passes the
+length of a jump, and each replay tells how far the next such place is. So all paths are compared for every number of instants a tick, first
+on the beginning of the slowest run, which jumps least; those that fit are followed over more and more rows.
+
+Where clocks are off, the jumps tell it: each shows between which rows the command was obeyed that the axis is held at from then on.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+import itertools
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
+from scipy.stats import median_abs_deviation
 
-from hiltestbed.diagnosis.links import PlatformLink
-from hiltestbed.diagnosis.residual import Residual, square
+from hiltestbed.diagnosis.links import PlatformLink, Timing
+from hiltestbed.diagnosis.links.base import padded
+from hiltestbed.diagnosis.residual import square
 from hiltestbed.frames import Array
-from hiltestbed.jit import njit
-from hiltestbed.platform.effects.tracking import PlatformFriction
+from hiltestbed.replay.stiction import all_paths, commanded
 
-SCAN_POINTS = 400  # chosen: sticks, on the first jumps
-SCAN_TRAVEL = 20.0  # chosen: of the largest stick: travel of the command in the first scan
-MIN_SCAN_ROWS = 50  # chosen: rows of the first scan
-MAX_SCAN_ROWS = 4000  # chosen: rows of the last scan
-ROW_GROWTH = 1.5  # chosen: times as many rows in each next scan: the tolerance of a stick shrinks as the number of jumps grows
-MAX_SAMPLE_CHI2 = 25.0  # chosen: chi-square of a sample, so that a jump in the wrong row counts no more however far it goes
-SURVIVOR_MARGIN = 2.0 * MAX_SAMPLE_CHI2  # chosen: chi-square above the best, within which a stick is scanned again
-STICKS_AT_ONCE = 64  # chosen: replayed together
-MAX_STRETCHES = 8  # intervals of such sticks for each number of instants
-STICKS_PER_SCAN = 160  # chosen: sticks in them
-MAX_CHI2_RATIO = 2.0  # chosen: times the least chi-square so far: numbers of instants that fit worse are dropped
-MAX_INSTANTS_KEPT = 24  # chosen: numbers of instants that are scanned again
-REFINEMENT = 15  # chosen: of the step, from one scan of all runs to the next
-STICKS_KEPT = 4  # of each scan
-INSTANTS = (*range(2, 41), *range(44, 81, 4), *range(88, 201, 8))  # a tick; later also those half way between two that fit
-MAX_INSTANTS_SEARCHED = 2  # numbers of instants, beside those of the believed physics, that are searched to the end
-FIRST_STEP = 1e-4  # of a stick: the accuracy of the scans before
-LAST_STEP = 1e-6  # of a stick
 DEPARTURE_SIGMA = 6.0  # chosen: times the noise: a departure that may be a stick
 MIN_MEAN_SQUARE = 1.5  # chosen: of the departures, over the noise's: a stick of s adds some (s/sigma)^2 / 3; the noise is known to a fifth
+INSTANTS = range(2, 201)  # a tick
+MIN_SCAN_ROWS = 50  # chosen: rows of the first scan
+SCAN_TRAVEL = 6.0  # chosen: of the largest stick: travel of the command in the first scan
+ROW_GROWTH = 1.5  # chosen: times as many rows in each next scan
+MAX_SCAN_ROWS = 4000  # chosen: rows of the last scan
+MAX_PATHS, MAX_PATHS_AT_ONCE = 5000, 20000  # chosen: that are followed from one scan to the next; of one division of the tick in a scan
+MAX_SAMPLE_CHI2 = 25.0  # chosen: chi-square of a sample, so that a jump in the wrong row counts no more however far it goes
+PATH_MARGIN = 2.0 * MAX_SAMPLE_CHI2  # chosen: chi-square above the best with these instants, within which a path is followed,
+ROW_MARGIN = 0.5  # chosen: and for each row
+MAX_CHI2_RATIO, RATIO_MARGIN = 1.5, 4.0 * PATH_MARGIN  # chosen: times the best of all paths, and more: the same
+MAX_WORSE = 2.0  # chosen: times the least chi-square: starts with other instants that are given, too
+MAX_OTHER_CHI2 = 0.8  # chosen: times the chi-square under the timing of the link, with which another timing is taken
+MAX_STARTS, MAX_INSTANTS = 4, 2  # chosen: sticks for each number of instants; such numbers, beside that of the believed physics
+PHASE_SIGMA = 0.3  # chosen: of the noise: travel of the command between two phases that are tried
+JUMP_SIGMA = 4.0  # chosen: times the noise: a jump between two rows
+RATE_SIGMA = 2.0 * JUMP_SIGMA  # chosen: times the noise: travel of the command in a row, of which the instant of a jump is taken
+LATEST = 2.5  # ticks: by which a pose may be stamped early or late, and more than that
+LATE_STEP, LATE_STEPS, LATE_HALVINGS = 0.01, 8, 3  # chosen: ticks; steps to either side, among which the best fit is sought last
+STICK_SPAN = 1e-4  # chosen: of a stick, to either side: the same
+MIN_JUMPS, AGREEING = 10, 0.99  # chosen: jumps that tell how late a pose is; share of the most that agree
 
 
-Stretches = list[tuple[float, float, float]]  # least chi-square, and the sticks [m] that bound the interval
+class Instants(NamedTuple):
+    """When a platform may move: ``number`` a tick with a ``phase``, see :class:`hiltestbed.platform.parameters.PlatformParameters`; and by
+    how many ticks the command is ``late`` that it obeys then."""
+
+    number: int
+    phase: float
+    late: float
 
 
-def stick_starts(link: PlatformLink, noise: float, substeps: int) -> dict[int, list[float]]:
-    """Instants a tick to starts for stiction [m]; empty where the platform departs too little; noise: of the pose [m]."""
-    speeds = [float(np.max(np.abs(np.diff(c[:, :3], axis=0)))) for c in link.commands]
-    i = int(np.argmin(speeds))
-    sigma = link.runs[i].sigma[1:, :3]
-    known = np.isfinite(sigma)
-    departed = np.abs(link.runs[i].measured - link.shown(i))[1:, :3]
-    away = float(np.max(departed[known], initial=0.0)) - noise
-    alone = away > DEPARTURE_SIGMA * noise and bool((departed > DEPARTURE_SIGMA * sigma).any())  # above its doubt
-    if not alone and _mean_square(departed[known] / sigma[known]) <= MIN_MEAN_SQUARE:
-        return {}
-    # The largest departure is the stick, within the travel of the command in a tick.
-    low, high = max(away - speeds[i] - 4.0 * noise, 0.5 * away), away + speeds[i] + noise
-    likely = _scanned(link, list(np.argsort(speeds)), np.geomspace(low, high, SCAN_POINTS), substeps)
-    return {instants: refined_sticks(Residual(link), near, FIRST_STEP, instants) for instants, near in likely}
+@dataclass(frozen=True)
+class Paths:
+    """P paths that a platform with stiction may take.
 
-
-def _scanned(link: PlatformLink, order: Sequence[int], tried: Array, believed: int) -> list[tuple[int, list[float]]]:
-    """The likeliest numbers of instants a tick with the best sticks of each, from the first rows of the runs in an ``order``."""
-    travel = np.cumsum(np.max(np.abs(np.diff(link.commands[order[0]][:, :3], axis=0)), axis=1))
-    rows, whole = (
-        max(MIN_SCAN_ROWS, int(np.searchsorted(travel, SCAN_TRAVEL * tried[-1])) + 1),
-        min(MAX_SCAN_ROWS, sum(r.rows for r in link.runs)),
-    )
-    rows = min(rows, whole)
-    left = dict.fromkeys(sorted({believed, *INSTANTS}), tried)
-    known: dict[int, Stretches] = {}  # on all rows
-    while left:
-        part = _beginning(link, order, rows)
-        found = known | {m: _survivors(sticks, capped_chi2(part, sticks, m)) for m, sticks in left.items()}
-        best = sorted(found, key=lambda m: found[m][0][0])
-        if rows == whole:
-            known, going = found, best[:MAX_INSTANTS_SEARCHED]
-        else:
-            going = [
-                m
-                for m in best[:MAX_INSTANTS_KEPT]
-                if m in best[:MAX_INSTANTS_SEARCHED] or found[m][0][0] <= MAX_CHI2_RATIO * found[best[0]][0][0]
-            ]
-        near = {other: m for m in reversed(going) for other in _neighbours(m, sorted(found))}
-        near |= {m: m for m in (believed, *going)} if rows < whole else {}
-        rows = min(int(ROW_GROWTH * rows), whole)
-        left = {m: _sticks_in(found[other]) for m, other in near.items()}
-    likely = [
-        m for m in dict.fromkeys((believed, *best[:MAX_INSTANTS_SEARCHED])) if known[m][0][0] <= MAX_CHI2_RATIO * known[best[0]][0][0]
-    ]
-    return [(m, list(_sticks_in(known[m]))) for m in likely]
-
-
-def _beginning(link: PlatformLink, order: Sequence[int], rows: int) -> PlatformLink:
-    """The first ``rows`` of a link's runs in an ``order``."""
-    runs, commands, deflection = [], [], []
-    for i in order:
-        run, part = link.runs[i], slice(min(rows, link.runs[i].rows))
-        if part.stop == 0:
-            break
-        runs.append(replace(run, measured=run.measured[part], sigma=run.sigma[part], touching=run.touching[part]))
-        commands.append(link.commands[i][part])
-        deflection.append(link.deflection[i][part])
-        rows -= part.stop
-    return PlatformLink(runs, commands, deflection)
-
-
-def _survivors(sticks: Array, costs: Array) -> Stretches:
-    """The intervals of ``sticks`` that fit about as well as the best, best first: least chi-square, and the sticks that bound it."""
-    fits = costs <= costs.min() + SURVIVOR_MARGIN
-    first = np.flatnonzero(fits & ~np.r_[False, fits[:-1]])
-    last = np.flatnonzero(fits & ~np.r_[fits[1:], False])
-    found = [
-        (float(costs[a : b + 1].min()), float(sticks[max(a - 1, 0)]), float(sticks[min(b + 1, len(sticks) - 1)]))
-        for a, b in zip(first, last, strict=True)
-    ]
-    return sorted(found)[:MAX_STRETCHES]
-
-
-def _sticks_in(found: Stretches) -> Array:
-    """Sticks to try in these intervals, more in the wider ones."""
-    whole = sum(high - low for _, low, high in found)
-    return np.unique([s for _, low, high in found for s in np.linspace(low, high, 5 + int(STICKS_PER_SCAN * (high - low) / whole))])
-
-
-def _neighbours(m: int, known: Sequence[int]) -> set[int]:
-    """Numbers of instants half way between one that fits and its neighbours."""
-    j = known.index(m)
-    return {(m + known[k]) // 2 for k in (j - 1, j + 1) if 0 <= k < len(known)} - set(known)
-
-
-def _mean_square(values: Array) -> float:
-    return square(values) / max(1, len(values))
-
-
-def refined_sticks(residual: Residual, near: Sequence[float], step: float, instants: int) -> list[float]:
-    """The best sticks [m] around the best of `near`, which lie a relative `step` apart; where they are better than no stick at all."""
-    costs = _chi2_of(residual, near, instants)
-    best = [near[j] for j in np.argsort(costs)[:STICKS_KEPT]]
-    if min(costs) > square(residual(())):
-        return best
-    while step > LAST_STEP:
-        step /= REFINEMENT
-        tried = sorted({s * (1.0 + step * j) for s in best for j in range(-REFINEMENT, REFINEMENT + 1)})
-        costs = _chi2_of(residual, tried, instants)
-        best = [tried[j] for j in np.argsort(costs)[:STICKS_KEPT]]
-    return best
-
-
-def _chi2_of(residual: Residual, sticks: Sequence[float], instants: int) -> list[float]:
-    """Chi-square of each of ``sticks``."""
-    out: list[float] = []
-    for start in range(0, len(sticks), STICKS_AT_ONCE):
-        effects = [[PlatformFriction.hypothesis({"instants": instants}, stick=float(s))] for s in sticks[start : start + STICKS_AT_ONCE]]
-        out += [square(r) for r in residual.many(effects)]
-    return out
-
-
-def capped_chi2(link: PlatformLink, sticks: Array, instants: int) -> Array:
-    """Chi-square of each of ``sticks`` on a link without a timing of its own; no sample counts for more than :data:`MAX_SAMPLE_CHI2`.
-
-    Thousands of replays are compared. A :class:`Residual` of each would take several times as long as its replay: each is summed at once,
-    and the attitude, the same for every stick, is summed once.
+    Attributes:
+        instants: of a hypothesis. of: (P,) its index for each path. low, high: (P,) [m] the sticks that give the path. chi2: (P,).
     """
-    turned = [z[:, 3:] for z in Residual(link).by_run([()])[0]]
-    out = np.full(len(sticks), sum(float(np.minimum(z * z, MAX_SAMPLE_CHI2).sum()) for z in turned))
-    for start in range(0, len(sticks), STICKS_AT_ONCE):
-        some = sticks[start : start + STICKS_AT_ONCE]
-        effects = [PlatformFriction.hypothesis({"instants": instants}, stick=float(s)) for s in some]
-        places = link.places([(i, [effect]) for effect in effects for i in range(len(link.runs))])
-        for i, run in enumerate(link.runs):
-            goal, sigma = run.measured[:, :3] - link.deflection[i][:, :3], run.sigma[:, :3]
-            _add_capped(places[i :: len(link.runs)], goal, sigma, MAX_SAMPLE_CHI2, out[start : start + len(some)])
+
+    instants: Sequence[Instants]
+    of: np.ndarray
+    low: Array
+    high: Array
+    chi2: Array
+
+    def __iter__(self) -> Iterator[tuple[Instants, float, float]]:
+        """The instants, a stick [m] and chi-square of each path."""
+        middle = 0.5 * (self.low + self.high)
+        return ((self.instants[i], float(s), float(c)) for i, s, c in zip(self.of, middle, self.chi2, strict=True))
+
+    @classmethod
+    def between(cls, instants: Sequence[Instants], low: float, high: float) -> Paths:
+        """Those of all ``instants`` with sticks between ``low`` and ``high`` [m]."""
+        n = len(instants)
+        return cls(instants, np.arange(n), np.full(n, low), np.full(n, high), np.zeros(n))
+
+
+@dataclass(frozen=True)
+class Sticking:
+    """What a platform seems to stick at.
+
+    Attributes:
+        starts: instants a tick and their phase to sticks [m]; empty where it does not seem to stick.
+        timing: of the pose, where it is not the believed one.
+    """
+
+    starts: Mapping[tuple[int, float], Sequence[float]]
+    timing: Timing | None = None
+
+
+def sticking(link: PlatformLink, noise: float, substeps: int) -> Sticking:
+    """Starts for stiction; noise: of the pose [m]; substeps: believed instants a tick."""
+    data = Data(link, noise)
+    if not data.departs(link):
+        return Sticking({})
+    shift = sum(link.timing.parameters()[name] for name in ("delay", "before", "obeyed"))
+    found = data.paths([Instants(m, 0.0, shift / data.tick) for m in sorted({substeps, *INSTANTS})])
+    late = data.late()
+    if late is None:
+        return Sticking(_starts(found, substeps))
+    other = data.paths(data.phases(late))
+    if not len(other.chi2) or (len(found.chi2) and MAX_OTHER_CHI2 * found.chi2[0] <= other.chi2[0]):
+        return Sticking(_starts(found, substeps))
+    (m, phase, late), stick, _ = next(iter(data.placed(other)))
+    whole = math.floor(late)
+    return Sticking({(m, phase): [stick]}, Timing(obeyed=(late - whole) * data.tick, delay=whole * data.tick))
+
+
+def _starts(found: Paths, believed: int) -> dict[tuple[int, float], list[float]]:
+    """Sticks of the best paths, for each number of instants that fits about as well as the best."""
+    out: dict[tuple[int, float], list[float]] = {}
+    for (m, phase, _), stick, chi2 in found:
+        others = sum(number != believed for number, _ in out)
+        if chi2 > MAX_WORSE * found.chi2[0] or ((m, phase) not in out and m != believed and others >= MAX_INSTANTS):
+            continue
+        if len(sticks := out.setdefault((m, phase), [])) < MAX_STARTS:
+            sticks.append(stick)
     return out
 
 
-@njit(cache=True)
-def _add_capped(places, goal, sigma, most, out):
-    """Add to ``out`` (H,) the squares of ``goal`` (N, 3) less ``places`` (H, >= N, 3) over ``sigma`` (N, 3), at most ``most`` each."""
-    for h in range(len(out)):
-        total = 0.0
-        for k in range(len(goal)):
-            for j in range(3):
-                square = ((goal[k, j] - places[h, k, j]) / sigma[k, j]) ** 2
-                total += square if square < most else most
-        out[h] += total
+def _speed(command: Array) -> float:
+    """Largest travel of a command (N, >= 3) in a row [m]."""
+    return float(np.max(np.abs(np.diff(command[:, :3], axis=0))))
+
+
+class Data:
+    """The runs of a platform, the slowest first, as arrays.
+
+    Attributes:
+        tick: [s]. noise: of the pose [m]. commands, goal, sigma: (R, N, 3) [m]; goal: the measured positions, sigma: infinite where none
+        was measured. rows: (R,). start, velocity: (R, 3) of the approach. moves: (R, 3) axes that are commanded to move. whole: rows of the
+        last scan.
+    """
+
+    def __init__(self, link: PlatformLink, noise: float) -> None:
+        """noise: [m] of the pose; by third differences, which take jumps for noise. Those of an axis that is mostly held do not."""
+        order = list(np.argsort([_speed(c) for c in link.commands], kind="stable"))
+        runs = [link.runs[i] for i in order]
+        self.tick = runs[0].scenario.tick
+        self.commands = padded([link.commands[i][:, :3] for i in order])
+        self.goal = padded([run.measured[:, :3] - link.deflection[i][:, :3] for i, run in zip(order, runs, strict=True)])
+        sigma = padded([run.sigma[:, :3] for run in runs])
+        steps = [np.diff(run.measured[:, :3], axis=0) for run in runs]
+        held = np.array([median_abs_deviation(s, axis=0, scale="normal") for s in steps]) / math.sqrt(2.0)
+        self.noise = min([noise, *held[held > 0.0].tolist()])
+        self.sigma = sigma * (self.noise / np.min(sigma, axis=(0, 1)))
+        self.rows = np.array([run.rows for run in runs])
+        self.whole = min(MAX_SCAN_ROWS, int(self.rows.sum()))
+        approach = [run.scenario.approach for run in runs]
+        self.start = np.array([[*a.offset, -a.gap] for a in approach], dtype=float)
+        self.velocity = np.array([a.velocity for a in approach], dtype=float)
+        self.moves = (self.velocity != 0.0) | (self.commands != self.start[:, None]).any(axis=1)
+
+    def departs(self, link: PlatformLink) -> bool:
+        """Whether the slowest run departs from the believed platform by more than its noise and rounding, in one row or in all together."""
+        slowest = int(np.argmin([_speed(c) for c in link.commands]))
+        run = link.runs[slowest]
+        sigma = self.sigma[0, 1 : run.rows]
+        known = np.isfinite(sigma)
+        departed, sigma = np.abs(run.measured - link.shown(slowest))[1:, :3][known], sigma[known]
+        alone = (departed - self.noise > DEPARTURE_SIGMA * self.noise) & (departed > DEPARTURE_SIGMA * sigma)
+        return bool(alone.any()) or square(departed / sigma) / max(1, len(departed)) > MIN_MEAN_SQUARE
+
+    def late(self) -> float | None:
+        """Ticks by which the pose follows the command late, from the rows between which an axis jumps to what the command has been.
+
+        An axis that is held for two rows at least has jumped there between the row before and the first of these rows. None where too few
+        jumps show it.
+        """
+        bounds = np.array([b for r, axis in np.argwhere(self.moves) for b in self._jumps(r, axis)]).reshape(-1, 2)
+        if len(bounds) < MIN_JUMPS:
+            return None
+        tried = np.arange(-LATEST, LATEST, LATE_STEP)
+        agree = ((bounds[:, 0] <= tried[:, None]) & (bounds[:, 1] > tried[:, None])).sum(axis=1)
+        return float(tried[agree >= AGREEING * agree.max()].mean())
+
+    def _jumps(self, r: int, axis: int) -> Iterable[tuple[float, float]]:
+        """The least and the most by which an axis is late [ticks] according to each of its jumps."""
+        goal = self.goal[r, : self.rows[r], axis]
+        command = np.concatenate([self.start[r, axis, None], self.commands[r, : self.rows[r] - 1, axis]])
+        ends = np.flatnonzero(np.abs(np.diff(goal)) > JUMP_SIGMA * self.noise)
+        first, last = np.r_[0, ends + 1], np.r_[ends, len(goal) - 1]
+        held = np.flatnonzero(last > first)
+        for before, after in itertools.pairwise(held):
+            start = max(last[before] - math.ceil(LATEST) - 1, 0)
+            away = command[start : first[after] + math.ceil(LATEST) + 2] - goal[first[after] : last[after] + 1].mean()
+            passes = np.flatnonzero(away[:-1] * away[1:] <= 0.0)
+            if after - before > 2 or len(passes) != 1 or abs(away[passes[0] + 1] - away[passes[0]]) < RATE_SIGMA * self.noise:
+                continue
+            k = passes[0]
+            at = start + k + away[k] / (away[k] - away[k + 1])
+            yield last[before] - at, first[after] - at
+
+    def phases(self, late: float) -> list[Instants]:
+        """Every number of instants, with phases between which the command moves by :data:`PHASE_SIGMA` at most."""
+        fastest = float(np.abs(np.diff(self.commands, axis=1)).max())
+        count = {m: math.ceil(fastest / (m * PHASE_SIGMA * self.noise)) for m in INSTANTS}
+        return [Instants(m, j / n, late) for m, n in count.items() for j in range(n)]
+
+    def paths(self, instants: Sequence[Instants]) -> Paths:
+        """The paths that fit best, best first."""
+        low, high = self._sticks(instants[0].late)
+        travel = np.cumsum(np.abs(np.diff(self.commands[0], axis=0)).max(axis=1))
+        rows = max(MIN_SCAN_ROWS, int(np.searchsorted(travel, SCAN_TRAVEL * high)) + 1)
+        found = Paths.between(instants, low, high)
+        while rows < self.whole:
+            found = self._followed(found, rows)
+            rows = int(ROW_GROWTH * rows)
+        return self._followed(found, self.whole)
+
+    def _sticks(self, late: float) -> tuple[float, float]:
+        """The range of sticks [m]: the largest departure of the slowest run is one, within the travel of the command in a tick."""
+        rows, noise, away = self.rows[0], self.noise, 0.0
+        for axis in np.flatnonzero(self.moves[0]):
+            command, start, velocity = self.commands[0, :, axis], self.start[0, axis], self.velocity[0, axis]
+            obeyed = [commanded(command, start, velocity, k - late, self.tick) for k in range(rows)]
+            known = np.isfinite(self.sigma[0, :rows, axis])
+            away = max(away, float(np.max(np.abs(self.goal[0, :rows, axis] - obeyed)[known], initial=0.0)))
+        travel, away = _speed(self.commands[0]), max(away - noise, noise)
+        return max(away - travel - 4.0 * noise, 0.5 * away), away + travel + noise
+
+    def _followed(self, found: Paths, rows: int, limit: float = math.inf) -> Paths:
+        """The paths with the sticks of ``found`` that fit the first ``rows`` best, best first; limit: chi-square at most."""
+        compared = np.clip(rows - np.concatenate([[0], np.cumsum(self.rows)[:-1]]), 0, self.rows)
+        margin, out, buffer = PATH_MARGIN + ROW_MARGIN * rows, [], np.empty((MAX_PATHS_AT_ONCE, 3))
+        for h, low, high in zip(found.of.tolist(), found.low.tolist(), found.high.tolist(), strict=True):
+            m, phase, late = found.instants[h]
+            count = all_paths(
+                self.commands, self.goal, self.sigma, compared, self.start, self.velocity, self.moves, self.tick, late, m, phase, low, high,
+                MAX_SAMPLE_CHI2, limit, margin, buffer,
+            )  # fmt: skip
+            if count:
+                out.append(np.column_stack([np.full(count, float(h)), buffer[:count]]))
+                limit = min(limit, MAX_CHI2_RATIO * float(buffer[:count, 2].min()) + RATIO_MARGIN)
+        each = np.concatenate([np.zeros((0, 4)), *out])
+        each = each[np.argsort(each[:, 3], kind="stable")[:MAX_PATHS]]
+        return Paths(found.instants, each[:, 0].astype(int), each[:, 1], each[:, 2], each[:, 3])
+
+    def placed(self, found: Paths) -> Paths:
+        """The best path, and those about it with another lateness or phase, best first."""
+        steps = range(-LATE_STEPS, LATE_STEPS + 1)
+        for halved in range(LATE_HALVINGS):
+            (m, phase, late), stick, chi2 = next(iter(found))
+            step = LATE_STEP / 2**halved
+            near = [Instants(m, (phase - m * step * (i + j)) % 1.0, late + i * step) for i in steps for j in steps]
+            found = self._followed(Paths.between(near, (1.0 - STICK_SPAN) * stick, (1.0 + STICK_SPAN) * stick), self.whole, chi2 + 1.0)
+        return found

@@ -47,7 +47,8 @@ class Scales:
         reading: the highest force peaks [N]. travel: largest commanded travel [m]. substeps: nominal physics steps per tick.
         captured: whether the mechanism is captured. slides: whether the tip moves across the surface.
         lines: force axis to frequency [Hz], amplitude [N] and phase [rad] of the strongest spectral line of the residual.
-        sticks: instants per tick to starting values for stiction of the platform [m], where the data show any.
+        sticks: instants per tick at which a platform may move, and their phase, see `PlatformParameters`, to starting values for its
+            stiction [m], where the data show any.
         late: delay of the force record [s], known to within a tick from another link, or None.
         driven: an axis that a force drives, of which only position and force are recorded, or None.
     """
@@ -66,7 +67,7 @@ class Scales:
     captured: bool = False
     slides: bool = True
     lines: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
-    sticks: Mapping[int, Sequence[float]] = field(default_factory=dict)
+    sticks: Mapping[tuple[int, float], Sequence[float]] = field(default_factory=dict)
     late: float | None = None
     driven: DrivenAxis | None = None
 

@@ -26,7 +26,8 @@ class PlatformParameters:
         lag: natural frequency [rad/s] and damping ratio of each second-order response.
         mode: natural frequency [rad/s] and damping ratio of each structural mode that is excited at its base.
         drive: (3, NUMBERS) of a controller against dry friction on x, y, z, see :mod:`hiltestbed.platform.drive`; 0 for none.
-        instants: number of instants per tick at which a sticking platform may move; 0: the physics steps.
+        instants: number of instants per tick at which a sticking platform may move; 0: the physics steps. phase: by which they come
+        before even parts of the tick, as a share of the time between two.
         step: response to a step of the command, packed, see :func:`hiltestbed.piecewise.packed`; without knots: the step itself.
     """
 
@@ -40,6 +41,7 @@ class PlatformParameters:
     mode: list[tuple[float, float]] = field(default_factory=list)
     drive: Array = field(default_factory=lambda: np.zeros((3, NUMBERS)))
     instants: int = 0
+    phase: float = 0.0
     step: Array = field(default_factory=lambda: packed(()))
 
     @classmethod

@@ -13,6 +13,7 @@ from hiltestbed.jit import njit
 from hiltestbed.platform.drive import FRICTION, OFFSET, PLACE, RATE, STATE, STATIC, W
 from hiltestbed.platform.parameters import stack
 from hiltestbed.platform.response import HELD, LIMITED, MEMORY, PLAYED, behind_drive, follow, second_order
+from hiltestbed.replay.stiction import commanded, stick_to
 
 if TYPE_CHECKING:
     from hiltestbed.platform.parameters import PlatformParameters
@@ -42,6 +43,8 @@ def replay_platform(
     at_start = np.zeros(len(run)) if obeyed is None else np.asarray(obeyed, dtype=float)
     late = (p.delay + at_start) / tick
     parts, count = _instants(scenarios, parameters, late)
+    phase = np.array([q.phase for q in parameters])
+    moves = count - (phase > 0.0)
     steps = np.diff(parts, axis=1, prepend=0.0) * tick
     lag, mode = _kernels(p.lag, steps, count, 0.0), _kernels(p.mode, steps, count, 1.0)
     ends, w = _straight(p.stick, late, count), np.concatenate([p.lag[..., 0], p.mode[..., 0]], axis=1)
@@ -56,7 +59,7 @@ def replay_platform(
     out = np.empty((len(run), commands.shape[1], 3))
     _replay(
         commands, np.asarray(run), start, velocity, tick, late, at_start / tick, parts, count, steps, p.step, p.speed, p.play, p.stick,
-        p.scale, p.drive, lag, mode, ends, long, lag_long, mode_long, w, begun, lag_first, mode_first, out,
+        p.scale, p.drive, lag, mode, ends, long, lag_long, mode_long, w, begun, lag_first, mode_first, moves, phase, out,
     )  # fmt: skip
     return out
 
@@ -68,7 +71,7 @@ def _instants(scenarios: Sequence[Scenario], parameters: Sequence[PlatformParame
         bend = ticks - np.floor(ticks)
         if p.stick > 0.0:
             m = p.instants or s.substeps
-            found.append(np.arange(1, m + 1) / m)
+            found.append(np.array([*(np.arange(1, m + 1) - p.phase) / m, *([1.0] if p.phase else [])]))
         else:
             found.append(np.array([1.0]) if min(bend, 1.0 - bend) < WHOLE else np.array([bend, 1.0]))
     count = np.array([len(f) for f in found])
@@ -102,7 +105,7 @@ def _kernels(numbers: Array, steps: Array, count: np.ndarray, base: float) -> Ar
 @njit(cache=True)
 def _replay(
     commands, run, start, velocity, h, late, at_start, parts, count, steps, response, speed, play, stick, scale, drive, lag, mode,
-    ends, long, lag_long, mode_long, w, begun, lag_first, mode_first, out,
+    ends, long, lag_long, mode_long, w, begun, lag_first, mode_first, moves, phase, out,
 ):  # fmt: skip
     driven = np.zeros(STATE)
     saved = np.zeros((len(w[0]), 2))
@@ -116,10 +119,12 @@ def _replay(
                 out[i, :, axis] = start[i, axis]
                 out[i, 1:, axis] *= scale[i, axis]
                 continue
-            if learned[0] == 0.0 and begun[i] == 0.0 and _sticks_alone(speed[i], play[i], stick[i], driving, lag[i], mode[i], late[i]):
-                _stick(
-                    command, start[i, axis], velocity[i, axis], h, int(round(late[i])), count[i], stick[i], scale[i, axis], out[i, :, axis]
-                )
+            if learned[0] == 0.0 and begun[i] == 0.0 and _sticks_alone(speed[i], play[i], stick[i], driving, lag[i], mode[i]):
+                held = commanded(command, start[i, axis], velocity[i, axis], min(at_start[i] - late[i], 0.0), h)
+                stick_to(
+                    command, held, start[i, axis], velocity[i, axis], h, late[i], moves[i], phase[i], stick[i], scale[i, axis],
+                    out[i, :, axis],
+                )  # fmt: skip
                 continue
             if learned[0] > 0.0:
                 _sum_up(command, start[i, axis], h, sums)
@@ -141,14 +146,15 @@ def _replay(
                     limit = np.inf
                 follow(led, goal, begun[i], limit, play[i], stick[i], lag_first[i, 0], mode_first[i, 0], lagged, shaken, memory)
                 before = after
-            simple = learned[0] == 0.0 and stick[i] > 0.0 and np.count_nonzero(w[i]) <= 1 and driving[W] == 0.0
+            even = learned[0] == 0.0 and stick[i] > 0.0 and phase[i] == 0.0
+            simple = even and np.count_nonzero(w[i]) <= 1 and driving[W] == 0.0
             for k in range(out.shape[1] - 1):
                 reached = before
                 s = piece = 0
                 while s < count[i]:
                     if simple and s == ends[i, piece]:
                         piece += 1
-                        after = _commanded(command, start[i, axis], velocity[i, axis], k + ends[i, piece] / count[i] - late[i], h)
+                        after = commanded(command, start[i, axis], velocity[i, axis], k + ends[i, piece] / count[i] - late[i], h)
                         if _held_throughout(
                             before, after, long[i, piece - 1], speed[i], play[i], stick[i], lag_long[i, piece - 1], mode_long[i, piece - 1],
                             w[i], lagged, shaken, saved, memory,
@@ -157,24 +163,25 @@ def _replay(
                             continue
                     at = k + parts[i, s] - late[i]
                     if learned[0] == 0.0:  # the usual case, separate because the other call costs as much as the rest of the step
-                        after = _commanded(command, start[i, axis], velocity[i, axis], at, h)
+                        after = commanded(command, start[i, axis], velocity[i, axis], at, h)
                     else:
                         after = _answered(command, sums, learned, start[i, axis], velocity[i, axis], at, h)
                     led, goal, limit = before, after, speed[i]
                     if driving[W] > 0.0:
                         led, goal = behind_drive(before, after, steps[i, s], limit, driving, driven, memory)
                         limit = np.inf
-                    reached = follow(led, goal, steps[i, s], limit, play[i], stick[i], lag[i, s], mode[i, s], lagged, shaken, memory)
+                    holds = stick[i] if s < moves[i] or stick[i] == 0.0 else np.inf  # the end of a tick need not be an instant
+                    reached = follow(led, goal, steps[i, s], limit, play[i], holds, lag[i, s], mode[i, s], lagged, shaken, memory)
                     before = after
                     s += 1
                 out[i, k + 1, axis] = scale[i, axis] * reached
 
 
 @njit(cache=True)
-def _sticks_alone(speed, play, stick, drive, lag, mode, late):
-    """Whether a platform has only stiction and a delay of whole ticks."""
+def _sticks_alone(speed, play, stick, drive, lag, mode):
+    """Whether a platform has only stiction and a delay."""
     linear = not lag[:, :, 0].any() and not mode[:, :, 0].any() and drive[W] == 0.0
-    return stick > 0.0 and play == 0.0 and speed == np.inf and linear and late == round(late)
+    return stick > 0.0 and play == 0.0 and speed == np.inf and linear
 
 
 @njit(cache=True)
@@ -221,25 +228,6 @@ def _sags(drive):
 
 
 @njit(cache=True)
-def _stick(command, start, velocity, h, late, instants, stick, scale, out):
-    """Stiction alone, computed from jump to jump, since the command is linear within a tick; equal to :func:`follow` at each instant."""
-    held = before = _commanded(command, start, velocity, float(-late), h)
-    out[0] = held if late > 0 else start
-    for k in range(len(out) - 1):
-        after = _commanded(command, start, velocity, float(k + 1 - late), h)
-        way = after - before
-        s = 0
-        while abs(after - held) > stick and s < instants:
-            edge = held + math.copysign(stick, way)
-            s = max(s + 1, min(instants, int(math.floor(instants * (edge - before) / way)))) if way != 0.0 else instants
-            reached = before + way * s / instants
-            if abs(reached - held) > stick:
-                held = reached
-        out[k + 1] = scale * held
-        before = after
-
-
-@njit(cache=True)
 def _still(command, start, velocity):
     """Whether an axis is never commanded to move."""
     if velocity != 0.0:
@@ -248,20 +236,6 @@ def _still(command, start, velocity):
         if command[k] != start:
             return False
     return True
-
-
-@njit(cache=True, inline="always")
-def _commanded(command, start, velocity, at, h):
-    """The command [m] at the tick ``at``: linear over each tick to its row, the uniform approach before, the last row held after."""
-    if at <= 0.0:
-        return start + velocity * at * h
-    k = int(at)
-    part = at - k
-    last = len(command) - 1
-    low = start if k == 0 else command[min(k - 1, last)]
-    if part == 0.0:
-        return low
-    return low + part * (command[min(k, last)] - low)
 
 
 @njit(cache=True)
@@ -290,8 +264,8 @@ def _answered(command, sums, step, start, velocity, at, h):
     """The command filtered by the packed ``step`` response, see :mod:`hiltestbed.platform.step_response`."""
     n, most = int(step[0]), (len(step) - 1) // 2
     if n == 0:
-        return _commanded(command, start, velocity, at, h)
-    out = step[1 + most] * _commanded(command, start, velocity, at - step[1] / h, h)
+        return commanded(command, start, velocity, at, h)
+    out = step[1 + most] * commanded(command, start, velocity, at - step[1] / h, h)
     earlier = _summed(command, sums, start, velocity, at - step[1] / h, h)
     for i in range(n - 1):
         later = _summed(command, sums, start, velocity, at - step[2 + i] / h, h)

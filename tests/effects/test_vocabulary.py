@@ -157,7 +157,7 @@ PARAMETERS: dict[str, Callable[[], Any]] = {
 }
 SCALES = Scales(
     force=200.0, depth=2e-3, stiffness=1e5, tick=5e-4, noise=0.3, slow=0.02, fast=0.06, reading=(190.0, 120.0), travel=0.02, substeps=2,
-    lines={"z": (50.0, 2.0, 0.4)}, sticks={2: (1e-5, 3e-5)},
+    lines={"z": (50.0, 2.0, 0.4)}, sticks={(2, 0.0): (1e-5, 3e-5)},
 )  # fmt: skip
 HELD_SCALES = Scales(force=150.0, depth=5e-4, stiffness=5e7, tick=5e-4, noise=0.1, slow=4e-3, fast=5e-3, captured=True, slides=False)
 DRIVEN_SCALES = Scales(

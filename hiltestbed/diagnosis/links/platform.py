@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hiltestbed.diagnosis.links.base import Effects, Lane, Link, LinkRun, Timing, flat_pose, moved, padded, perturbed
+from hiltestbed.diagnosis.links.base import NO_SHIFT, Effects, Lane, Link, LinkRun, Timing, flat_pose, moved, padded, perturbed
 from hiltestbed.frames import Array
 from hiltestbed.numerical_model.bodies import approach_state
 from hiltestbed.platform.effects.response import PlatformDelay
@@ -16,6 +16,7 @@ from hiltestbed.replay import replay_platform
 from hiltestbed.replay.platform import WHOLE
 
 JUMP_INSTANT_ERROR = 0.25  # chosen: ticks: uncertainty of the instant of a jump, since how a facility divides a tick is not known
+JUMP_READING_ERROR = 0.5  # chosen: ticks: the same where it reads the pose at another instant than it is stamped at, too
 
 
 class PlatformLink(Link):
@@ -70,9 +71,8 @@ class PlatformLink(Link):
         """
         tick = self.runs[i].scenario.tick
         if any(e.kind == PlatformFriction.model_fields["kind"].default for e in effects):
-            sooner, later = (
-                [*effects, PlatformDelay.hypothesis({}, delay=d)] for d in (-JUMP_INSTANT_ERROR * tick, JUMP_INSTANT_ERROR * tick)
-            )
+            error = (JUMP_INSTANT_ERROR if self.timing_with(effects) == NO_SHIFT else JUMP_READING_ERROR) * tick
+            sooner, later = ([*effects, PlatformDelay.hypothesis({}, delay=d)] for d in (-error, error))
             early, late = self.predict([(i, sooner), (i, later)])
             return np.abs(late - early)
         if not self.known or not effects:

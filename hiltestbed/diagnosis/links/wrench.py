@@ -31,6 +31,8 @@ from hiltestbed.sensor.parameters import SensorParameters
 
 NODES = np.linspace(-2.75, 2.75, 12)  # of a standard normal distribution
 STEP_RATIO = 4  # of the steps of a mount, for the extrapolation to steps of zero length
+NO_COUNT = 1e6  # chosen: times its noise: uncertainty of a reading that does not count
+SHARE_OF_A_JUMP = 0.1  # chosen: of the longest jump: what is shorter is motion of the axes that are held
 WEIGHTS = np.exp(-0.5 * NODES**2) / np.sum(np.exp(-0.5 * NODES**2))
 
 
@@ -89,6 +91,7 @@ class WrenchLink(Link):
         self.deflection: Sequence[Array] = ()
         self.logged: LowPass | None = None
         self.of_rows = 1
+        self.unknown_rate = False
         self.exact: Effects | None = None
         self._step_error: list[Array] | None = None
         self._believed = [_numbers(r.scenario, self.lever, self.blunt, self.ring) for r in runs]
@@ -167,12 +170,17 @@ class WrenchLink(Link):
         """The same link of a facility that takes the rate of the contact at an instant that is not known: a nuisance term of each run.
 
         Its standard deviation is a tick: the rate may be the slope of a tick or of its last half, and pose, command and reading may each
-        be up to half a tick from where they are stamped.
+        be up to half a tick from where they are stamped. Where A jumps, these decide row by row whether a reading shows the jump: readings
+        beside a jump then do not count.
         """
+        out = copy(self)
+        out.unknown_rate = True
+        if self.jumps is not None:
+            return out
         smooth = [central_rates(r.scenario, p) for r, p in zip(self.runs, self.paths, strict=True)] if self.rates is None else None
         everything = [(i, ()) for i in range(len(self.runs))]
         half = zip(self.predict(everything), WrenchLink(self.runs, self.paths, None, smooth).predict(everything), strict=True)
-        out, terms = copy(self), [2.0 * (b - a)[:, :, None] for a, b in half]
+        terms = [2.0 * (b - a)[:, :, None] for a, b in half]
         out.runs = [
             replace(r, nuisances=t if r.nuisances is None else np.concatenate([r.nuisances, t], axis=2))
             for r, t in zip(self.runs, terms, strict=True)
@@ -280,6 +288,9 @@ class WrenchLink(Link):
         s = self.runs[i].scenario
         step = s.tick / min(s.substeps, 4)
         late = self.lateness(i, effects)
+        if self.jumps is not None and self.unknown_rate:
+            sigma = self.runs[i].sigma
+            return np.where(self._beside_jumps(i, effects)[:, None] & np.isfinite(sigma), NO_COUNT * sigma, 0.0)
         if late < step:
             return np.zeros((self.runs[i].rows, 6))
         shifts = [[*effects, Timing(delay=d)] for d in (-step, step)]
@@ -291,6 +302,17 @@ class WrenchLink(Link):
             jump = np.concatenate([np.zeros(first), self.jumps[i]])[:rows]
             touched = np.concatenate([np.zeros(first, dtype=bool), self.paths[i][:, 2] > -jump.max(initial=0.0)])[:rows]
             out[:, 2] += s.mechanism.contact.stiffness * np.where(touched, jump, 0.0)
+        return out
+
+    def _beside_jumps(self, i: int, effects: Effects) -> np.ndarray:
+        """(N,) bool: rows whose reading may be of a tick in which A jumps, or of one beside it."""
+        assert self.jumps is not None
+        jumps, late, tick = self.jumps[i], self.lateness(i, effects), self.runs[i].scenario.tick
+        ticks = np.array([late, late + self.timing_with(effects).before]) / tick
+        first, last = math.floor(ticks.min()) - 1, math.ceil(ticks.max()) + 1
+        away = np.flatnonzero(jumps > SHARE_OF_A_JUMP * jumps.max(initial=0.0))[:, None] + np.arange(first, last + 1)
+        out = np.zeros(self.runs[i].rows, dtype=bool)
+        out[np.unique(np.clip(away, 0, len(out) - 1))] = True
         return out
 
     def _at_the_edge(self, i: int, effects: Effects) -> Array:

@@ -56,13 +56,13 @@ class PlatformFriction(Effect):
 
     def apply(self, p: PlatformParameters) -> None:
         p.stick += self.stick
-        p.instants = self.variant.get("instants", p.instants)
+        p.instants, p.phase = self.variant.get("instants", p.instants), self.variant.get("phase", p.phase)
 
     @classmethod
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:
         few = list(np.geomspace(5e-6, 8e-4, 6))
-        for instants in scales.sticks or dict.fromkeys((scales.substeps, FINE)):
-            yield candidate(cls, {"stick": list(scales.sticks.get(instants, few))}, variant={"instants": instants})
+        for (instants, phase), starts in (scales.sticks or {(n, 0.0): few for n in (scales.substeps, FINE)}).items():
+            yield candidate(cls, {"stick": list(starts)}, variant={"instants": instants, "phase": phase})
 
 
 @register
