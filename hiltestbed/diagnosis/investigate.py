@@ -20,7 +20,7 @@ from hiltestbed.diagnosis.jitter import jitter_beside
 from hiltestbed.diagnosis.late_record import other_reading_betters, stamped_late, used_readings, without_end
 from hiltestbed.diagnosis.layout import Layout, compensation_link, dynamics_link, lay_out, platform_link, with_noise_beside, with_readings
 from hiltestbed.diagnosis.lines import hum_beside, lines
-from hiltestbed.diagnosis.links import AxisLink, CompensationLink, Link, PlatformLink, Timing, WrenchLink
+from hiltestbed.diagnosis.links import AxisLink, CompensationLink, DynamicsLink, Link, PlatformLink, Timing, WrenchLink
 from hiltestbed.diagnosis.paths import (
     BestPath,
     best_path,
@@ -55,6 +55,7 @@ from hiltestbed.diagnosis.timing import (
     explain_with_timing,
     may_be_stamp,
     only_late_record,
+    rows_in_common,
     stamps_known,
     timing_departs,
     timing_under,
@@ -103,9 +104,10 @@ def investigate(dataset: MeasuredDataset, progress: Progress | None = None, stam
     if "compensation" not in layout.missing:
         candidates = _candidates(layout.scales, ("compensation", "log"))
         found["compensation"] = _explain_compensation(layout, compensation_link(layout, layout.rows), candidates, progress, stamps)
-        whole["compensation"] = compensation_link(layout, layout.whole).with_timing(found["compensation"].residual.link.timing)
     if "dynamics" not in layout.missing:
         found["dynamics"], whole["dynamics"] = _explain_dynamics(layout, found, progress)
+    if "compensation" in found:  # whose stamps the numerical model may have shown
+        whole["compensation"] = compensation_link(layout, layout.whole).with_timing(found["compensation"].residual.link.timing)
     if "platform" not in layout.missing:
         link = _stamped_platform(layout, found)
         found["platform"] = _explain_platform(layout, link, _begin(progress, layout, "platform"))
@@ -155,24 +157,44 @@ def _explain_platform(layout: Layout, link: PlatformLink, progress: Progress | N
     return other if placed is found else placed
 
 
-def _explain_dynamics(layout: Layout, found: Mapping[str, Explanation], progress: Progress | None) -> tuple[Explanation, Link]:
+def _explain_dynamics(layout: Layout, found: dict[str, Explanation], progress: Progress | None) -> tuple[Explanation, Link]:
     """The explanation of the numerical model, or of a driven axis; and that link on whole runs.
 
     found: of the compensation, which may show that stamps are off: then a departure no larger than what interpolation does shows nothing.
     """
     if layout.scales.driven is not None:
         return _explain_axis(layout, _begin(progress, layout, "dynamics", "driven axis"))
-    link, stamps = dynamics_link(layout, layout.rows), stamps_known(found)
-    link = link.stamped(before=-stamps["wrench_comp"]) if stamps else link
+    link = _stamped_dynamics(layout, found)
     judge = judges.of_dynamics(Residual(link))
     if not noise_alone(judge(Residual(link), ())):
-        noise = [layout.noise.get(name, 0.0) for name in GROUPS["wrench_comp"].columns]
-        link = link.with_unknown_start(LOST_START * np.array(noise))
+        link = _with_unknown_start(layout, link)
     search = Search(
         _candidates(layout.scales, ("dynamics",)), judge, (), _begin(progress, layout, "dynamics"), bounded=timing_departs(found)
     )
     explanation = explain_with_timing(Residual(link), search)
     return explanation, dynamics_link(layout, layout.whole).with_timing(explanation.residual.link.timing)
+
+
+def _stamped_dynamics(layout: Layout, found: dict[str, Explanation]) -> DynamicsLink:
+    """The numerical model with the stamps of wrench_comp that the compensation shows.
+
+    Whole rows by which both of its channels are late do not show there: those are taken, for ``found`` as well, with which the model fits
+    best.
+    """
+    link, stamps, tick = dynamics_link(layout, layout.rows), stamps_known(found), layout.scales.tick
+    if "wrench_comp" not in stamps:
+        return link
+    common = rows_in_common(stamps, tick)
+    links = [link.stamped(before=-stamps["wrench_comp"] - n * tick) for n in common]
+    best = best_placed([_with_unknown_start(layout, other) for other in links], ()) if len(links) > 1 else 0
+    if common[best]:
+        found["compensation"] = found["compensation"].stamped(delay=common[best] * tick, before=-common[best] * tick)
+    return links[best]
+
+
+def _with_unknown_start(layout: Layout, link: DynamicsLink) -> DynamicsLink:
+    """The numerical model where the wrench that acted first may not be on record."""
+    return link.with_unknown_start(LOST_START * np.array([layout.noise.get(name, 0.0) for name in GROUPS["wrench_comp"].columns]))
 
 
 def _explain_axis(layout: Layout, progress: Progress | None) -> tuple[Explanation, AxisLink]:

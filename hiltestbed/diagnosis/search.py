@@ -81,6 +81,10 @@ class Explanation:
         """The worst channel's residual over the limit of what passes for noise."""
         return max((left.excess for left in self.leftovers.values()), default=0.0)
 
+    def stamped(self, **shifts: float) -> Explanation:
+        """The same explanation of a link with further ``shifts`` [s], see :meth:`Link.stamped`, that do not show on it."""
+        return replace(self, residual=self.residual.through(self.residual.link.stamped(**shifts)))
+
     def with_the_other_clock(self, judge: Judge) -> Explanation:
         """With a late sensor and a late stamp as rivals of each other, where both are hypotheses.
 

@@ -23,6 +23,7 @@ from hiltestbed.diagnosis.links import PlatformLink, Timing
 from hiltestbed.diagnosis.links.base import padded
 from hiltestbed.diagnosis.residual import square
 from hiltestbed.frames import Array
+from hiltestbed.measured.noise import MAD_TO_SIGMA
 from hiltestbed.replay.stiction import all_paths, commanded
 
 DEPARTURE_SIGMA = 6.0  # chosen: times the noise: a departure that may be a stick
@@ -150,7 +151,7 @@ class Data:
         self.goal = padded([run.measured[:, :3] - link.deflection[i][:, :3] for i, run in zip(order, runs, strict=True)])
         sigma = padded([run.sigma[:, :3] for run in runs])
         steps = [np.diff(run.measured[:, :3], axis=0) for run in runs]
-        held = np.array([median_abs_deviation(s, axis=0, scale="normal") for s in steps]) / math.sqrt(2.0)
+        held = np.array([median_abs_deviation(s, axis=0) for s in steps]) * MAD_TO_SIGMA / math.sqrt(2.0)
         self.noise = min([noise, *held[held > 0.0].tolist()])
         self.sigma = sigma * (self.noise / np.min(sigma, axis=(0, 1)))
         self.rows = np.array([run.rows for run in runs])

@@ -283,6 +283,12 @@ def stamps_known(explanations: Mapping[str, Explanation]) -> dict[str, float]:
     return out if any(out.values()) else {}
 
 
+def rows_in_common(stamps: Mapping[str, float], tick: float) -> list[int]:
+    """Whole rows, 0 first, by which all channels may be stamped later than by ``stamps`` [s], which show what they have between them."""
+    most = (MAX_STAMP_ROWS + MIN_STAMP_ROWS) * tick
+    return [n for n in (0, 1, -1) if all(abs(late + n * tick) <= most for late in stamps.values())]
+
+
 def output_shift_rows(explanation: Explanation) -> float:
     """Rows by which the output of a link was found to be late."""
     return float(_in_rows(explanation.residual.link.timing, explanation.residual.link).sum())
