@@ -51,8 +51,10 @@ from hiltestbed.diagnosis.stiction import sticking
 from hiltestbed.diagnosis.timing import (
     MAX_STAMP_SHIFT_ROWS,
     best_placed,
+    exact,
     exactly_stamped,
     explain_with_timing,
+    least_left,
     may_be_stamp,
     only_late_record,
     rows_in_common,
@@ -186,7 +188,7 @@ def _stamped_dynamics(layout: Layout, found: dict[str, Explanation]) -> Dynamics
         return link
     common = rows_in_common(stamps, tick)
     links = [link.stamped(before=-stamps["wrench_comp"] - n * tick) for n in common]
-    best = best_placed([_with_unknown_start(layout, other) for other in links], ()) if len(links) > 1 else 0
+    best = least_left([_with_unknown_start(layout, other) for other in links]) if len(links) > 1 else 0
     if common[best]:
         found["compensation"] = found["compensation"].stamped(delay=common[best] * tick, before=-common[best] * tick)
     return links[best]
@@ -216,7 +218,7 @@ def _explain_compensation(
     judge = judges.of_compensation(link, layout.noise)
     approximate = layout.logged is not None or any("wrench_meas" in run.record.bends for run in layout.runs)
     search = Search(tuple(candidates), judge, (), _begin(progress, layout, "compensation"), bounded=approximate)
-    if stamps and not noise_alone(judge(Residual(link), ())) and (stamped := exactly_stamped(Residual(link), search)):
+    if stamps and not exact(judge(Residual(link), ())) and (stamped := exactly_stamped(Residual(link), search)):
         return search.explain(stamped)
     led = [link.noise_gain() * layout.noise.get(name.replace("comp", "meas"), 0.0) for name in link.channels]
     return explain_with_timing(Residual(link), search, weigh=lambda residual: residual.with_noise(np.array(led)))

@@ -45,7 +45,12 @@ class Rebound:
 def with_rebounds(findings: Findings) -> Findings:
     """The findings with rivals weighed by the rebound: those that it refutes are dropped, and one that it prefers is chosen."""
     layout, explanations = findings.layout, dict(findings.explanations)
-    open_ = [name for name, e in explanations.items() if e.departs and e.adequate and any(e.rivals)]
+    shifts = delays_not_causes(explanations)  # what is attributed to the timing of the facility needs no decision
+    open_ = [
+        name
+        for name, e in explanations.items()
+        if e.departs and e.adequate and any(e.rivals) and not set(e.chosen.kinds) & {*shifts.get(name, ())}
+    ]
     rebounds = [_rebound(layout, i) for i in range(len(layout.runs))] if open_ else []
     if not any(rebounds):
         return findings

@@ -31,12 +31,13 @@ MIN_MEAN_SQUARE = 1.5  # chosen: of the departures, over the noise's: a stick of
 INSTANTS = range(2, 201)  # a tick
 MIN_SCAN_ROWS = 50  # chosen: rows of the first scan
 SCAN_TRAVEL = 6.0  # chosen: of the largest stick: travel of the command in the first scan
+LARGEST = 0.98  # chosen: quantile of the departures that are about a stick: in uniform motion they are even between none and a stick
 ROW_GROWTH = 1.5  # chosen: times as many rows in each next scan
 MAX_SCAN_ROWS = 4000  # chosen: rows of the last scan
-MAX_PATHS, MAX_PATHS_AT_ONCE = 5000, 20000  # chosen: that are followed from one scan to the next; of one division of the tick in a scan
+MAX_PATHS, MAX_STRETCHES = 20000, 8  # chosen: with the same instants, in a scan; stretches of sticks that are followed to the next
 MAX_SAMPLE_CHI2 = 25.0  # chosen: chi-square of a sample, so that a jump in the wrong row counts no more however far it goes
 PATH_MARGIN = 2.0 * MAX_SAMPLE_CHI2  # chosen: chi-square above the best with these instants, within which a path is followed,
-ROW_MARGIN = 0.5  # chosen: and for each row
+ROW_MARGIN = 0.1  # chosen: and for each row
 MAX_CHI2_RATIO, RATIO_MARGIN = 1.5, 4.0 * PATH_MARGIN  # chosen: times the best of all paths, and more: the same
 MAX_WORSE = 2.0  # chosen: times the least chi-square: starts with other instants that are given, too
 MAX_OTHER_CHI2 = 0.8  # chosen: times the chi-square under the timing of the link, with which another timing is taken
@@ -128,6 +129,27 @@ def _starts(found: Paths, believed: int) -> dict[tuple[int, float], list[float]]
     return out
 
 
+def _stretches(found: Paths, margin: float) -> Paths:
+    """The stretches of sticks in which paths with the same instants are no worse than the best of these by more than a ``margin``."""
+    order = np.lexsort((found.low, found.of))
+    of, low, high, chi2 = (x[order] for x in (found.of, found.low, found.high, found.chi2))
+    best = np.full(len(found.instants), np.inf)
+    np.minimum.at(best, of, chi2)
+    fits = np.flatnonzero(chi2 <= best[of] + margin)
+    of, low, high, chi2 = (x[fits] for x in (of, low, high, chi2))
+    apart = np.flatnonzero((of[1:] != of[:-1]) | (low[1:] != high[:-1]))
+    first, last = np.r_[0, apart + 1], np.r_[apart, len(of) - 1]
+    least = np.minimum.reduceat(chi2, first)
+    kept: list[int] = []
+    count: dict[int, int] = {}
+    for i in np.argsort(least, kind="stable").tolist():
+        h = int(of[first[i]])
+        count[h] = count.get(h, 0) + 1
+        if count[h] <= MAX_STRETCHES:
+            kept.append(i)
+    return Paths(found.instants, of[first[kept]], low[first[kept]], high[last[kept]], least[kept])
+
+
 def _speed(command: Array) -> float:
     """Largest travel of a command (N, >= 3) in a row [m]."""
     return float(np.max(np.abs(np.diff(command[:, :3], axis=0))))
@@ -214,25 +236,25 @@ class Data:
         rows = max(MIN_SCAN_ROWS, int(np.searchsorted(travel, SCAN_TRAVEL * high)) + 1)
         found = Paths.between(instants, low, high)
         while rows < self.whole:
-            found = self._followed(found, rows)
+            found = _stretches(self._followed(found, rows), PATH_MARGIN + ROW_MARGIN * rows)
             rows = int(ROW_GROWTH * rows)
         return self._followed(found, self.whole)
 
     def _sticks(self, late: float) -> tuple[float, float]:
-        """The range of sticks [m]: the largest departure of the slowest run is one, within the travel of the command in a tick."""
+        """The range of sticks [m]: the largest departures of the slowest run, but for its ends, are one, within the travel in a tick."""
         rows, noise, away = self.rows[0], self.noise, 0.0
         for axis in np.flatnonzero(self.moves[0]):
             command, start, velocity = self.commands[0, :, axis], self.start[0, axis], self.velocity[0, axis]
             obeyed = [commanded(command, start, velocity, k - late, self.tick) for k in range(rows)]
             known = np.isfinite(self.sigma[0, :rows, axis])
-            away = max(away, float(np.max(np.abs(self.goal[0, :rows, axis] - obeyed)[known], initial=0.0)))
-        travel, away = _speed(self.commands[0]), max(away - noise, noise)
-        return max(away - travel - 4.0 * noise, 0.5 * away), away + travel + noise
+            away = max(away, float(np.quantile(np.abs(self.goal[0, :rows, axis] - obeyed)[known], LARGEST)) if known.any() else 0.0)
+        travel = _speed(self.commands[0])
+        return max(away - travel - 4.0 * noise, 0.5 * away, noise), away / LARGEST + travel + noise
 
     def _followed(self, found: Paths, rows: int, limit: float = math.inf) -> Paths:
         """The paths with the sticks of ``found`` that fit the first ``rows`` best, best first; limit: chi-square at most."""
         compared = np.clip(rows - np.concatenate([[0], np.cumsum(self.rows)[:-1]]), 0, self.rows)
-        margin, out, buffer = PATH_MARGIN + ROW_MARGIN * rows, [], np.empty((MAX_PATHS_AT_ONCE, 3))
+        margin, out, buffer = PATH_MARGIN + ROW_MARGIN * rows, [], np.empty((MAX_PATHS, 3))
         for h, low, high in zip(found.of.tolist(), found.low.tolist(), found.high.tolist(), strict=True):
             m, phase, late = found.instants[h]
             count = all_paths(
@@ -243,7 +265,7 @@ class Data:
                 out.append(np.column_stack([np.full(count, float(h)), buffer[:count]]))
                 limit = min(limit, MAX_CHI2_RATIO * float(buffer[:count, 2].min()) + RATIO_MARGIN)
         each = np.concatenate([np.zeros((0, 4)), *out])
-        each = each[np.argsort(each[:, 3], kind="stable")[:MAX_PATHS]]
+        each = each[np.argsort(each[:, 3], kind="stable")]
         return Paths(found.instants, each[:, 0].astype(int), each[:, 1], each[:, 2], each[:, 3])
 
     def placed(self, found: Paths) -> Paths:

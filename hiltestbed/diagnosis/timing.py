@@ -301,7 +301,7 @@ def _stamp_shift_rows(link: Link) -> float:
 
 def delays_not_causes(explanations: Mapping[str, Explanation]) -> dict[str, dict[str, float]]:
     """Link to those of its delays that are no causes, with their rows: fractions of a tick where something else departs as well, and delays
-    that the opposite shift of another link compensates, as for a channel that is stamped late."""
+    that the opposite shift of another link compensates, as for a channel that is stamped late. Neither is what cannot be told from one."""
     departing = {name: e for name, e in explanations.items() if e.departs}
     places = [output_shift_rows(e) for e in explanations.values()]
     departures = sum(max(len(e.chosen.causes), int(not e.adequate)) for e in departing.values()) + sum(rows != 0.0 for rows in places)
@@ -310,11 +310,13 @@ def delays_not_causes(explanations: Mapping[str, Explanation]) -> dict[str, dict
     taken_back = max(-sum(_stamp_shift_rows(e.residual.link) for e in explanations.values()), 0.0)  # stamps cancel around the loop
     out: dict[str, dict[str, float]] = {}
     for name, e in departing.items():
-        for effect in e.chosen.effects():
-            rows = _delay_rows(effect, e.residual.link.runs[0].scenario.tick)
-            parts = MAX_UNNAMED_DELAY_ROWS if effect.kind not in TICK_EFFECTS else 0.5 if taken_back else 0.0
-            if rows is not None and rows <= taken_back + parts:
-                out.setdefault(name, {})[effect.kind] = rows
+        for i, effect in enumerate(e.chosen.effects()):
+            tick, rivals = e.residual.link.runs[0].scenario.tick, e.rivals[i] if e.rivals and effect.kind not in DELAY_EFFECTS else ()
+            for delay in (effect, *(other for f in rivals for other in f.effects() if other.kind not in e.chosen.kinds)):
+                rows = _delay_rows(delay, tick)
+                parts = MAX_UNNAMED_DELAY_ROWS if delay.kind not in TICK_EFFECTS else 0.5 if taken_back else 0.0
+                if rows is not None and rows <= taken_back + parts:
+                    out.setdefault(name, {})[effect.kind] = rows
     return out
 
 
@@ -335,6 +337,22 @@ def may_be_stamp(effect: Effect, link: Link) -> bool:
     """Whether an effect is a delay that may be the stamp's, of a row more where other links show that stamps are off by rows."""
     rows, most = _delay_rows(effect, link.runs[0].scenario.tick), MAX_UNNAMED_DELAY_ROWS + (MAX_STAMP_ROWS if link.known else 0.0)
     return effect.kind not in TICK_EFFECTS and rows is not None and 0.0 < rows <= most
+
+
+def least_left(links: Sequence[Link]) -> int:
+    """The index of the computed link of which least is left under its best timing: 0 unless another leaves clearly less.
+
+    Its output follows exactly, so that less than a single sample's rounding tells them apart.
+    """
+
+    def left(link: Link) -> float:
+        residual = _without_ends(Residual(link))
+        null = null_fit(residual)
+        return min([null.chi2, *(_fit_with_timing(residual, null, place).chi2 for place in _timing_candidates(link))])
+
+    chi2 = [left(link) for link in links]
+    least = int(np.argmin(chi2))
+    return least if chi2[least] < min(chi2[0] - 1.0, 0.5 * chi2[0]) else 0
 
 
 def best_placed(links: Sequence[Link], candidates: Sequence[Candidate]) -> int:

@@ -1,4 +1,4 @@
-"""What leads a search to a cause: effects with a vector, stiction, a response taken step by step, a varying delay, a hidden tone."""
+"""What leads a search to a cause: effects with a vector, a response taken step by step, a varying delay, a hidden tone."""
 
 from __future__ import annotations
 
@@ -17,19 +17,17 @@ from hiltestbed.diagnosis.fit import fit, null_fit
 from hiltestbed.diagnosis.jitter import jitter_beside
 from hiltestbed.diagnosis.late_record import used_readings
 from hiltestbed.diagnosis.lines import hum_beside, lines
-from hiltestbed.diagnosis.links import Link, LinkRun, PlatformLink, WrenchLink
+from hiltestbed.diagnosis.links import Link, LinkRun, WrenchLink
 from hiltestbed.diagnosis.links.base import Effects, Lane
 from hiltestbed.diagnosis.rating import rate
 from hiltestbed.diagnosis.residual import Residual, square
 from hiltestbed.diagnosis.search import Search
 from hiltestbed.diagnosis.settings import DETECTION, MIN_EXCESS_TO_GROW
-from hiltestbed.diagnosis.stiction import MAX_SAMPLE_CHI2, capped_chi2, refined_sticks, stick_starts
 from hiltestbed.effects import EFFECTS
 from hiltestbed.effects.search import Scales, candidate
 from hiltestbed.frames import Array
-from tests.slow import SLOW, slow
 
-from .made import NOISE, POSE_NOISE, H, contact_link, effect, platform_link, reread, scenario
+from .made import NOISE, H, contact_link, effect, platform_link, reread, scenario
 
 SCALES = Scales(force=300.0, depth=3e-3, stiffness=1e5, tick=H, noise=0.1, slow=0.02, fast=0.1, duration=0.5, substeps=4)
 
@@ -81,85 +79,13 @@ def test_a_drift_is_found_up_to_the_size_of_the_contact() -> None:
     assert all(c.low[0] <= -300.0 / 0.5 and c.high[0] >= 300.0 / 0.5 for c in drifts)
 
 
-def test_a_scan_counts_each_stick_as_the_residual_does() -> None:
-    """Also where a row is not known, and where the deflection of the drives is part of the pose."""
-    made = platform_link([effect("platform.friction", {"instants": 20}, stick=8.37e-5)])
-    sigma = made.runs[0].sigma.copy()
-    sigma[40:60] = np.inf
-    runs = [replace(made.runs[0], sigma=sigma), *made.runs[1:]]
-    link = PlatformLink(runs, made.commands, [1e-6 * np.random.default_rng(3).standard_normal(d.shape) for d in made.deflection])
-    sticks = np.geomspace(1e-5, 2e-3, 7)
-    each = [Residual(link)([effect("platform.friction", {"instants": 20}, stick=float(s))]) for s in sticks]
-    np.testing.assert_allclose(capped_chi2(link, sticks, 20), [np.minimum(r * r, MAX_SAMPLE_CHI2).sum() for r in each], rtol=1e-12)
-
-
-def test_a_stick_is_found_to_where_the_last_jump_ends() -> None:
-    stick = 8.37e-5
-    link = platform_link([effect("platform.friction", {"instants": 20}, stick=stick)])
-    starts = stick_starts(link, POSE_NOISE, 4)[20]
-    # 9.5 mm in and out at 0.06 m/s are some 230 jumps: a noise of 2 um at their end is 2e-6/230/stick = 1e-4 of the stick.
-    assert starts[0] == pytest.approx(stick, rel=1e-4)
-    residual = Residual(link)
-    left = square(residual([effect("platform.friction", {"instants": 20}, stick=starts[0])]))
-    count = np.count_nonzero(residual(()))
-    assert left < count + 4.0 * math.sqrt(2.0 * count)  # of chi-square with as many degrees of freedom
-    assert refined_sticks(residual, [2e-3], 1e-3, 4) == [2e-3]  # no better than none at all: left as it is
-
-
-AMONG_OTHERS = pytest.mark.xfail(reason="few jumps at one speed: other numbers of instants fit the scanned rows nearly as well")
-
-
-@pytest.mark.parametrize(
-    ("instants", "stick"),
-    [
-        (2, 1.1e-4), slow(3, 4.7e-5), slow(7, 9.1e-5), (33, 6.3e-5), slow(60, 8.46e-5), slow(171, 2.9e-5),
-        pytest.param(57, 8.46e-5, marks=[SLOW, AMONG_OTHERS]), pytest.param(86, 8.46e-5, marks=[SLOW, AMONG_OTHERS]),
-    ],
-)  # fmt: skip
-def test_a_stick_is_found_however_finely_a_tick_is_divided(instants: int, stick: float) -> None:
-    link = platform_link([effect("platform.friction", {"instants": instants}, stick=stick)])
-    residual, starts = Residual(link), stick_starts(link, POSE_NOISE, 4)
-    left = min(square(residual([effect("platform.friction", {"instants": n}, stick=s)])) for n, near in starts.items() for s in near)
-    count = np.count_nonzero(residual(()))
-    assert left < count + 4.0 * math.sqrt(2.0 * count)
-
-
-def test_a_stick_is_found_where_no_noise_is_left() -> None:
-    hidden = [effect("platform.friction", {"instants": 20}, stick=8.37e-5)]
-    noisy = platform_link(hidden)
-    runs = [replace(run, measured=noisy.shown(i, hidden)) for i, run in enumerate(noisy.runs)]
-    link = PlatformLink(runs, noisy.commands, noisy.deflection)
-    starts = stick_starts(link, POSE_NOISE, 4)
-    assert list(starts) == [20]
-    assert square(Residual(link)([effect("platform.friction", {"instants": 20}, stick=starts[20][0])])) == 0.0
-
-
-def test_a_stick_of_some_three_times_the_noise_is_found_by_all_its_rows() -> None:
-    """No row lies six times the noise away; the mean square of them all is twice that of the noise and more."""
-    stick = 3.3 * POSE_NOISE
-    link = platform_link([effect("platform.friction", {"instants": 20}, stick=stick)], speeds=(0.0011, 0.0017))
-    departed = max(float(np.abs(run.measured - link.shown(i)).max()) for i, run in enumerate(link.runs))
-    assert departed < 7.0 * POSE_NOISE
-    residual, starts = Residual(link), stick_starts(link, POSE_NOISE, 4)
-    found = [(square(residual([effect("platform.friction", {"instants": n}, stick=s)])), s) for n, near in starts.items() for s in near]
-    count = np.count_nonzero(residual(()))
-    left, best = min(found)
-    assert left < count + 4.0 * math.sqrt(2.0 * count)
-    assert best == pytest.approx(stick, rel=0.01)  # a command so slow tells little of the instants a tick
-
-
-def test_a_platform_that_follows_its_command_has_no_stick() -> None:
-    assert stick_starts(platform_link(), POSE_NOISE, 4) == {}
-
-
 def test_a_mode_integrated_step_by_step_is_one_that_answers_a_step_early() -> None:
     frequency, ratio, steps = 12.0, 0.05, 20
     w, dt = 2.0 * math.pi * frequency, H / steps
     link = platform_link()
     command = link.commands[0][:, 2]
-    x, v, node = -0.0030, 0.03, np.concatenate([[-0.0030], command])
     s = link.runs[0].scenario.approach
-    assert (s.gap, s.velocity[2]) == (0.003, 0.03)
+    x, v, node = -s.gap, s.velocity[2], np.concatenate([[-s.gap], command])
     reached = [x]
     for k in range(len(command) - 1):
         rate = (node[k + 1] - node[k]) / H

@@ -10,6 +10,7 @@ from hiltestbed.frames import Array
 from hiltestbed.platform.parameters import PlatformParameters
 from hiltestbed.platform.response import PlatformResponse
 from hiltestbed.replay import follows_exactly, replay_platform
+from hiltestbed.replay.stiction import all_paths
 from hiltestbed.scenario import Scenario
 from tests.effects.examples import example
 from tests.replay.recorded import record, scenario
@@ -83,6 +84,30 @@ def test_a_platform_with_stiction_stands_still_exactly_as_long_as_in_the_loop(be
         held, moved = held + int((steps == 0.0).sum()), moved + int((steps != 0.0).sum())
     assert held > 100, "some of the platforms stick"
     assert moved > 100, "and move"
+
+
+@pytest.mark.parametrize("late", [0.0, 0.62, 2.0])
+def test_each_path_of_a_stick_is_that_of_every_stick_up_to_the_next(late: float) -> None:
+    """All paths in a range cover it without a gap, and chi-square of each is that of the replay for any stick in between; also where the
+    instants at which the platform may move are no even parts of the tick, and the command is obeyed between two ticks."""
+    s, pose = approaching(120)
+    rng, low, high = np.random.default_rng(5), 2e-5, 2e-4
+    p = PlatformParameters(s.tick, instants=9, phase=0.4)
+    commands = pose[:, :, :3].copy()
+    goal, moves = commands + 1e-5 * rng.standard_normal(commands.shape), np.array([[False, False, True]])
+    start, velocity = np.array([[*s.approach.offset, -s.approach.gap]]), np.array([s.approach.velocity])
+    out, rows = np.empty((5000, 3)), np.array([commands.shape[1]])
+    fixed = (commands, goal, np.full_like(goal, 2e-5), rows, start, velocity, moves, s.tick, late, 9, 0.4)
+    found = out[: all_paths(*fixed, low, high, np.inf, np.inf, np.inf, out)]
+    assert len(found) > 100
+    assert found[0, 0] == low
+    assert found[-1, 1] == high
+    assert np.array_equal(found[1:, 0], found[:-1, 1])
+    for stick in rng.uniform(low, high, 40):
+        p.stick = stick
+        z = (goal[0, :, 2] - replay_platform([s], [p], pose, np.zeros(1, int), np.array([late * s.tick]))[0, :, 2]) / 2e-5
+        held = found[np.searchsorted(found[:, 0], stick, side="right") - 1]
+        assert float(z @ z) == pytest.approx(held[2], rel=1e-9)
 
 
 def test_of_two_responses_in_a_row_the_second_sees_the_first_bend_within_a_tick() -> None:
