@@ -51,7 +51,6 @@ from hiltestbed.diagnosis.stiction import sticking
 from hiltestbed.diagnosis.timing import (
     MAX_STAMP_SHIFT_ROWS,
     best_placed,
-    exact,
     exactly_stamped,
     explain_with_timing,
     least_left,
@@ -218,7 +217,7 @@ def _explain_compensation(
     judge = judges.of_compensation(link, layout.noise)
     approximate = layout.logged is not None or any("wrench_meas" in run.record.bends for run in layout.runs)
     search = Search(tuple(candidates), judge, (), _begin(progress, layout, "compensation"), bounded=approximate)
-    if stamps and not exact(judge(Residual(link), ())) and (stamped := exactly_stamped(Residual(link), search)):
+    if stamps and (stamped := exactly_stamped(Residual(link), search)):
         return search.explain(stamped)
     led = [link.noise_gain() * layout.noise.get(name.replace("comp", "meas"), 0.0) for name in link.channels]
     return explain_with_timing(Residual(link), search, weigh=lambda residual: residual.with_noise(np.array(led)))

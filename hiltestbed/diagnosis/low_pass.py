@@ -7,7 +7,7 @@ loop computed, wrench_comp, passed once through that filter. A Butterworth filte
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Any
@@ -15,14 +15,16 @@ from typing import Any
 import numpy as np
 from scipy import signal
 from scipy.ndimage import uniform_filter1d
-from scipy.optimize import minimize
+from scipy.optimize import minimize, minimize_scalar
 
 from hiltestbed.frames import Array
+from hiltestbed.replay.wrench import shifted
 
 ORDERS = (1, 2, 3, 4, 5, 6, 8)
 CUTOFFS = (0.01, 0.02, 0.05, 0.12, 0.3)  # chosen: [1/row] at which a search starts
 MIN_CUTOFF, MAX_CUTOFF = 0.004, 0.45  # chosen: [1/row]
 MAX_STAMP_SHIFT_ROWS = 40.0  # chosen: [rows] by which stamps may be off as well
+MAX_STAMP_ROWS = 3  # chosen: of two channels together, by which interpolation may shift one
 MAX_ROUGHNESS_RATIO = 0.5  # chosen: of the variances of second differences, filtered over unfiltered, for a search to begin
 MAX_RMS_RATIO = 0.1  # chosen: of the rms difference, with the filter over without it: 1 % of the variance
 DELAY_ERROR = 0.005  # chosen: share of the delay; twice the error seen on healthy rigs, 0.2 and 0.3 %
@@ -108,7 +110,7 @@ class LowPass:
 def low_pass_between(before: Sequence[Array], behind: Sequence[Array], known: Sequence[np.ndarray]) -> LowPass | None:
     """The filter that turns ``before`` (N, C) into ``behind`` (N, C) in each run, on rows that are ``known`` (N,).
 
-    None where no Butterworth filter does: the difference has another origin.
+    None where no Butterworth filter does, or interpolation between two rows does better: the difference has another origin.
     """
     counted = [k & (np.arange(len(k)) >= END_ROWS) & (np.arange(len(k)) < len(k) - END_ROWS) for k in known]
     if not any(k.any() for k in counted):
@@ -138,11 +140,21 @@ def low_pass_between(before: Sequence[Array], behind: Sequence[Array], known: Se
             if best.fun < found[0]:
                 found = (float(best.fun), order, best.x)
     least, order, x = found
-    if least > MAX_RMS_RATIO**2 * left(before):
+    if least > MAX_RMS_RATIO**2 * left(before) or least > min(_interpolated(before, left)):
         return None
     one = LowPass(order, _cutoff(x[0]))
     late = min((float(x[1]), float(x[1]) - one.delay), key=abs)
     return replace(one, prompt=late == float(x[1]), part=late if abs(late) < 1.0 else 0.0)  # a larger shift is a stamp delay (log.skew)
+
+
+def _interpolated(values: Sequence[Array], left: Callable[[Sequence[Array]], float]) -> list[float]:
+    """What is ``left`` by the ``values`` (N, C) where stamps lie between rows, for each whole number of rows by which they may be off."""
+
+    def misfit(late: float) -> float:
+        return left([shifted(v, -late, held=False) for v in values])
+
+    each: list[Any] = [minimize_scalar(misfit, bounds=(n, n + 1.0), method="bounded") for n in range(-MAX_STAMP_ROWS, MAX_STAMP_ROWS)]
+    return [float(found.fun) for found in each]
 
 
 def _cutoff(logarithm: float) -> float:

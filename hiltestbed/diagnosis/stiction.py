@@ -131,12 +131,11 @@ def _starts(found: Paths, believed: int) -> dict[tuple[int, float], list[float]]
 
 def _stretches(found: Paths, margin: float) -> Paths:
     """The stretches of sticks in which paths with the same instants are no worse than the best of these by more than a ``margin``."""
-    order = np.lexsort((found.low, found.of))
-    of, low, high, chi2 = (x[order] for x in (found.of, found.low, found.high, found.chi2))
     best = np.full(len(found.instants), np.inf)
-    np.minimum.at(best, of, chi2)
-    fits = np.flatnonzero(chi2 <= best[of] + margin)
-    of, low, high, chi2 = (x[fits] for x in (of, low, high, chi2))
+    np.minimum.at(best, found.of, found.chi2)
+    order = np.lexsort((found.low, found.of))
+    fits = order[found.chi2[order] <= best[found.of[order]] + margin]
+    of, low, high, chi2 = found.of[fits], found.low[fits], found.high[fits], found.chi2[fits]
     apart = np.flatnonzero((of[1:] != of[:-1]) | (low[1:] != high[:-1]))
     first, last = np.r_[0, apart + 1], np.r_[apart, len(of) - 1]
     least = np.minimum.reduceat(chi2, first)

@@ -36,6 +36,7 @@ STARTS, STARTS_TOGETHER = (0.15, 0.4, 1.0, 1.6), (0.4, 1.0)  # chosen: rows: of 
 MAX_EXACT_VARIANCE = 0.5  # derived: of what a computed channel may leave; one that does not follow exactly leaves 1, its own noise, or more
 MAX_ROUNDS = 2  # chosen: explanations of a link, each under the timing found with the last
 MAX_BASES = 4  # chosen: sets of causes beside which the timing is fitted
+HIDDEN_ROWS = 0.05  # chosen: by which a link is early, beyond the error of its fit: its input is stamped late
 CONVERGED_ROWS = 0.02  # chosen: change of the timing below which a link is not explained again
 INTERPOLATED_LINKS = ("platform", "compensation")  # links whose output is interpolated between rows where their input lies there
 EARLY, EITHER, LATE = (-MAX_STAMP_SHIFT_ROWS, 0.0), (-MAX_STAMP_SHIFT_ROWS, MAX_STAMP_SHIFT_ROWS), (0.0, MAX_STAMP_SHIFT_ROWS)
@@ -118,10 +119,12 @@ def exactly_stamped(residual: Residual, search: Search) -> Residual | None:
         return None
     there = _without_ends(residual, round(memory / tick))  # of what came before the record
     null = null_fit(there)
-    both, late_input = (_shift_candidate(link, way) for way in ({"delay": EITHER, "before": EITHER}, {"before": EARLY}))
-    found, alone = _fit_with_timing(there, null, both), _fit_with_timing(there, null, late_input)
-    late, early = (0.0, alone.theta[0] / tick) if alone.chi2 < found.chi2 + DETECTION else found.theta / tick
-    if square(there([Timing(delay=round(late + early) * tick)])) < found.chi2 + DETECTION:
+    if null.chi2 < DETECTION:
+        return None
+    late_input = _shift_candidate(link, {"before": EARLY})
+    both, alone = _both_stamps(there, null), _fit_with_timing(there, null, late_input)
+    late, early, least = (0.0, alone.theta[0] / tick, alone.chi2) if alone.chi2 < both[2] + DETECTION else both
+    if square(there([Timing(delay=round(late + early) * tick)])) < least + DETECTION:
         return None
     whole = min((round(late), round(-early)), key=lambda n: abs(late - n) + abs(early + n)) if late else 0
     if early + whole < -MAX_UNNAMED_DELAY_ROWS:
@@ -129,6 +132,21 @@ def exactly_stamped(residual: Residual, search: Search) -> Residual | None:
     stamps = Timing(delay=(late - whole) * tick, before=(early + whole) * tick)
     placed = Residual(link.with_timing(link.timing.plus(stamps)), there.runs, there.weight)
     return placed if exact(search.judge(placed, ())) else None
+
+
+def _both_stamps(residual: Residual, null: Fit) -> tuple[float, float, float]:
+    """Rows by which output and input of a link are stamped late and early, and chi-square: whole rows are tried beside what a fit finds,
+    since chi-square has a kink there."""
+    link, tick = residual.link, residual.link.runs[0].scenario.tick
+    both = _shift_candidate(link, {"delay": EITHER, "before": EITHER})
+    found = _fit_with_timing(residual, null, both)
+    tried = [(*(found.theta / tick), found.chi2)]
+    for j in range(2):
+        rows = float(round(found.theta[j] / tick))
+        other = fit(residual, (both.held(j, rows * tick),), [found.theta[[1 - j]]], tries=1)
+        shifts = np.insert(other.theta / tick, j, rows)
+        tried.append((float(shifts[0]), float(shifts[1]), other.chi2))
+    return min(tried, key=lambda t: t[2])
 
 
 def exact(leftovers: Mapping[str, Leftover]) -> bool:
@@ -314,8 +332,10 @@ def delays_not_causes(explanations: Mapping[str, Explanation]) -> dict[str, dict
             tick, rivals = e.residual.link.runs[0].scenario.tick, e.rivals[i] if e.rivals and effect.kind not in DELAY_EFFECTS else ()
             for delay in (effect, *(other for f in rivals for other in f.effects() if other.kind not in e.chosen.kinds)):
                 rows = _delay_rows(delay, tick)
-                parts = MAX_UNNAMED_DELAY_ROWS if delay.kind not in TICK_EFFECTS else 0.5 if taken_back else 0.0
-                if rows is not None and rows <= taken_back + parts:
+                most = taken_back + MAX_UNNAMED_DELAY_ROWS
+                if delay.kind in TICK_EFFECTS:  # whole rows, of which the instants of the platform hide a part
+                    most = max(taken_back + 0.5, math.ceil(taken_back)) if taken_back > HIDDEN_ROWS else 0.0
+                if rows is not None and rows <= most:
                     out.setdefault(name, {})[effect.kind] = rows
     return out
 
