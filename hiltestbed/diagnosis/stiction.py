@@ -29,6 +29,7 @@ from hiltestbed.replay.stiction import all_paths, commanded
 DEPARTURE_SIGMA = 6.0  # chosen: times the noise: a departure that may be a stick
 MIN_MEAN_SQUARE = 1.5  # chosen: of the departures, over the noise's: a stick of s adds some (s/sigma)^2 / 3; the noise is known to a fifth
 INSTANTS = range(2, 201)  # a tick
+MAX_REPLAYED_ROWS = 150_000_000  # chosen: in a scan: some seconds; the best are followed first
 MIN_SCAN_ROWS = 50  # chosen: rows of the first scan
 SCAN_TRAVEL = 6.0  # chosen: of the largest stick: travel of the command in the first scan
 LARGEST = 0.98  # chosen: quantile of the departures that are about a stick: in uniform motion they are even between none and a stick
@@ -39,6 +40,7 @@ MAX_SAMPLE_CHI2 = 25.0  # chosen: chi-square of a sample, so that a jump in the 
 PATH_MARGIN = 2.0 * MAX_SAMPLE_CHI2  # chosen: chi-square above the best with these instants, within which a path is followed,
 ROW_MARGIN = 0.1  # chosen: and for each row
 MAX_CHI2_RATIO, RATIO_MARGIN = 1.5, 4.0 * PATH_MARGIN  # chosen: times the best of all paths, and more: the same
+MAX_SHARE = 0.7  # chosen: of the chi-square without stiction: what no stick betters is none
 MAX_WORSE = 2.0  # chosen: times the least chi-square: starts with other instants that are given, too
 MAX_OTHER_CHI2 = 0.8  # chosen: times the chi-square under the timing of the link, with which another timing is taken
 MAX_STARTS, MAX_INSTANTS = 4, 2  # chosen: sticks for each number of instants; such numbers, beside that of the believed physics
@@ -131,6 +133,8 @@ def _starts(found: Paths, believed: int) -> dict[tuple[int, float], list[float]]
 
 def _stretches(found: Paths, margin: float) -> Paths:
     """The stretches of sticks in which paths with the same instants are no worse than the best of these by more than a ``margin``."""
+    if not len(found.chi2):
+        return found
     best = np.full(len(found.instants), np.inf)
     np.minimum.at(best, found.of, found.chi2)
     order = np.lexsort((found.low, found.of))
@@ -236,15 +240,34 @@ class Data:
         found = Paths.between(instants, low, high)
         while rows < self.whole:
             found = _stretches(self._followed(found, rows), PATH_MARGIN + ROW_MARGIN * rows)
+            if not len(found.chi2) or found.chi2[0] > MAX_SHARE * self._unstuck(instants[0].late, rows):
+                return Paths.between([], 0.0, 0.0)
             rows = int(ROW_GROWTH * rows)
         return self._followed(found, self.whole)
+
+    def _unstuck(self, late: float, rows: int) -> float:
+        """Chi-square of a platform without stiction on the first ``rows``, as of a path."""
+        out, compared = 0.0, self._compared(rows)
+        for r, axis in np.argwhere(self.moves):
+            n = compared[r]
+            z = (self.goal[r, :n, axis] - self._obeyed(r, axis, late)[:n]) / self.sigma[r, :n, axis]
+            out += float(np.minimum(z * z, MAX_SAMPLE_CHI2).sum())
+        return out
+
+    def _compared(self, rows: int) -> np.ndarray:
+        """(R,) rows of each run, of the first ``rows`` of all."""
+        return np.clip(rows - np.concatenate([[0], np.cumsum(self.rows)[:-1]]), 0, self.rows)
+
+    def _obeyed(self, r: int, axis: int, late: float) -> Array:
+        """(N,) command that is obeyed ``late`` [ticks] [m]."""
+        command, start, velocity = self.commands[r, :, axis], self.start[r, axis], self.velocity[r, axis]
+        return np.array([commanded(command, start, velocity, k - late, self.tick) for k in range(len(command))])
 
     def _sticks(self, late: float) -> tuple[float, float]:
         """The range of sticks [m]: the largest departures of the slowest run, but for its ends, are one, within the travel in a tick."""
         rows, noise, away = self.rows[0], self.noise, 0.0
         for axis in np.flatnonzero(self.moves[0]):
-            command, start, velocity = self.commands[0, :, axis], self.start[0, axis], self.velocity[0, axis]
-            obeyed = [commanded(command, start, velocity, k - late, self.tick) for k in range(rows)]
+            obeyed = self._obeyed(0, axis, late)[:rows]
             known = np.isfinite(self.sigma[0, :rows, axis])
             away = max(away, float(np.quantile(np.abs(self.goal[0, :rows, axis] - obeyed)[known], LARGEST)) if known.any() else 0.0)
         travel = _speed(self.commands[0])
@@ -252,14 +275,15 @@ class Data:
 
     def _followed(self, found: Paths, rows: int, limit: float = math.inf) -> Paths:
         """The paths with the sticks of ``found`` that fit the first ``rows`` best, best first; limit: chi-square at most."""
-        compared = np.clip(rows - np.concatenate([[0], np.cumsum(self.rows)[:-1]]), 0, self.rows)
-        margin, out, buffer = PATH_MARGIN + ROW_MARGIN * rows, [], np.empty((MAX_PATHS, 3))
+        compared = self._compared(rows)
+        margin, out, buffer, tries = PATH_MARGIN + ROW_MARGIN * rows, [], np.empty((MAX_PATHS, 3)), MAX_REPLAYED_ROWS // rows
         for h, low, high in zip(found.of.tolist(), found.low.tolist(), found.high.tolist(), strict=True):
             m, phase, late = found.instants[h]
-            count = all_paths(
+            count, tried = all_paths(
                 self.commands, self.goal, self.sigma, compared, self.start, self.velocity, self.moves, self.tick, late, m, phase, low, high,
-                MAX_SAMPLE_CHI2, limit, margin, buffer,
+                MAX_SAMPLE_CHI2, limit, margin, tries, buffer,
             )  # fmt: skip
+            tries -= tried
             if count:
                 out.append(np.column_stack([np.full(count, float(h)), buffer[:count]]))
                 limit = min(limit, MAX_CHI2_RATIO * float(buffer[:count, 2].min()) + RATIO_MARGIN)

@@ -91,7 +91,7 @@ def _misfit(commands, goal, sigma, rows, start, velocity, moves, h, late, instan
 
 @njit(cache=True)
 def all_paths(
-    commands, goal, sigma, rows, start, velocity, moves, h, late, instants, phase, low, high, most, limit, margin, out,
+    commands, goal, sigma, rows, start, velocity, moves, h, late, instants, phase, low, high, most, limit, margin, tries, out,
 ):  # fmt: skip
     """Every path that runs can take with a stick from ``low`` up to ``high`` [m], one after the other.
 
@@ -102,13 +102,14 @@ def all_paths(
         start, velocity: (R, 3) of the approach. moves: (R, 3) the axes that are compared.
         h: tick [s]. late: by which commands are obeyed [ticks]. instants, phase: at which the platform may move.
         most: chi-square of one sample at most. limit: chi-square beyond which a path is left; it falls with each path to its chi-square
-        and ``margin``. out: (P, 3) buffer for the least and the largest stick [m] of each path and its chi-square.
+        and ``margin``. tries: paths that are replayed at most. out: (P, 3) buffer for the least and the largest stick [m] of each path and
+        its chi-square.
 
     Returns:
-        The number of paths written to ``out``.
+        The number of paths written to ``out``, and of those replayed.
     """
-    count, stick, held = 0, low, np.empty(3)
-    while stick < high and count < len(out):
+    count, tried, stick, held = 0, 0, low, np.empty(3)
+    while stick < high and count < len(out) and tried < tries:
         chi2, same = _misfit(commands, goal, sigma, rows, start, velocity, moves, h, late, instants, phase, stick, most, limit, held)
         same = max(same, stick * (1.0 + 1e-12))  # beyond round-off
         if chi2 < np.inf:
@@ -116,4 +117,5 @@ def all_paths(
             count += 1
             limit = min(limit, chi2 + margin)
         stick = same
-    return count
+        tried += 1
+    return count, tried
