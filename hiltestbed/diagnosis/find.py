@@ -107,14 +107,19 @@ def find(findings: Findings, progress: Progress | None = None) -> Finding:
 
 
 def _left_out(findings: Findings) -> tuple[str, ...]:
-    """A sentence on the share of a mechanism's motion that was not compared; none where all of it was."""
+    """Sentences on the share of the contact that was not compared; none where all of it was."""
     link, layout = findings.whole.get("wrench"), findings.layout
-    if not isinstance(link, WrenchLink) or not link.simulated:
+    if not isinstance(link, WrenchLink):
         return ()
-    told = [np.asarray(np.isfinite(run.sigma).any(axis=1))[r.touching(run.rows)] for r, run in zip(layout.runs, link.runs, strict=True)]
-    left = 1.0 - float(np.mean(np.concatenate(told)))
-    why = "there the smallest difference decides how the mechanism moves"
-    return (f"{left:.0%} of the rows in contact were left out: {why}",) if left >= 0.005 else ()
+    touching = [r.touching(run.rows) for r, run in zip(layout.runs, link.runs, strict=True)]
+    untold = [np.isinf(run.sigma).all(axis=1) if link.simulated else np.zeros(run.rows, dtype=bool) for run in link.runs]
+    beside = [link.beside_jumps(i) for i in range(len(link.runs))]
+    whys = (
+        (untold, "there the smallest difference decides how the mechanism moves"),
+        (beside, "there the platform jumps, and which reading shows a jump is not known"),
+    )
+    left = [(float(np.mean(np.concatenate([o[t] for o, t in zip(out, touching, strict=True)]))), why) for out, why in whys]
+    return tuple(f"{share:.0%} of the rows in contact were left out: {why}" for share, why in left if share >= 0.005)
 
 
 def _nearest(findings: Findings, verdict: Verdict, progress: Progress | None) -> tuple[Findings, tuple[Named, ...]]:

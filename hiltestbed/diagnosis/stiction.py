@@ -266,7 +266,7 @@ class Data:
     def _sticks(self, late: float) -> tuple[float, float]:
         """The range of sticks [m]: the largest departures of the slowest run, but for its ends, are one, within the travel in a tick."""
         rows, noise, away = self.rows[0], self.noise, 0.0
-        for axis in np.flatnonzero(self.moves[0]):
+        for axis in np.flatnonzero(self.moves[0]).tolist():
             obeyed = self._obeyed(0, axis, late)[:rows]
             known = np.isfinite(self.sigma[0, :rows, axis])
             away = max(away, float(np.quantile(np.abs(self.goal[0, :rows, axis] - obeyed)[known], LARGEST)) if known.any() else 0.0)

@@ -61,14 +61,8 @@ def contact_link(effects: Sequence[Effect] = (), seed: int | None = 1, speeds: S
 
 def platform_link(effects: Sequence[Effect] = (), speeds: Sequence[float] = (0.03, 0.06)) -> PlatformLink:
     """Poses of a platform with `effects`, with noise."""
-    paths, believed, rng = [bounce(speed=v) for v in speeds], scenario(), np.random.default_rng(2)
-    commands = [p[1:] for p in paths]
-    runs = []
-    for path, v in zip(paths, speeds, strict=True):
-        approach = believed.approach.model_copy(update={"gap": -float(path[0, 2]), "velocity": (0.0, 0.0, v)})
-        rows = len(path) - 1
-        sigma = np.full((rows, 6), POSE_NOISE)
-        runs.append(LinkRun(believed.model_copy(update={"approach": approach}), np.zeros((rows, 6)), sigma, np.ones(rows, dtype=bool)))
+    commands, s, rng = [bounce(speed=v)[1:] for v in speeds], scenario(), np.random.default_rng(2)
+    runs = [LinkRun(s, np.zeros((len(c), 6)), np.full((len(c), 6), POSE_NOISE), np.ones(len(c), dtype=bool)) for c in commands]
     still = [np.zeros((len(c), 6)) for c in commands]
     shown = PlatformLink(runs, commands, still).predict([(i, effects) for i in range(len(runs))])
     runs = [replace(run, measured=m + POSE_NOISE * rng.standard_normal(m.shape)) for run, m in zip(runs, shown, strict=True)]

@@ -88,7 +88,7 @@ def test_an_estimate_at_a_bound_says_so(residual: Residual, found: Fit) -> None:
 
 
 def test_what_was_fitted_once_is_worked_out_once(residual: Residual, found: Fit) -> None:
-    explained = SimpleNamespace(residual=residual, candidates=(), departs=True, adequate=True, chosen=found)
+    explained = SimpleNamespace(residual=residual, candidates=(), departs=True, adequate=True, chosen=found, rivals=())
     certain = Certainties({"wrench": explained})  # type: ignore[dict-item]
     assert certain.of("wrench", found) is certain.of("wrench", found)
     assert len(list(certain)) == 1

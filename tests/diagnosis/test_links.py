@@ -57,7 +57,7 @@ def test_a_lag_trails_a_ramp_by_its_own_delay() -> None:
 def test_runs_of_different_length_are_each_replayed_to_their_end() -> None:
     link = platform_link()
     commands = [link.commands[0], link.commands[1][:200]]
-    short = type(link)([link.runs[0], free_run(link.runs[1].scenario, 200)], commands, [np.zeros((len(c), 6)) for c in commands])
+    short = type(link)([link.runs[0], free_run(scenario(), 200)], commands, [np.zeros((len(c), 6)) for c in commands])
     shown = short.predict([(0, ()), (1, ()), (1, [effect("platform.delay", delay=2 * H)])])
     assert [len(s) for s in shown] == [len(commands[0]), 200, 200]
     np.testing.assert_array_equal(shown[1], link.shown(1)[:200])

@@ -84,8 +84,9 @@ def test_a_mode_integrated_step_by_step_is_one_that_answers_a_step_early() -> No
     w, dt = 2.0 * math.pi * frequency, H / steps
     link = platform_link()
     command = link.commands[0][:, 2]
+    x, v, node = -0.0030, 0.03, np.concatenate([[-0.0030], command])
     s = link.runs[0].scenario.approach
-    x, v, node = -s.gap, s.velocity[2], np.concatenate([[-s.gap], command])
+    assert (s.gap, s.velocity[2]) == (0.003, 0.03)
     reached = [x]
     for k in range(len(command) - 1):
         rate = (node[k + 1] - node[k]) / H

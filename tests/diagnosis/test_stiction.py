@@ -8,16 +8,30 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hiltestbed.diagnosis.links import PlatformLink, Timing
+from hiltestbed.diagnosis.links import LinkRun, PlatformLink, Timing
 from hiltestbed.diagnosis.residual import Residual, square
 from hiltestbed.diagnosis.stiction import Sticking, sticking
 from tests.slow import slow
 
-from .made import POSE_NOISE, H, effect, platform_link
+from .made import POSE_NOISE, H, bounce, effect, platform_link, scenario
 
 
 def sticks(instants: int, stick: float, phase: float = 0.0) -> list:
     return [effect("platform.friction", {"instants": instants, "phase": phase}, stick=stick)]
+
+
+def approaching(effects: list, speeds: tuple[float, ...]) -> PlatformLink:
+    """Poses of a platform with `effects` and noise, in runs that each begin where, and as fast as, their scenario says."""
+    paths, rng, runs = [bounce(speed=v) for v in speeds], np.random.default_rng(2), []
+    for path, v in zip(paths, speeds, strict=True):
+        believed = scenario()
+        approach = believed.approach.model_copy(update={"gap": -float(path[0, 2]), "velocity": (0.0, 0.0, v)})
+        sigma = np.full((len(path) - 1, 6), POSE_NOISE)
+        runs.append(LinkRun(believed.model_copy(update={"approach": approach}), 0.0 * sigma, sigma, np.ones(len(sigma), dtype=bool)))
+    commands, still = [p[1:] for p in paths], [np.zeros((len(p) - 1, 6)) for p in paths]
+    shown = PlatformLink(runs, commands, still).predict([(i, effects) for i in range(len(runs))])
+    runs = [replace(run, measured=m + POSE_NOISE * rng.standard_normal(m.shape)) for run, m in zip(runs, shown, strict=True)]
+    return PlatformLink(runs, commands, still)
 
 
 def left_by(link: PlatformLink, found: Sticking) -> tuple[float, float]:
@@ -57,7 +71,7 @@ def test_a_stick_is_found_whenever_the_platform_obeys_and_the_pose_is_stamped(in
     stick, whole = 9.3e-5, math.floor(late)
     timing = Timing(obeyed=(late - whole) * H, delay=whole * H)
     hidden = sticks(instants, stick, phase)
-    link = platform_link([*hidden, timing], speeds=(0.01, 0.016, 0.025))
+    link = approaching([*hidden, timing], (0.01, 0.016, 0.025))
     found = sticking(link, POSE_NOISE, 4)
     assert found.timing is not None
     assert (found.timing.obeyed + found.timing.delay) / H == pytest.approx(late, abs=0.05 + 0.5 / instants)

@@ -290,7 +290,7 @@ class WrenchLink(Link):
         late = self.lateness(i, effects)
         if self.jumps is not None and self.unknown_rate:
             sigma = self.runs[i].sigma
-            return np.where(self._beside_jumps(i, effects)[:, None] & np.isfinite(sigma), NO_COUNT * sigma, 0.0)
+            return np.where(self.beside_jumps(i, effects)[:, None] & np.isfinite(sigma), NO_COUNT * sigma, 0.0)
         if late < step:
             return np.zeros((self.runs[i].rows, 6))
         shifts = [[*effects, Timing(delay=d)] for d in (-step, step)]
@@ -304,9 +304,10 @@ class WrenchLink(Link):
             out[:, 2] += s.mechanism.contact.stiffness * np.where(touched, jump, 0.0)
         return out
 
-    def _beside_jumps(self, i: int, effects: Effects) -> np.ndarray:
-        """(N,) bool: rows whose reading may be of a tick in which A jumps, or of one beside it."""
-        assert self.jumps is not None
+    def beside_jumps(self, i: int, effects: Effects = ()) -> np.ndarray:
+        """(N,) bool: rows whose reading may be of a tick in which A jumps, or of one beside it, where instants are not known."""
+        if self.jumps is None or not self.unknown_rate:
+            return np.zeros(self.runs[i].rows, dtype=bool)
         jumps, late, tick = self.jumps[i], self.lateness(i, effects), self.runs[i].scenario.tick
         ticks = np.array([late, late + self.timing_with(effects).before]) / tick
         first, last = math.floor(ticks.min()) - 1, math.ceil(ticks.max()) + 1
