@@ -112,7 +112,7 @@ def _left_out(findings: Findings) -> tuple[str, ...]:
     if not isinstance(link, WrenchLink):
         return ()
     touching = [r.touching(run.rows) for r, run in zip(layout.runs, link.runs, strict=True)]
-    untold = [np.isinf(run.sigma).all(axis=1) if link.simulated else np.zeros(run.rows, dtype=bool) for run in link.runs]
+    untold = [np.asarray(np.isinf(run.sigma).all(axis=1)) if link.simulated else np.zeros(run.rows, dtype=bool) for run in link.runs]
     beside = [link.beside_jumps(i) for i in range(len(link.runs))]
     whys = (
         (untold, "there the smallest difference decides how the mechanism moves"),
