@@ -29,7 +29,7 @@ from hiltestbed.replay.stiction import all_paths, commanded
 DEPARTURE_SIGMA = 6.0  # chosen: times the noise: a departure that may be a stick
 MIN_MEAN_SQUARE = 1.5  # chosen: of the departures, over the noise's: a stick of s adds some (s/sigma)^2 / 3; the noise is known to a fifth
 INSTANTS = range(2, 201)  # a tick
-MAX_REPLAYED_ROWS = 150_000_000  # chosen: in a scan: some seconds; the best are followed first
+MAX_REPLAYED_ROWS = 20_000_000  # chosen: in a scan: about a second; the best are followed first
 MIN_SCAN_ROWS = 50  # chosen: rows of the first scan
 SCAN_TRAVEL = 6.0  # chosen: of the largest stick: travel of the command in the first scan
 LARGEST = 0.98  # chosen: quantile of the departures that are about a stick: in uniform motion they are even between none and a stick
@@ -298,5 +298,8 @@ class Data:
             (m, phase, late), stick, chi2 = next(iter(found))
             step = LATE_STEP / 2**halved
             near = [Instants(m, (phase - m * step * (i + j)) % 1.0, late + i * step) for i in steps for j in steps]
-            found = self._followed(Paths.between(near, (1.0 - STICK_SPAN) * stick, (1.0 + STICK_SPAN) * stick), self.whole, chi2 + 1.0)
+            about = Paths.between(near, (1.0 - STICK_SPAN) * stick, (1.0 + STICK_SPAN) * stick)
+            placed = self._followed(about, self.whole, chi2 + 1.0)
+            if len(placed.chi2) and placed.chi2[0] <= chi2:  # else a scan's budget did not suffice
+                found = placed
         return found
