@@ -118,7 +118,8 @@ def _left_out(findings: Findings) -> tuple[str, ...]:
         (untold, "there the smallest difference decides how the mechanism moves"),
         (beside, "there the platform jumps, and which reading shows a jump is not known"),
     )
-    left = [(float(np.mean(np.concatenate([o[t] for o, t in zip(out, touching, strict=True)]))), why) for out, why in whys]
+    rows = max(sum(int(t.sum()) for t in touching), 1)
+    left = [(sum(int((o & t).sum()) for o, t in zip(out, touching, strict=True)) / rows, why) for out, why in whys]
     return tuple(f"{share:.0%} of the rows in contact were left out: {why}" for share, why in left if share >= 0.005)
 
 

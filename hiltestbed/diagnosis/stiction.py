@@ -22,14 +22,15 @@ from scipy.stats import median_abs_deviation
 from hiltestbed.diagnosis.links import PlatformLink, Timing
 from hiltestbed.diagnosis.links.base import padded
 from hiltestbed.diagnosis.residual import square
+from hiltestbed.diagnosis.settings import MIN_POSE_NOISE
 from hiltestbed.frames import Array
 from hiltestbed.measured.noise import MAD_TO_SIGMA
-from hiltestbed.replay.stiction import all_paths, commanded
+from hiltestbed.replay.stiction import all_paths
 
 DEPARTURE_SIGMA = 6.0  # chosen: times the noise: a departure that may be a stick
 MIN_MEAN_SQUARE = 1.5  # chosen: of the departures, over the noise's: a stick of s adds some (s/sigma)^2 / 3; the noise is known to a fifth
 INSTANTS = range(2, 201)  # a tick
-MAX_REPLAYED_ROWS = 20_000_000  # chosen: in a scan: about a second; the best are followed first
+SCAN_BUDGET = 1e8  # chosen: rows and jumps that are replayed in a scan: some two seconds; the best are followed first
 MIN_SCAN_ROWS = 50  # chosen: rows of the first scan
 SCAN_TRAVEL = 6.0  # chosen: of the largest stick: travel of the command in the first scan
 LARGEST = 0.98  # chosen: quantile of the departures that are about a stick: in uniform motion they are even between none and a stick
@@ -44,7 +45,8 @@ MAX_SHARE = 0.7  # chosen: of the chi-square without stiction: what no stick bet
 MAX_WORSE = 2.0  # chosen: times the least chi-square: starts with other instants that are given, too
 MAX_OTHER_CHI2 = 0.8  # chosen: times the chi-square under the timing of the link, with which another timing is taken
 MAX_STARTS, MAX_INSTANTS = 4, 2  # chosen: sticks for each number of instants; such numbers, beside that of the believed physics
-PHASE_SIGMA = 0.3  # chosen: of the noise: travel of the command between two phases that are tried
+PHASE_SIGMA, MAX_PHASES = 0.3, 100  # chosen: of the noise: travel of the command between two phases that are tried; such phases
+MAX_OVERESTIMATE = 20.0  # chosen: of the noise by third differences of an axis that jumps; ten times was seen
 JUMP_SIGMA = 4.0  # chosen: times the noise: a jump between two rows
 RATE_SIGMA = 2.0 * JUMP_SIGMA  # chosen: times the noise: travel of the command in a row, of which the instant of a jump is taken
 LATEST = 2.5  # ticks: by which a pose may be stamped early or late, and more than that
@@ -162,33 +164,36 @@ class Data:
     """The runs of a platform, the slowest first, as arrays.
 
     Attributes:
-        tick: [s]. noise: of the pose [m]. commands, goal, sigma: (R, N, 3) [m]; goal: the measured positions, sigma: infinite where none
-        was measured. rows: (R,). start, velocity: (R, 3) of the approach. moves: (R, 3) axes that are commanded to move. whole: rows of the
-        last scan.
+        order: indices of the runs in the link. tick: [s]. noise: of the pose [m]. commands, goal, sigma: (R, N, 3) [m]; goal: the measured
+        positions, sigma: infinite where none was measured. rows: (R,). start, velocity: (R, 3) of the approach. moves: (R, 3) axes that
+        are commanded to move. whole: rows of the last scan. speed: mean travel of all axes in a row [m].
     """
 
     def __init__(self, link: PlatformLink, noise: float) -> None:
         """noise: [m] of the pose; by third differences, which take jumps for noise. Those of an axis that is mostly held do not."""
-        order = list(np.argsort([_speed(c) for c in link.commands], kind="stable"))
-        runs = [link.runs[i] for i in order]
+        self.order = np.argsort([_speed(c) for c in link.commands], kind="stable").tolist()
+        order, runs = self.order, [link.runs[i] for i in self.order]
         self.tick = runs[0].scenario.tick
         self.commands = padded([link.commands[i][:, :3] for i in order])
         self.goal = padded([run.measured[:, :3] - link.deflection[i][:, :3] for i, run in zip(order, runs, strict=True)])
-        sigma = padded([run.sigma[:, :3] for run in runs])
-        steps = [np.diff(run.measured[:, :3], axis=0) for run in runs]
-        held = np.array([median_abs_deviation(s, axis=0) for s in steps]) * MAD_TO_SIGMA / math.sqrt(2.0)
-        self.noise = min([noise, *held[held > 0.0].tolist()])
-        self.sigma = sigma * (self.noise / np.min(sigma, axis=(0, 1)))
         self.rows = np.array([run.rows for run in runs])
+        self.speed = float(np.abs(np.diff(self.commands, axis=1)).sum(axis=2).mean())
         self.whole = min(MAX_SCAN_ROWS, int(self.rows.sum()))
         approach = [run.scenario.approach for run in runs]
         self.start = np.array([[*a.offset, -a.gap] for a in approach], dtype=float)
         self.velocity = np.array([a.velocity for a in approach], dtype=float)
         self.moves = (self.velocity != 0.0) | (self.commands != self.start[:, None]).any(axis=1)
+        noise = max(noise, MIN_POSE_NOISE)
+        steps = [np.diff(self.goal[r, : self.rows[r], axis]) for r, axis in np.argwhere(self.moves)]
+        held = [float(median_abs_deviation(s)) * MAD_TO_SIGMA / math.sqrt(2.0) for s in steps if len(s)]
+        self.noise = max(min([noise, *held]), noise / MAX_OVERESTIMATE)
+        sigma = padded([run.sigma[:, :3] for run in runs])
+        least = np.min(sigma, axis=(0, 1))
+        self.sigma = sigma * np.where(np.isfinite(least), self.noise / least, 1.0)
 
     def departs(self, link: PlatformLink) -> bool:
         """Whether the slowest run departs from the believed platform by more than its noise and rounding, in one row or in all together."""
-        slowest = int(np.argmin([_speed(c) for c in link.commands]))
+        slowest = self.order[0]
         run = link.runs[slowest]
         sigma = self.sigma[0, 1 : run.rows]
         known = np.isfinite(sigma)
@@ -227,63 +232,63 @@ class Data:
             yield last[before] - at, first[after] - at
 
     def phases(self, late: float) -> list[Instants]:
-        """Every number of instants, with phases between which the command moves by :data:`PHASE_SIGMA` at most."""
+        """Every number of instants, with phases between which the command moves by :data:`PHASE_SIGMA`; no more than MAX_PHASES."""
         fastest = float(np.abs(np.diff(self.commands, axis=1)).max())
-        count = {m: math.ceil(fastest / (m * PHASE_SIGMA * self.noise)) for m in INSTANTS}
+        count = {m: min(math.ceil(fastest / (m * PHASE_SIGMA * self.noise)), MAX_PHASES) for m in INSTANTS}
         return [Instants(m, j / n, late) for m, n in count.items() for j in range(n)]
 
     def paths(self, instants: Sequence[Instants]) -> Paths:
         """The paths that fit best, best first."""
-        low, high = self._sticks(instants[0].late)
+        obeyed = self._obeyed(instants[0].late)
+        low, high = self._sticks(obeyed)
         travel = np.cumsum(np.abs(np.diff(self.commands[0], axis=0)).max(axis=1))
         rows = max(MIN_SCAN_ROWS, int(np.searchsorted(travel, SCAN_TRAVEL * high)) + 1)
         found = Paths.between(instants, low, high)
         while rows < self.whole:
             found = _stretches(self._followed(found, rows), PATH_MARGIN + ROW_MARGIN * rows)
-            if not len(found.chi2) or found.chi2[0] > MAX_SHARE * self._unstuck(instants[0].late, rows):
+            if not len(found.chi2) or found.chi2[0] > MAX_SHARE * self._unstuck(obeyed, rows):
                 return Paths.between([], 0.0, 0.0)
             rows = int(ROW_GROWTH * rows)
         return self._followed(found, self.whole)
 
-    def _unstuck(self, late: float, rows: int) -> float:
-        """Chi-square of a platform without stiction on the first ``rows``, as of a path."""
-        out, compared = 0.0, self._compared(rows)
-        for r, axis in np.argwhere(self.moves):
-            n = compared[r]
-            z = (self.goal[r, :n, axis] - self._obeyed(r, axis, late)[:n]) / self.sigma[r, :n, axis]
-            out += float(np.minimum(z * z, MAX_SAMPLE_CHI2).sum())
-        return out
+    def _unstuck(self, obeyed: Array, rows: int) -> float:
+        """Chi-square of a platform without stiction, which is where its command is that is ``obeyed``, on the first ``rows``."""
+        compared = np.arange(self.goal.shape[1])[:, None] < self._compared(rows)[:, None, None]
+        z = (self.goal - obeyed) / self.sigma
+        return float(np.minimum(z * z, MAX_SAMPLE_CHI2)[compared & self.moves[:, None]].sum())
 
     def _compared(self, rows: int) -> np.ndarray:
         """(R,) rows of each run, of the first ``rows`` of all."""
         return np.clip(rows - np.concatenate([[0], np.cumsum(self.rows)[:-1]]), 0, self.rows)
 
-    def _obeyed(self, r: int, axis: int, late: float) -> Array:
-        """(N,) command that is obeyed ``late`` [ticks] [m]."""
-        command, start, velocity = self.commands[r, :, axis], self.start[r, axis], self.velocity[r, axis]
-        return np.array([commanded(command, start, velocity, k - late, self.tick) for k in range(len(command))])
+    def _obeyed(self, late: float) -> Array:
+        """(R, N, 3) command that is obeyed ``late`` [ticks] [m]."""
+        at = np.arange(self.goal.shape[1]) - late
+        nodes = np.concatenate([self.start[:, None], self.commands], axis=1)
+        low = np.clip(np.floor(at).astype(int), 0, len(at) - 1)
+        part = np.clip(at - low, 0.0, 1.0)[:, None]
+        before = np.minimum(at, 0.0)[:, None] * self.tick * self.velocity[:, None]
+        return np.asarray(nodes[:, low] + part * (nodes[:, low + 1] - nodes[:, low]) + before)
 
-    def _sticks(self, late: float) -> tuple[float, float]:
+    def _sticks(self, obeyed: Array) -> tuple[float, float]:
         """The range of sticks [m]: the largest departures of the slowest run, but for its ends, are one, within the travel in a tick."""
-        rows, noise, away = self.rows[0], self.noise, 0.0
-        for axis in np.flatnonzero(self.moves[0]).tolist():
-            obeyed = self._obeyed(0, axis, late)[:rows]
-            known = np.isfinite(self.sigma[0, :rows, axis])
-            away = max(away, float(np.quantile(np.abs(self.goal[0, :rows, axis] - obeyed)[known], LARGEST)) if known.any() else 0.0)
+        rows, noise = self.rows[0], self.noise
+        known = np.isfinite(self.sigma[0, :rows]) & self.moves[0]
+        away = np.where(known, np.abs(self.goal - obeyed)[0, :rows], 0.0)
+        largest = float(np.quantile(away, LARGEST, axis=0).max())
         travel = _speed(self.commands[0])
-        return max(away - travel - 4.0 * noise, 0.5 * away, noise), away / LARGEST + travel + noise
+        return max(largest - travel - 4.0 * noise, 0.5 * largest, noise), largest / LARGEST + travel + noise
 
     def _followed(self, found: Paths, rows: int, limit: float = math.inf) -> Paths:
         """The paths with the sticks of ``found`` that fit the first ``rows`` best, best first; limit: chi-square at most."""
         compared = self._compared(rows)
-        margin, out, buffer, tries = PATH_MARGIN + ROW_MARGIN * rows, [], np.empty((MAX_PATHS, 3)), MAX_REPLAYED_ROWS // rows
+        margin, out, buffer, budget = PATH_MARGIN + ROW_MARGIN * rows, [], np.empty((MAX_PATHS, 3)), SCAN_BUDGET
         for h, low, high in zip(found.of.tolist(), found.low.tolist(), found.high.tolist(), strict=True):
             m, phase, late = found.instants[h]
-            count, tried = all_paths(
+            count, budget = all_paths(
                 self.commands, self.goal, self.sigma, compared, self.start, self.velocity, self.moves, self.tick, late, m, phase, low, high,
-                MAX_SAMPLE_CHI2, limit, margin, tries, buffer,
+                MAX_SAMPLE_CHI2, limit, margin, self.speed, budget, buffer,
             )  # fmt: skip
-            tries -= tried
             if count:
                 out.append(np.column_stack([np.full(count, float(h)), buffer[:count]]))
                 limit = min(limit, MAX_CHI2_RATIO * float(buffer[:count, 2].min()) + RATIO_MARGIN)

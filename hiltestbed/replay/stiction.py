@@ -72,7 +72,7 @@ def stick_to(command, held, start, velocity, h, late, instants, phase, stick, sc
 
 @njit(cache=True)
 def _misfit(commands, goal, sigma, rows, start, velocity, moves, h, late, instants, phase, stick, most, limit, held):
-    total, same = 0.0, np.inf
+    total, same, done = 0.0, np.inf, 0
     for r in range(len(rows)):
         for a in range(3):
             held[a] = start[r, a]
@@ -84,14 +84,15 @@ def _misfit(commands, goal, sigma, rows, start, velocity, moves, h, late, instan
                     held[a], same = held_after_tick(
                         held[a], commands[r, :, a], start[r, a], velocity[r, a], k, late, h, instants, phase, stick, same
                     )
+            done += 1
             if total > limit:
-                return np.inf, same
-    return total, same
+                return np.inf, same, done
+    return total, same, done
 
 
 @njit(cache=True)
 def all_paths(
-    commands, goal, sigma, rows, start, velocity, moves, h, late, instants, phase, low, high, most, limit, margin, tries, out,
+    commands, goal, sigma, rows, start, velocity, moves, h, late, instants, phase, low, high, most, limit, margin, speed, budget, out,
 ):  # fmt: skip
     """Every path that runs can take with a stick from ``low`` up to ``high`` [m], one after the other.
 
@@ -102,20 +103,20 @@ def all_paths(
         start, velocity: (R, 3) of the approach. moves: (R, 3) the axes that are compared.
         h: tick [s]. late: by which commands are obeyed [ticks]. instants, phase: at which the platform may move.
         most: chi-square of one sample at most. limit: chi-square beyond which a path is left; it falls with each path to its chi-square
-        and ``margin``. tries: paths that are replayed at most. out: (P, 3) buffer for the least and the largest stick [m] of each path and
-        its chi-square.
+        and ``margin``. speed: of the commands [m] a row, which over the stick is the number of jumps. budget: rows and jumps after which
+        no further path is replayed. out: (P, 3) buffer for the least and the largest stick [m] of each path and its chi-square.
 
     Returns:
-        The number of paths written to ``out``, and of those replayed.
+        The number of paths written to ``out``, and what is left of the budget.
     """
-    count, tried, stick, held = 0, 0, low, np.empty(3)
-    while stick < high and count < len(out) and tried < tries:
-        chi2, same = _misfit(commands, goal, sigma, rows, start, velocity, moves, h, late, instants, phase, stick, most, limit, held)
+    count, stick, held = 0, low, np.empty(3)
+    while stick < high and count < len(out) and budget > 0.0:
+        chi2, same, done = _misfit(commands, goal, sigma, rows, start, velocity, moves, h, late, instants, phase, stick, most, limit, held)
         same = max(same, stick * (1.0 + 1e-12))  # beyond round-off
         if chi2 < np.inf:
             out[count, 0], out[count, 1], out[count, 2] = stick, min(same, high), chi2
             count += 1
             limit = min(limit, chi2 + margin)
+        budget -= done * (1.0 + min(float(instants), speed / stick))
         stick = same
-        tried += 1
-    return count, tried
+    return count, budget

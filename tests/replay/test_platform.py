@@ -98,7 +98,7 @@ def test_each_path_of_a_stick_is_that_of_every_stick_up_to_the_next(late: float)
     start, velocity = np.array([[*s.approach.offset, -s.approach.gap]]), np.array([s.approach.velocity])
     out, rows = np.empty((5000, 3)), np.array([commands.shape[1]])
     fixed = (commands, goal, np.full_like(goal, 2e-5), rows, start, velocity, moves, s.tick, late, 9, 0.4)
-    found = out[: all_paths(*fixed, low, high, np.inf, np.inf, np.inf, len(out), out)[0]]
+    found = out[: all_paths(*fixed, low, high, np.inf, np.inf, np.inf, 1e-5, np.inf, out)[0]]
     assert len(found) > 100
     assert found[0, 0] == low
     assert found[-1, 1] == high

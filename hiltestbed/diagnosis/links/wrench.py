@@ -313,7 +313,7 @@ class WrenchLink(Link):
         first, last = math.floor(ticks.min()) - 1, math.ceil(ticks.max()) + 1
         away = np.flatnonzero(jumps > SHARE_OF_A_JUMP * jumps.max(initial=0.0))[:, None] + np.arange(first, last + 1)
         out = np.zeros(self.runs[i].rows, dtype=bool)
-        out[np.unique(np.clip(away, 0, len(out) - 1))] = True
+        out[away[(away >= 0) & (away < len(out))]] = True
         return out
 
     def _at_the_edge(self, i: int, effects: Effects) -> Array:
