@@ -47,17 +47,13 @@ from hiltestbed.diagnosis.residual import Residual, square
 from hiltestbed.diagnosis.richer import Richer
 from hiltestbed.diagnosis.search import Explanation, Progress, Search, labelled
 from hiltestbed.diagnosis.settings import DETECTION, MIN_COMPARED
+from hiltestbed.diagnosis.stamps import exactly_stamped, least_left, only_late_record, rows_in_common, stamps_known
 from hiltestbed.diagnosis.stiction import sticking
 from hiltestbed.diagnosis.timing import (
     MAX_STAMP_SHIFT_ROWS,
     best_placed,
-    exactly_stamped,
     explain_with_timing,
-    least_left,
     may_be_stamp,
-    only_late_record,
-    rows_in_common,
-    stamps_known,
     timing_departs,
     timing_under,
 )

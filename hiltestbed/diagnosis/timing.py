@@ -14,11 +14,11 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from hiltestbed.diagnosis.adequacy import JITTER, Leftover, contact_leftovers, noise_alone
+from hiltestbed.diagnosis.adequacy import JITTER, contact_leftovers, noise_alone
 from hiltestbed.diagnosis.fit import BOUND_TOLERANCE, Fit, at_bound, fit, inflation, null_fit, refit
-from hiltestbed.diagnosis.links import CompensationLink, Link, Timing
+from hiltestbed.diagnosis.links import Link, Timing
 from hiltestbed.diagnosis.links.base import NO_SHIFT
-from hiltestbed.diagnosis.residual import Residual, square
+from hiltestbed.diagnosis.residual import Residual
 from hiltestbed.diagnosis.search import Explanation, Search, first_of_each
 from hiltestbed.diagnosis.settings import AMBIGUITY, DETECTION, INTERPRETATION_PENALTY
 from hiltestbed.effects.base import Effect
@@ -29,11 +29,9 @@ Explain = Callable[[Search, Residual], Explanation]
 Weigh = Callable[[Residual], Residual]
 
 MAX_STAMP_SHIFT_ROWS = 2.25  # derived: two channels, each stamped up to a row off; a record with more is refused
-MIN_STAMP_ROWS = 1e-4  # chosen: by which a channel is stamped off: less is round-off
 MAX_STAMP_ROWS = 1.0  # chosen: by which one channel is stamped off
 MAX_UNNAMED_DELAY_ROWS = 1.05  # chosen: two instants, each up to half a tick off, and the error due to noise
 STARTS, STARTS_TOGETHER = (0.15, 0.4, 1.0, 1.6), (0.4, 1.0)  # chosen: rows: of one shift, and of several together
-MAX_EXACT_VARIANCE = 0.5  # derived: of what a computed channel may leave; one that does not follow exactly leaves 1, its own noise, or more
 MAX_ROUNDS = 2  # chosen: explanations of a link, each under the timing found with the last
 MAX_BASES = 4  # chosen: sets of causes beside which the timing is fitted
 HIDDEN_ROWS = 0.05  # chosen: by which a link is early, beyond the error of its fit: its input is stamped late
@@ -87,7 +85,7 @@ def explain_with_timing(
             return found
         link = found.residual.link
         way = np.abs(_in_rows(place, link) - _in_rows(link.timing, link)).max()
-        found = explain(search.after(found), _without_ends(Residual(link.with_timing(place))))
+        found = explain(search.after(found), without_ends(Residual(link.with_timing(place))))
         if way < CONVERGED_ROWS:
             break
     return found
@@ -95,73 +93,15 @@ def explain_with_timing(
 
 def _timing_alone(residual: Residual, search: Search, weigh: Weigh) -> Residual | None:
     """The link with the timing that leaves only noise without any cause; None where there is none, or a named delay does as well."""
-    weighed = weigh(_without_ends(residual))
+    weighed = weigh(without_ends(residual))
     null = null_fit(weighed)
     cost = _comparable_score(residual.link)
-    best = min((_fit_with_timing(weighed, null, place) for place in _timing_candidates(residual.link)), key=cost)
+    best = min((fit_with_timing(weighed, null, place) for place in timing_candidates(residual.link)), key=cost)
     named = [fit(weighed, (c,), c.grid) for c in search.candidates if c.kind in DELAY_EFFECTS and not c.variant]
     if cost(best) > min(f.score for f in (null, *named)) - DETECTION * inflation(best):
         return None
-    there = _without_ends(Residual(residual.link.with_timing(residual.link.timing.plus(_fitted_timing(best)))))
+    there = without_ends(Residual(residual.link.with_timing(residual.link.timing.plus(_fitted_timing(best)))))
     return there if noise_alone(search.judge(there, ())) else None
-
-
-def exactly_stamped(residual: Residual, search: Search) -> Residual | None:
-    """The compensation with stamps of output and input that leave next to nothing; None where there are none, or it is not linear.
-
-    What was interpolated between rows follows exactly only with the same interpolation, and a linear compensation commutes with it: no
-    other explanation leaves nothing. Whole rows by which both stamps are off do not show: the smallest stamps are taken, and none where
-    both are whole, since either may be off. An input that is later than stamps may be is `log.skew`.
-    """
-    link, tick = residual.link, residual.link.runs[0].scenario.tick
-    memory = link.memory() if isinstance(link, CompensationLink) else None
-    if memory is None:
-        return None
-    there = _without_ends(residual, round(memory / tick))  # of what came before the record
-    null = null_fit(there)
-    if null.chi2 < DETECTION:
-        return None
-    late_input = _shift_candidate(link, {"before": EARLY})
-    both, alone = _both_stamps(there, null), _fit_with_timing(there, null, late_input)
-    late, early, least = (0.0, alone.theta[0] / tick, alone.chi2) if alone.chi2 < both[2] + DETECTION else both
-    if square(there([Timing(delay=round(late + early) * tick)])) < least + DETECTION:
-        return None
-    whole = min((round(late), round(-early)), key=lambda n: abs(late - n) + abs(early + n)) if late else 0
-    if early + whole < -MAX_UNNAMED_DELAY_ROWS:
-        return None
-    stamps = Timing(delay=(late - whole) * tick, before=(early + whole) * tick)
-    placed = Residual(link.with_timing(link.timing.plus(stamps)), there.runs, there.weight)
-    return placed if exact(search.judge(placed, ())) else None
-
-
-def _both_stamps(residual: Residual, null: Fit) -> tuple[float, float, float]:
-    """Rows by which output and input of a link are stamped late and early, and chi-square: whole rows are tried beside what a fit finds,
-    since chi-square has a kink there."""
-    link, tick = residual.link, residual.link.runs[0].scenario.tick
-    both = _shift_candidate(link, {"delay": EITHER, "before": EITHER})
-    found = _fit_with_timing(residual, null, both)
-    tried = [(*(found.theta / tick), found.chi2)]
-    for j in range(2):
-        rows = float(round(found.theta[j] / tick))
-        other = fit(residual, (both.held(j, rows * tick),), [found.theta[[1 - j]]], tries=1)
-        shifts = np.insert(other.theta / tick, j, rows)
-        tried.append((float(shifts[0]), float(shifts[1]), other.chi2))
-    return min(tried, key=lambda t: t[2])
-
-
-def exact(leftovers: Mapping[str, Leftover]) -> bool:
-    """Whether a computed channel follows exactly from its input: it leaves less than its own noise, which is no part of the input's."""
-    return bool(leftovers) and all(left.variance < MAX_EXACT_VARIANCE for left in leftovers.values())
-
-
-def only_late_record(explanations: Mapping[str, Explanation]) -> bool:
-    """Whether nothing departs but a part of a row by which wrench_meas is stamped late, as by `log.skew`."""
-    links = {name: e.residual.link for name, e in explanations.items()}
-    if "compensation" not in links or any(e.departs for e in explanations.values()):
-        return False
-    others = [link.timing for name, link in links.items() if name not in ("compensation", "wrench")]
-    timing = links["compensation"].timing
-    return timing.before < 0.0 and timing == Timing(before=timing.before) and all(other == NO_SHIFT for other in others)
 
 
 def timing_under(residual: Residual, best: Fit) -> Residual:
@@ -171,8 +111,8 @@ def timing_under(residual: Residual, best: Fit) -> Residual:
     """
     if noise_alone(contact_leftovers(residual, best.effects())):
         return residual
-    place = _better_timing(_without_ends(residual), best, [null_fit(residual), best])
-    return residual if place is None else _without_ends(Residual(residual.link.with_timing(place)))
+    place = _better_timing(without_ends(residual), best, [null_fit(residual), best])
+    return residual if place is None else without_ends(Residual(residual.link.with_timing(place)))
 
 
 def _fitted_timing(fit: Fit) -> Timing:
@@ -188,7 +128,7 @@ def _timing_of_explanation(found: Explanation, weigh: Weigh) -> Timing | None:
     settled = found.adequate and found.residual.link.name in ONE_CAUSE_LINKS and len(chosen.causes) < 2
     if not found.departs or settled:
         return None
-    return _better_timing(weigh(_without_ends(found.residual)), chosen, _bases(found), fewer=True)
+    return _better_timing(weigh(without_ends(found.residual)), chosen, _bases(found), fewer=True)
 
 
 def _better_timing(residual: Residual, chosen: Fit, bases: Sequence[Fit], fewer: bool = False) -> Timing | None:
@@ -201,9 +141,9 @@ def _better_timing(residual: Residual, chosen: Fit, bases: Sequence[Fit], fewer:
     cost = _comparable_score(link)
     best, fits = here, []
     for base in sorted(bases, key=lambda f: f.chi2):  # the best first, so that those which will not come near are soon left
-        for place in _timing_candidates(link):
+        for place in timing_candidates(link):
             known = cost(best) + 2.0 * DETECTION * inflation(best)  # twice the margin below: interpolation halves chi-square at most
-            shifted = _fit_with_timing(residual, base, place, known)
+            shifted = fit_with_timing(residual, base, place, known)
             if _within_range(link, shifted):
                 fits.append(shifted)
                 best = min(best, shifted, key=cost)
@@ -236,14 +176,14 @@ def _in_rows(place: Timing, link: Link) -> Array:
     return np.array([place.delay / tick, place.before / tick, place.obeyed / tick, place.old])
 
 
-def _timing_candidates(link: Link) -> list[Candidate]:
+def timing_candidates(link: Link) -> list[Candidate]:
     """The timings that are tried, as hypotheses."""
     ways = SHIFTS_AS_STAMPED if link.known and link.name == "wrench" else SHIFTS[link.name]
     free = [{name: ends for name, ends in way.items() if name not in link.known} for way in ways]
-    return [_shift_candidate(link, way) for n, way in enumerate(free) if way and way not in free[:n]]
+    return [shift_candidate(link, way) for n, way in enumerate(free) if way and way not in free[:n]]
 
 
-def _shift_candidate(link: Link, way: Mapping[str, tuple[float, float]]) -> Candidate:
+def shift_candidate(link: Link, way: Mapping[str, tuple[float, float]]) -> Candidate:
     """The shifts named in ``way`` together, each within its range, as a hypothesis."""
     tick, now = link.runs[0].scenario.tick, link.timing.parameters()
     names, ends = tuple(way), tuple(way.values())
@@ -264,7 +204,7 @@ def _bases(found: Explanation) -> list[Fit]:
     return [null_fit(found.residual), *once.values()]
 
 
-def _fit_with_timing(residual: Residual, base: Fit, later: Candidate, known: float = math.inf) -> Fit:
+def fit_with_timing(residual: Residual, base: Fit, later: Candidate, known: float = math.inf) -> Fit:
     """``base`` with the timing ``later`` fitted as well; ``known``: see :func:`fit`."""
     return fit(residual, (*base.causes, later), [np.concatenate([base.theta, s]) for s in later.grid], tries=2, known=known)
 
@@ -277,34 +217,13 @@ def _within_range(link: Link, found: Fit) -> bool:
     return not at_an_end and abs(timing.delay + timing.before) < largest
 
 
-def _without_ends(residual: Residual, memory: int = 0) -> Residual:
+def without_ends(residual: Residual, memory: int = 0) -> Residual:
     """Without the first and the last rows, for which a shifted channel has no data; memory: more of the first rows."""
     ends = math.ceil(MAX_STAMP_SHIFT_ROWS)
     weight = [w.copy() for w in residual.weight]
     for w in weight:
         w[: ends + memory], w[len(w) - ends :] = 0.0, 0.0
     return Residual(residual.link, residual.runs, weight)
-
-
-def stamps_known(explanations: Mapping[str, Explanation]) -> dict[str, float]:
-    """Channel to the time [s] by which it is stamped late, for those of which links without noise show it; empty where none is off.
-
-    The compensation shows what its two channels have between them; the numerical model, whose start is known, shows the command's.
-    """
-    out = {}
-    for name, e in explanations.items():
-        if name in ("compensation", "dynamics") and e.adequate:
-            output, given = LINK_CHANNELS[name]
-            tick, timing = e.residual.link.runs[0].scenario.tick, e.residual.link.timing
-            for channel, late in ((given, -timing.before), (output, timing.delay)):
-                out.setdefault(channel, late if abs(late) > MIN_STAMP_ROWS * tick else 0.0)
-    return out if any(out.values()) else {}
-
-
-def rows_in_common(stamps: Mapping[str, float], tick: float) -> list[int]:
-    """Whole rows, 0 first, by which all channels may be stamped later than by ``stamps`` [s], which show what they have between them."""
-    most = (MAX_STAMP_ROWS + MIN_STAMP_ROWS) * tick
-    return [n for n in (0, 1, -1) if all(abs(late + n * tick) <= most for late in stamps.values())]
 
 
 def output_shift_rows(explanation: Explanation) -> float:
@@ -359,22 +278,6 @@ def may_be_stamp(effect: Effect, link: Link) -> bool:
     return effect.kind not in TICK_EFFECTS and rows is not None and 0.0 < rows <= most
 
 
-def least_left(links: Sequence[Link]) -> int:
-    """The index of the computed link of which least is left under its best timing: 0 unless another leaves clearly less.
-
-    Its output follows exactly, so that less than a single sample's rounding tells them apart.
-    """
-
-    def left(link: Link) -> float:
-        residual = _without_ends(Residual(link))
-        null = null_fit(residual)
-        return min([null.chi2, *(_fit_with_timing(residual, null, place).chi2 for place in _timing_candidates(link))])
-
-    chi2 = [left(link) for link in links]
-    least = int(np.argmin(chi2))
-    return least if chi2[least] < min(chi2[0] - 1.0, 0.5 * chi2[0]) else 0
-
-
 def best_placed(links: Sequence[Link], candidates: Sequence[Candidate]) -> int:
     """The index of the link that leaves least under its best timing, with no other cause known: 0 unless another is clearly better.
 
@@ -383,9 +286,9 @@ def best_placed(links: Sequence[Link], candidates: Sequence[Candidate]) -> int:
     """
 
     def best(link: Link) -> Fit:
-        residual = _without_ends(Residual(link))
+        residual = without_ends(Residual(link))
         null = null_fit(residual)
-        placed = [_fit_with_timing(residual, null, place) for place in _timing_candidates(link)]
+        placed = [fit_with_timing(residual, null, place) for place in timing_candidates(link)]
         return min((null, *placed, *(fit(residual, (c,), c.grid) for c in candidates)), key=lambda f: f.score)
 
     kinds, fits = {c.kind for c in candidates}, [best(link) for link in links]

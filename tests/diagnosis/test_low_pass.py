@@ -10,6 +10,7 @@ from scipy import signal
 
 from hiltestbed.diagnosis.low_pass import LowPass, low_pass_between
 from hiltestbed.frames import Array
+from hiltestbed.replay.wrench import shifted
 from tests.slow import slow
 
 ROWS, FINER = 1500, 16
@@ -71,7 +72,11 @@ def _held_back(values: Array) -> Array:
     return np.where(np.abs(values) > 5.0, values, 0.0)
 
 
-@pytest.mark.parametrize("change", [np.copy, _late, _other_noise, _held_back])
+def _between_rows(values: Array) -> Array:
+    return shifted(values, -0.46, held=False)
+
+
+@pytest.mark.parametrize("change", [np.copy, _late, _other_noise, _held_back, _between_rows])
 def test_where_there_is_none_none_is_found(change: Callable[[Array], Array]) -> None:
     before = forces(3)
     assert low_pass_between([before], [change(before)], [np.ones(ROWS, dtype=bool)]) is None

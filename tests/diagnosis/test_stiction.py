@@ -98,6 +98,26 @@ def test_rows_that_are_not_known_do_not_count() -> None:
     assert sticking(link, POSE_NOISE, 4).starts[20, 0.0][0] == pytest.approx(8.37e-5, rel=1e-4)
 
 
+@pytest.mark.parametrize("level", [np.inf, POSE_NOISE])
+def test_an_axis_that_was_not_measured_or_is_at_rest_does_not_count(level: float) -> None:
+    """What round-off makes of an axis at rest is no noise of the one that moves."""
+    made, rng, runs = platform_link(sticks(20, 8.37e-5)), np.random.default_rng(6), []
+    for run in made.runs:
+        measured, sigma = run.measured.copy(), run.sigma.copy()
+        measured[:, 0], sigma[:, 0] = 1e-17 * rng.standard_normal(run.rows), level
+        runs.append(replace(run, measured=measured, sigma=sigma))
+    link = PlatformLink(runs, made.commands, made.deflection)
+    assert sticking(link, POSE_NOISE, 4).starts[20, 0.0][0] == pytest.approx(8.37e-5, rel=1e-4)
+
+
+def test_a_pose_without_noise_is_scanned_in_bounds() -> None:
+    hidden = sticks(20, 8.37e-5)
+    made = platform_link(hidden)
+    runs = [replace(run, measured=made.shown(i, hidden)) for i, run in enumerate(made.runs)]
+    found = sticking(PlatformLink(runs, made.commands, made.deflection), 0.0, 4)
+    assert found.starts[20, 0.0][0] == pytest.approx(8.37e-5, rel=1e-4)
+
+
 def test_a_stick_is_found_where_no_noise_is_left() -> None:
     hidden = sticks(20, 8.37e-5)
     noisy = platform_link(hidden)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ import pytest
 from hiltestbed.bench.diagnosis import one_set
 from hiltestbed.bench.diagnosis_sets import COMPUTING_FULL, computing_tasks
 from hiltestbed.bench.independent_rig import Nuisances, draw_set, write_set
-from hiltestbed.diagnosis import timing
+from hiltestbed.diagnosis import stamps, timing
 from hiltestbed.diagnosis.certainty import certainty
 from hiltestbed.diagnosis.find import Judged, judge
 from hiltestbed.diagnosis.fit import Fit, fit, null_fit
@@ -93,7 +94,9 @@ def test_a_cause_is_named_beside_instants_and_stamps_that_are_off(tmp_path: Path
 
 
 @SLOW
-@pytest.mark.parametrize("seed", [700087, 700088, 700089, 700100, 700109, 700139, 700142, 700143, 700145, 700154])
+@pytest.mark.parametrize(
+    "seed", [700087, 700088, 700089, 700100, 700109, 700116, 700139, 700142, 700143, 700145, 700149, 700152, 700154, 700157, 700158]
+)
 def test_sets_whose_stamps_and_instants_are_drawn_at_random_are_right(seed: int) -> None:
     """They were not while each link was explained without the stamps that the others show."""
     task = next(t for t in computing_tasks(COMPUTING_FULL) if t.seed == seed)
@@ -128,11 +131,11 @@ def stamped_compensation(output: float, given: float, seed: int = 1) -> Compensa
 
 def exactly(link: CompensationLink) -> Timing | None:
     noise = {name.replace("comp", "meas"): 0.5 for name in link.channels}
-    found = timing.exactly_stamped(Residual(link), Search((), of_compensation(link, noise)))
+    found = stamps.exactly_stamped(Residual(link), Search((), of_compensation(link, noise)))
     return found and found.link.timing
 
 
-@pytest.mark.parametrize(("output", "given"), [(0.05, 0.44), (-0.77, 0.0), (0.3, -0.6), (-0.03, 0.98), (0.0, 0.4)])
+@pytest.mark.parametrize(("output", "given"), [(0.05, 0.44), (-0.77, 0.0), (0.3, -0.6), (-0.03, 0.98), (0.0, 0.4), (1.0, -0.345)])
 def test_a_linear_compensation_shows_both_stamps(output: float, given: float) -> None:
     found = exactly(stamped_compensation(output, given))
     assert found is not None
@@ -172,6 +175,24 @@ def test_a_late_output_and_a_late_input_of_the_numerical_model_differ_by_the_app
     np.testing.assert_array_equal(before, prompt)
 
 
+@pytest.mark.parametrize("rows", [0, 1, -1])
+def test_the_numerical_model_shows_whole_rows_that_the_compensation_does_not(rows: int) -> None:
+    wrench = 0.5 * np.random.default_rng(4).standard_normal((400, 6))
+    wrench[150:250, 2] += 40.0
+    run = LinkRun(scenario(), np.zeros((400, 6)), np.full((400, 6), 1e-12), np.ones(400, dtype=bool))
+    shown = DynamicsLink([run], [wrench]).shown(0)
+    link = DynamicsLink([LinkRun(run.scenario, shown, run.sigma, run.touching)], [moved(wrench, float(rows))])
+    choices = stamps.rows_in_common({"wrench_meas": 0.0, "wrench_comp": 0.0}, H)
+    assert choices == [0, 1, -1]
+    links = [link.stamped(before=-n * H).with_unknown_start(np.ones(6)) for n in choices]
+    assert choices[stamps.least_left(links)] == rows
+
+
+def test_channels_have_no_row_in_common_beyond_what_one_may_be_off() -> None:
+    assert stamps.rows_in_common({"wrench_meas": -0.3 * H, "wrench_comp": 0.0}, H) == [0, 1]
+    assert stamps.rows_in_common({"wrench_meas": 1.03 * H, "wrench_comp": -0.5 * H}, H) == [0]
+
+
 def explained(link: Link, *effects: tuple[str, dict[str, Any]], adequate: bool = True) -> Explanation:
     """An explanation with these causes."""
     causes = tuple(Candidate(EFFECTS[kind], (), np.zeros(0), np.zeros(0), np.zeros(0, bool), ((),), given) for kind, given in effects)
@@ -204,6 +225,25 @@ def test_whole_ticks_are_causes_unless_another_link_takes_them_back() -> None:
     assert found(2, -1.0) == {}
 
 
+def test_a_whole_tick_is_a_stamp_where_the_platform_is_early() -> None:
+    """A platform cannot be early: its command is stamped a row late, of which its own instants take back a part."""
+    found = {
+        "platform": explained(platform_link().with_timing(Timing(delay=-0.4 * H))),
+        "wrench": explained(contact_link(seed=None), ("contact.stiffness", {"factor": 0.8})),
+        "dynamics": explained(DynamicsLink([platform_link().runs[0]], [np.zeros((500, 6))]), ("dynamics.step_delay", {"ticks": 1})),
+    }
+    assert timing.delays_not_causes(found) == {"dynamics": {"dynamics.step_delay": 1.0}}
+
+
+@pytest.mark.parametrize(("rows", "cause"), [(0.4, False), (3.0, True)])
+def test_what_cannot_be_told_from_a_part_of_a_tick_is_no_cause(rows: float, cause: bool) -> None:
+    lag = explained(platform_link(), ("platform.lag", {"bandwidth": 90.0}))
+    delay = explained(platform_link(), ("platform.delay", {"delay": rows * H})).chosen
+    contact = explained(contact_link(seed=None), ("contact.stiffness", {"factor": 0.8}))
+    found = timing.delays_not_causes({"platform": replace(lag, rivals=((delay,),)), "wrench": contact})
+    assert found == ({} if cause else {"platform": {"platform.lag": pytest.approx(rows)}})
+
+
 def test_a_delay_counts_beyond_what_stamps_take_back_around_the_loop() -> None:
     """The command is stamped a row early: the platform is late by that, and by the parts of a tick that need no fault."""
 
@@ -222,8 +262,8 @@ def test_stamps_that_links_without_noise_show_are_those_of_the_next() -> None:
     link = stamped_compensation(0.05, 0.44).with_timing(Timing(delay=0.05 * H, before=-0.44 * H))
     dynamics = DynamicsLink([platform_link().runs[0]], [np.zeros((500, 6))]).with_timing(Timing(delay=-0.3 * H, before=-0.05 * H))
     found = {"compensation": explained(link), "dynamics": explained(dynamics)}
-    assert timing.stamps_known(found) == pytest.approx({"wrench_meas": 0.44 * H, "wrench_comp": 0.05 * H, "pose_cmd": -0.3 * H})
-    assert timing.stamps_known({"dynamics": explained(dynamics, adequate=False)}) == {}
+    assert stamps.stamps_known(found) == pytest.approx({"wrench_meas": 0.44 * H, "wrench_comp": 0.05 * H, "pose_cmd": -0.3 * H})
+    assert stamps.stamps_known({"dynamics": explained(dynamics, adequate=False)}) == {}
 
 
 def test_a_delay_is_known_to_a_row_where_stamps_are_off() -> None:
