@@ -28,6 +28,9 @@ DAMPINGS_AT_ONCE = 4  # chosen: of the descent, tried in one replay
 BOUND_TOLERANCE = 1e-3  # chosen: of the range of a search
 EXTRAPOLATION_MARGIN = 10.0  # chosen: times the remaining gain by geometric extrapolation; a descent that cannot reach `known` stops
 FIRST_SHARE = 0.25  # chosen: of the departure, in the runs on which a costly link is fitted, or its candidates are rated, first
+FEW_RUNS_MARGIN = 2.0  # chosen: times their share of the departure: of `known`, what a fit on a few runs may leave there
+FAR_OFF = 10.0  # chosen: chi-square per sample, above which a descent on a costly link stops where two steps have gained little
+ROUGH_GAIN = 1e-3  # chosen: of chi-square: what is little, 0.05 % of the rms that is left
 MIN_STEPS = 4  # chosen: of a descent; then it also stops if the last two gains, repeated, would not reach `known`
 
 Run = Callable[[Sequence[Array] | Array], Array]  # thetas to residuals (H, M)
@@ -143,9 +146,10 @@ def fit(
     def run(thetas: Sequence[Array] | Array) -> Array:
         return residual.many([effects_at(causes, theta) for theta in thetas])
 
-    if tries > 1 and len(low) and residual.link.costly and len(few := telling(residual, run(thetas[:1])[0])) < len(residual.runs):
-        first = fit(residual.on(few), causes, thetas, tries, known)
-        if first.chi2 > known:  # as all the more on all runs
+    if tries > 1 and len(low) and residual.link.costly and len(few := telling(residual, r := run(thetas[:1])[0])) < len(residual.runs):
+        there = min(known, FEW_RUNS_MARGIN * known * _share(residual, r, few))
+        first = fit(residual.on(few), causes, thetas, tries, there)
+        if first.chi2 > there:  # as it will not come near on all runs
             r = run([first.theta])[0]
             slopes = differences(run, first.theta, r, scales(first.theta, low, high, log), low, high)
             return replace(first, chi2=square(r), residual=r, jacobian=slopes, elsewhere=residual.smoothed_away(first.effects()))
@@ -158,7 +162,7 @@ def fit(
     descents: list[Fit] = []
     for chi2, i in rated[:tries]:
         reached = min([known, *(f.chi2 for f in descents)])
-        descents.append(_descend(run, causes, thetas[i], found[i], chi2, low, high, log, reached))
+        descents.append(_descend(run, causes, thetas[i], found[i], chi2, low, high, log, reached, residual.link.costly))
     best = _polish(run, min(descents, key=lambda f: f.chi2), low, high)
     return replace(best, elsewhere=residual.smoothed_away(best.effects()))
 
@@ -171,6 +175,12 @@ def telling(residual: Residual, r: Array) -> list[int]:
         if sum(misfit[j] for j in out) < FIRST_SHARE * sum(misfit.values()):
             out.append(i)
     return sorted(out)
+
+
+def _share(residual: Residual, r: Array, runs: Sequence[int]) -> float:
+    """The share of the runs in the departure r (M,) of all."""
+    parts = residual.parts()
+    return sum(square(r[parts[i]]) for i in runs) / max(square(r), 1e-300)
 
 
 def refit(residual: Residual, found: Fit, known: float = np.inf) -> Fit:
@@ -200,8 +210,10 @@ def differences(run: Run, theta: Array, r: Array, scale: Array, low: Array, high
 
 
 def _descend(run: Run, causes: tuple[Candidate, ...], theta: Array, r: Array, chi2: float, low: Array, high: Array,
-             log: np.ndarray, known: float) -> Fit:  # fmt: skip
+             log: np.ndarray, known: float, rough: bool) -> Fit:  # fmt: skip
+    """rough: whether a descent also stops where it is far off and two steps have gained little."""
     damping, jacobian, before = 1e-3, np.zeros((len(r), len(theta))), np.inf
+    far = FAR_OFF * np.count_nonzero(r)
     for step in range(MAX_ITERATIONS):
         scale = scales(theta, low, high, log)
         jacobian = differences(run, theta, r, scale, low, high)
@@ -211,6 +223,8 @@ def _descend(run: Run, causes: tuple[Candidate, ...], theta: Array, r: Array, ch
             break
         gain, theta, r, chi2, damping = chi2 - better[2], *better
         if gain < max(_resolution(chi2, r), 1e-7 * chi2):
+            break
+        if rough and chi2 > far and max(gain, before) < ROUGH_GAIN * chi2:
             break
         if step >= MIN_STEPS and chi2 - max(gain, before) * (MAX_ITERATIONS - step) > known:
             break

@@ -40,7 +40,7 @@ def grow(found: Explanation, search: Search) -> Fit:
                 break
         else:
             break
-    return _pruned(residual, best)
+    return _pruned(residual, best, before)
 
 
 def _exceeds_threshold(more: Fit, fewer: Fit) -> bool:
@@ -54,14 +54,16 @@ def log_heldout_rms(residual: Residual, found: Fit) -> float:
     return float(np.mean([0.5 * math.log(max(left_out(residual, i, found), 1e-300)) for i in residual.runs]))
 
 
-def _pruned(residual: Residual, found: Fit) -> Fit:
-    """Without the causes that the others have made needless."""
+def _pruned(residual: Residual, found: Fit, before: float) -> Fit:
+    """Without the causes that the others have made needless; before: logarithm of the rms on left-out runs with all of them."""
     for c in found.causes:
         index = next((i for i, other in enumerate(found.causes) if other is c), None)
         if index is None or len(found.causes) == 1:
             continue
         causes, theta = found.without(index)
         fewer = fit(residual, causes, [theta], tries=1)
-        if not _exceeds_threshold(found, fewer) or log_heldout_rms(residual, fewer) < log_heldout_rms(residual, found):
-            found = fewer
+        needed = _exceeds_threshold(found, fewer)
+        after = log_heldout_rms(residual, fewer)
+        if not needed or after < before:
+            found, before = fewer, after
     return found

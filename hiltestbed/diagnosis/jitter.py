@@ -21,6 +21,7 @@ from hiltestbed.frames import Array
 
 MAX_SIGMA = 0.02  # chosen: [s] largest standard deviation that is searched
 SIGMAS_TRIED = 40
+MIN_PAIRS = 100  # chosen: of neighbours on a channel, whose correlation then is known to pi / 2 over ten: 0.16
 REFINEMENT_FACTORS = (0.92, 1.0, 1.08)  # chosen: on the first estimate, which treats the noise of a delay as small
 
 
@@ -78,11 +79,18 @@ def _likelihood(link: WrenchLink, residual: Residual, effects: Effects, sigma: f
 
 
 def _independent(z: Array, where: np.ndarray, channels: int) -> bool:
-    """Whether neighbouring samples are independent, as jitter makes them."""
-    z, where = z.reshape(-1, channels), where.reshape(-1, channels)
+    """Whether neighbouring samples are independent, as jitter makes them: together, and on each channel with enough of them.
+
+    By their signs, of which a share of asin(r) / pi more than half agree at a correlation of r (W. F. Sheppard, Phil. Trans. A 192, 1899):
+    a few samples that are far off, as at a touch, do not hide that all others follow one another.
+    """
+    signs, where = np.sign(z).reshape(-1, channels), where.reshape(-1, channels)
     pairs = where[1:] & where[:-1]
-    products, squares = float(np.sum((z[1:] * z[:-1])[pairs])), float(np.sum((z[1:] ** 2)[pairs]))
-    return squares > 0 and abs(products) < MAX_JITTER_CORRELATION * squares
+    counts, products = np.sum(pairs, axis=0), np.sum(np.where(pairs, signs[1:] * signs[:-1], 0.0), axis=0)
+    many = counts >= MIN_PAIRS
+    most = 2.0 / math.pi * math.asin(MAX_JITTER_CORRELATION)
+    alike = abs(float(products.sum())) < most * int(counts.sum())
+    return alike and bool(np.all(products[many] < most * counts[many]))
 
 
 def _centred(z: Array, worth: Array, where: np.ndarray) -> bool:

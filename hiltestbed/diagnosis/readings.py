@@ -91,7 +91,8 @@ def lever_under(residual: Residual, found: Fit) -> Residual:
     tried = [refit(Residual(link.interpreted(lever)), found) for lever in LEVERS]  # the estimates have adapted to the wrong lever
     best = min(tried, key=lambda f: f.chi2)
     there = Residual(choose_lever(link, best.effects()))
-    while (again := refit(there, best)).chi2 < best.chi2 - INTERPRETATION_PENALTY:  # estimates and lever improve each other
+    need = INTERPRETATION_PENALTY * inflation(best)
+    while (again := refit(there, best)).chi2 < best.chi2 - need:  # estimates and lever improve each other
         best, there = again, Residual(choose_lever(link, again.effects()))
     return there if again.chi2 < before - DETECTION * inflation(found) else residual
 

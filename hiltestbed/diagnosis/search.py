@@ -23,6 +23,7 @@ from hiltestbed.diagnosis.settings import (
     AMBIGUITY,
     BEAM_WIDTH,
     CLOSE_CHI2,
+    COSTLY_BEAM_WIDTH,
     DETECTION,
     LINEAR_GAIN_MARGIN,
     MAX_CAUSES,
@@ -134,7 +135,7 @@ class Search:
             return None
         pool = [found.chosen, *first_of_each(found.singles, "kinds"), *first_of_each(found.more, "kinds")[:MAX_PARTNERS]]
         there = residual.downweighted(found.chosen.effects())
-        fits = [null_fit(there), *(refit(there, f) for f in pool if f.causes and JITTER not in f.kinds)]
+        fits = [null_fit(there), *_reweighted(there, [f for f in pool if f.causes and JITTER not in f.kinds])]
         best = min(fits, key=lambda f: f.score)
         leftovers = self.judge(there, best.effects())
         if max(left.excess for left in leftovers.values()) <= MIN_EXCESS_TO_GROW:
@@ -188,7 +189,8 @@ class Search:
             if adequate and (count > 1 or math.isinf(self.beside)):  # a third cause would hide in the noise
                 break
             found: list[Fit] = []
-            for base in level[: 1 if adequate else BEAM_WIDTH]:
+            width = 1 if adequate else COSTLY_BEAM_WIDTH if count > 1 and residual.link.costly else BEAM_WIDTH
+            for base in level[:width]:
                 search = self._near(residual, base, found) if count > 1 else self
                 found += search.extend(residual, base, MAX_PARTNERS, self.special, beside=found, worth=self.beside if adequate else 0.0)
             found = first_of_each(sorted(found, key=lambda f: f.score), "key")

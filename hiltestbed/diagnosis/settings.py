@@ -22,6 +22,7 @@ MAX_RIVALS = 2  # chosen: that are listed for a cause; a larger set identifies n
 # Search
 MIN_LINEAR_GAIN = 8.0  # derived: chi-square of one parameter at 99.5 %; a smaller reduction by linearisation is noise
 BEAM_WIDTH = 5  # chosen: first causes for which a second one is sought
+COSTLY_BEAM_WIDTH = 2  # chosen: pairs of causes for which a third one is sought, on a link whose replay is costly
 MAX_PARTNERS = 6  # chosen: second causes that are fitted with each first one
 MAX_FITS_PER_EFFECT = 3  # chosen: hypotheses of one effect (axes, variants) that are fitted
 MAX_SINGLES = 40  # chosen: single causes that are fitted

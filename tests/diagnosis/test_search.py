@@ -132,6 +132,20 @@ def test_a_delay_that_varies_is_found_with_its_size() -> None:
     assert found.theta[-1] == pytest.approx(sigma, rel=0.15)
 
 
+@pytest.mark.parametrize("outliers", [0, 6])
+def test_a_delay_that_grows_with_the_force_is_no_jitter_whatever_a_few_samples_leave(outliers: int) -> None:
+    """Neighbouring samples follow one another; samples that are far off, as at a touch, do not hide it."""
+    link, rng = contact_link(), np.random.default_rng(4)
+    run, slope = link.runs[0], link.slopes(())[0]
+    force = np.abs(run.measured[:, 2:3])
+    mean = np.sum(slope**2 * force) / np.sum(slope**2)  # about which it varies without a trend in the rate of the reading
+    measured = run.measured - slope * 0.4e-3 * (force - mean) / force.max() + NOISE * rng.standard_normal(slope.shape)
+    far = rng.choice(np.flatnonzero(force[:, 0] > 0.5 * force.max()), outliers, replace=False)
+    measured[far, 2] += 30.0 * NOISE * rng.choice([-1, 1], outliers)
+    residual = Residual(reread(link, [measured]))
+    assert jitter_beside(residual, null_fit(residual)) is None
+
+
 def test_a_hum_shows_as_a_line_outside_contacts() -> None:
     hum = effect("sensor.hum", frequency=61.0, amplitude=0.5, phase=0.3, axis="z")
     assert lines(contact_link()) == {}
@@ -317,6 +331,21 @@ def test_a_costly_link_is_explained_as_any_other_from_fewer_replays(monkeypatch:
     assert sorted(found[1].chosen.kinds) == sorted(found[0].chosen.kinds) == ["contact.dry_friction", "contact.stiffness"]
     np.testing.assert_allclose(found[1].chosen.of(found[0].chosen.causes), found[0].chosen.theta, rtol=1e-4)
     assert found[1].chosen.chi2 == pytest.approx(found[0].chosen.chi2, abs=0.1)
+
+
+def test_on_a_costly_link_a_descent_that_is_far_off_stops_where_little_is_gained(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Three causes of which none is hidden: to 0.2 % of the misfit, from fewer replays."""
+    residual = Residual(contact_link([effect("contact.stiffness", factor=1.3)]))
+    causes = [next(c for c in EFFECTS[kind].candidates(SCALES) if not c.variant) for kind in ("sensor.delay", "sensor.lag", "frame.mode")]
+    starts = [np.concatenate([c.grid[0] for c in causes])]
+    replayed, found, replay = [0, 0], [], WrenchLink._replay
+    for i, costly in enumerate((False, True)):
+        monkeypatch.setattr(WrenchLink, "costly", costly)
+        monkeypatch.setattr(WrenchLink, "_replay", lambda self, lanes, i=i: count(replayed, i, lanes) or replay(self, lanes))
+        found.append(fit(residual, causes, starts, tries=1))
+    assert found[0].chi2 > 10.0 * residual.link.runs[0].measured.size * len(residual.runs)
+    assert replayed[1] < 0.7 * replayed[0]
+    assert found[1].chi2 == pytest.approx(found[0].chi2, rel=2e-3)
 
 
 @pytest.mark.parametrize(("sigma", "counts"), [(1e-3, True), (0.2, False)])
