@@ -213,7 +213,8 @@ def _explain_compensation(
     judge = judges.of_compensation(link, layout.noise)
     approximate = layout.logged is not None or any("wrench_meas" in run.record.bends for run in layout.runs)
     search = Search(tuple(candidates), judge, (), _begin(progress, layout, "compensation"), bounded=approximate)
-    follows = approximate and noise_alone(judge(Residual(link), ()))  # what a shift would better then is the error of bridging rows
+    left = null_fit(Residual(link)).residual
+    follows = square(left) < np.count_nonzero(left)  # what a shift would better then are the errors of bridged rows or written digits
     if stamps and not follows and (stamped := exactly_stamped(Residual(link), search)):
         return search.explain(stamped)
     led = [link.noise_gain() * layout.noise.get(name.replace("comp", "meas"), 0.0) for name in link.channels]

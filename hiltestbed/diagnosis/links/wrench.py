@@ -29,7 +29,7 @@ from hiltestbed.replay.wrench import Lane as FeltLane
 from hiltestbed.scenario import Scenario
 from hiltestbed.sensor.parameters import SensorParameters
 
-MANY_ROWS = 8_000  # chosen: of all runs, from which a search takes minutes: dockings have 9,000 to 20,000, contacts of a bumper 5,000
+MANY_ROWS = 8_000  # chosen: of all runs, from which a search of a docking takes minutes
 NODES = np.linspace(-2.75, 2.75, 12)  # of a standard normal distribution
 STEP_RATIO = 4  # of the steps of a mount, for the extrapolation to steps of zero length
 NO_COUNT = 1e6  # chosen: times its noise: uncertainty of a reading that does not count
@@ -143,8 +143,9 @@ class WrenchLink(Link):
 
     @property
     def costly(self) -> bool:
-        """Whether parts that move are integrated, or there are many rows."""
-        return self.simulated or self.stepped or sum(run.rows for run in self.runs) > MANY_ROWS
+        """Whether parts that move are integrated, or many rows meet a surface that is not flat."""
+        simple = all(run.scenario.mechanism.flat or run.scenario.mechanism.captured for run in self.runs)
+        return self.simulated or self.stepped or (not simple and sum(run.rows for run in self.runs) > MANY_ROWS)
 
     @property
     def stepped(self) -> bool:
