@@ -143,7 +143,7 @@ class WrenchLink(Link):
 
     @property
     def costly(self) -> bool:
-        """Whether parts that move are integrated, or many rows meet a surface that is not flat."""
+        """Whether parts that move are integrated, or there are many rows of a surface that is neither flat nor latched from the start."""
         simple = all(run.scenario.mechanism.flat or run.scenario.mechanism.captured for run in self.runs)
         return self.simulated or self.stepped or (not simple and sum(run.rows for run in self.runs) > MANY_ROWS)
 
