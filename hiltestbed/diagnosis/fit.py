@@ -28,7 +28,6 @@ DAMPINGS_AT_ONCE = 4  # chosen: of the descent, tried in one replay
 BOUND_TOLERANCE = 1e-3  # chosen: of the range of a search
 EXTRAPOLATION_MARGIN = 10.0  # chosen: times the remaining gain by geometric extrapolation; a descent that cannot reach `known` stops
 FIRST_SHARE = 0.25  # chosen: of the departure, in the runs on which a costly link is fitted, or its candidates are rated, first
-FEW_RUNS_MARGIN = 2.0  # chosen: times their share of the departure: of `known`, what a fit on a few runs may leave there
 FAR_OFF = 10.0  # chosen: chi-square per sample, above which a descent on a costly link stops where two steps have gained little
 ROUGH_GAIN = 1e-3  # chosen: of chi-square: what is little, 0.05 % of the rms that is left
 MIN_STEPS = 4  # chosen: of a descent; then it also stops if the last two gains, repeated, would not reach `known`
@@ -146,10 +145,9 @@ def fit(
     def run(thetas: Sequence[Array] | Array) -> Array:
         return residual.many([effects_at(causes, theta) for theta in thetas])
 
-    if tries > 1 and len(low) and residual.link.costly and len(few := telling(residual, r := run(thetas[:1])[0])) < len(residual.runs):
-        there = min(known, FEW_RUNS_MARGIN * known * _share(residual, r, few))
-        first = fit(residual.on(few), causes, thetas, tries, there)
-        if first.chi2 > there:  # as it will not come near on all runs
+    if tries > 1 and len(low) and residual.link.costly and len(few := telling(residual, run(thetas[:1])[0])) < len(residual.runs):
+        first = fit(residual.on(few), causes, thetas, tries, known)
+        if first.chi2 > known:  # as all the more on all runs
             r = run([first.theta])[0]
             slopes = differences(run, first.theta, r, scales(first.theta, low, high, log), low, high)
             return replace(first, chi2=square(r), residual=r, jacobian=slopes, elsewhere=residual.smoothed_away(first.effects()))
@@ -175,12 +173,6 @@ def telling(residual: Residual, r: Array) -> list[int]:
         if sum(misfit[j] for j in out) < FIRST_SHARE * sum(misfit.values()):
             out.append(i)
     return sorted(out)
-
-
-def _share(residual: Residual, r: Array, runs: Sequence[int]) -> float:
-    """The share of the runs in the departure r (M,) of all."""
-    parts = residual.parts()
-    return sum(square(r[parts[i]]) for i in runs) / max(square(r), 1e-300)
 
 
 def refit(residual: Residual, found: Fit, known: float = np.inf) -> Fit:
