@@ -39,7 +39,7 @@ from tests.slow import SLOW, slow
         slow(("log_rate", 1700.0), 602090),
         pytest.param(
             *(("log_rate", 1700.0), 602040),
-            marks=[SLOW, pytest.mark.xfail(reason="interpolation of path and force: 0.065 % of the stiffness")],
+            marks=[SLOW, pytest.mark.xfail(strict=True, reason="interpolation of path and force: 0.065 % of the stiffness")],
         ),
         slow(("log_rate", 1700.0), 610034),  # noise of samples that were put between others twice
         slow(("stamp_jitter", 0.1), 610031),
