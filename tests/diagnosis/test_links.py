@@ -93,6 +93,20 @@ def test_a_reading_hangs_on_the_facilitys_instants_where_one_lies_at_the_touch()
     assert clear[: touch + 150, 2].max() < 0.2
 
 
+@pytest.mark.parametrize("grid", [None, 20])
+def test_a_reading_that_is_stamped_before_its_contact_is_one_read_later_but_not_interpolated(grid: int | None) -> None:
+    """Of the step of c v = 12 N at the touch, 0.7 ms before a row, interpolation between rows would give a part. The sensor is late by
+    5 rows: a shift of -5.3 reads 0.3 ms after the row's contact, as one of -0.3 does 5 rows later."""
+    link = contact_link(seed=None).interpreted(grid=grid)
+    before, after = (link.with_timing(Timing(delay=-rows * H)) for rows in (5.3, 0.3))
+    np.testing.assert_allclose(before.shown(0)[:-5], after.shown(0)[5:], rtol=0, atol=1e-9)
+    doubts = [link.doubt(0, ()) for link in (before, after)]
+    assert doubts[0] is not None
+    assert doubts[1] is not None
+    np.testing.assert_allclose(doubts[0][:-5], doubts[1][5:], rtol=0, atol=1e-9)
+    np.testing.assert_allclose(before.slopes(())[0][:-5], after.slopes(())[0][5:], rtol=0, atol=1e-6)
+
+
 def test_a_reading_at_the_edge_of_a_dead_zone_hangs_on_the_noise() -> None:
     """The spread of 400,000 draws of the noise about the reading without noise, to some parts of sigma/w, which its size differs from w."""
     sigma, width = 2.0, 60.0

@@ -64,7 +64,7 @@ def _curves(residual: Residual, law: Law) -> list[LearnedCurve]:
     for i in residual.runs:
         rows = np.flatnonzero(link.runs[i].touching & np.isfinite(link.runs[i].sigma[:, axis]))
         left.append((link.runs[i].measured - link.shown(i, effects))[rows, axis])
-        late = np.maximum(rows - round(link.lateness(i, law.known) / link.runs[i].scenario.tick), 0)
+        late = np.clip(rows - round(link.lateness(i, law.known) / link.runs[i].scenario.tick), 0, link.runs[i].rows - 1)
         depth = link.penetration(i)
         held = link.runs[i].scenario.mechanism.captured
         rate = np.gradient(depth, link.runs[i].scenario.tick)

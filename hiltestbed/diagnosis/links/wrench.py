@@ -24,7 +24,7 @@ from hiltestbed.numerical_model.bodies import approach_state
 from hiltestbed.platform.parameters import PlatformParameters
 from hiltestbed.replay import Felt, Simulated, creep_of, replay_platform, replay_wrench
 from hiltestbed.replay.compensation import central_rates
-from hiltestbed.replay.wrench import WHOLE
+from hiltestbed.replay.wrench import WHOLE, shifted
 from hiltestbed.replay.wrench import Lane as FeltLane
 from hiltestbed.scenario import Scenario
 from hiltestbed.sensor.parameters import SensorParameters
@@ -227,11 +227,12 @@ class WrenchLink(Link):
         )
 
     def _felt_by(self, lanes: Sequence[Lane]) -> list[Array]:
-        felt = [self._lane(i, effects) for i, effects in lanes]
-        found = replay_wrench(self._felt, felt, self.grid)
-        early = [min(_lateness(lane), 0.0) / self.runs[i].scenario.tick for lane, (i, _) in zip(felt, lanes, strict=True)]
-        early = [e + self.timing_with(effects).before / self.runs[i].scenario.tick for e, (i, effects) in zip(early, lanes, strict=True)]
-        shown = [moved(reading[: self.runs[i].rows], e) for reading, e, (i, _) in zip(found, early, lanes, strict=True)]
+        felt, tick = [self._lane(i, effects) for i, effects in lanes], self.runs[0].scenario.tick
+        ahead = [max(math.ceil(-_lateness(lane) / tick), 0) for lane in felt]  # stamped before its contact: read later, by whole rows
+        read = [lane._replace(later=lane.later + n * tick) for lane, n in zip(felt, ahead, strict=True)]
+        found = replay_wrench(self._felt, read, self.grid)
+        late = [self.timing_with(effects).before / tick - n for n, (_, effects) in zip(ahead, lanes, strict=True)]
+        shown = [moved(reading[: self.runs[i].rows], n) for reading, n, (i, _) in zip(found, late, lanes, strict=True)]
         if self._step_error is not None:
             shown = [reading + self._step_error[i] for reading, (i, _) in zip(shown, lanes, strict=True)]
         return [self.logged(reading) for reading in shown] if self.logged else shown
@@ -256,22 +257,20 @@ class WrenchLink(Link):
         return np.asarray(self._felt.met[0][i, : self.runs[i].rows].max(axis=1, initial=-1.0))
 
     def lateness(self, i: int, effects: Effects) -> float:
-        """[s] by which the reading of run i is later than the contact."""
-        return max(_lateness(self._lane(i, effects)), 0.0)
+        """[s] by which the reading of run i is later than the contact; negative: it is stamped before it."""
+        return _lateness(self._lane(i, effects))
 
     def slopes(self, effects: Effects) -> list[Array]:
         """(N, 6) rate of the reading in each run [N/s, N m/s], which a delay of the sample multiplies."""
         everything = range(len(self.runs))
         step = self.runs[0].scenario.tick / 2.0
-        if any(r.scenario.sensor.delay < step for r in self.runs):
-            return [np.gradient(p, 2.0 * step, axis=0) for p in self.predict([(i, effects) for i in everything])]
         early = self.predict([(i, [*effects, Timing(delay=-step)]) for i in everything])
         late = self.predict([(i, [*effects, Timing(delay=step)]) for i in everything])
         return [(a - b) / (2.0 * step) for a, b in zip(early, late, strict=True)]
 
     def shaken(self, i: int, effects: Effects, sigma: float) -> tuple[Array, Array]:
         """(N, 6) mean and standard deviation of the reading [N, N m] for a delay that varies by sigma [s] from sample to sample."""
-        nominal = self.lateness(i, effects)
+        nominal = max(self.lateness(i, effects), 0.0)
         found = self.predict([(i, [*effects, Timing(delay=float(max(sigma * node, -nominal)))]) for node in NODES])
         mean = sum(w * r for w, r in zip(WEIGHTS, found, strict=True))
         square = sum(w * r**2 for w, r in zip(WEIGHTS, found, strict=True))
@@ -293,16 +292,15 @@ class WrenchLink(Link):
         if self.jumps is not None and self.unknown_rate:
             sigma = self.runs[i].sigma
             return np.where(self.beside_jumps(i, effects)[:, None] & np.isfinite(sigma), NO_COUNT * sigma, 0.0)
-        if late < step:
+        if abs(late) < step:
             return np.zeros((self.runs[i].rows, 6))
         shifts = [[*effects, Timing(delay=d)] for d in (-step, step)]
         early, after, now = self.predict([(i, shifts[0]), (i, shifts[1]), (i, effects)])
         out = np.abs(early + after - 2.0 * now)
         ticks = late / s.tick
         if self.jumps is not None and abs(ticks - round(ticks)) >= WHOLE:
-            first, rows = int(ticks), self.runs[i].rows
-            jump = np.concatenate([np.zeros(first), self.jumps[i]])[:rows]
-            touched = np.concatenate([np.zeros(first, dtype=bool), self.paths[i][:, 2] > -jump.max(initial=0.0)])[:rows]
+            jump, depth = (shifted(v[:, None], -math.floor(ticks))[:, 0] for v in (self.jumps[i], self.paths[i][:, 2]))
+            touched = depth > -jump.max(initial=0.0)
             out[:, 2] += s.mechanism.contact.stiffness * np.where(touched, jump, 0.0)
         return out
 
