@@ -92,13 +92,19 @@ def explain_with_timing(
 
 
 def _timing_alone(residual: Residual, search: Search, weigh: Weigh) -> Residual | None:
-    """The link with the timing that leaves only noise without any cause; None where there is none, or a named delay does as well."""
+    """The link with the timing that leaves only noise without any cause; None where there is none, a named delay does as well, or a single
+    cause better."""
     weighed = weigh(without_ends(residual))
     null = null_fit(weighed)
     cost = _comparable_score(residual.link)
     best = min((fit_with_timing(weighed, null, place) for place in timing_candidates(residual.link)), key=cost)
     named = [fit(weighed, (c,), c.grid) for c in search.candidates if c.kind in DELAY_EFFECTS and not c.variant]
-    if cost(best) > min(f.score for f in (null, *named)) - DETECTION * inflation(best):
+    need = DETECTION * inflation(best)
+    if cost(best) > min(f.score for f in (null, *named)) - need:
+        return None
+    if residual.link.name in ONE_CAUSE_LINKS and any(
+        fit(weighed, (c,), c.grid).score < cost(best) - need for c in search.candidates if c.kind not in DELAY_EFFECTS
+    ):
         return None
     there = without_ends(Residual(residual.link.with_timing(residual.link.timing.plus(_fitted_timing(best)))))
     return there if noise_alone(search.judge(there, ())) else None
