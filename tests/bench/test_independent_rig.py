@@ -136,6 +136,18 @@ def test_an_effect_does_what_its_definition_says(case) -> None:
     np.testing.assert_allclose(found, expected, atol=1e-6)
 
 
+def test_damping_that_grows_with_the_force_dissipates_while_a_latch_pushes_and_while_it_pulls() -> None:
+    """Of Hunt-Crossley, y - ln(1 + y) of y = alpha v before a half swing is that of y = -alpha v after it, whichever way the latch is
+    loaded: dv/dx = -k x (1 + alpha v) / (m v)."""
+    alpha = 8.0
+    latched = {"mechanism.kind": "latched", "approach.gap": 0.0, "duration": 1.2}
+    z = _quiet(latched, ({"kind": "contact.hunt_crossley", "alpha": alpha},)).pose_act[:, 2]
+    through = np.flatnonzero(z[1:-1] * z[2:] <= 0.0) + 1
+    y = alpha * np.abs(z[through + 1] - z[through]) * 8000
+    assert len(y) >= 4
+    np.testing.assert_allclose(y[:-1] - np.log1p(y[:-1]), -y[1:] - np.log1p(-y[1:]), rtol=1e-2)
+
+
 def test_a_lag_trails_a_ramp_by_its_time_constant_and_play_by_its_half() -> None:
     lag = _quiet({"approach.gap": 0.012}, ({"kind": "platform.lag", "bandwidth": 25.0},))
     trail = lag.pose_cmd[2000, 2] - lag.pose_act[2001, 2]

@@ -61,7 +61,6 @@ class Contact(NamedTuple):
     curve: np.ndarray = STRAIGHT  # (m,) foreign: factors of the elastic force, evenly spaced over the depth, linear in between
     curve_depth: float = 0.0  # m
     dry_stiffness: float = 0.0  # N/m of the spring in series with the slider of the dry friction; 0: rigid
-    pull: float = 1.0  # sign of the Hunt-Crossley damping while a latch pulls: 1 as in F = k x (1 + alpha v), -1 dissipates
 
 
 @njit(cache=True)
@@ -100,10 +99,7 @@ def _law(law, x, v, branch, age):
         elastic *= 1.0 + law.line * math.sin(law.line_w * age)
     if v * side < 0.0:
         elastic *= 1.0 - law.unloading
-    if law.hunt >= 0.0:
-        force = elastic * (1.0 + law.hunt * v) if side > 0.0 else elastic * (1.0 + law.pull * law.hunt * v)
-    else:
-        force = elastic + law.damping * v
+    force = elastic + (abs(elastic) * law.hunt if law.hunt >= 0.0 else law.damping) * v  # dissipates also while a latch pulls
     rub = law.dry * math.tanh(v / REVERSAL) if law.dry_stiffness == 0.0 else 0.0
     force += rub + side * law.preload + branch
     if law.stop_stiffness > 0.0 and x > law.stop_at:

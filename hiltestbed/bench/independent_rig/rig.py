@@ -127,7 +127,7 @@ def with_held(rig: Rig) -> Rig:
     """The rig with its contact law also in its latch; a latch that closes holds the pose at capture, without offset, preload or stop."""
     if rig.docking is None:
         return rig
-    law = rig.contact._replace(latched=True, pull=-1.0)
+    law = rig.contact._replace(latched=True)
     if not rig.docking.from_start:
         law = law._replace(touch=0.0, preload=0.0, stop_stiffness=0.0)
     return rig._replace(docking=rig.docking._replace(held=law))
