@@ -42,6 +42,7 @@ from hiltestbed.progress import Pace, time_left_text
 Judge = Callable[[Residual, Effects], dict[str, Leftover]]
 Special = Callable[[Residual, Fit, float], Fit | None]  # a hypothesis from the residual of a fit; chi-square that another has reached
 Reread = Callable[[Residual, Fit], Residual]  # the interpretation of a link that fits better; the residual itself where none does
+Identity = Literal["kinds", "places", "key"]  # of sets of causes, see `first_of_each`
 Progress = Callable[[str], None]
 
 
@@ -159,7 +160,7 @@ class Search:
         if singles and (downweighted := residual.downweighted(singles[0].effects())) is not residual:
             residual = downweighted
             null = refit(residual, null)
-            singles = _reweighted(residual, first_of_each(singles, "kinds")[:BEAM_WIDTH])
+            singles = _reweighted(residual, _beam(singles, BEAM_WIDTH))
             before = self.judge(residual, null.effects())
         counts = singles and (not adequate_null or null.score - singles[0].score > least * inflation(singles[0]))
         if counts and not given and self.reread and (other := self.reread(residual, singles[0])) is not residual:
@@ -184,13 +185,14 @@ class Search:
         leftovers = self.judge(residual, chosen.effects())
         adequate = noise_alone(leftovers)
         more: list[Fit] = []
-        level = first_of_each(singles, "kinds")
+        level = singles
         for count in range(1, 1 if given else MAX_CAUSES):
             if adequate and (count > 1 or math.isinf(self.beside)):  # a third cause would hide in the noise
                 break
             found: list[Fit] = []
-            width = 1 if adequate else COSTLY_BEAM_WIDTH if count > 1 and residual.link.costly else BEAM_WIDTH
-            for base in level[:width]:
+            costly = residual.link.costly
+            width = 1 if adequate else COSTLY_BEAM_WIDTH if count > 1 and costly else BEAM_WIDTH
+            for base in _beam(level, width, variants=not (adequate or costly)):
                 search = self._near(residual, base, found) if count > 1 else self
                 found += search.extend(residual, base, MAX_PARTNERS, self.special, beside=found, worth=self.beside if adequate else 0.0)
             found = first_of_each(sorted(found, key=lambda f: f.score), "key")
@@ -299,12 +301,30 @@ def _boldness(f: Fit) -> float:
     return sum(abs(math.log(max(e.parameters()["factor"], 1e-9))) for e in f.effects() if "factor" in e.parameters())
 
 
-def first_of_each(fits: Sequence[Fit], by: Literal["kinds", "places", "key"]) -> list[Fit]:
+def _beam(fits: Sequence[Fit], width: int, variants: bool = True) -> list[Fit]:
+    """The best fits, best first, that are continued: of ``width`` sets of effects, the best of each.
+
+    variants: also the best set with another variant, if that leaves clearly more: beside a further cause it may be the better one.
+    """
+    if not fits:
+        return []
+    first = fits[0]
+    need = SELECTION_INADEQUATE * inflation(first)
+    alike = [f for f in first_of_each(fits, "key") if _causes(f, "places") == _causes(first, "places")]
+    others = [f for f in alike if f.score - first.score > need] if variants else []
+    return [first, *others[:1], *first_of_each(fits, "kinds")[1:width]]
+
+
+def _causes(f: Fit, by: Identity) -> tuple[str, ...]:
+    return tuple(sorted(str({"kinds": c.kind, "places": (c.kind, *c.place), "key": c.key}[by]) for c in f.causes))
+
+
+def first_of_each(fits: Sequence[Fit], by: Identity) -> list[Fit]:
     """The first fit of each set of causes; ``by``: whether sets with the same ``kinds``, with the same kinds on the same axes and bodies
     (``places``), or with the same hypotheses (``key``), are one."""
     seen, out = set(), []
     for f in fits:
-        causes = tuple(sorted(str({"kinds": c.kind, "places": (c.kind, *c.place), "key": c.key}[by]) for c in f.causes))
+        causes = _causes(f, by)
         if causes not in seen:
             seen.add(causes)
             out.append(f)

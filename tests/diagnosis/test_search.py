@@ -348,6 +348,22 @@ def test_on_a_costly_link_a_descent_that_is_far_off_stops_where_little_is_gained
     assert found[1].chi2 == pytest.approx(found[0].chi2, rel=2e-3)
 
 
+def test_a_cause_is_continued_with_the_variant_that_leaves_more_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A power law whose damper acts, felt late: alone, one without a damper comes nearer, and beside that one a lag gains nothing. Here no
+    other cause is continued."""
+    monkeypatch.setattr(search, "BEAM_WIDTH", 1)
+    hidden = (effect("contact.power_law", exponent=1.41, stiffness=1.6e6), effect("sensor.lag", time_constant=0.007),
+              effect("sensor.crosstalk", ratio=-0.06, source="z", axis="x"))  # fmt: skip
+    kinds = [e.kind for e in hidden]
+    residual = Residual(contact_link(hidden, speeds=(0.02, 0.04, 0.08)))
+    candidates = [c for kind in (*kinds, "contact.relaxation", "contact.dry_friction") for c in EFFECTS[kind].candidates(SCALES)]
+    found = Search(tuple(candidates)).explain(residual)
+    alone = [f for f in found.singles if f.kinds == ("contact.power_law",)]
+    assert alone[0].causes[0].variant == {"damper": "none"}
+    assert sorted(found.chosen.kinds) == sorted(kinds)
+    assert found.adequate
+
+
 @pytest.mark.parametrize(("sigma", "counts"), [(1e-3, True), (0.2, False)])
 def test_a_jitter_at_the_end_of_its_search_is_none(sigma: float, counts: bool) -> None:
     """It would explain any misfit: here noise in proportion to the rate of the reading, ten times as large as the largest jitter's."""
