@@ -16,9 +16,6 @@ if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario
     from hiltestbed.signals import Trace
 
-LONGEST = 20.0  # [ticks] upper bound of the search for a delay on a slow loop
-STARTS = (0.4, 0.8, 1.4, 2.5, 4.5, 8.0, 13.0, 20.0)  # [ticks]
-
 
 @dataclass
 class LogParameters:
@@ -49,9 +46,9 @@ class LogSkew(Effect):
 
     @classmethod
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:
-        h = scales.tick
-        starts = [s * h for s in STARTS] if scales.late is None else [scales.late]
-        ends = (0.0, max(0.03, LONGEST * h)) if scales.late is None else (max(0.0, scales.late - h), scales.late + h)
+        late, h = scales.late, scales.tick
+        starts = scales.delays if late is None else [late]
+        ends = (0.0, scales.longest_delay) if late is None else (max(0.0, late - h), late + h)
         for variant in ({}, {"reread": True}):
             yield candidate(cls, {"delay": starts}, bounds={"delay": ends}, variant=variant)
 

@@ -244,7 +244,7 @@ def _investigate_wrench(
         )
     link = make_wrench_link(layout, path, layout.rows, decimate="compensation" not in found)
     link = choose_steps(choose_ring(choose_lever(_as_stamped(link, found))))
-    scales = replace(layout.scales, lines=lines(link))
+    scales = replace(layout.scales, lines=lines(link), jumps=link.jumps is not None)
     unseen = ("platform",) if link.commands else ()  # its response then is in the path
     candidates = _candidates(scales, (*WRENCH_LINKS, *unseen) if "compensation" in found else (*WRENCH_LINKS, *unseen, "log"))
     given = stamped_late(layout, link, found.get("compensation"))

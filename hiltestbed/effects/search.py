@@ -37,6 +37,10 @@ class DrivenAxis:
     stamps: float
 
 
+LONGEST_DELAY, LONGEST_TICKS = 0.03, 20.0  # [s], ticks: the larger bounds the search for a delay of the reading
+DELAYS = (0.4, 0.8, 1.4, 2.5, 4.5, 8.0, 13.0, 20.0)  # ticks: so dense because F(delay) jumps at whole ticks
+
+
 @dataclass(frozen=True)
 class Scales:
     """Magnitudes in the data that scale starting points and bounds.
@@ -50,6 +54,7 @@ class Scales:
         sticks: instants per tick at which a platform may move, and their phase, see `PlatformParameters`, to starting values for its
             stiction [m], where the data show any.
         late: delay of the force record [s], known to within a tick from another link, or None.
+        jumps: whether the mechanism moves in jumps, as on a platform that sticks.
         driven: an axis that a force drives, of which only position and force are recorded, or None.
     """
 
@@ -70,6 +75,19 @@ class Scales:
     sticks: Mapping[tuple[int, float], Sequence[float]] = field(default_factory=dict)
     late: float | None = None
     driven: DrivenAxis | None = None
+    jumps: bool = False
+
+    @property
+    def longest_delay(self) -> float:
+        """[s] upper bound of the search for a delay of the reading."""
+        return max(LONGEST_DELAY, LONGEST_TICKS * self.tick)
+
+    @property
+    def delays(self) -> list[float]:
+        """[s] starting values of a delay of the reading; of what jumps, each tick: a delay that is a tick off fits no better than none."""
+        if self.jumps:
+            return [(n + DELAYS[0]) * self.tick for n in range(int(self.longest_delay / self.tick))]
+        return [ticks * self.tick for ticks in DELAYS]
 
 
 @dataclass(frozen=True, eq=False)

@@ -27,7 +27,7 @@ from hiltestbed.effects import EFFECTS
 from hiltestbed.effects.search import Scales, candidate
 from hiltestbed.frames import Array
 
-from .made import NOISE, H, contact_link, effect, platform_link, reread, scenario
+from .made import NOISE, H, bounce, contact_link, effect, platform_link, reread, scenario
 
 SCALES = Scales(force=300.0, depth=3e-3, stiffness=1e5, tick=H, noise=0.1, slow=0.02, fast=0.1, duration=0.5, substeps=4)
 
@@ -115,6 +115,20 @@ def test_responses_that_are_integrated_step_by_step_look_no_further_than_the_com
         ).max()
         > 1e-7
     )
+
+
+@pytest.mark.parametrize("ticks", [3.4, 6.4, 9.7, 16.6])
+def test_a_delay_is_found_where_the_mechanism_moves_in_jumps(ticks: float) -> None:
+    """At each jump of 0.15 mm within a tick the damper gives a peak of a tick: a delay that is a tick off fits no better than none."""
+    path = bounce()
+    path[:, 2] = 1.5e-4 * np.round(path[:, 2] / 1.5e-4)
+    clean = WrenchLink(contact_link(seed=None).runs, [path])
+    late = clean.shown(0, [effect("sensor.delay", delay=ticks * H)])
+    residual = Residual(reread(clean, [late + NOISE * np.random.default_rng(5).standard_normal(late.shape)]))
+    candidates = tuple(EFFECTS["sensor.delay"].candidates(replace(SCALES, jumps=True)))
+    found = Search(candidates).explain(residual)
+    assert found.adequate
+    assert found.chosen.theta == pytest.approx(ticks * H, abs=1e-2 * H)
 
 
 def test_a_reading_that_is_late_throughout_is_no_varying_delay() -> None:

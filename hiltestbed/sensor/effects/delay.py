@@ -14,9 +14,6 @@ if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario
     from hiltestbed.sensor.parameters import SensorParameters
 
-LONGEST = 20.0  # ticks: upper bound of the search on a slow loop, where it exceeds the bound in seconds
-STARTS = (0.4, 0.8, 1.4, 2.5, 4.5, 8.0, 13.0, 20.0)  # ticks: so dense because F(delay) jumps at whole ticks
-
 
 @register
 class SensorDelay(Effect):
@@ -40,8 +37,7 @@ class SensorDelay(Effect):
 
     @classmethod
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:
-        h = scales.tick
-        yield candidate(cls, {"delay": [s * h for s in STARTS]}, bounds={"delay": (0.0, max(0.03, LONGEST * h))})
+        yield candidate(cls, {"delay": scales.delays}, bounds={"delay": (0.0, scales.longest_delay)})
 
 
 @register
