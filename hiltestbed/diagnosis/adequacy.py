@@ -65,10 +65,17 @@ def leftover(residuals: list[Array], tail: float = 2.0, rows: int = FLOOR_ROWS) 
     return Leftover(
         squares / max(total, 1),
         sums / max(blocks, 1),
-        1.0 + level + ADEQUACY_SIGMA * math.sqrt(tail / max(total, 1)),
-        1.0 + level + ADEQUACY_SIGMA * math.sqrt((2.0 + (tail - 2.0) / BLOCK_ROWS) / max(blocks, 1)) + (1.0 if blocks < 10 else 0.0),
+        level + _most(tail / max(total, 1)),
+        level + _most((2.0 + (tail - 2.0) / BLOCK_ROWS) / max(blocks, 1)),
         total,
     )
+
+
+def _most(variance: float) -> float:
+    """The mean of squares of noise, of mean 1 and this variance, that is exceeded as rarely as ADEQUACY_SIGMA by a normal deviate: a few
+    squares are skewed (chi-square, by E. B. Wilson, M. M. Hilferty, PNAS 17, 1931)."""
+    part = variance / 9.0
+    return (1.0 - part + ADEQUACY_SIGMA * math.sqrt(part)) ** 3
 
 
 def soften(sigma: Array, signal: Array) -> Array:

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.stats import chi2, norm
 
 from hiltestbed.diagnosis.adequacy import contact_leftovers, leftover
 from hiltestbed.diagnosis.find import cause_of
@@ -156,4 +157,14 @@ def test_a_log_slower_than_the_loop_knows_its_noise_floor_from_its_samples_and_n
     samples = sum(int(np.isfinite(s[~run.touching, 2]).sum()) for run, s in zip(link.runs, fourth, strict=True))
     left = contact_leftovers(Residual(link), ())["wrench_meas.fz"]
     assert samples < 1500
-    assert left.variance_limit == pytest.approx(1.0 + 0.08 * np.sqrt(1500 / samples) + 4.5 * np.sqrt(2.0 / left.samples))
+    chance = chi2.isf(norm.sf(4.5), left.samples) / left.samples
+    assert left.variance_limit == pytest.approx(0.08 * np.sqrt(1500 / samples) + chance, rel=1e-3)
+
+
+@pytest.mark.parametrize("rows", [24, 80, 400, 8000])
+def test_a_few_samples_of_noise_are_exceeded_as_rarely_as_many(rows: int) -> None:
+    """Of sums of squares the chi-square distribution knows how often. A normal one would put the limit of 3 means of eight at 4.7: exceeded
+    in 3 of 1000, not in 3 of a million."""
+    left = leftover([noise(rows)])
+    for limit, count in ((left.variance_limit, rows), (left.block_limit, rows // 8)):
+        assert limit - 0.08 == pytest.approx(chi2.isf(norm.sf(4.5), count) / count, rel=0.07)
