@@ -93,8 +93,10 @@ def explain_with_timing(
 
 
 def _timing_alone(residual: Residual, search: Search, weigh: Weigh) -> Residual | None:
-    """The link with the timing that leaves only noise without any cause; None where there is none, a named delay does as well, or a single
-    cause better."""
+    """The link with the timing that leaves only noise without any cause; None where there is none, or a named delay does as well.
+
+    Nor where a single cause of the link does better than a shift by more than a row, if no other link shows that stamps are off.
+    """
     weighed = weigh(without_ends(residual))
     null = null_fit(weighed)
     cost = _comparable_score(residual.link)
@@ -103,10 +105,11 @@ def _timing_alone(residual: Residual, search: Search, weigh: Weigh) -> Residual 
     need = DETECTION * inflation(best)
     if cost(best) > min(f.score for f in (null, *named)) - need:
         return None
-    if residual.link.name in ONE_CAUSE_LINKS and any(
-        fit(weighed, (c,), c.grid).score < cost(best) - need for c in search.candidates if c.kind not in DELAY_EFFECTS
-    ):
-        return None
+    link = residual.link
+    if link.name in ONE_CAUSE_LINKS and not link.known and np.abs(_in_rows(_fitted_timing(best), link)).max() > MAX_UNNAMED_DELAY_ROWS:
+        simple = (c for c in search.candidates if c.kind not in DELAY_EFFECTS and not c.variant)
+        if any(fit(weighed, (c,), c.grid).score < cost(best) - need for c in simple):
+            return None
     there = without_ends(Residual(residual.link.with_timing(residual.link.timing.plus(_fitted_timing(best)))))
     return there if noise_alone(search.judge(there, ())) else None
 
