@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -21,7 +21,9 @@ from hiltestbed.diagnosis.settings import (
     SIGNIFICANCE_SIGMA,
     SMOOTHING_ROWS,
 )
+from hiltestbed.frames import Array
 
+NEIGHBOURS = 2  # chosen: rows to each side whose squares may be alike
 MIN_VARIANCE_LIMIT = 1.3  # chosen: of the ratio of propagated noise in contact to that outside it, however many rows there are
 
 
@@ -45,19 +47,33 @@ def of_compensation(link: CompensationLink, noise: Mapping[str, float]) -> Judge
             if late:  # from a late record the loop's readings are known up to its noise
                 apart = led
             floor = max(level / math.sqrt(CORRELATED_ROWS), min(apart, MAX_PROPAGATED_NOISE * led))
-            out[name] = Leftover((max(rms_in, rms_out) / floor) ** 2, 0.0, max(MIN_VARIANCE_LIMIT, _chance(residual, c)), 1.0, len(inside))
+            out[name] = Leftover(
+                (max(rms_in, rms_out) / floor) ** 2, 0.0, max(MIN_VARIANCE_LIMIT, _chance(residual, c, left)), 1.0, len(inside)
+            )
         return out
 
     return judge
 
 
-def _chance(residual: Residual, channel: int) -> float:
-    """The largest ratio of the variances in contact and outside it by chance: each has an error of sqrt(2/n) of its measured rows."""
-    runs = [residual.link.runs[i] for i in residual.runs]
-    measured = [(np.isfinite(r.sigma[:, channel]), r.touching) for r in runs]
-    inside = sum(int((known & touching).sum()) for known, touching in measured)
-    outside = sum(int((known & ~touching).sum()) for known, touching in measured)
-    return 1.0 + SIGNIFICANCE_SIGMA * math.sqrt(2.0 / max(inside, 1) + 2.0 / max(outside, 1))
+def _chance(residual: Residual, channel: int, left: Sequence[Array]) -> float:
+    """The largest ratio of the variances in contact and outside it by chance; left: (N, C) residual of each run.
+
+    The logarithm of a variance of n rows on record has an error of sqrt(s/n): s is 2 for independent normal ones, and what the rows outside
+    contact show it to be where their noise differs from row to row or follows their neighbours', as between the rows of a slower log.
+    """
+    inside, outside = 0, []
+    for i, r in zip(residual.runs, left, strict=True):
+        run = residual.link.runs[i]
+        known = np.isfinite(run.sigma[:, channel])
+        inside += int((known & run.touching).sum())
+        outside.append(r[known & ~run.touching, channel] ** 2)
+    rows, spread = sum(map(len, outside)), 2.0
+    mean = sum(float(x.sum()) for x in outside) / max(rows, 1)
+    if rows > SMOOTHING_ROWS and mean > 0.0:
+        off = [x / mean - 1.0 for x in outside]
+        lags = [sum(float(x[lag:] @ x[: len(x) - lag]) for x in off) / rows for lag in range(NEIGHBOURS + 1)]
+        spread = max(spread, lags[0] + 2.0 * sum(max(lag, 0.0) for lag in lags[1:]))
+    return math.exp(SIGNIFICANCE_SIGMA * math.sqrt(spread / max(inside, 1) + spread / max(rows, 1)))
 
 
 def of_dynamics(residual: Residual) -> Judge:
