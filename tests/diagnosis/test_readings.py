@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hiltestbed.diagnosis.fit import Fit, fit, null_fit
-from hiltestbed.diagnosis.links import LinkRun, WrenchLink
+from hiltestbed.diagnosis.links import LinkRun, Timing, WrenchLink
 from hiltestbed.diagnosis.readings import (
     choose_lever,
     choose_ring,
@@ -140,6 +140,14 @@ def test_a_mount_is_right_whatever_its_steps_where_the_data_bear_that_out() -> N
     assert choose_steps(reread(link, [true])).exact == ()
     assert choose_steps(reread(link, [link.shown(0)])).exact is None
     assert choose_steps(contact_link()).exact is None
+
+
+def test_what_a_mounts_steps_miss_is_stamped_as_the_reading_is() -> None:
+    """A reading that is stamped 0.3 rows before its contact is that of 0.7 rows after it, a row earlier, corrected or not."""
+    link = mounted(4)
+    tick, delay = link.runs[0].scenario.tick, link.runs[0].scenario.sensor.delay
+    before, after = (link.with_timing(Timing(delay=rows * tick - delay)).interpreted(exact=()) for rows in (-0.3, 0.7))
+    np.testing.assert_allclose(before.shown(0)[:-1], after.shown(0)[1:], rtol=0, atol=1e-9)
 
 
 def test_what_a_refit_gains_far_from_noise_is_no_reason_to_read_between_instants() -> None:

@@ -157,9 +157,8 @@ class WrenchLink(Link):
         Phil. Trans. A 210, 1911)."""
         assert isinstance(self._felt, Felt)
         finer = replace(self._felt, substeps=STEP_RATIO * self._felt.substeps)
-        lanes = [self._lane(i, effects) for i in range(len(self.runs))]
-        coarse, fine = (replay_wrench(felt, lanes, self.grid) for felt in (self._felt, finer))
-        return [(f - c)[: r.rows] * STEP_RATIO / (STEP_RATIO - 1.0) for f, c, r in zip(fine, coarse, self.runs, strict=True)]
+        coarse, fine = (self._read(felt, [(i, effects) for i in range(len(self.runs))]) for felt in (self._felt, finer))
+        return [(f - c) * STEP_RATIO / (STEP_RATIO - 1.0) for f, c in zip(fine, coarse, strict=True)]
 
     def commanded(self, commands: Sequence[Array], deflection: Sequence[Array]) -> WrenchLink:
         """The same link where the paths were not measured: they are the platform's response to ``commands`` (N, 7) with its effects, plus
@@ -227,15 +226,18 @@ class WrenchLink(Link):
         )
 
     def _felt_by(self, lanes: Sequence[Lane]) -> list[Array]:
-        felt, tick = [self._lane(i, effects) for i, effects in lanes], self.runs[0].scenario.tick
-        ahead = [max(math.ceil(-_lateness(lane) / tick), 0) for lane in felt]  # stamped before its contact: read later, by whole rows
-        read = [lane._replace(later=lane.later + n * tick) for lane, n in zip(felt, ahead, strict=True)]
-        found = replay_wrench(self._felt, read, self.grid)
-        late = [self.timing_with(effects).before / tick - n for n, (_, effects) in zip(ahead, lanes, strict=True)]
-        shown = [moved(reading[: self.runs[i].rows], n) for reading, n, (i, _) in zip(found, late, lanes, strict=True)]
+        shown = self._read(self._felt, lanes)
         if self._step_error is not None:
             shown = [reading + self._step_error[i] for reading, (i, _) in zip(shown, lanes, strict=True)]
         return [self.logged(reading) for reading in shown] if self.logged else shown
+
+    def _read(self, felt: Felt | Simulated, lanes: Sequence[Lane]) -> list[Array]:
+        """(N, 6) reading of each lane as it is stamped, on the paths of ``felt``."""
+        read, tick = [self._lane(i, effects) for i, effects in lanes], self.runs[0].scenario.tick
+        ahead = [max(math.ceil(-_lateness(lane) / tick), 0) for lane in read]  # stamped before its contact: read later, by whole rows
+        found = replay_wrench(felt, [lane._replace(later=lane.later + n * tick) for lane, n in zip(read, ahead, strict=True)], self.grid)
+        late = [self.timing_with(effects).before / tick - n for n, (_, effects) in zip(ahead, lanes, strict=True)]
+        return [moved(reading[: self.runs[i].rows], n) for reading, n, (i, _) in zip(found, late, lanes, strict=True)]
 
     def _lane(self, i: int, effects: Effects) -> FeltLane:
         links = {e.link for e in effects}
