@@ -160,7 +160,7 @@ class Search:
         if singles and (downweighted := residual.downweighted(singles[0].effects())) is not residual:
             residual = downweighted
             null = refit(residual, null)
-            singles = _reweighted(residual, _beam(singles, BEAM_WIDTH))
+            singles = _reweighted(residual, _beam(singles, BEAM_WIDTH, variants=not residual.link.costly))
             before = self.judge(residual, null.effects())
         counts = singles and (not adequate_null or null.score - singles[0].score > least * inflation(singles[0]))
         if counts and not given and self.reread and (other := self.reread(residual, singles[0])) is not residual:
@@ -301,7 +301,7 @@ def _boldness(f: Fit) -> float:
     return sum(abs(math.log(max(e.parameters()["factor"], 1e-9))) for e in f.effects() if "factor" in e.parameters())
 
 
-def _beam(fits: Sequence[Fit], width: int, variants: bool = True) -> list[Fit]:
+def _beam(fits: Sequence[Fit], width: int, variants: bool) -> list[Fit]:
     """The best fits, best first, that are continued: of ``width`` sets of effects, the best of each.
 
     variants: also the best set with another variant, if that leaves clearly more: beside a further cause it may be the better one.
