@@ -38,8 +38,8 @@ HIDDEN_ROWS = 0.05  # chosen: by which a link is early, beyond the error of its 
 CONVERGED_ROWS = 0.02  # chosen: change of the timing below which a link is not explained again
 INTERPOLATED_LINKS = ("platform", "compensation")  # links whose output is interpolated between rows where their input lies there
 EARLY, EITHER, LATE = (-MAX_STAMP_SHIFT_ROWS, 0.0), (-MAX_STAMP_SHIFT_ROWS, MAX_STAMP_SHIFT_ROWS), (0.0, MAX_STAMP_SHIFT_ROWS)
-ENCODER, OBEYED = (-MAX_STAMP_SHIFT_ROWS, MAX_UNNAMED_DELAY_ROWS), (0.0, 0.5)  # rows, ticks; a longer delay is a platform.delay,
-STAMPED_ENCODER = (-MAX_STAMP_SHIFT_ROWS, MAX_STAMP_ROWS + 0.55)  # unless other causes tell the stamp and its instant from a late platform
+ENCODER, OBEYED = (-MAX_STAMP_SHIFT_ROWS, MAX_UNNAMED_DELAY_ROWS), (0.0, 0.5)  # rows, ticks; a longer delay is a platform.delay
+STAMPED_ENCODER = (-MAX_STAMP_SHIFT_ROWS, MAX_STAMP_ROWS + 0.55)  # rows: its stamp, half a tick of its instant, and the error due to noise
 OLD_TWIST_RANGE = (0.0, 1.0)  # chosen: share of the old twist, instead of rows
 SHIFTS: Mapping[str, tuple[Mapping[str, tuple[float, float]], ...]] = {  # channels that are shifted together, each with its range [rows]
     "platform": ({"delay": ENCODER}, {"before": EITHER}, {"obeyed": OBEYED}, {"obeyed": OBEYED, "delay": STAMPED_ENCODER}),
