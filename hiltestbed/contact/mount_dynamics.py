@@ -44,6 +44,21 @@ class MountDynamics:
         body = carried(spec.compile(), MOUNTED)
         return cls(np.array([m.stiffness for m in mounts]), np.array([m.damping for m in mounts]), body)
 
+    @property
+    def mobility(self) -> tuple[float, float]:
+        """Upper bound of the acceleration of the body's origin by a force [1/kg], and of its rotation by a moment [1/(kg m^2)]."""
+        inverse = np.linalg.inv(_inertia(self.body))
+        return float(np.linalg.norm(inverse[:3, :3], 2)), float(np.linalg.norm(inverse[3:, 3:], 2))
+
+    def slowest(self) -> float:
+        """[s] time constant of the slowest mode of small motion: M q'' + C q' + K q = 0, of all runs; inf without damping."""
+        m, out = _inertia(self.body), 0.0
+        for stiffness, damping in zip(self.stiffness, self.damping, strict=True):
+            rates = np.linalg.solve(m, np.hstack([-np.diag(stiffness), -np.diag(damping)]))
+            slowest = -np.linalg.eigvals(np.vstack([np.eye(6, 12, 6), rates])).real.max()
+            out = max(out, 1.0 / slowest if slowest > 0.0 else math.inf)
+        return out
+
 
 def borne(scenario: Scenario, reading: Array) -> Array:
     """``(N, 6)`` contact wrench for a ``reading`` (N, 6) of the sensor behind the mount, both in P at P's origin.
@@ -99,13 +114,17 @@ def carried(model: mujoco.MjModel, body: str) -> Array:
 
 
 @njit(cache=True)
-def mount_step(stiffness, damping, body, dt, wrench, q, qd):
-    """One step of one mount under ``wrench`` (6,) on the passive side, in W at W's origin: rates first, dampers implicit, as in MuJoCo.
+def mount_step(stiffness, damping, body, kick, drift, leapfrog, wrench, q, qd):
+    """One step of one mount under ``wrench`` (6,) on the passive side, in W at W's origin: rates first, by ``kick`` [s], then ``drift`` [s]
+    of the joints with them. As in MuJoCo, both are the step, and dampers are implicit.
 
+    ``leapfrog``: the rates are those of the middle of the steps before and after, and dampers take their mean: second order (L. Verlet,
+    Phys. Rev. 159, 1967) instead of first.
     Newton-Euler equations of the body about the point that the slides carry, projected onto the joints (R. Featherstone, Rigid Body
     Dynamics Algorithms, 2008, chapter 3). ``q``, ``qd`` (6,) are updated. Scalars throughout, which stay in registers.
     """
     m, q0, q1, q2 = body[MASS], q[0], q[1], q[2]
+    ahead = 0.5 * kick if leapfrog else kick  # [s] by which the dampers' rate is that after the step
     v0, v1, v2, r0, r1, r2 = qd[0], qd[1], qd[2], qd[3], qd[4], qd[5]
     (s0, c0), (s1, c1), (s2, c2) = sin_cos(q[3]), sin_cos(q[4]), sin_cos(q[5])
     # Axes of the hinges, rotated by those before: (1, 0, 0), (0, c0, s0) and (zx, zy, zz); the attitude; the angular velocity
@@ -136,8 +155,8 @@ def mount_step(stiffness, damping, body, dt, wrench, q, qd):
     fx = w0 - m * (by * cz - bz * cy + wx * along - cx * square) - stiffness[0] * q0 - damping[0] * v0
     fy = w1 - m * (bz * cx - bx * cz + wy * along - cy * square) - stiffness[1] * q1 - damping[1] * v1
     fz = w2 - m * (bx * cy - by * cx + wz * along - cz * square) - stiffness[2] * q2 - damping[2] * v2
-    # (M + dt C)^-1 times force and torque: the slides, whose block is diagonal, are eliminated; p: forces that a hinge's acceleration needs
-    ix, iy, iz = 1.0 / (m + dt * damping[0]), 1.0 / (m + dt * damping[1]), 1.0 / (m + dt * damping[2])
+    # (M + ahead C)^-1 times force and torque: the slides, of a diagonal block, are eliminated; p: forces that a hinge's acceleration needs
+    ix, iy, iz = 1.0 / (m + ahead * damping[0]), 1.0 / (m + ahead * damping[1]), 1.0 / (m + ahead * damping[2])
     p01, p02 = -m * cz, m * cy
     p10, p11, p12 = m * (c0 * cz - s0 * cy), m * s0 * cx, -m * c0 * cx
     p20, p21, p22 = m * (zy * cz - zz * cy), m * (zz * cx - zx * cz), m * (zx * cy - zy * cx)
@@ -147,21 +166,21 @@ def mount_step(stiffness, damping, body, dt, wrench, q, qd):
     a2 = zx * tx + zy * ty + zz * tz - stiffness[5] * q[5] - damping[5] * r2 - p20 * gx - p21 * gy - p22 * gz
     jx, jy, jz = xy * c0 + xz * s0, yy * c0 + yz * s0, yz * c0 + izz * s0  # inertia times the second axis, and the third
     kx, ky, kz = xx * zx + xy * zy + xz * zz, xy * zx + yy * zy + yz * zz, xz * zx + yz * zy + izz * zz
-    d00 = xx - (p01 * iy * p01 + p02 * iz * p02) + dt * damping[3]
+    d00 = xx - (p01 * iy * p01 + p02 * iz * p02) + ahead * damping[3]
     d01 = jx - (p01 * iy * p11 + p02 * iz * p12)
     d02 = kx - (p01 * iy * p21 + p02 * iz * p22)
-    d11 = c0 * jy + s0 * jz - (p10 * ix * p10 + p11 * iy * p11 + p12 * iz * p12) + dt * damping[4]
+    d11 = c0 * jy + s0 * jz - (p10 * ix * p10 + p11 * iy * p11 + p12 * iz * p12) + ahead * damping[4]
     d12 = c0 * ky + s0 * kz - (p10 * ix * p20 + p11 * iy * p21 + p12 * iz * p22)
-    d22 = zx * kx + zy * ky + zz * kz - (p20 * ix * p20 + p21 * iy * p21 + p22 * iz * p22) + dt * damping[5]
+    d22 = zx * kx + zy * ky + zz * kz - (p20 * ix * p20 + p21 * iy * p21 + p22 * iz * p22) + ahead * damping[5]
     a0, a1, a2 = _solved(d00, d01, d02, d11, d12, d22, a0, a1, a2)
-    qd[0] = v0 + dt * ix * (fx - (a1 * p10 + a2 * p20))
-    qd[1] = v1 + dt * iy * (fy - (a0 * p01 + a1 * p11 + a2 * p21))
-    qd[2] = v2 + dt * iz * (fz - (a0 * p02 + a1 * p12 + a2 * p22))
-    qd[3] = r0 + dt * a0
-    qd[4] = r1 + dt * a1
-    qd[5] = r2 + dt * a2
+    qd[0] = v0 + kick * ix * (fx - (a1 * p10 + a2 * p20))
+    qd[1] = v1 + kick * iy * (fy - (a0 * p01 + a1 * p11 + a2 * p21))
+    qd[2] = v2 + kick * iz * (fz - (a0 * p02 + a1 * p12 + a2 * p22))
+    qd[3] = r0 + kick * a0
+    qd[4] = r1 + kick * a1
+    qd[5] = r2 + kick * a2
     for j in range(6):
-        q[j] += dt * qd[j]
+        q[j] += drift * qd[j]
 
 
 @njit(cache=True)

@@ -53,6 +53,8 @@ class Felt:
         lever: point of application of the force within the overlap. rates: (R, N, 6) twist at t_k if known, as with a servo; None: the
             mean twist over the tick that ends there.
         least_creep: [m/s per N] limits the slope of friction, see :class:`hiltestbed.contact.contacts.Contacts`.
+        leapfrog: whether a mount is integrated to second order, instead of as by MuJoCo. hastened: number of the touch of a run, from 1,
+            that then is taken to be earlier by one standard deviation of an instant within a step; 0: none.
         twists: (R, N, 6) mean over the tick that ends at each row. clear: (R, N) lower bound of the surfaces' distance in that tick [m].
         kept: cached contact wrenches of the latest replays.
         met: contact geometry at t_k without tilt, while the surfaces are near, see :func:`hiltestbed.contact.wrench.meet_all`: it does
@@ -71,6 +73,8 @@ class Felt:
     blunt: float = 1.0
     rates: Array | None = None
     least_creep: float = 0.0
+    leapfrog: bool = False
+    hastened: int = 0
     twists: Array = field(init=False)
     clear: Array = field(init=False)
     met: tuple[Array, Array, Array, Array, Array] = field(init=False)

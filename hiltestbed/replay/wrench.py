@@ -14,7 +14,7 @@ from hiltestbed.contact.geometry import arm
 from hiltestbed.contact.latch import closes
 from hiltestbed.contact.law import STATES
 from hiltestbed.contact.mount import mount_place
-from hiltestbed.contact.mount_dynamics import BODY, mount_reading, mount_step
+from hiltestbed.contact.mount_dynamics import BODY, mount_reading
 from hiltestbed.contact.parameters import BLUNT, BRANCH_STIFFNESS, DRAG, LEVER, MODE, OFFSET, OVER_STRETCH, TILT_X, TILT_Y
 from hiltestbed.contact.wrench import contact_wrench, held_at, meet_all, relate_one, surface_wrench, tilts
 from hiltestbed.effects.base import Effect
@@ -22,13 +22,13 @@ from hiltestbed.frames import Array, quat_exp, quat_mul
 from hiltestbed.jit import njit
 from hiltestbed.log import LogParameters
 from hiltestbed.replay.felt import NEAR, ContactKey, Felt, way_between
+from hiltestbed.replay.mounted import LAST, STEP_SIGMA, advance, pieces, struck, swing_freely, touched
 from hiltestbed.replay.nearness import away_from, meet_near, meet_next, move_lever, on_passive, outside, reach_of_swing
 from hiltestbed.replay.simulated import Simulated
 from hiltestbed.sensor.chain import condition, passes
 from hiltestbed.sensor.parameters import SensorParameters, stack
 
 WHOLE = 1e-6  # ticks within which a delay counts as a whole number
-AT_REST = 1e-9  # [N, N m] force transmitted by an oscillating mount, below which it is taken to be at rest
 
 
 class Lane(NamedTuple):
@@ -110,15 +110,20 @@ def _exerted(felt: Felt, wanted: Sequence[tuple]) -> Iterator[Array]:
 def _one_contact(felt: Felt, r: int, rows: Array, parts: Array, tilt: Array, between: bool) -> Array:
     """``(N, m, 6)`` contact wrench of run r at the instants ``parts`` (m,) of the tick that ends at each row."""
     sub = np.empty((felt.poses.shape[1], len(parts), 6))
-    dynamics = (felt.mount.stiffness, felt.mount.damping, felt.mount.body) if felt.mount is not None else _RIGID
+    mount = (
+        _RIGID
+        if felt.mount is None
+        else (felt.mount.stiffness[r], felt.mount.damping[r], felt.mount.body, felt.leapfrog, felt.mount.mobility, felt.hastened)
+    )
     _contact(
         felt.poses[r], felt.twists[r], felt.ends[r], felt.rates is not None, felt.before[r], felt.clear[r], felt.met, felt.lever,
-        felt.least_creep, felt.tick, felt.geometry, felt.captured[r], felt.latch[r], r, dynamics, parts, between, rows, tilt, sub,
+        felt.least_creep, felt.tick, felt.geometry, felt.captured[r], felt.latch[r], r, felt.mount is not None, mount, parts, between,
+        rows, tilt, sub,
     )  # fmt: skip
     return sub
 
 
-_RIGID = (np.zeros((0, 6)), np.zeros((0, 6)), np.zeros(BODY))
+_RIGID = (np.zeros(6), np.zeros(6), np.zeros(BODY), False, (0.0, 0.0), 0)
 
 
 def shifted(values: Array, ticks: float, held: bool = True) -> Array:
@@ -183,12 +188,13 @@ def _interpolated(sub, at, late):
 
 @njit(cache=True, nogil=True)
 def _contact(
-    poses, twists, ends, bent, before, clear, met, lever, least_creep, h, geometry, captured, latch, r, mount, parts, between, p, tilt, sub
+    poses, twists, ends, bent, before, clear, met, lever, least_creep, h, geometry, captured, latch, r, mounted, mount, parts, between, p,
+    tilt, sub,
 ):  # fmt: skip
     """The wrench at the sensor along one path: ``sub`` (N, m, 6) at the instants ``parts`` (m,) of the tick that ends at each row."""
     index, values = geometry
-    stiffness, damping, body = mount
-    mounted, count = stiffness.shape[0] > 0, p.shape[0] - 1
+    stiffness, damping, _, leapfrog, _, hastened = mount
+    count = p.shape[0] - 1
     state, hold = np.zeros((count + 1, STATES)), np.zeros(7)
     hold[6] = 1.0
     depth, closing = np.zeros(count), np.zeros(count)
@@ -197,8 +203,9 @@ def _contact(
     wrench, work, local_pose, local_twist = np.zeros(6), np.empty((9, 7)), np.empty(7), np.empty(6)
     frames[1] = tilt
     seen, apart_by = np.zeros((2, 7)), np.zeros(count)
-    q, qd = np.zeros(6), np.zeros(6)
-    latched, touched = captured, False
+    q, qd, rate, last_rate = np.zeros(6), np.zeros(6), np.zeros(6), np.zeros(LAST)
+    meets, earlier, slipped = np.zeros(count, dtype=np.bool_), np.zeros(6), np.zeros((count, 3))
+    latched, near, touches = captured, False, 0
     sub[:] = 0.0
     m, last_row = parts.shape[0], p[count]
     depths, rates, points, normals, slips = met
@@ -220,7 +227,7 @@ def _contact(
                 apart = k > 0 and clear[k] > reach + lean * away + swing
                 if not apart and lean > 0.0 and k > 0:
                     frames[0], motions[0] = poses[k], ends[k]
-                    mount_place(q, qd, tilt, frames[1], motions[1])
+                    mount_place(q, rate, tilt, frames[1], motions[1])
                     meet_all(index, values, p, frames, motions, work, depth, closing, point, normal, slip)
                     apart = -depth.max() > reach + swing + way_between(last, poses[k], longest)
             elif lean == 0.0 and reach <= NEAR:
@@ -228,18 +235,23 @@ def _contact(
             else:
                 apart = clear[k] > reach + lean * (away_from(poses[k]) + longest)
             if apart:
-                if touched:
-                    state[:], wrench[:] = 0.0, 0.0
-                    touched = False
+                if near:
+                    state[:], wrench[:], meets[:] = 0.0, 0.0, False
+                    near = False
                 if mounted:
-                    _swing(stiffness[r], damping[r], body, h, parts, wrench, q, qd, sub[k])
+                    swing_freely(mount, h, parts, wrench, q, qd, rate, last_rate, sub[k])
                 if latch[1] < 1.5:  # latches may close on a probe that is not in contact
                     frames[0], motions[0] = poses[k], ends[k]
                     if mounted:
-                        mount_place(q, qd, tilt, frames[1], motions[1])
+                        mount_place(q, rate, tilt, frames[1], motions[1])
                     latched = _caught(frames, motions, latch, last_row, wrench, hold, local_pose, local_twist, work)
+                    if latched and leapfrog:
+                        _take_over(
+                            index, values, least_creep, p, frames, motions, local_pose, hold, state, depth, closing, point, normal, slip,
+                            work, wrench,
+                        )  # fmt: skip
                 continue
-            touched = True
+            near = True
         twist = twists[k]
         passed = 0.0
         for s in range(m):
@@ -261,51 +273,69 @@ def _contact(
                 )  # fmt: skip
                 wrench[:] = sub[k, s]
                 continue
-            if parts[s] < 1.0:
-                _within(last, twist, ends[k - 1] if bent and k > 0 else ends[k], ends[k], h, parts[s], turn, frames[0], motions[0])
-            else:
-                frames[0], motions[0] = poses[k], ends[k]
-            if mounted and k > 0:  # at t = 0 the mount is at rest and unloaded
-                mount_step(stiffness[r], damping[r], body, dt, wrench, q, qd)
-                mount_place(q, qd, tilt, frames[1], motions[1])
-            if (mounted or (sharp and parts[s] == 1.0)) and not latched:
-                if mounted:
-                    meet_next(index, values, p, frames, motions, seen, apart_by, longest, work, depth, closing, point, normal, slip)
+            split = 1
+            if leapfrog and not latched and k > 0:
+                split = pieces(mount, dt, least_creep, wrench, meets, slip, slipped, last_rate, p)
+            dt /= split
+            for piece in range(split):
+                at = parts[s] - (split - 1 - piece) * dt / h
+                if at < 1.0:
+                    _within(last, twist, ends[k - 1] if bent and k > 0 else ends[k], ends[k], h, at, turn, frames[0], motions[0])
                 else:
-                    meet_near(index, values, p, frames, motions, depths[r, k], lean, work, depth, closing, point, normal, slip)
-                wrench[:] = 0.0
-                surface_wrench(index, dt, least_creep, p, frames, state, depth, closing, point, normal, slip, work[7], wrench)
-            else:
-                contact_wrench(
-                    index, values, dt, least_creep, p, frames, motions, latched, hold, state, depth, closing, point, normal, slip, work,
-                    wrench,
-                )  # fmt: skip
+                    frames[0], motions[0] = poses[k], ends[k]
+                    if leapfrog and not bent and k + 1 < poses.shape[0]:  # where the twist jumps: this force is of either tick
+                        for j in range(6):
+                            motions[0, j] += 0.5 * (ends[k + 1, j] - ends[k, j])
+                if mounted and k > 0:  # at t = 0 the mount is at rest and unloaded
+                    advance(mount, dt, wrench, q, qd, rate, last_rate)
+                    mount_place(q, rate, tilt, frames[1], motions[1])
+                if (mounted or (sharp and at == 1.0)) and not latched:
+                    if mounted:
+                        earlier[:], slipped[:] = wrench, slip
+                        meet_next(index, values, p, frames, motions, seen, apart_by, longest, work, depth, closing, point, normal, slip)
+                    else:
+                        meet_near(index, values, p, frames, motions, depths[r, k], lean, work, depth, closing, point, normal, slip)
+                    wrench[:] = 0.0
+                    surface_wrench(index, dt, least_creep, p, frames, state, depth, closing, point, normal, slip, work[7], wrench)
+                    if leapfrog:
+                        part = touched(depth, closing, p, dt, meets, slip, slipped)
+                        if part >= 0.0:
+                            touches += 1
+                            part += STEP_SIGMA * split if touches == hastened else 0.0
+                            struck(mount, dt, part, wrench, earlier, q, qd, rate)
+                else:
+                    contact_wrench(
+                        index, values, dt, least_creep, p, frames, motions, latched, hold, state, depth, closing, point, normal, slip, work,
+                        wrench,
+                    )  # fmt: skip
             if mounted:
-                mount_reading(stiffness[r], damping[r], q, qd, sub[k, s])
+                mount_reading(stiffness, damping, q, rate, sub[k, s])
             else:
                 sub[k, s] = wrench
         if not latched and latch[1] < 1.5:
+            motions[0] = ends[k]
             latched = _caught(frames, motions, latch, last_row, wrench, hold, local_pose, local_twist, work)
+            if latched and leapfrog:
+                _take_over(
+                    index, values, least_creep, p, frames, motions, local_pose, hold, state, depth, closing, point, normal, slip, work,
+                    wrench,
+                )  # fmt: skip
 
 
 @njit(cache=True)
-def _swing(stiffness, damping, body, h, parts, nothing, q, qd, sub):
-    """Step an unloaded mount over one tick; ``nothing`` (6,): zero wrench; ``sub`` (m, 6): wrench at the sensor. Below :data:`AT_REST` it
-    is set to rest."""
-    most = 0.0
+def _take_over(index, values, least_creep, p, frames, motions, caught, hold, state, depth, closing, point, normal, slip, work, wrench):
+    """Let a latch hold the pose ``caught`` (7,) from now on. A leapfrog's ``wrench`` (6,), which acts over half a step before and after, is
+    the mean of those of the contacts and of the latch, both with the twist of the tick that ends; the latch carries the contacts' force."""
+    before = np.zeros(6)
+    contact_wrench(
+        index, values, 0.0, least_creep, p, frames, motions, False, hold, state, depth, closing, point, normal, slip, work, before
+    )  # fmt: skip
+    held_at(caught, before, frames[1], p[-1], hold)
+    contact_wrench(
+        index, values, 0.0, least_creep, p, frames, motions, True, hold, state, depth, closing, point, normal, slip, work, wrench
+    )
     for j in range(6):
-        most = max(most, stiffness[j] * (abs(q[j]) + h * abs(qd[j])))
-    if most < AT_REST:
-        q[:], qd[:], sub[:] = 0.0, 0.0, 0.0
-        return
-    passed = 0.0
-    for s in range(parts.shape[0]):
-        if s > 0 and parts[s] == parts[s - 1]:
-            sub[s] = sub[s - 1]
-            continue
-        mount_step(stiffness, damping, body, h * (parts[s] - passed), nothing, q, qd)
-        passed = parts[s]
-        mount_reading(stiffness, damping, q, qd, sub[s])
+        wrench[j] = 0.5 * (wrench[j] + before[j])
 
 
 @njit(cache=True)

@@ -36,7 +36,7 @@ def test_a_step_is_that_of_mujoco_at_small_and_large_angles(angle: float) -> Non
     data.qpos[:] = q
     for _ in range(2000):
         mujoco.mj_step(model, data)
-        mount_step(STIFFNESS, DAMPING, body, STEP, np.zeros(6), q, qd)
+        mount_step(STIFFNESS, DAMPING, body, STEP, STEP, False, np.zeros(6), q, qd)
     np.testing.assert_allclose(q, data.qpos, atol=1e-9 * angle)
     np.testing.assert_allclose(qd, data.qvel, atol=1e-7 * angle)
 
