@@ -61,21 +61,22 @@ def choose_ring(link: WrenchLink) -> WrenchLink:
 
 
 def choose_steps(link: WrenchLink, effects: Effects = ()) -> WrenchLink:
-    """The link with a mount stepped as by MuJoCo or integrated exactly, whichever leaves less under ``effects``."""
+    """The link with a mount stepped as by MuJoCo or integrated exactly, whichever leaves less under ``effects``, and its best lever."""
     if not link.stepped:
         return link
-    exact = link.interpreted(exact=effects)
-    return exact if square(Residual(exact)(effects)) < square(Residual(link)(effects)) - INTERPRETATION_PENALTY else link
+    exact = choose_lever(link.interpreted(exact=True), effects)
+    better = square(Residual(exact)(effects)) < square(Residual(link)(effects)) - INTERPRETATION_PENALTY
+    return choose_lever(exact.with_unknown_steps(), effects) if better else link
 
 
 def other_steps(explanation: Explanation) -> WrenchLink | None:
-    """The link with an exactly integrated mount, if the chosen causes fit better there; None otherwise."""
+    """The link with a mount integrated in the other way, if the chosen causes fit better there; None otherwise."""
     link, chosen = wrench_link_of(explanation.residual), explanation.chosen
     if not link.stepped or not explanation.departs or not chosen.causes or JITTER in chosen.kinds:
         return None
-    other = link.interpreted(exact=chosen.effects())
+    other = link.interpreted(exact=not link.exact)
     there = explanation.residual.through(other)
-    return other if refit(there, chosen).score < chosen.score - DETECTION * inflation(chosen) else None
+    return other.with_unknown_steps() if refit(there, chosen).score < chosen.score - DETECTION * inflation(chosen) else None
 
 
 def lever_under(residual: Residual, found: Fit) -> Residual:
@@ -114,8 +115,8 @@ def reinterpreted(residual: Residual, found: Fit) -> Residual:
     if not link.stepped or JITTER in found.kinds:
         return levered
     here = refit(levered, found)
-    there = Residual(link.interpreted(exact=here.effects()))
-    return there if refit(there, here).chi2 < here.chi2 - DETECTION * inflation(here) else levered
+    other = link.interpreted(exact=not link.exact)
+    return Residual(other.with_unknown_steps()) if refit(Residual(other), here).chi2 < here.chi2 - DETECTION * inflation(here) else levered
 
 
 def other_lever(explanation: Explanation) -> WrenchLink | None:

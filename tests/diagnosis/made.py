@@ -47,7 +47,7 @@ def bounce(rows: int = 500, speed: float = 0.03) -> Array:
 def reread(link: WrenchLink, measured: Sequence[Array]) -> WrenchLink:
     """The same link with other readings."""
     runs = [replace(run, measured=m) for run, m in zip(link.runs, measured, strict=True)]
-    return WrenchLink(runs, link.paths, link.jumps, link.rates).interpreted(link.lever, link.grid)
+    return WrenchLink(runs, link.paths, link.jumps, link.rates).interpreted(link.lever, link.grid, exact=link.exact)
 
 
 def contact_link(effects: Sequence[Effect] = (), seed: int | None = 1, speeds: Sequence[float] = (0.03,)) -> WrenchLink:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, Self
 
 import numpy as np
@@ -79,6 +79,10 @@ class LinkRun:
     def rows(self) -> int:
         """N."""
         return len(self.measured)
+
+    def with_nuisances(self, terms: Array) -> LinkRun:
+        """The same run with further nuisance ``terms`` (N, C, D)."""
+        return replace(self, nuisances=terms if self.nuisances is None else np.concatenate([self.nuisances, terms], axis=2))
 
 
 class Link(ABC):

@@ -31,7 +31,8 @@ from hiltestbed.sensor.parameters import SensorParameters
 
 MANY_ROWS = 8_000  # chosen: of all runs, from which a search of a docking takes minutes
 NODES = np.linspace(-2.75, 2.75, 12)  # of a standard normal distribution
-STEP_RATIO = 4  # of the steps of a mount, for the extrapolation to steps of zero length
+MOST_TOUCHES = 24  # chosen: of a run on a mount, whose instants are not known
+STEP_RATIO = 2  # of the steps of a mount, for the extrapolation to steps of zero length
 NO_COUNT = 1e6  # chosen: times its noise: uncertainty of a reading that does not count
 SHARE_OF_A_JUMP = 0.1  # chosen: of the longest jump: what is shorter is motion of the axes that are held
 WEIGHTS = np.exp(-0.5 * NODES**2) / np.sum(np.exp(-0.5 * NODES**2))
@@ -74,8 +75,8 @@ class WrenchLink(Link):
         reading is interpolated linearly, as by a facility that computes its contact step by step; None: it is the reading at the instant at
         which it left the contact. The rate of a contact jumps from one tick to the next, so that the two differ.
         logged: the filter through which readings went to the record; None: none.
-        of_rows: of the record, whose mean each row is. exact: None: a mount is stepped as by MuJoCo, to first order; else it is
-        corrected to the exact integral, with the difference computed under these effects.
+        of_rows: of the record, whose mean each row is. exact: whether a mount is integrated to second order, and corrected to the exact
+        integral by what that misses of the believed motion; else it is stepped as by MuJoCo, to first order.
     """
 
     name = "wrench"
@@ -93,7 +94,8 @@ class WrenchLink(Link):
         self.logged: LowPass | None = None
         self.of_rows = 1
         self.unknown_rate = False
-        self.exact: Effects | None = None
+        self.exact = False
+        self.unknown_steps = False
         self._step_error: list[Array] | None = None
         self._believed = [_numbers(r.scenario, self.lever, self.blunt, self.ring) for r in runs]
         scenarios = [r.scenario for r in runs]
@@ -115,7 +117,7 @@ class WrenchLink(Link):
         lever: float | None = None,
         grid: int | None = None,
         blunt: float | None = None,
-        exact: Effects | None = None,
+        exact: bool | None = None,
         ring: float | None = None,
     ) -> WrenchLink:
         """The same link with another interpretation of what the facility leaves open."""
@@ -127,14 +129,16 @@ class WrenchLink(Link):
             out._believed = [_numbers(r.scenario, lever, blunt, ring) for r in self.runs]
         out.grid = self.grid if grid is None else grid
         out.exact = self.exact if exact is None else exact
-        if out.exact is not None:
-            out._step_error = out._missed_by_steps(out.exact)
+        if isinstance(out._felt, Felt) and out.exact != out._felt.leapfrog:
+            out._felt = replace(out._felt, leapfrog=out.exact)
+        out._step_error = out._missed_by_steps() if out.exact else None
         return out
 
     def as_interpreted(self, other: WrenchLink) -> WrenchLink:
         """The same link with the interpretation and timing of another one, which may have fewer rows."""
         grid = None if other.grid is None else max(1, round(other.grid * self.of_rows / other.of_rows))
-        return self.interpreted(other.lever, grid, other.blunt, other.exact, other.ring).with_timing(other.timing)
+        out = self.interpreted(other.lever, grid, other.blunt, other.exact, other.ring).with_timing(other.timing)
+        return out.with_unknown_steps() if other.unknown_steps else out
 
     @property
     def simulated(self) -> bool:
@@ -152,13 +156,30 @@ class WrenchLink(Link):
         """Whether a mount is integrated, so that the steps matter."""
         return isinstance(self._felt, Felt) and self._felt.mount is not None
 
-    def _missed_by_steps(self, effects: Effects) -> list[Array]:
-        """(N, 6) error of a mount's first-order steps in each run, extrapolated from steps of a quarter (L. F. Richardson,
-        Phil. Trans. A 210, 1911)."""
+    def _missed_by_steps(self) -> list[Array]:
+        """(N, 6) error of the steps of a believed mount in each run, of second order, extrapolated from steps of half the length (L. F.
+        Richardson, Phil. Trans. A 210, 1911)."""
         assert isinstance(self._felt, Felt)
         finer = replace(self._felt, substeps=STEP_RATIO * self._felt.substeps)
-        coarse, fine = (self._read(felt, [(i, effects) for i in range(len(self.runs))]) for felt in (self._felt, finer))
-        return [(f - c) * STEP_RATIO / (STEP_RATIO - 1.0) for f, c in zip(fine, coarse, strict=True)]
+        coarse, fine = (self._read(felt, [(i, ()) for i in range(len(self.runs))]) for felt in (self._felt, finer))
+        return [(f - c) * STEP_RATIO**2 / (STEP_RATIO**2 - 1.0) for f, c in zip(fine, coarse, strict=True)]
+
+    def with_unknown_steps(self) -> WrenchLink:
+        """The same link of a facility whose mount moves in steps that are not known: nuisance terms of each run for the correction to the
+        exact integral, and for each touch, which begins anywhere within a believed step. Itself where the steps are those of MuJoCo."""
+        if self._step_error is None or self.unknown_steps or not isinstance(self._felt, Felt):
+            return self
+        everything: list[Lane] = [(i, ()) for i in range(len(self.runs))]
+        as_it_is, terms = self._read(self._felt, everything), [self._step_error]
+        for touch in range(1, MOST_TOUCHES + 1):
+            earlier = self._read(replace(self._felt, hastened=touch), everything)
+            if all(np.array_equal(e, s) for e, s in zip(earlier, as_it_is, strict=True)):
+                break
+            terms.append([e - s for e, s in zip(earlier, as_it_is, strict=True)])
+        out = copy(self)
+        out.unknown_steps = True
+        out.runs = [r.with_nuisances(np.stack(t, axis=2)) for r, t in zip(self.runs, zip(*terms, strict=True), strict=True)]
+        return out
 
     def commanded(self, commands: Sequence[Array], deflection: Sequence[Array]) -> WrenchLink:
         """The same link where the paths were not measured: they are the platform's response to ``commands`` (N, 7) with its effects, plus
@@ -182,10 +203,7 @@ class WrenchLink(Link):
         everything = [(i, ()) for i in range(len(self.runs))]
         half = zip(self.predict(everything), WrenchLink(self.runs, self.paths, None, smooth).predict(everything), strict=True)
         terms = [2.0 * (b - a)[:, :, None] for a, b in half]
-        out.runs = [
-            replace(r, nuisances=t if r.nuisances is None else np.concatenate([r.nuisances, t], axis=2))
-            for r, t in zip(self.runs, terms, strict=True)
-        ]
+        out.runs = [r.with_nuisances(t) for r, t in zip(self.runs, terms, strict=True)]
         return out
 
     def through(self, logged: LowPass | None) -> WrenchLink:
@@ -219,7 +237,7 @@ class WrenchLink(Link):
             for p, r, (i, _) in zip(places, runs, lanes, strict=True)
         ]
         rates = None if self.rates is None else [central_rates(r.scenario, p) for r, p in zip(runs, paths, strict=True)]
-        link = WrenchLink(runs, paths, None, rates).interpreted(self.lever, self.grid, self.blunt, ring=self.ring)
+        link = WrenchLink(runs, paths, None, rates).interpreted(self.lever, self.grid, self.blunt, self.exact, self.ring)
         link = link.with_timing(self.timing)
         return link.through(self.logged).predict(
             [(n, [e for e in effects if e.link != "platform"]) for n, (_, effects) in enumerate(lanes)]
@@ -282,8 +300,8 @@ class WrenchLink(Link):
         """(N, 6) uncertainty of a reading due to what a replay does not know.
 
         It has three parts: what happens between two instants of the physics, which is large at a touch or a jump; noise that decides
-        whether a force at the edge of a dead zone is read; and the correction for the steps of a mount, computed under other effects,
-        which errs alike over many rows and counts like noise that is larger by the root of a block."""
+        whether a force at the edge of a dead zone is read; and the correction for the steps of a mount, which is that of the believed
+        motion, errs alike over many rows and counts like noise that is larger by the root of a block."""
         of_steps = 0.0 if self._step_error is None else math.sqrt(BLOCK_ROWS) * np.abs(self._step_error[i])
         return np.hypot(np.hypot(self._between_instants(i, effects), self._at_the_edge(i, effects)), of_steps)
 
