@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import theilslopes
 
+from hiltestbed.contact.mount_dynamics import MountDynamics
 from hiltestbed.frames import Array
 from hiltestbed.measured import MeasuredRun
 
@@ -17,6 +18,7 @@ RISING_SIGMA = 2.0  # chosen: down to which it is followed back
 LINE_ROWS = 200  # chosen: to which the line of free flight is fitted
 MIN_LINE_ROWS = 20  # chosen: from which its scatter is known well enough
 SETTLING_TIME = 0.05  # chosen: [s] after a contact in which a reading still shows it
+RINGING = 7.0  # time constants of a mount after which its swing has fallen to a thousandth
 
 
 def first_touch(run: MeasuredRun) -> int:
@@ -65,7 +67,9 @@ def readings_apart(run: MeasuredRun, columns: Sequence[int]) -> tuple[Array, Arr
     if not record.has("wrench_meas"):
         return np.zeros(0), np.zeros((0, len(columns)))
     values = record.data["wrench_meas"][:, columns]
-    apart = ~run.survey.touching(len(values), round((run.scenario.sensor.delay + SETTLING_TIME) * run.scenario.rate))
+    mount = MountDynamics.of([run.scenario])
+    settling = run.scenario.sensor.delay + SETTLING_TIME + (0.0 if mount is None else RINGING * mount.slowest())
+    apart = ~run.survey.touching(len(values), min(round(min(settling, len(values)) * run.scenario.rate), len(values)))
     first = first_touch(run)
     apart[first : run.survey.contacts[0].start if run.survey.contacts else first] = False
     apart &= np.isfinite(values).all(axis=1)

@@ -10,9 +10,10 @@ import pytest
 from scipy.signal import lfilter
 from scipy.stats import f as fisher
 
+from hiltestbed.contact.mount_dynamics import MountDynamics
 from hiltestbed.diagnosis.aside import Aside, wander_between
 from hiltestbed.diagnosis.floors import white_outside
-from hiltestbed.diagnosis.free_flight import TOUCH_MARGIN_ROWS, first_touch
+from hiltestbed.diagnosis.free_flight import TOUCH_MARGIN_ROWS, first_touch, readings_apart
 from hiltestbed.diagnosis.noise import ForceNoise, force_noise, softened
 from hiltestbed.diagnosis.settings import DETECTION, SIGNIFICANCE_LEVEL
 from hiltestbed.diagnosis.tones import tones_of
@@ -31,7 +32,7 @@ def run(noise: Array, touch: int = TOUCH) -> MeasuredRun:
     record: Any = SimpleNamespace(data={"wrench_meas": reading}, ticks=ROWS, has=lambda name: True, steps={})
     contact = (np.arange(ROWS) >= touch) & (np.arange(ROWS) < END)
     survey: Any = SimpleNamespace(contacts=[SimpleNamespace(start=touch, end=END)], touching=lambda rows, late: contact)
-    scenario: Any = SimpleNamespace(sensor=SimpleNamespace(delay=0.0), rate=1000.0, mechanism=SimpleNamespace(captured=False))
+    scenario: Any = SimpleNamespace(sensor=SimpleNamespace(delay=0.0), rate=1000.0, mechanism=SimpleNamespace(captured=False, mount=None))
     return MeasuredRun(record, scenario, survey)  # type: ignore[arg-type]
 
 
@@ -292,6 +293,18 @@ def test_a_touch_before_the_believed_one_is_no_free_flight(hum: float) -> None:
     flat = [n + np.column_stack([np.zeros((ROWS, 2)), wave, np.zeros((ROWS, 3))]) for n in white(8)]
     assert found([n + added for n in white(8)]).levels() == pytest.approx(found(flat).levels(), rel=0.2)  # 3 rows are within the hum
     assert [first_touch(run(n + added)) for n in white(8)] == pytest.approx([TOUCH - 30] * RUNS, abs=8)
+
+
+def test_free_flight_begins_when_a_mount_has_swung_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Seven time constants, here of 4 ms, after a reading without a mount would be free: 50 ms after the contact."""
+    plain = run(np.zeros((ROWS, 6)))
+    survey: Any = SimpleNamespace(
+        contacts=plain.survey.contacts, touching=lambda rows, late: (np.arange(rows) >= TOUCH) & (np.arange(rows) < END + late)
+    )
+    plain = MeasuredRun(plain.record, plain.scenario, survey)
+    assert [int(r[r > TOUCH][0]) for r, _ in [readings_apart(plain, [2])]] == [END + 50]
+    monkeypatch.setattr(MountDynamics, "of", lambda scenarios: SimpleNamespace(slowest=lambda: 0.004))
+    assert [int(r[r > TOUCH][0]) for r, _ in [readings_apart(plain, [2])]] == [END + 50 + 28]
 
 
 def test_a_baseline_that_wanders_up_to_a_touch_is_free_flight() -> None:
