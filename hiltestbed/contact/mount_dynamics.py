@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import mujoco
@@ -44,7 +45,7 @@ class MountDynamics:
         body = carried(spec.compile(), MOUNTED)
         return cls(np.array([m.stiffness for m in mounts]), np.array([m.damping for m in mounts]), body)
 
-    @property
+    @cached_property
     def mobility(self) -> tuple[float, float]:
         """Upper bound of the acceleration of the body's origin by a force [1/kg], and of its rotation by a moment [1/(kg m^2)]."""
         inverse = np.linalg.inv(_inertia(self.body))

@@ -67,6 +67,17 @@ def test_two_hidden_effects_are_both_named(seed):
     assert one_set(Task(seed, "pair"))["right"]
 
 
+@SLOW
+@pytest.mark.parametrize(
+    ("seed", "kind", "effect"),
+    [(500_030, "single", "sensor.jitter"), (500_046, "single", "sensor.highpass"), (500_098, "healthy", None), (500_126, "healthy", None)],
+)
+def test_on_a_mount_in_steps_of_its_own_jitter_is_named_and_a_healthy_rig_left_alone(seed, kind, effect):
+    """In 500098 two touches fall between the facility's steps, in 500126 friction reverses just before a latch closes."""
+    record = one_set(Task(seed, kind, (effect,) if effect else None, design="mounted"))
+    assert record["right"], record["verdict"]
+
+
 @pytest.mark.parametrize("seed", range(100, 112 if ALL else 101))
 def test_a_healthy_rig_is_left_alone(seed):
     record = one_set(Task(seed, "healthy"))
