@@ -1,4 +1,8 @@
-"""The motion of a compliant mount along a recorded path: to first order, as by MuJoCo, or to second order, by a leapfrog."""
+"""The motion of a compliant mount along a recorded path: to first order, as by MuJoCo, or to second order, by a leapfrog.
+
+A ``mount`` is a tuple: stiffness and damping (6,) of its joints, the body (BODY,) on it, whether it moves by leapfrog, its mobility (see
+:class:`~hiltestbed.contact.mount_dynamics.MountDynamics`), and the number of the touch that is taken to be early, 0 for none.
+"""
 
 from __future__ import annotations
 

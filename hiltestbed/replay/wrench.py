@@ -299,7 +299,7 @@ def _contact(
                     surface_wrench(index, dt, least_creep, p, frames, state, depth, closing, point, normal, slip, work[7], wrench)
                     if leapfrog:
                         part = touched(depth, closing, p, dt, meets, slip, slipped)
-                        if part >= 0.0:
+                        if part >= 0.0 and k > 0:
                             touches += 1
                             part += STEP_SIGMA * split if touches == hastened else 0.0
                             struck(mount, dt, part, wrench, earlier, q, qd, rate)
@@ -333,7 +333,7 @@ def _take_over(index, values, least_creep, p, frames, motions, caught, hold, sta
     held_at(caught, before, frames[1], p[-1], hold)
     contact_wrench(
         index, values, 0.0, least_creep, p, frames, motions, True, hold, state, depth, closing, point, normal, slip, work, wrench
-    )
+    )  # fmt: skip
     for j in range(6):
         wrench[j] = 0.5 * (wrench[j] + before[j])
 

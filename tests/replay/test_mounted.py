@@ -81,6 +81,21 @@ def test_along_a_path_with_touches_friction_and_a_latch_it_misses_a_tenth_of_wha
     assert float(np.abs(stepped(4, leapfrog=True) - true).max()) < 0.04 * missed
 
 
+def test_a_record_that_begins_in_contact_begins_with_half_a_kick() -> None:
+    """The force acts from the first row on, on a mount that is at rest there."""
+    recorded = record([scenario("bumper on a mount")])
+    whole, s = felt(recorded), recorded.scenarios[0]
+    start = int(np.argmax(recorded["wrench_meas"][0, :, 2] > 100.0))
+    shared = replace(whole, poses=whole.poses[:, start:], before=whole.poses[:, start - 1])
+
+    def stepped(times: int, leapfrog: bool = False) -> Array:
+        return replay_wrench(replace(shared, substeps=times * s.substeps, leapfrog=leapfrog), [lane(s, 0)], grid=s.substeps)[0]
+
+    fine, finest = stepped(64), stepped(256)
+    true = finest + (finest - fine) / 3.0
+    assert np.abs(stepped(1, leapfrog=True) - true).max() < 0.05 * np.abs(stepped(1) - true).max()
+
+
 def test_a_stuck_contact_follows_where_friction_is_stiffer_than_a_step_can_take() -> None:
     """0.9 of the normal force over the creep of friction, 1e-4 m/s, is 2e6 N s/m here: explicit steps of a whole tick would diverge."""
     recorded = record([scenario("bumper on a mount", changes={"mechanism.contact.friction": 0.9})])
