@@ -69,7 +69,7 @@ def readings_apart(run: MeasuredRun, columns: Sequence[int]) -> tuple[Array, Arr
     values = record.data["wrench_meas"][:, columns]
     mount = MountDynamics.of([run.scenario])
     settling = run.scenario.sensor.delay + SETTLING_TIME + (0.0 if mount is None else RINGING * mount.slowest())
-    apart = ~run.survey.touching(len(values), min(round(min(settling, len(values)) * run.scenario.rate), len(values)))
+    apart = ~run.survey.touching(len(values), round(min(settling * run.scenario.rate, len(values))))
     first = first_touch(run)
     apart[first : run.survey.contacts[0].start if run.survey.contacts else first] = False
     apart &= np.isfinite(values).all(axis=1)

@@ -60,13 +60,13 @@ def choose_ring(link: WrenchLink) -> WrenchLink:
     return free if square(Residual(free)(())) < square(Residual(link)(())) - INTERPRETATION_PENALTY else link
 
 
-def choose_steps(link: WrenchLink, effects: Effects = ()) -> WrenchLink:
-    """The link with a mount stepped as by MuJoCo or integrated exactly, whichever leaves less under ``effects``, and its best lever."""
+def choose_steps(link: WrenchLink) -> WrenchLink:
+    """The link with a mount stepped as by MuJoCo, or integrated exactly with the lever that fits best there, whichever leaves less."""
     if not link.stepped:
         return link
-    exact = choose_lever(link.interpreted(exact=True), effects)
-    better = square(Residual(exact)(effects)) < square(Residual(link)(effects)) - INTERPRETATION_PENALTY
-    return choose_lever(exact.with_unknown_steps(), effects) if better else link
+    exact = choose_lever(link.interpreted(exact=True))
+    better = square(Residual(exact)(())) < square(Residual(link)(())) - INTERPRETATION_PENALTY
+    return choose_lever(exact.with_unknown_steps()) if better else link
 
 
 def other_steps(explanation: Explanation) -> WrenchLink | None:
