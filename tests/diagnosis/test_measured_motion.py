@@ -9,14 +9,23 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from scipy.signal import savgol_coeffs
 
 import hiltestbed
+from hiltestbed.diagnosis.adequacy import contact_leftovers, noise_alone
 from hiltestbed.diagnosis.layout import lay_out
+from hiltestbed.diagnosis.links import WrenchLink
 from hiltestbed.diagnosis.paths import best_path, make_wrench_link
+from hiltestbed.diagnosis.readings import choose_lever
+from hiltestbed.diagnosis.residual import Residual
+from hiltestbed.diagnosis.settings import SMOOTHING_ROWS
 from hiltestbed.measured import load_dataset
+from hiltestbed.recording import write_trace
+from hiltestbed.simulation import simulate
 
 STIFFNESS, DAMPING, MASS, GAP, SPEED = 1e5, 400.0, 100.0, 0.0023, 0.06  # [N/m], [N s/m], [kg], [m], [m/s]
 RATE = 2000  # [Hz]
+FORCE_NOISE = 0.05  # [N]
 
 
 def bounce() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -31,23 +40,64 @@ def bounce() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return t, np.where(touches, x, SPEED * t - GAP), np.where(touches, STIFFNESS * x + DAMPING * v, 0.0)
 
 
-@pytest.mark.parametrize("noise", [0.0, 5e-7], ids=["clean", "smoothed"])
-def test_the_force_of_a_smooth_motion_has_no_half_tick_of_its_acceleration(tmp_path: Path, noise: float) -> None:
-    """The slope of the tick that ends would add c a h/2, 0.18 N of the peak's 180 N; sampled alone it costs c x''' h^2/6, 1 mN."""
-    t, place, force = bounce()
+def link_of(folder: Path, t: np.ndarray, place: np.ndarray, force: np.ndarray, noise: float) -> WrenchLink:
+    """Contact and sensor of one record of a motion and its force, both with noise."""
     rng = np.random.default_rng(3)
     measured = {
         "t": t,
         "pose_act.pz": place + noise * rng.standard_normal(len(t)),
-        "wrench_meas.fz": force + 0.05 * rng.standard_normal(len(t)),
+        "wrench_meas.fz": force + FORCE_NOISE * rng.standard_normal(len(t)),
     }
-    pq.write_table(pa.table(measured), tmp_path / "run.parquet")
+    pq.write_table(pa.table(measured), folder / "run.parquet")
     contact = {"mechanism": {"kind": "bumper", "contact": {"stiffness": STIFFNESS, "damping": DAMPING}}, "approach.gap": GAP}
     rig = {"rate": RATE, "physics_rate": 8 * RATE, "duration": len(t) / RATE, "approach.velocity.2": SPEED}
-    (tmp_path / "nominal.yaml").write_text(hiltestbed.dump_scenario(hiltestbed.load_scenario("02-bumper", contact | rig)), "utf-8")
-    (tmp_path / "dataset.yaml").write_text("scenario: nominal.yaml\nruns: [{file: run.parquet}]\naccept: [unit]\n", "utf-8")
-    layout = lay_out(load_dataset(tmp_path / "dataset.yaml"))
-    link = make_wrench_link(layout, best_path(layout, None), layout.whole)
-    off = (link.shown(0)[:, 2] - force)[force > 150.0]
+    (folder / "nominal.yaml").write_text(hiltestbed.dump_scenario(hiltestbed.load_scenario("02-bumper", contact | rig)), "utf-8")
+    (folder / "dataset.yaml").write_text("scenario: nominal.yaml\nruns: [{file: run.parquet}]\naccept: [unit]\n", "utf-8")
+    layout = lay_out(load_dataset(folder / "dataset.yaml"))
+    return make_wrench_link(layout, best_path(layout, None), layout.whole)
+
+
+@pytest.mark.parametrize("noise", [0.0, 5e-7], ids=["clean", "smoothed"])
+def test_the_force_of_a_smooth_motion_has_no_half_tick_of_its_acceleration(tmp_path: Path, noise: float) -> None:
+    """The slope of the tick that ends would add c a h/2, 0.18 N of the peak's 180 N; sampled alone it costs c x''' h^2/6, 1 mN."""
+    t, place, force = bounce()
+    off = (link_of(tmp_path, t, place, force, noise).shown(0)[:, 2] - force)[force > 150.0]
     half_tick = DAMPING * 150.0 / MASS / (2.0 * RATE)
     assert abs(np.mean(off)) < (0.02 if noise == 0.0 else 0.3) * half_tick
+
+
+def test_a_bend_that_smoothing_cuts_off_is_not_compared(tmp_path: Path) -> None:
+    """A that stops at once loses c v = 24 N within a row, a smoothed pose within 30.
+
+    Elsewhere the path's noise is that of k x + c v, larger by the root of the 8 rows of a block, since it is alike over many rows.
+    """
+    t = np.arange(600) / RATE
+    stop = 0.15  # [s]
+    place = np.minimum(SPEED * t - GAP, SPEED * stop - GAP)
+    force = np.where(place > 0.0, STIFFNESS * place + DAMPING * SPEED * (t < stop), 0.0)
+    link = link_of(tmp_path, t, place, force, 5e-7)
+    off, noise = link.shown(0)[:, 2] - force, link.runs[0].sigma[:, 2]
+    near = np.abs(t - stop) * RATE < SMOOTHING_ROWS
+    assert np.max(np.abs(off[near])) > 3.0
+    assert np.max(np.abs(off / noise)[place > 0.0][5:]) < 4.0
+    spread, slope = (5e-7 * RATE**n * np.linalg.norm(savgol_coeffs(SMOOTHING_ROWS, 3, deriv=n)) for n in (0, 1))
+    expected = np.hypot(FORCE_NOISE, math.sqrt(8.0) * np.hypot(STIFFNESS * spread, DAMPING * slope))
+    assert np.median(noise[(t > 0.07) & ~near]) == pytest.approx(expected, rel=0.25)
+
+
+def test_a_slide_of_which_only_a_noisy_pose_is_known_leaves_only_noise(tmp_path: Path) -> None:
+    """The pose's noise shows in the friction and, by its lever, in the torques as well, where the scenario's own trace is the truth."""
+    scenario = hiltestbed.load_scenario("05-off-centre", {"duration": 0.7})
+    trace = simulate([scenario], trace=True).trace
+    assert trace is not None
+    write_trace(trace.run(0), tmp_path / "run.parquet")
+    table, rng = pq.read_table(tmp_path / "run.parquet"), np.random.default_rng(5)
+    columns = {c: table[c].to_numpy() for c in table.column_names if c.partition(".")[0] in ("t", "pose_act", "wrench_meas")}
+    for name in ("pose_act.px", "pose_act.py", "pose_act.pz"):
+        columns[name] = columns[name] + 2e-6 * rng.standard_normal(len(table))
+    pq.write_table(pa.table(columns), tmp_path / "run.parquet")
+    (tmp_path / "nominal.yaml").write_text(hiltestbed.dump_scenario(scenario), "utf-8")
+    (tmp_path / "dataset.yaml").write_text("scenario: nominal.yaml\nruns: [{file: run.parquet}]\n", "utf-8")
+    layout = lay_out(load_dataset(tmp_path / "dataset.yaml"))
+    link = choose_lever(make_wrench_link(layout, best_path(layout, None), layout.rows))
+    assert noise_alone(contact_leftovers(Residual(link), ()))

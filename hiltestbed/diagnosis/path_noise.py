@@ -1,0 +1,216 @@
+"""Stage "replay": the noise that the path of A in P adds to the reading of contact and sensor.
+
+Of a measured pose, of a smoothed one, of a command, and of drives whose deflection is computed: by replays of paths that differ as much.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.ndimage import maximum_filter1d, uniform_filter1d
+from scipy.signal import savgol_filter
+
+from hiltestbed.diagnosis.bridged import interpolation_errors, rms_differences
+from hiltestbed.diagnosis.layout import Layout, wrench_link
+from hiltestbed.diagnosis.links import WrenchLink, flat_pose
+from hiltestbed.diagnosis.links.platform import poses_of
+from hiltestbed.diagnosis.settings import (
+    BLOCK_ROWS,
+    COPY_PERTURBATION,
+    DIVERGED_TIME,
+    DIVERGENCE_THRESHOLD,
+    LEVER_ARM,
+    PERTURBED_COPIES,
+    SIGNIFICANCE_SIGMA,
+    SMOOTHING_ROWS,
+)
+from hiltestbed.frames import Array
+from hiltestbed.measured import MeasuredRun
+from hiltestbed.measured.noise import MAD_TO_SIGMA
+from hiltestbed.replay import moves_linearly
+from hiltestbed.replay.compensation import central_rates
+
+
+@dataclass(frozen=True)
+class Path:
+    """The path of A in each run.
+
+    Attributes:
+        poses: (N, 7) at t_k. rates: (N, 6) twist at t_k; None: the slope of the tick that ends there.
+        place, rate: white noise of poses [m] and rates [m/s], of an attitude times its lever arm. source: the group it comes from.
+        rates_measured: whether the rates are on record. rounding: (N, 3) of each run, 1 sigma of the rounding error of the positions [m];
+        empty: there is none.
+    """
+
+    poses: Sequence[Array]
+    rates: Sequence[Array] | None
+    place: float = 0.0
+    rate: float = 0.0
+    source: str = "pose_act"
+    rates_measured: bool = False
+    rounding: Sequence[Array] = ()
+
+
+def noise_of(layout: Layout, path: Path) -> list[Array]:
+    """(N, 6) noise of the reading of each run that a path adds: by replays of perturbed copies, and by interpolation between samples."""
+    rng = np.random.default_rng(0)
+
+    def moved(pose: Array, rates: Array | None) -> tuple[Array, Array | None]:
+        out = pose.copy()
+        out[:, :3] += path.place * rng.standard_normal((len(pose), 3))
+        out[:, 3:6] += 0.5 * path.place / LEVER_ARM * rng.standard_normal((len(pose), 3))
+        if rates is None:
+            return out, None
+        noise = rng.standard_normal((len(pose), 6)) * path.rate
+        noise[:, 3:] /= LEVER_ARM
+        return out, rates + noise
+
+    link, away = _perturbed(layout, path, moved)
+    noise = _lasting_rms(away)
+    if (
+        link.simulated and path.rates is not None and not path.rates_measured
+    ):  # how A was integrated is not known; the error lasts many rows
+        missed = rms_differences(link, wrench_link(layout, path.poses, layout.whole))
+        noise = [np.hypot(n, math.sqrt(BLOCK_ROWS) * m) for n, m in zip(noise, missed, strict=True)]
+    if not _interpolated(layout, path):
+        return noise
+    return [np.hypot(n, d) for n, d in zip(noise, _between_samples(layout, path), strict=True)]
+
+
+def _lasting_rms(away: Sequence[Sequence[Array]]) -> list[Array]:
+    """(N, 6) rms of the changes in copies of each run, smoothed over rows."""
+    squares = [np.mean(np.square(a), axis=0) for a in away]
+    return [np.sqrt(np.maximum(uniform_filter1d(s, SMOOTHING_ROWS, axis=0), 0.0)) for s in squares]
+
+
+def _perturbed(
+    layout: Layout, path: Path, moved: Callable[[Array, Array | None], tuple[Array, Array | None]]
+) -> tuple[WrenchLink, list[list[Array]]]:
+    """Contact and sensor on a path, and for each run the changes (N, 6) of its readings on copies of the path, whose poses and
+    rates ``moved`` gives."""
+    runs = range(len(layout.runs))
+    link = wrench_link(layout, path.poses, layout.whole, None, path.rates)
+    copies = [moved(path.poses[i], None if path.rates is None else path.rates[i]) for _ in range(PERTURBED_COPIES) for i in runs]
+    rates = [r for _, r in copies if r is not None]
+    many = WrenchLink([link.runs[i] for _ in range(PERTURBED_COPIES) for i in runs], [p for p, _ in copies], None, rates or None)
+    shown, found = link.predict([(i, ()) for i in runs]), many.predict([(i, ()) for i in range(len(copies))])
+    return link, [[found[n] - shown[i] for n in range(i, len(copies), len(layout.runs))] for i in runs]
+
+
+def diverged(layout: Layout, path: Path) -> list[np.ndarray]:
+    """(N,) bool of each run: rows at which barely perturbed copies of a path have diverged, and for some time after.
+
+    Bodies that slide or swing may reverse at the smallest difference: the record took one branch there, each copy takes another, and none
+    of them shows the law.
+    """
+    rng = np.random.default_rng(1)
+
+    def moved(pose: Array, rates: Array | None) -> tuple[Array, Array | None]:
+        if rates is not None:
+            return pose, rates + COPY_PERTURBATION * rng.standard_normal(rates.shape) * np.abs(np.gradient(rates, axis=0))
+        out = pose.copy()
+        out[:, :3] += (
+            COPY_PERTURBATION * rng.standard_normal((len(pose), 3)) * np.abs(np.gradient(np.gradient(pose[:, :3], axis=0), axis=0))
+        )
+        return out, None
+
+    link, away = _perturbed(layout, path, moved)
+    level = np.maximum([layout.noise.get(c, 0.0) for c in link.channels], layout.least_force)
+    out = [~np.all([np.abs(d) <= DIVERGENCE_THRESHOLD * level for d in a], axis=(0, 2)) for a in away]
+    back = round(DIVERGED_TIME / layout.scales.tick)
+    return [np.asarray(maximum_filter1d(o, back + SMOOTHING_ROWS, origin=(back - SMOOTHING_ROWS) // 2)) for o in out]
+
+
+def command_noise(layout: Layout, path: Path) -> list[Array] | None:
+    """(N, 6) noise of the reading of each run due to a command with few digits, or logged between ticks; None: there is none.
+
+    The largest of its rounding errors counts everywhere: rounding errors of a slow motion are alike over many rows.
+    """
+    written = max(float(r.record.rounding(path.source)[:, :3].max()) for r in layout.runs)
+    if not written and not _interpolated(layout, path):
+        return None
+    return noise_of(layout, replace(path, place=written, rate=math.sqrt(0.5) * written / layout.scales.tick))
+
+
+def _interpolated(layout: Layout, path: Path) -> bool:
+    """Whether a path was interpolated between the rows of a log whose rows are not the ticks of the loop."""
+    return any(b.any() for b in interpolation_errors(layout.runs, path.source, layout.whole))
+
+
+def _between_samples(layout: Layout, path: Path) -> list[Array]:
+    """(N, 6) change of the readings of each run with linear interpolation between the samples."""
+    bends = interpolation_errors(layout.runs, path.source, layout.whole)
+    straight = [np.column_stack([p[:, :3] - b[:, :3], p[:, 3:]]) for p, b in zip(path.poses, bends, strict=True)]
+    rates = path.rates and central_rates_of(layout, straight)
+    links = [wrench_link(layout, poses, layout.whole, None, r) for poses, r in ((path.poses, path.rates), (straight, rates))]
+    return rms_differences(*links)
+
+
+def smoothed_noise(layout: Layout, path: Path) -> list[Array]:
+    """(N, 6) noise of the reading of each run due to a smoothed pose: to its noise, by replays of perturbed copies, and to the bends that
+    smoothing cuts off.
+
+    Both errors are alike over many rows, and count like noise that is larger by the root of a block.
+    """
+    rng = np.random.default_rng(0)
+    place = layout.noise.get("pose_act.pz", 0.0)
+
+    def moved(pose: Array, rates: Array | None) -> tuple[Array, Array | None]:
+        error = np.asarray(savgol_filter(place * rng.standard_normal((len(pose), 3)), SMOOTHING_ROWS, 3, axis=0))
+        return _displaced(pose, error), None if rates is None else _displaced(rates, np.gradient(error, layout.scales.tick, axis=0))
+
+    _, away = _perturbed(layout, path, moved)
+    noise = _lasting_rms(away)
+    bends = [_cut_off(run, pose) for run, pose in zip(layout.runs, path.poses, strict=True)]
+    if any(b.any() for b in bends):
+        poses = [_displaced(p, b) for p, b in zip(path.poses, bends, strict=True)]
+        slopes = [np.gradient(b, layout.scales.tick, axis=0) for b in bends]
+        rates = path.rates and [_displaced(r, v) for r, v in zip(path.rates, slopes, strict=True)]
+        links = [wrench_link(layout, p, layout.whole, None, r) for p, r in ((path.poses, path.rates), (poses, rates))]
+        noise = [np.hypot(n, d) for n, d in zip(noise, rms_differences(*links), strict=True)]
+    return [math.sqrt(BLOCK_ROWS) * n for n in noise]
+
+
+def _displaced(values: Array, error: Array) -> Array:
+    """Poses (N, 7) or twists (N, 6) with an ``error`` (N, 3) of the position or velocity."""
+    return np.concatenate([values[:, :3] + error, values[:, 3:]], axis=1)
+
+
+def _cut_off(run: MeasuredRun, smooth: Array) -> Array:
+    """(N, 3) what smoothing cut off the measured positions, in rows near which its mean over a block exceeds noise; 0 elsewhere."""
+    if not run.record.has("pose_act"):
+        return np.zeros((len(smooth), 3))
+    off = uniform_filter1d(run.record.filled("pose_act")[:, :3] - smooth[:, :3], BLOCK_ROWS, axis=0)
+    bends = np.abs(off) > SIGNIFICANCE_SIGMA * MAD_TO_SIGMA * np.median(np.abs(off), axis=0)
+    return np.where(maximum_filter1d(bends, SMOOTHING_ROWS, axis=0), off, 0.0)
+
+
+def deflection_noise(layout: Layout, path: Path) -> list[Array]:
+    """(N, 6) noise of the reading of each run due to the uncertainty of the deflection of drives whose pose was not measured.
+
+    A contact before the drives' initial state has decayed is not compared.
+    """
+    assert layout.deflection is not None  # else the link is missing
+    doubts = [found.doubt for found in layout.deflection]
+    known = [np.asarray(np.isfinite(doubt).all(axis=1)) for doubt in doubts]
+    off = [np.where(k[:, None], d, 0.0) for d, k in zip(doubts, known, strict=True)]
+    poses = [poses_of(flat_pose(p) + d) for p, d in zip(path.poses, off, strict=True)]
+    links = [wrench_link(layout, p, layout.whole, None, path.rates) for p in (path.poses, poses)]
+    noise = rms_differences(*links)
+    return [np.where((r.touching(len(n)) & ~k)[:, None], np.inf, n) for r, n, k in zip(layout.runs, noise, known, strict=True)]
+
+
+def central_rates_of(layout: Layout, paths: Sequence[Array]) -> list[Array] | None:
+    """(N, 6) twists at t_k, the mean of the slopes before and after; None where A moves uniformly within a tick."""
+    if moves_uniformly(layout):
+        return None
+    return [central_rates(run.scenario, path) for run, path in zip(layout.runs, paths, strict=True)]
+
+
+def moves_uniformly(layout: Layout) -> bool:
+    """Whether A is known to move uniformly within a tick: a facility that was commanded is believed to; of a motion that was only measured
+    nothing is known but that it is smooth."""
+    return any(r.record.has("pose_cmd") for r in layout.runs) and all(moves_linearly(r.scenario) for r in layout.runs)
