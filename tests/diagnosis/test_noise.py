@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -12,13 +13,14 @@ from scipy.stats import f as fisher
 
 from hiltestbed.contact.mount_dynamics import MountDynamics
 from hiltestbed.diagnosis.aside import Aside, wander_between
-from hiltestbed.diagnosis.floors import white_outside
+from hiltestbed.diagnosis.floors import floors, white_outside
 from hiltestbed.diagnosis.free_flight import TOUCH_MARGIN_ROWS, first_touch, readings_apart
 from hiltestbed.diagnosis.noise import ForceNoise, force_noise, softened
 from hiltestbed.diagnosis.settings import DETECTION, SIGNIFICANCE_LEVEL
 from hiltestbed.diagnosis.tones import tones_of
 from hiltestbed.frames import Array
-from hiltestbed.measured import MeasuredRun
+from hiltestbed.measured import MeasuredRun, load_dataset
+from tests.measured.bounce import columns, write_dataset
 
 ROWS, TOUCH, END, RUNS = 600, 300, 500, 6
 SIGMA = np.array([0.2, 0.2, 0.3, 0.02, 0.02, 0.01])  # [N, N m]
@@ -281,6 +283,15 @@ def test_few_free_rows_leave_the_noise_to_all_of_them(free: int) -> None:
     assert white_outside(values[:free], values) == pytest.approx(1.0, abs=0.08)
     values[free:] += 5.0 * np.random.default_rng(4).standard_normal(1600 - free)
     assert white_outside(values[:free], values) == pytest.approx(1.0, abs=0.6)
+
+
+@pytest.mark.parametrize("lost", [(), (20, 45, 70)], ids=["every row", "rows lost"])
+def test_noise_that_a_dead_zone_hides_is_taken_from_the_contact(lost: tuple[int, ...], tmp_path: Path) -> None:
+    table = columns(force_noise=0.1)
+    table["wrench_meas.fz"] *= np.abs(table["wrench_meas.fz"]) > 20.0
+    kept = np.setdiff1d(np.arange(len(table["t"])), lost)
+    data = load_dataset(write_dataset(tmp_path, {name: values[kept] for name, values in table.items()}))
+    assert floors(data.runs)["wrench_meas.fz"] == pytest.approx(0.1, rel=0.25)
 
 
 @pytest.mark.parametrize("hum", [0.0, 1.6])
