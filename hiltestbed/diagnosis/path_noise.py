@@ -149,9 +149,9 @@ def _between_samples(layout: Layout, path: Path) -> list[Array]:
     return rms_differences(*links)
 
 
-def smoothed_noise(layout: Layout, path: Path) -> list[Array]:
-    """(N, 6) noise of the reading of each run due to a smoothed pose: to its noise, by replays of perturbed copies, and to the bends that
-    smoothing cuts off.
+def smoothed_noise(layout: Layout, path: Path, commanded: bool) -> list[Array]:
+    """(N, 6) noise of the reading of each run due to a smoothed pose: to its noise, by replays of perturbed copies, and to the bends of a
+    ``commanded`` motion, which smoothing cuts off; a motion that was only measured is taken as smooth.
 
     Both errors are alike over many rows, and count like noise that is larger by the root of a block.
     """
@@ -164,7 +164,7 @@ def smoothed_noise(layout: Layout, path: Path) -> list[Array]:
 
     _, away = _perturbed(layout, path, moved)
     noise = _lasting_rms(away)
-    bends = [_cut_off(run, pose) for run, pose in zip(layout.runs, path.poses, strict=True)]
+    bends = [_cut_off(run, pose) for run, pose in zip(layout.runs, path.poses, strict=True)] if commanded else []
     if any(b.any() for b in bends):
         poses = [_displaced(p, b) for p, b in zip(path.poses, bends, strict=True)]
         slopes = [np.gradient(b, layout.scales.tick, axis=0) for b in bends]

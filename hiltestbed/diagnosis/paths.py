@@ -78,7 +78,7 @@ def best_path(layout: Layout, platform: Explanation | None) -> BestPath:
         poses = _smooth_paths(layout, platform)
         path = Path(poses, None if platform is not None else central_rates_of(layout, poses))
         noisy = platform is not None or any(r.record.has("pose_act") for r in layout.runs)
-        extra = smoothed_noise(layout, path) if noisy else None
+        extra = smoothed_noise(layout, path, platform is not None) if noisy else None
         if _only_commanded(layout) and not all(follows_exactly(r.scenario) for r in layout.runs):
             extra = deflection_noise(layout, path)
     if not all(sides_of(r.scenario.mechanism).rigid for r in layout.runs):

@@ -13,8 +13,9 @@ from scipy.signal import savgol_coeffs
 
 import hiltestbed
 from hiltestbed.diagnosis.adequacy import contact_leftovers, noise_alone
-from hiltestbed.diagnosis.layout import lay_out
+from hiltestbed.diagnosis.layout import Layout, lay_out
 from hiltestbed.diagnosis.links import WrenchLink
+from hiltestbed.diagnosis.path_noise import smoothed_noise
 from hiltestbed.diagnosis.paths import best_path, make_wrench_link
 from hiltestbed.diagnosis.readings import choose_lever
 from hiltestbed.diagnosis.residual import Residual
@@ -40,8 +41,8 @@ def bounce() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return t, np.where(touches, x, SPEED * t - GAP), np.where(touches, STIFFNESS * x + DAMPING * v, 0.0)
 
 
-def link_of(folder: Path, t: np.ndarray, place: np.ndarray, force: np.ndarray, noise: float) -> WrenchLink:
-    """Contact and sensor of one record of a motion and its force, both with noise."""
+def layout_of(folder: Path, t: np.ndarray, place: np.ndarray, force: np.ndarray, noise: float) -> Layout:
+    """One record of a motion and its force, both with noise."""
     rng = np.random.default_rng(3)
     measured = {
         "t": t,
@@ -53,7 +54,11 @@ def link_of(folder: Path, t: np.ndarray, place: np.ndarray, force: np.ndarray, n
     rig = {"rate": RATE, "physics_rate": 8 * RATE, "duration": len(t) / RATE, "approach.velocity.2": SPEED}
     (folder / "nominal.yaml").write_text(hiltestbed.dump_scenario(hiltestbed.load_scenario("02-bumper", contact | rig)), "utf-8")
     (folder / "dataset.yaml").write_text("scenario: nominal.yaml\nruns: [{file: run.parquet}]\naccept: [unit]\n", "utf-8")
-    layout = lay_out(load_dataset(folder / "dataset.yaml"))
+    return lay_out(load_dataset(folder / "dataset.yaml"))
+
+
+def link_of(layout: Layout) -> WrenchLink:
+    """Contact and sensor on the best path."""
     return make_wrench_link(layout, best_path(layout, None), layout.whole)
 
 
@@ -61,12 +66,12 @@ def link_of(folder: Path, t: np.ndarray, place: np.ndarray, force: np.ndarray, n
 def test_the_force_of_a_smooth_motion_has_no_half_tick_of_its_acceleration(tmp_path: Path, noise: float) -> None:
     """The slope of the tick that ends would add c a h/2, 0.18 N of the peak's 180 N; sampled alone it costs c x''' h^2/6, 1 mN."""
     t, place, force = bounce()
-    off = (link_of(tmp_path, t, place, force, noise).shown(0)[:, 2] - force)[force > 150.0]
+    off = (link_of(layout_of(tmp_path, t, place, force, noise)).shown(0)[:, 2] - force)[force > 150.0]
     half_tick = DAMPING * 150.0 / MASS / (2.0 * RATE)
     assert abs(np.mean(off)) < (0.02 if noise == 0.0 else 0.3) * half_tick
 
 
-def test_a_bend_that_smoothing_cuts_off_is_not_compared(tmp_path: Path) -> None:
+def test_a_bend_of_a_commanded_motion_that_smoothing_cuts_off_is_doubtful(tmp_path: Path) -> None:
     """A that stops at once loses c v = 24 N within a row, a smoothed pose within 30.
 
     Elsewhere the path's noise is that of k x + c v, larger by the root of the 8 rows of a block, since it is alike over many rows.
@@ -75,8 +80,10 @@ def test_a_bend_that_smoothing_cuts_off_is_not_compared(tmp_path: Path) -> None:
     stop = 0.15  # [s]
     place = np.minimum(SPEED * t - GAP, SPEED * stop - GAP)
     force = np.where(place > 0.0, STIFFNESS * place + DAMPING * SPEED * (t < stop), 0.0)
-    link = link_of(tmp_path, t, place, force, 5e-7)
-    off, noise = link.shown(0)[:, 2] - force, link.runs[0].sigma[:, 2]
+    layout = layout_of(tmp_path, t, place, force, 5e-7)
+    off = link_of(layout).shown(0)[:, 2] - force
+    path = smoothed_noise(layout, best_path(layout, None).path, commanded=True)[0][:, 2]
+    noise = np.hypot(FORCE_NOISE, path)
     near = np.abs(t - stop) * RATE < SMOOTHING_ROWS
     assert np.max(np.abs(off[near])) > 3.0
     assert np.max(np.abs(off / noise)[place > 0.0][5:]) < 4.0
