@@ -26,17 +26,17 @@ def floors(runs: Sequence[MeasuredRun]) -> dict[str, float]:
             values, step = r.record.column(name), r.record.steps.get(name, 0.0)
             outside = values[~r.touching(len(values))] if name.startswith("wrench") and r.survey.contacts else values
             outside = outside if len(outside) > MIN_FREE_ROWS else values  # a latched mechanism is never free
-            steps = np.diff(outside)
-            steps = steps[np.isfinite(steps)]  # rows may be lost
-            still += int(len(steps) >= 10 and np.median(np.abs(steps)) == 0.0)
+            changes = np.diff(outside)
+            changes = changes[np.isfinite(changes)]  # rows may be lost
+            still += int(len(changes) >= 10 and np.median(np.abs(changes)) == 0.0)
             found.append(max(white_outside(outside, values, step), step / math.sqrt(12.0)))
         level = float(np.sqrt(np.mean(np.square(found)))) if found else 0.0
         if name.startswith("wrench_meas") and still * 2 > len(runs):  # a dead zone, or a sensor that is off between contacts
             believed = runs[0].scenario.sensor.noise if ".f" in name else runs[0].scenario.sensor.torque_noise
             inside = [white_noise(r.record.column(name)[r.touching(r.record.ticks)]) for r in runs if r.survey.contacts]
             level = believed or (float(np.median(inside)) if inside else 0.0)
-            step = max(r.record.steps.get(name, 0.0) for r in runs)
-            level = math.hypot(level, step / math.sqrt(12.0)) if any(undithered(r, name) for r in runs) else level
+            steps = [r.record.steps.get(name, 0.0) for r in runs]
+            level = math.hypot(level, max(steps) / math.sqrt(12.0)) if any(undithered(r, name) for r in runs) else level
         sampled = [r.record.sampled.get(name, 0.0) for r in runs] if name.startswith("pose_act") else []  # of a force: in its colour
         out[name] = max(level, smooth.get(name, 0.0), *sampled)
     places = [n for n in ("pose_act.px", "pose_act.py", "pose_act.pz") if out.get(n)]

@@ -144,8 +144,12 @@ def _between_samples(layout: Layout, path: Path) -> list[Array]:
     """(N, 6) change of the readings of each run with linear interpolation between the samples."""
     bends = interpolation_errors(layout.runs, path.source, layout.whole)
     straight = [np.column_stack([p[:, :3] - b[:, :3], p[:, 3:]]) for p, b in zip(path.poses, bends, strict=True)]
-    rates = path.rates and central_rates_of(layout, straight)
-    links = [wrench_link(layout, poses, layout.whole, None, r) for poses, r in ((path.poses, path.rates), (straight, rates))]
+    return _apart(layout, path, straight, path.rates and central_rates_of(layout, straight))
+
+
+def _apart(layout: Layout, path: Path, poses: Sequence[Array], rates: Sequence[Array] | None) -> list[Array]:
+    """(N, 6) difference of the readings of each run on a path and on other ``poses`` and ``rates``, rms about each row."""
+    links = [wrench_link(layout, p, layout.whole, None, r) for p, r in ((path.poses, path.rates), (poses, rates))]
     return rms_differences(*links)
 
 
@@ -166,11 +170,9 @@ def smoothed_noise(layout: Layout, path: Path, commanded: bool) -> list[Array]:
     noise = _lasting_rms(away)
     bends = [_cut_off(run, pose) for run, pose in zip(layout.runs, path.poses, strict=True)] if commanded else []
     if any(b.any() for b in bends):
-        poses = [_displaced(p, b) for p, b in zip(path.poses, bends, strict=True)]
-        slopes = [np.gradient(b, layout.scales.tick, axis=0) for b in bends]
-        rates = path.rates and [_displaced(r, v) for r, v in zip(path.rates, slopes, strict=True)]
-        links = [wrench_link(layout, p, layout.whole, None, r) for p, r in ((path.poses, path.rates), (poses, rates))]
-        noise = [np.hypot(n, d) for n, d in zip(noise, rms_differences(*links), strict=True)]
+        bent = [_displaced(p, b) for p, b in zip(path.poses, bends, strict=True)]
+        missed = _apart(layout, path, bent, path.rates and central_rates_of(layout, bent))
+        noise = [np.hypot(n, m) for n, m in zip(noise, missed, strict=True)]
     return [math.sqrt(BLOCK_ROWS) * n for n in noise]
 
 
@@ -181,8 +183,6 @@ def _displaced(values: Array, error: Array) -> Array:
 
 def _cut_off(run: MeasuredRun, smooth: Array) -> Array:
     """(N, 3) what smoothing cut off the measured positions, in rows near which its mean over a block exceeds noise; 0 elsewhere."""
-    if not run.record.has("pose_act"):
-        return np.zeros((len(smooth), 3))
     off = uniform_filter1d(run.record.filled("pose_act")[:, :3] - smooth[:, :3], BLOCK_ROWS, axis=0)
     bends = np.abs(off) > SIGNIFICANCE_SIGMA * MAD_TO_SIGMA * np.median(np.abs(off), axis=0)
     return np.where(maximum_filter1d(bends, SMOOTHING_ROWS, axis=0), off, 0.0)
@@ -198,8 +198,7 @@ def deflection_noise(layout: Layout, path: Path) -> list[Array]:
     known = [np.asarray(np.isfinite(doubt).all(axis=1)) for doubt in doubts]
     off = [np.where(k[:, None], d, 0.0) for d, k in zip(doubts, known, strict=True)]
     poses = [poses_of(flat_pose(p) + d) for p, d in zip(path.poses, off, strict=True)]
-    links = [wrench_link(layout, p, layout.whole, None, path.rates) for p in (path.poses, poses)]
-    noise = rms_differences(*links)
+    noise = _apart(layout, path, poses, path.rates)
     return [np.where((r.touching(len(n)) & ~k)[:, None], np.inf, n) for r, n, k in zip(layout.runs, noise, known, strict=True)]
 
 
