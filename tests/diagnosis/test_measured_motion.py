@@ -72,9 +72,10 @@ def test_the_force_of_a_smooth_motion_has_no_half_tick_of_its_acceleration(tmp_p
 
 
 def test_a_bend_of_a_commanded_motion_that_smoothing_cuts_off_is_doubtful(tmp_path: Path) -> None:
-    """A that stops at once loses c v = 24 N within a row, a smoothed pose within 30.
+    """A that stops at once loses c v = 24 N within a row, a smoothed pose within 30: newtons are off, beside a noise of 0.05 N.
 
-    Elsewhere the path's noise is that of k x + c v, larger by the root of the 8 rows of a block, since it is alike over many rows.
+    Elsewhere the path's noise is that of k x + c v, larger by the root of the 8 rows of a block, since it is alike over many rows; four
+    copies tell it to a quarter. The first rows of the contact are left out, where the touch itself is smoothed.
     """
     t = np.arange(600) / RATE
     stop = 0.15  # [s]
