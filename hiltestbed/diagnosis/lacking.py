@@ -23,6 +23,8 @@ def lacking(runs: Sequence[MeasuredRun]) -> dict[str, str]:
     out = {}
     if not every_run_has(runs, "pose_cmd", "pose_act"):
         out["platform"] = "needs pose_cmd and pose_act in every run"
+    elif not all(all_axes(r, "pose_cmd") for r in runs if not r.scenario.rig.platform.prescribed):
+        out["platform"] = "needs all axes of pose_cmd: with motion off the axis of insertion each drive moves with all of them"
     if not every_run_has(runs, "wrench_meas", "wrench_comp"):
         out["compensation"] = "needs wrench_meas and wrench_comp in every run"
     else:
@@ -30,9 +32,12 @@ def lacking(runs: Sequence[MeasuredRun]) -> dict[str, str]:
         if not every_run_has(runs, *groups):
             kinds = ", ".join(sorted({r.scenario.compensation.force.kind for r in runs}))
             out["compensation"] = f"needs {' and '.join(groups)} in every run for compensation.force {kinds}"
+        elif not all(all_axes(r, g) for r in runs for g in (needs(r.scenario) if groups else ())):
+            kinds = " and ".join(["wrench_meas", *groups])
+            out["compensation"] = f"needs all axes of {kinds}: with motion off the axis of insertion each of them acts on the force"
     if not every_run_has(runs, "wrench_comp", "pose_cmd"):
         out["dynamics"] = "needs wrench_comp and pose_cmd in every run"
-    elif any(name in r.record.absent and not centred(r.scenario) for r in runs for name in GROUPS["wrench_comp"].columns):
+    elif not all(all_axes(r, "wrench_comp") for r in runs):
         out["dynamics"] = "needs all axes of wrench_comp: with motion off the axis of insertion each of them acts on all of pose_cmd"
     elif all(
         not only_short_gaps(r.record, "wrench_comp")
@@ -52,6 +57,8 @@ def _lacking_of_wrench(runs: Sequence[MeasuredRun]) -> dict[str, str]:
         out["wrench"] = "needs wrench_meas.fz in every run"
     elif not all(r.record.has("pose_act") or r.record.has("pose_cmd") for r in runs):
         out["wrench"] = "needs pose_act or pose_cmd in every run"
+    elif not all(all_axes(r, "pose_act", "pose_cmd") for r in runs):
+        out["wrench"] = "needs all axes of pose_act or pose_cmd: with motion off the axis of insertion the contact depends on each of them"
     elif not any(r.survey.contacts for r in runs):
         out["wrench"] = "needs a contact"
     elif not all(sides_of(r.scenario.mechanism).rigid or can_carry(r.scenario) for r in runs):
@@ -64,6 +71,14 @@ def _lacking_of_wrench(runs: Sequence[MeasuredRun]) -> dict[str, str]:
             "a latch closes while the upper platform moves: where it holds A depends on motion within a tick, which is not on record"
         )
     return out
+
+
+def all_axes(run: MeasuredRun, *groups: str) -> bool:
+    """Whether each axis is on record in one of the ``groups``, which have the same axes, or is zero by symmetry."""
+    axes = zip(*(GROUPS[g].columns for g in groups), strict=True)
+    return centred(run.scenario) or all(
+        any(run.record.has(g) and c not in run.record.absent for g, c in zip(groups, axis, strict=True)) for axis in axes
+    )
 
 
 def every_run_has(runs: Sequence[MeasuredRun], *groups: str) -> bool:

@@ -41,6 +41,7 @@ from hiltestbed.signals import GROUPS
 
 GAP_MEMORY = 0.05  # chosen: [s] for which a missing sample is taken to affect platform, contact and compensation
 UNUSED_END_ROWS = 3  # rows at each end whose command may not be on record: loggers stamp each channel up to two rows early or late
+MAX_RATE_ERROR = 0.1  # chosen: of the computed force, above which a compensation on differentiated poses shows nothing
 CORRELATION_FACTOR = math.sqrt(CORRELATED_ROWS)  # on errors of a computed channel, whose rows are correlated
 ROTATIONS = ("rx", "ry", "rz")
 
@@ -105,12 +106,25 @@ def lay_out(dataset: MeasuredDataset) -> Layout:
     if "compensation" in missing:
         return layout
     link = compensation_link(layout, layout.whole)
+    if _share_of_rates(link) > MAX_RATE_ERROR:
+        why = "needs twist_act in every run: the compensation depends on it more closely than differences of pose_act show it"
+        return replace(layout, missing=missing | {"compensation": why})
     logged = _logger_filter(link)
     if logged is None:
         return layout
     force, white = force_noise(runs, logged), link.noise_gain() * logged.colour  # third differences underestimate filtered noise
     led = {c.replace("comp", "meas"): noise[c] / white for c in link.channels if noise.get(c)}
     return replace(layout, force=force, noise=noise | led | force.levels(), logged=logged)
+
+
+def _share_of_rates(link: CompensationLink) -> float:
+    """Error of the computed force where twist_act is differentiated pose_act, as a share of that force; 0 where twist_act is not needed."""
+    other = link.with_central_rates()
+    if other is None:
+        return 0.0
+    computed = np.concatenate([link.predict([(i, ())])[0] for i in range(len(link.runs))])[:, :3]
+    missed = np.concatenate(rms_differences(link, other))[:, :3]
+    return float(np.linalg.norm(missed) / max(np.linalg.norm(computed), 1e-12))
 
 
 def _logger_filter(link: CompensationLink) -> LowPass | None:
@@ -197,6 +211,10 @@ def compensation_link(layout: Layout, rows: Sequence[int]) -> CompensationLink:
         runs = [replace(run, sigma=np.hypot(run.sigma, CORRELATION_FACTOR * m)) for run, m in zip(runs, out, strict=True)]
     if layout.logged:
         runs = [_filtered(run, layout.logged) for run in runs]
+    link = CompensationLink(runs, wrenches, records)
+    if (other := link.with_central_rates()) is not None:
+        missed = rms_differences(link, other)
+        runs = [replace(run, sigma=np.hypot(run.sigma, CORRELATION_FACTOR * m)) for run, m in zip(runs, missed, strict=True)]
     return CompensationLink(runs, wrenches, records)
 
 

@@ -11,8 +11,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.ndimage import maximum_filter1d, uniform_filter1d
-from scipy.signal import savgol_filter
+from scipy.signal import savgol_coeffs, savgol_filter
 
+from hiltestbed.contact.sides import sides_of
 from hiltestbed.diagnosis.bridged import interpolation_errors, rms_differences
 from hiltestbed.diagnosis.layout import Layout, wrench_link
 from hiltestbed.diagnosis.links import WrenchLink, flat_pose
@@ -32,6 +33,7 @@ from hiltestbed.measured import MeasuredRun
 from hiltestbed.measured.noise import MAD_TO_SIGMA
 from hiltestbed.replay import moves_linearly
 from hiltestbed.replay.compensation import central_rates
+from hiltestbed.scenario import Scenario
 
 
 @dataclass(frozen=True)
@@ -68,16 +70,38 @@ def noise_of(layout: Layout, path: Path) -> list[Array]:
         noise[:, 3:] /= LEVER_ARM
         return out, rates + noise
 
-    link, away = _perturbed(layout, path, moved)
-    noise = _lasting_rms(away)
-    if (
-        link.simulated and path.rates is not None and not path.rates_measured
-    ):  # how A was integrated is not known; the error lasts many rows
-        missed = rms_differences(link, wrench_link(layout, path.poses, layout.whole))
-        noise = [np.hypot(n, math.sqrt(BLOCK_ROWS) * m) for n, m in zip(noise, missed, strict=True)]
+    _, away = _perturbed(layout, path, moved)
+    noise = both(_lasting_rms(away), rate_noise(layout, path))
     if not _interpolated(layout, path):
         return noise
-    return [np.hypot(n, d) for n, d in zip(noise, _between_samples(layout, path), strict=True)]
+    return both(noise, _between_samples(layout, path))
+
+
+def rate_noise(layout: Layout, path: Path) -> list[Array] | None:
+    """(N, 6) noise of the reading of each run because how A moved within a tick is not on record: its rate at t_k is known to a tick.
+
+    None where the rate is known, or where its effect on the force is one number a run, see :meth:`WrenchLink.with_unknown_rate`. The error
+    is alike over many rows, and counts like noise that is larger by the root of a block.
+    """
+    if not differentiated(path) or not any(_reacts_sharply(r.scenario) for r in layout.runs):
+        return None
+    earlier = [np.concatenate([rates[:1], rates[:-1]]) for rates in path.rates or ()]
+    return [math.sqrt(BLOCK_ROWS) * m for m in _apart(layout, path, path.poses, earlier)]
+
+
+def differentiated(path: Path) -> bool:
+    """Whether the rates of a path are differences of its poses, though A does not move uniformly within a tick."""
+    return path.rates is not None and not path.rates_measured
+
+
+def _reacts_sharply(scenario: Scenario) -> bool:
+    """Whether a force depends on the rate other than in proportion: by dry friction, or by parts that move."""
+    return not sides_of(scenario.mechanism).rigid or scenario.mechanism.contact.friction > 0.0
+
+
+def both(noise: list[Array], other: list[Array] | None) -> list[Array]:
+    """Root of the sum of squares of two noises (N, 6) of each run; the first alone where there is no other."""
+    return noise if other is None else [np.hypot(a, b) for a, b in zip(noise, other, strict=True)]
 
 
 def _lasting_rms(away: Sequence[Sequence[Array]]) -> list[Array]:
@@ -131,7 +155,7 @@ def command_noise(layout: Layout, path: Path) -> list[Array] | None:
     """
     written = max(float(r.record.rounding(path.source)[:, :3].max()) for r in layout.runs)
     if not written and not _interpolated(layout, path):
-        return None
+        return rate_noise(layout, path)
     return noise_of(layout, replace(path, place=written, rate=math.sqrt(0.5) * written / layout.scales.tick))
 
 
@@ -157,7 +181,7 @@ def smoothed_noise(layout: Layout, path: Path, commanded: bool) -> list[Array]:
     """(N, 6) noise of the reading of each run due to a smoothed pose: to its noise, by replays of perturbed copies, and to the bends of a
     ``commanded`` motion, which smoothing cuts off; a motion that was only measured is taken as smooth.
 
-    Both errors are alike over many rows, and count like noise that is larger by the root of a block.
+    Both errors are alike over the rows whose noise the filter averages, and count like noise that is larger by the root of their number.
     """
     rng = np.random.default_rng(0)
     place = layout.noise.get("pose_act.pz", 0.0)
@@ -172,8 +196,9 @@ def smoothed_noise(layout: Layout, path: Path, commanded: bool) -> list[Array]:
     if any(b.any() for b in bends):
         bent = [_displaced(p, b) for p, b in zip(path.poses, bends, strict=True)]
         missed = _apart(layout, path, bent, path.rates and central_rates_of(layout, bent))
-        noise = [np.hypot(n, m) for n, m in zip(noise, missed, strict=True)]
-    return [math.sqrt(BLOCK_ROWS) * n for n in noise]
+        noise = both(noise, missed)
+    alike = 1.0 / float(np.sum(savgol_coeffs(SMOOTHING_ROWS, 3) ** 2))
+    return both([math.sqrt(alike) * n for n in noise], rate_noise(layout, path))
 
 
 def _displaced(values: Array, error: Array) -> Array:
@@ -189,17 +214,21 @@ def _cut_off(run: MeasuredRun, smooth: Array) -> Array:
 
 
 def deflection_noise(layout: Layout, path: Path) -> list[Array]:
-    """(N, 6) noise of the reading of each run due to the uncertainty of the deflection of drives whose pose was not measured.
-
-    A contact before the drives' initial state has decayed is not compared.
-    """
+    """(N, 6) noise of the reading of each run due to the uncertainty of the deflection of drives whose pose was not measured, or was too
+    noisy. What is not known of it varies with the bandwidth of the drives, and so makes the rate uncertain as well."""
     assert layout.deflection is not None  # else the link is missing
-    doubts = [found.doubt for found in layout.deflection]
-    known = [np.asarray(np.isfinite(doubt).all(axis=1)) for doubt in doubts]
-    off = [np.where(k[:, None], d, 0.0) for d, k in zip(doubts, known, strict=True)]
+    off = [np.where(np.isfinite(found.doubt), found.doubt, 0.0) for found in layout.deflection]
     poses = [poses_of(flat_pose(p) + d) for p, d in zip(path.poses, off, strict=True)]
-    noise = _apart(layout, path, poses, path.rates)
-    return [np.where((r.touching(len(n)) & ~k)[:, None], np.inf, n) for r, n, k in zip(layout.runs, noise, known, strict=True)]
+    bands = [2.0 * math.pi * r.scenario.rig.platform.nearest_bandwidth(r.scenario) for r in layout.runs]
+    rates = path.rates and [r + band * d for r, band, d in zip(path.rates, bands, off, strict=True)]
+    return _apart(layout, path, poses, rates)
+
+
+def not_where_unsettled(layout: Layout, noise: Sequence[Array]) -> list[Array]:
+    """The ``noise`` (N, 6) of each run; a contact before the drives' initial state has decayed is not compared."""
+    assert layout.deflection is not None  # else the link is missing
+    settled = [np.isfinite(found.doubt).all(axis=1) for found in layout.deflection]
+    return [np.where((r.touching(len(n)) & ~s)[:, None], np.inf, n) for r, n, s in zip(layout.runs, noise, settled, strict=True)]
 
 
 def central_rates_of(layout: Layout, paths: Sequence[Array]) -> list[Array] | None:

@@ -16,18 +16,23 @@ from scipy.signal import savgol_filter
 
 from hiltestbed.contact.sides import sides_of
 from hiltestbed.diagnosis.decimation import decimated
+from hiltestbed.diagnosis.lacking import all_axes
 from hiltestbed.diagnosis.layout import Layout, platform_link, wrench_link
 from hiltestbed.diagnosis.links import WrenchLink, flat_pose
 from hiltestbed.diagnosis.links.base import NO_SHIFT, Timing
 from hiltestbed.diagnosis.links.platform import poses_of
 from hiltestbed.diagnosis.path_noise import (
     Path,
+    both,
     central_rates_of,
     command_noise,
     deflection_noise,
+    differentiated,
     diverged,
     moves_uniformly,
     noise_of,
+    not_where_unsettled,
+    rate_noise,
     smoothed_noise,
 )
 from hiltestbed.diagnosis.search import Explanation
@@ -44,6 +49,7 @@ from hiltestbed.measured import MeasuredRun
 from hiltestbed.measured.noise import finest_noise
 from hiltestbed.numerical_model.bodies import approach_state
 from hiltestbed.replay import follows_exactly
+from hiltestbed.signals import GROUPS
 
 
 @dataclass(frozen=True)
@@ -64,7 +70,7 @@ class BestPath:
 
 def best_path(layout: Layout, platform: Explanation | None) -> BestPath:
     """The path with the least noise that the data allow, with the poses as they are stamped."""
-    explained = platform is not None and platform.adequate
+    explained, follows = platform is not None and platform.adequate, all(follows_exactly(r.scenario) for r in layout.runs)
     known = [(path, noise_of(layout, path)) for path in _measured(layout)]
     measured, path_noise = min(known, key=lambda k: max(_noise_ratio(layout, k[1]), MAX_PATH_NOISE), default=(None, None))
     if measured is not None and path_noise is not None and not _replay_is_better(layout, measured, path_noise, explained):
@@ -74,13 +80,15 @@ def best_path(layout: Layout, platform: Explanation | None) -> BestPath:
         rounding = [r.record.unsmoothed() for r in layout.runs]
         path = Path(poses, central_rates_of(layout, poses), source="pose_cmd", rounding=rounding)
         extra = command_noise(layout, path)
+        if not follows:
+            extra = both(deflection_noise(layout, path), extra)
     else:
         poses = _smooth_paths(layout, platform)
-        path = Path(poses, None if platform is not None else central_rates_of(layout, poses))
+        path = Path(poses, central_rates_of(layout, poses))
         noisy = platform is not None or any(r.record.has("pose_act") for r in layout.runs)
         extra = smoothed_noise(layout, path, platform is not None) if noisy else None
-        if _only_commanded(layout) and not all(follows_exactly(r.scenario) for r in layout.runs):
-            extra = deflection_noise(layout, path)
+        if _only_commanded(layout) and not follows:
+            extra = not_where_unsettled(layout, both(deflection_noise(layout, path), rate_noise(layout, path)))
     if not all(sides_of(r.scenario.mechanism).rigid for r in layout.runs):
         extra = extra or [np.zeros((n, 6)) for n in layout.whole]
         extra = [np.where(parted[:, None], np.inf, e) for parted, e in zip(diverged(layout, path), extra, strict=True)]
@@ -139,10 +147,12 @@ def make_wrench_link(layout: Layout, best: BestPath, rows: Sequence[int], decima
     """Contact and sensor on a path; ``decimate``: in fewer rows, where that loses nothing and no other link continues from them."""
     link = wrench_link(layout, best.path.poses, rows, best.jumps, best.path.rates, best.path_noise)
     link = link.through(layout.logged).with_rounding(best.path.rounding)
-    if best.clocks_off:
+    if best.clocks_off or (differentiated(best.path) and best.jumps is None):
         link = link.with_unknown_rate()
     if _only_commanded(layout):
         assert layout.deflection is not None  # else the link is missing
+        if not all(follows_exactly(r.scenario) for r in layout.runs):
+            link = link.with_unknown_paths([found.misread(layout.scales.tick) for found in layout.deflection])
         return link.commanded(_followed(layout), [found.yielded for found in layout.deflection])
     return decimated(link) if decimate and best.jumps is None else link
 
@@ -168,16 +178,16 @@ def _followed(layout: Layout) -> list[Array]:
 
 
 def _measured(layout: Layout) -> list[Path]:
-    """The measured poses with measured rates, and with rates by differentiation; none where a pose is missing."""
+    """The measured poses with measured rates, and with rates by differentiation; none where a pose, or an axis that moves, is missing."""
     runs, tick = layout.runs, layout.scales.tick
-    if not all(r.record.whole("pose_act") for r in runs):
+    if not all(r.record.whole("pose_act") and all_axes(r, "pose_act") for r in runs):
         return []
     poses = [r.record.filled("pose_act") for r in runs]
     place = max(_finest(r, "pose_act") for r in runs)
     if moves_uniformly(layout):
         return [Path(poses, None, place, math.sqrt(2.0) * place / tick)]
     out = [Path(poses, central_rates_of(layout, poses), place, math.sqrt(0.5) * place / tick)]
-    if all(r.record.whole("twist_act") for r in runs):
+    if all(r.record.whole("twist_act") and all_axes(r, "twist_act") for r in runs):
         twists = [r.record.filled("twist_act") for r in runs]
         out.insert(0, Path(poses, twists, place, max(_finest(r, "twist_act") for r in runs), rates_measured=True))
     return out
@@ -203,7 +213,7 @@ def _noise_ratio(layout: Layout, path_noise: Sequence[Array]) -> float:
 
 def _finest(run: MeasuredRun, group: str) -> float:
     """Noise of a pose [m] or of a twist [m/s]: the largest of its axes, of an attitude times its lever arm."""
-    values = run.record.data[group]
+    values = run.record.filled(group)
     levels = [finest_noise(values[:, j]) for j in range(values.shape[1])]
     turned = 2.0 if group.startswith("pose") else 1.0
     return max([*levels[:3], *(turned * LEVER_ARM * v for v in levels[3:])])
@@ -215,32 +225,42 @@ def _jumps(path: Array) -> Array:
 
 
 def _smooth_paths(layout: Layout, platform: Explanation | None) -> list[Array]:
-    """(N, 7) of each run: the measured pose, smoothed about the best explanation of the platform where there is one."""
+    """(N, 7) of each run: the measured pose, smoothed about the best explanation of the platform where there is one.
+
+    Axes that were not measured are those of the explanation, or were commanded.
+    """
     near = None
     if platform is not None:
         near = platform_link(layout, layout.whole).with_timing(platform.residual.link.timing).paths(platform.chosen.effects())
     out = []
     for i, run in enumerate(layout.runs):
-        if not run.record.has("pose_act"):  # the commanded pose one row later, and what the believed drives make of it
+        told = _told(run)
+        if not run.record.has("pose_act"):  # what the believed drives make of the command
             assert layout.deflection is not None  # else the link is missing
-            told = np.concatenate([approach_state(run.scenario)[None, :7], run.record.filled("pose_cmd")[:-1]])
+            assert told is not None
             away = layout.deflection[i].away
             out.append(poses_of(flat_pose(told) + away) if away.any() else told)
             continue
-        measured = run.record.filled("pose_act")
-        about = measured if near is None else near[i]
-        places = measured[:, :3] - (0.0 if near is None else about[:, :3])
-        smooth = np.asarray(savgol_filter(places, SMOOTHING_ROWS, 3, axis=0)) + (0.0 if near is None else about[:, :3])
-        turns = _attitude(run) if near is None else about[:, 3:]
-        out.append(np.concatenate([smooth, turns], axis=1))
+        about = near[i] if near is not None else told
+        centre = 0.0 if near is None else near[i][:, :3]
+        smooth = np.asarray(savgol_filter(run.record.filled("pose_act")[:, :3] - centre, SMOOTHING_ROWS, 3, axis=0)) + centre
+        if about is None:
+            out.append(np.concatenate([smooth, _smooth_attitude(run)], axis=1))
+            continue
+        absent = [name in run.record.absent for name in GROUPS["pose_act"].columns[:3]]
+        out.append(np.concatenate([np.where(absent, about[:, :3], smooth), about[:, 3:]], axis=1))
     return out
 
 
-def _attitude(run: MeasuredRun) -> Array:
-    """(N, 4) the commanded attitude one row later, where there is one; else the measured one, smoothed."""
-    if run.record.has("pose_cmd"):
-        start = approach_state(run.scenario)[None, :7]
-        return np.concatenate([start, run.record.filled("pose_cmd")[:-1]])[:, 3:]
+def _told(run: MeasuredRun) -> Array | None:
+    """(N, 7) the commanded pose one row later; None where there is none."""
+    if not run.record.has("pose_cmd"):
+        return None
+    return np.concatenate([approach_state(run.scenario)[None, :7], run.record.filled("pose_cmd")[:-1]])
+
+
+def _smooth_attitude(run: MeasuredRun) -> Array:
+    """(N, 4) the measured attitude, smoothed."""
     flat = flat_pose(run.record.filled("pose_act"))
     flat[:, 3:] = savgol_filter(flat[:, 3:], SMOOTHING_ROWS, 3, axis=0)
     return poses_of(flat)[:, 3:]

@@ -40,6 +40,10 @@ class Deflection:
     doubt: Array
     noise: float = 0.0
 
+    def misread(self, tick: float) -> tuple[Array, Array]:
+        """(N, 6) changes of the deflection, one standard deviation each, if the drives bore the force earlier than it was read, or more."""
+        return shifted(self.yielded, MAX_READING_SHIFT / tick) - self.yielded, MAX_GAIN_ERROR * self.yielded
+
 
 def deflection(run: MeasuredRun, noise: float, reading: Array | None = None, engaged: Engaged | None = None) -> Deflection | None:
     """Deflection of the believed rig from its command in one run; None where it cannot follow the command.

@@ -66,8 +66,8 @@ class Record:
         return name in self.data if name in GROUPS else name in self.columns()
 
     def whole(self, group: str) -> bool:
-        """Whether the record has every sample of a group."""
-        return group in self.data and bool(self.valid[group].all())
+        """Whether the record has every sample of the columns of a group that were measured."""
+        return group in self.data and all(self.measured(c).all() for c in GROUPS[group].columns if c not in self.absent)
 
     def columns(self) -> tuple[str, ...]:
         """The columns that were measured."""

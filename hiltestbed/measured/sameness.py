@@ -31,7 +31,7 @@ def _copied_groups(record: Record, scenario: Scenario) -> Iterator[Remark]:
     commanded = not scenario.rig.platform.physical  # bodies that move freely have no command
     pairs = [("pose_act", "pose_cmd", "the reached pose is the commanded one in every row")] if commanded else []
     given = compensated(record, scenario)
-    if given is not None and not np.allclose(given, record.data["wrench_meas"], rtol=1e-9, atol=1e-12):
+    if given is not None and not np.allclose(given, record.filled("wrench_meas"), rtol=1e-9, atol=1e-12):
         pairs.append(("wrench_comp", "wrench_meas", f"though the scenario compensates ({scenario.compensation.force.kind})"))
     for copy, original, why in pairs:
         if not (record.has(copy) and record.has(original)):

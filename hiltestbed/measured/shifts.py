@@ -152,7 +152,7 @@ def compensated(record: Record, scenario: Scenario, source: str = "wrench_meas")
     """``(ticks, 6)`` output of the believed compensation for a recorded wrench; None if it needs other inputs or rows are missing."""
     if needs(scenario) != {"wrench_meas"} or not record.whole(source):
         return None
-    reading = np.ascontiguousarray(record.data[source])[None]
+    reading = np.ascontiguousarray(record.filled(source))[None]
     return replay_compensation([scenario], [InputParameters()], {}, reading, np.zeros(1, dtype=int))[0]
 
 

@@ -29,13 +29,23 @@ INPUTS = {
 
 def needs(scenario: Scenario) -> set[str]:
     """The column groups of a record that the compensation of a scenario needs as inputs."""
+    return {INPUTS[name] for name in _inputs(scenario)} | {"wrench_meas"}
+
+
+def reads_rates(scenario: Scenario) -> bool:
+    """Whether the compensation of a scenario depends on the twist of A."""
+    return bool(_inputs(scenario) & {"twist", "identified", "captured"})
+
+
+def _inputs(scenario: Scenario) -> set[str]:
+    """What the compensation of a scenario reads at t_k."""
     compensation = scenario.compensation
-    reads = set(compensation.force.reads)
+    reads: set[str] = set(compensation.force.reads)
     if compensation.motion.corrects_force:
         reads |= set(compensation.motion.reads) | {"model"}
     if scenario.mechanism.captured or not scenario.mechanism.latches:
         reads.discard("captured")
-    return {INPUTS[name] for name in reads} | {"wrench_meas"}
+    return reads
 
 
 class RecordedModel(NumericalModel):

@@ -10,7 +10,8 @@ from hiltestbed.compensation.input import InputParameters
 from hiltestbed.diagnosis.links.base import Effects, Lane, Link, LinkRun, padded
 from hiltestbed.frames import Array
 from hiltestbed.log import log_parameters
-from hiltestbed.replay import replay_compensation
+from hiltestbed.replay import moves_linearly, replay_compensation
+from hiltestbed.replay.compensation import central_rates, reads_rates
 from hiltestbed.replay.wrench import shifted
 
 IMPULSE = 1e9  # [N] that exceeds any dead zone
@@ -40,6 +41,15 @@ class CompensationLink(Link):
     def on_used(self, used: Sequence[Array], runs: Sequence[LinkRun]) -> CompensationLink:
         """The same link with the wrench that the loop used, in place of a record that is stamped late."""
         return CompensationLink(runs, self.wrenches, self._sources, used).with_timing(self.timing)
+
+    def with_central_rates(self) -> CompensationLink | None:
+        """The same link with twist_act by central differences, in place of the slope of the tick that ends; None where the method reads no
+        rate, the rate is on record, or A moves uniformly within a tick, so that the slope is the rate."""
+        scenarios = [r.scenario for r in self.runs]
+        if "twist_act" in self._sources or not any(reads_rates(s) for s in scenarios) or all(moves_linearly(s) for s in scenarios):
+            return None
+        rates = [central_rates(s, poses) for s, poses in zip(scenarios, self._sources["pose_act"], strict=True)]
+        return CompensationLink(self.runs, self.wrenches, {**self._sources, "twist_act": rates}, self.used).with_timing(self.timing)
 
     def _replay(self, lanes: Sequence[Lane]) -> list[Array]:
         run = np.arange(len(lanes))

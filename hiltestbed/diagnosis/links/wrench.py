@@ -11,11 +11,12 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import ndtr
 
-from hiltestbed.contact.latch import latch_limits
+from hiltestbed.contact.latch import closes, latch_limits
 from hiltestbed.contact.mount_dynamics import MountDynamics
 from hiltestbed.contact.parameters import ContactParameters, believed_contacts, contact_rows
 from hiltestbed.contact.sides import sides_of
-from hiltestbed.diagnosis.links.base import Effects, Lane, Link, LinkRun, Timing, moved, padded, perturbed
+from hiltestbed.diagnosis.links.base import Effects, Lane, Link, LinkRun, Timing, flat_pose, moved, padded, perturbed
+from hiltestbed.diagnosis.links.platform import poses_of
 from hiltestbed.diagnosis.low_pass import LowPass
 from hiltestbed.diagnosis.settings import BLOCK_ROWS
 from hiltestbed.frames import Array, pose_step
@@ -188,23 +189,57 @@ class WrenchLink(Link):
         out.commands, out.deflection = commands, deflection
         return out
 
+    def with_unknown_paths(self, changes: Sequence[Sequence[Array]]) -> WrenchLink:
+        """The same link whose paths may be off by any sum of ``changes`` (N, 6) [m, rad], those of each run: a nuisance term for each."""
+        out = copy(self)
+        for change in zip(*changes, strict=True):
+            paths = [poses_of(flat_pose(p) + c[: len(p)]) for p, c in zip(self.paths, change, strict=True)]
+            rates = self.rates and [
+                r + np.gradient(c[: len(r)], run.scenario.tick, axis=0) for r, c, run in zip(self.rates, change, self.runs, strict=True)
+            ]
+            out.runs = self._with_terms(out.runs, paths, rates)
+        return out
+
+    def _with_terms(
+        self, runs: Sequence[LinkRun], paths: Sequence[Array], rates: Sequence[Array] | None, times: float = 1.0
+    ) -> list[LinkRun]:
+        """The ``runs`` with a further nuisance term: ``times`` the change of the readings on other paths (N, 7) and rates (N, 6)."""
+        everything = [(i, ()) for i in range(len(self.runs))]
+        other = WrenchLink(self.runs, paths, self.jumps, rates).as_interpreted(self).through(self.logged)
+        changes = [b - a for a, b in zip(self.predict(everything), other.predict(everything), strict=True)]
+        return [r.with_nuisances(times * c[:, :, None]) for r, c in zip(runs, changes, strict=True)]
+
     def with_unknown_rate(self) -> WrenchLink:
         """The same link of a facility that takes the rate of the contact at an instant that is not known: a nuisance term of each run.
 
         Its standard deviation is a tick: the rate may be the slope of a tick or of its last half, and pose, command and reading may each
-        be up to half a tick from where they are stamped. Where A jumps, these decide row by row whether a reading shows the jump: readings
-        beside a jump then do not count.
+        be up to half a tick from where they are stamped. A latch that waits for A to be slow may then close a row later, a term of its own:
+        what it holds A with afterwards depends on where it closed. Where A jumps, these decide row by row whether a reading shows the jump:
+        readings beside a jump then do not count.
         """
         out = copy(self)
         out.unknown_rate = True
         if self.jumps is not None:
             return out
         smooth = [central_rates(r.scenario, p) for r, p in zip(self.runs, self.paths, strict=True)] if self.rates is None else None
-        everything = [(i, ()) for i in range(len(self.runs))]
-        half = zip(self.predict(everything), WrenchLink(self.runs, self.paths, None, smooth).predict(everything), strict=True)
-        terms = [2.0 * (b - a)[:, :, None] for a, b in half]
-        out.runs = [r.with_nuisances(t) for r, t in zip(self.runs, terms, strict=True)]
+        out.runs = self._with_terms(self.runs, self.paths, smooth, 2.0)
+        later = None if self.rates is None else self._closing_later(self.rates)
+        if later is not None:
+            out.runs = self._with_terms(out.runs, self.paths, later)
         return out
+
+    def _closing_later(self, rates: Sequence[Array]) -> list[Array] | None:
+        """The rates with which each latch closes a row later, where it waits for A to be slow; None where none does."""
+        out, waits = [], False
+        for run, path, rate in zip(self.runs, self.paths, rates, strict=True):
+            mechanism, limits, held = run.scenario.mechanism, latch_limits([run.scenario])[0], rate.copy()
+            out.append(held)
+            if mechanism.latch is None or mechanism.captured:
+                continue
+            row = next((k for k in range(1, len(path)) if closes(path[k], rate[k], limits)), None)
+            if row is not None and not closes(path[row], rate[row - 1], limits):
+                held[row], waits = rate[row - 1], True
+        return out if waits else None
 
     def through(self, logged: LowPass | None) -> WrenchLink:
         """The same link whose readings went through a filter to the record."""

@@ -1,0 +1,128 @@
+"""Records with some channels only: nothing is found in a healthy rig, whatever is not on record, and a hidden effect is still named."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from ruamel.yaml import YAML
+
+import hiltestbed
+from hiltestbed.diagnosis.layout import lay_out
+from hiltestbed.diagnosis.links import LinkRun, WrenchLink
+from hiltestbed.measured import load_dataset
+from hiltestbed.recording import write_trace
+from hiltestbed.simulation import simulate
+
+from ..slow import SLOW
+
+DAMPED = ("06-two-eight-tonne-vehicles", {"duration": 1.2, "approach.gap": 0.02})  # a quarter of a tick of its rate is worth 2 N of 5700 N
+SLIDE = ("05-off-centre", {"duration": 0.7})
+MEASURED = ("pose_act", "wrench_meas")
+AXIAL = ("pose_act.pz", "wrench_meas.fz")
+POSITIONS = tuple(f"{group}.{part}" for group in ("pose_act", "pose_cmd") for part in ("px", "py", "pz"))
+FORCES = tuple(f"{group}.{part}" for group in ("wrench_meas", "wrench_comp") for part in ("fx", "fy", "fz"))
+POSE_NOISE = 2e-6  # [m]
+
+
+def partial(
+    folder: Path, rig: tuple[str, Mapping[str, Any]], kept: Sequence[str], effects: Sequence[Mapping[str, Any]] = (), noise: float = 0.0
+) -> Path:
+    """The dataset file of two runs of a shipped scenario with ``effects``, at its speed and 1.5 times that, of which the groups and columns
+    ``kept`` were recorded; noise: of the measured position [m]."""
+    name, changes = rig
+    nominal, rng = hiltestbed.load_scenario(name, changes), np.random.default_rng(7)
+    runs: list[dict[str, Any]] = [{}, {"set": {"approach.velocity": [1.5 * v for v in nominal.approach.velocity]}}]
+    for i, run in enumerate(runs):
+        done = hiltestbed.load_scenario(name, {**changes, **run.get("set", {}), "seed": 100 + i, "effects": [dict(e) for e in effects]})
+        trace = simulate([done], trace=True).trace
+        assert trace is not None
+        run["file"] = f"run_{i}.parquet"
+        write_trace(trace.run(0), folder / run["file"])
+        table = pq.read_table(folder / run["file"])
+        table = table.select([c for c in table.column_names if c == "t" or c in kept or c.partition(".")[0] in kept])
+        for at, column in enumerate(table.column_names):
+            if noise and column in POSITIONS[:3]:
+                table = table.set_column(at, column, pa.array(table[column].to_numpy() + noise * rng.standard_normal(len(table))))
+        pq.write_table(table, folder / run["file"])
+    (folder / "nominal.yaml").write_text(hiltestbed.dump_scenario(nominal), "utf-8")
+    YAML(typ="safe").dump({"scenario": "nominal.yaml", "runs": runs}, folder / "dataset.yaml")
+    return folder / "dataset.yaml"
+
+
+@pytest.mark.parametrize(
+    ("rig", "kept", "noise"),
+    [
+        pytest.param(DAMPED, MEASURED, 0.0, id="damped, no rates"),
+        pytest.param(DAMPED, (*MEASURED, "pose_cmd"), 0.0, id="damped, commanded", marks=SLOW),
+        pytest.param(DAMPED, AXIAL, 0.0, id="damped, one axis"),
+        pytest.param(SLIDE, MEASURED, POSE_NOISE, id="slide, noisy pose"),
+        pytest.param(SLIDE, (*MEASURED, "pose_cmd"), 0.0, id="slide, commanded"),
+        pytest.param(SLIDE, (*MEASURED, "pose_cmd"), POSE_NOISE, id="slide, commanded, noisy pose"),
+        pytest.param(SLIDE, ("pose_cmd", "wrench_meas", "wrench_comp"), 0.0, id="slide, not reached"),
+        pytest.param(SLIDE, AXIAL, 0.0, id="slide, one axis"),
+        pytest.param(SLIDE, (*POSITIONS, *FORCES), 0.0, id="slide, no attitude"),
+    ],
+)
+def test_nothing_is_found_in_a_healthy_rig(tmp_path: Path, rig: tuple[str, dict[str, Any]], kept: Sequence[str], noise: float) -> None:
+    """A servo moves A within a tick as no record shows: c v differs, dry friction turns, axes that are not on record move."""
+    found = hiltestbed.diagnose(partial(tmp_path, rig, kept, noise=noise))
+    assert (found.verdict, found.causes) == ("inconclusive", ())
+
+
+@pytest.mark.parametrize("kept", [MEASURED, ("pose_cmd", "wrench_meas", "wrench_comp")], ids=["measured", "not reached"])
+@pytest.mark.parametrize(
+    "effect", [{"kind": "contact.stiffness", "factor": 1.1}, {"kind": "sensor.delay", "delay": 0.002}], ids=["stiffer", "late"]
+)
+def test_a_hidden_effect_is_named(tmp_path: Path, effect: dict[str, Any], kept: Sequence[str]) -> None:
+    """Where the pose that was reached is not on record, a late sensor also misleads about what the drives bore and when."""
+    found = hiltestbed.diagnose(partial(tmp_path, SLIDE, kept, [effect]))
+    assert (found.verdict, [c.effect for c in found.causes]) == ("named", [effect["kind"]])
+
+
+def test_what_needs_an_axis_that_is_not_on_record_is_not_judged(tmp_path: Path) -> None:
+    missing = lay_out(load_dataset(partial(tmp_path, SLIDE, (*POSITIONS, *FORCES)))).missing
+    assert "needs all axes of pose_act or pose_cmd" in missing["wrench"]
+    assert "needs all axes of pose_cmd" in missing["platform"]
+    assert "needs all axes of wrench_comp" in missing["dynamics"]
+    assert "needs all axes of wrench_meas and pose_act and pose_cmd" in missing["compensation"]
+
+
+def test_a_compensation_that_hangs_on_the_measured_rate_is_not_judged_by_a_differentiated_one(tmp_path: Path) -> None:
+    """It identifies c = 11 kN s/m: the two ways of taking the slope, a tick apart, lead it to forces that differ by more than a tenth."""
+    rates = ("twist_act", "twist_cmd")
+    groups = ("pose_act", "pose_cmd", "wrench_meas", "wrench_comp")
+    assert "needs twist_act" in lay_out(load_dataset(partial(tmp_path, DAMPED, groups))).missing["compensation"]
+    assert lay_out(load_dataset(partial(tmp_path, DAMPED, (*groups, *rates)))).missing == {}
+
+
+def test_a_compensation_that_does_nothing_may_copy_an_axis(tmp_path: Path) -> None:
+    """It used to be refused as a copy, since a torque that is not on record is not a number."""
+    rig = ("07-single-drive", {"duration": 0.4})
+    load_dataset(partial(tmp_path, rig, (*POSITIONS, "wrench_meas.fz", "wrench_comp.fz")))
+
+
+def test_a_latch_that_waits_for_slow_motion_may_close_a_row_later() -> None:
+    """Its springs hold the force k x + c v at which it closed, and k x on from there, whenever that is: a row later changes c v alone."""
+    scenario = hiltestbed.load_scenario(
+        "09-docking", {"approach.offset": [0, 0], "approach.attitude_deg": [0, 0, 0], "mechanism.contact.friction": 0}
+    )
+    latch, h = scenario.mechanism.latch, scenario.tick
+    assert latch is not None
+    t = np.arange(400) * h
+    speed = 1.5 * latch.speed * np.exp(-t / 0.1)
+    path = np.zeros((len(t), 7))
+    path[:, 2], path[:, 6] = 1e-4 + np.cumsum(speed) * h, 1.0
+    rates = np.zeros((len(t), 6))
+    rates[:, 2] = speed
+    run = LinkRun(scenario, np.zeros((len(t), 6)), np.ones((len(t), 6)), path[:, 2] > 0.0)
+    nuisances = WrenchLink([run], [path], None, [rates]).with_unknown_rate().runs[0].nuisances
+    assert nuisances is not None
+    closed = int(np.argmax(speed <= latch.speed))
+    shown = closed + 2 + round(scenario.sensor.delay / h)
+    assert nuisances[shown:, 2, 1] == pytest.approx(scenario.mechanism.contact.damping * (speed[closed + 1] - speed[closed]), rel=1e-3)
