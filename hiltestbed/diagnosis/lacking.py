@@ -74,11 +74,11 @@ def _lacking_of_wrench(runs: Sequence[MeasuredRun]) -> dict[str, str]:
 
 
 def all_axes(run: MeasuredRun, *groups: str) -> bool:
-    """Whether each axis is on record in one of the ``groups``, which have the same axes, or is zero by symmetry."""
-    axes = zip(*(GROUPS[g].columns for g in groups), strict=True)
-    return centred(run.scenario) or all(
-        any(run.record.has(g) and c not in run.record.absent for g, c in zip(groups, axis, strict=True)) for axis in axes
-    )
+    """Whether each axis that moves is on record in one of the ``groups``, which have the same axes. By symmetry none but z moves where all
+    is centred."""
+    moving = [part for part in GROUPS[groups[0]].parts if part not in run.scenario.rig.platform.still]
+    on_record = [g for g in groups if run.record.has(g)]
+    return centred(run.scenario) or all(any(f"{g}.{part}" not in run.record.absent for g in on_record) for part in moving)
 
 
 def every_run_has(runs: Sequence[MeasuredRun], *groups: str) -> bool:

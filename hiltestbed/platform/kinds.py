@@ -31,6 +31,7 @@ class Platform(Strictly):
     PARTS: ClassVar[tuple[str, ...]] = ("docstring", "facility")
     physical: ClassVar[bool] = False
     states_limits: ClassVar[bool] = True  # whether its facility gives the joints' limits; else all are in the scenario's safety section
+    still: ClassVar[tuple[str, ...]] = ()  # parts of a pose that this rig cannot move, and that a record may lack
     carries_upper: ClassVar[bool] = False  # whether an upper platform may carry the passive side
     drives: ClassVar[tuple[str, ...]] = ()  # fields that describe its drives, which have no effect on a prescribed platform
 

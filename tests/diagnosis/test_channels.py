@@ -19,15 +19,17 @@ from hiltestbed.measured import load_dataset
 from hiltestbed.recording import write_trace
 from hiltestbed.simulation import simulate
 
-from ..slow import SLOW
+from ..slow import SLOW, slow
 
 DAMPED = ("06-two-eight-tonne-vehicles", {"duration": 1.2, "approach.gap": 0.02})  # a quarter of a tick of its rate is worth 2 N of 5700 N
 SLIDE = ("05-off-centre", {"duration": 0.7})
 MEASURED = ("pose_act", "wrench_meas")
 AXIAL = ("pose_act.pz", "wrench_meas.fz")
+NOT_REACHED = ("pose_cmd", "wrench_meas", "wrench_comp")
 POSITIONS = tuple(f"{group}.{part}" for group in ("pose_act", "pose_cmd") for part in ("px", "py", "pz"))
 FORCES = tuple(f"{group}.{part}" for group in ("wrench_meas", "wrench_comp") for part in ("fx", "fy", "fz"))
 POSE_NOISE = 2e-6  # [m]
+STIFFER, LATE = {"kind": "contact.stiffness", "factor": 1.1}, {"kind": "sensor.delay", "delay": 0.002}
 
 
 def partial(
@@ -64,7 +66,7 @@ def partial(
         pytest.param(SLIDE, MEASURED, POSE_NOISE, id="slide, noisy pose"),
         pytest.param(SLIDE, (*MEASURED, "pose_cmd"), 0.0, id="slide, commanded"),
         pytest.param(SLIDE, (*MEASURED, "pose_cmd"), POSE_NOISE, id="slide, commanded, noisy pose"),
-        pytest.param(SLIDE, ("pose_cmd", "wrench_meas", "wrench_comp"), 0.0, id="slide, not reached"),
+        pytest.param(SLIDE, NOT_REACHED, 0.0, id="slide, not reached"),
         pytest.param(SLIDE, AXIAL, 0.0, id="slide, one axis"),
         pytest.param(SLIDE, (*POSITIONS, *FORCES), 0.0, id="slide, no attitude"),
     ],
@@ -75,10 +77,7 @@ def test_nothing_is_found_in_a_healthy_rig(tmp_path: Path, rig: tuple[str, dict[
     assert (found.verdict, found.causes) == ("inconclusive", ())
 
 
-@pytest.mark.parametrize("kept", [MEASURED, ("pose_cmd", "wrench_meas", "wrench_comp")], ids=["measured", "not reached"])
-@pytest.mark.parametrize(
-    "effect", [{"kind": "contact.stiffness", "factor": 1.1}, {"kind": "sensor.delay", "delay": 0.002}], ids=["stiffer", "late"]
-)
+@pytest.mark.parametrize(("effect", "kept"), [(STIFFER, MEASURED), slow(LATE, MEASURED), slow(STIFFER, NOT_REACHED), (LATE, NOT_REACHED)])
 def test_a_hidden_effect_is_named(tmp_path: Path, effect: dict[str, Any], kept: Sequence[str]) -> None:
     """Where the pose that was reached is not on record, a late sensor also misleads about what the drives bore and when."""
     found = hiltestbed.diagnose(partial(tmp_path, SLIDE, kept, [effect]))
@@ -91,6 +90,16 @@ def test_what_needs_an_axis_that_is_not_on_record_is_not_judged(tmp_path: Path) 
     assert "needs all axes of pose_cmd" in missing["platform"]
     assert "needs all axes of wrench_comp" in missing["dynamics"]
     assert "needs all axes of wrench_meas and pose_act and pose_cmd" in missing["compensation"]
+
+
+def test_an_axis_that_a_rig_cannot_move_need_not_be_on_record(tmp_path: Path) -> None:
+    """A floor of air bearings: a tracker sees x, z and the attitude."""
+    parts = ("px", "pz", "qx", "qy", "qz", "qw")
+    floor = ("22-air-bearing", {"duration": 1.0})
+    for dropped in ((), ("px",)):
+        kept = tuple(f"pose_act.{part}" for part in parts if part not in dropped)
+        missing = lay_out(load_dataset(partial(tmp_path, floor, (*kept, "wrench_meas")))).missing
+        assert ("wrench" in missing) == bool(dropped)
 
 
 def test_a_compensation_that_hangs_on_the_measured_rate_is_not_judged_by_a_differentiated_one(tmp_path: Path) -> None:

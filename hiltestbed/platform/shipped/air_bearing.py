@@ -23,6 +23,8 @@ class AirBearingSettings(Physical):
         "air-bearing carriage under each article: the reduced mass of the contact is not that in orbit."
     )
 
+    still: ClassVar[tuple[str, ...]] = ("py",)  # of the floor's plane, in which A turns about y
+
     kind: Literal["air_bearing"]
     target: Literal["free", "fixed"] = Field(default="free", description="Target. free: it floats as well; fixed: it is bolted down")
     float_mass: NotNegative = Field(default=60.0, description="Mass of an article's carriage: pads, bottles, frame [kg]; an estimate")
