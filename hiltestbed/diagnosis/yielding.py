@@ -41,7 +41,7 @@ class Deflection:
     noise: float = 0.0
 
     def misread(self, tick: float) -> tuple[Array, Array]:
-        """(N, 6) changes of the deflection, one standard deviation each, if the drives bore the force earlier than it was read, or more."""
+        """(N, 6) changes of the deflection, one standard deviation each: for a force that the drives bore earlier, and for a larger one."""
         return shifted(self.yielded, MAX_READING_SHIFT / tick) - self.yielded, MAX_GAIN_ERROR * self.yielded
 
 
