@@ -8,7 +8,7 @@ from hiltestbed.contact.sides import sides_of
 from hiltestbed.diagnosis.bridged import only_short_gaps
 from hiltestbed.measured import MeasuredRun
 from hiltestbed.measured.momentum import centred
-from hiltestbed.replay import can_carry
+from hiltestbed.replay import can_carry, follows_exactly
 from hiltestbed.replay.compensation import needs
 from hiltestbed.signals import GROUPS
 
@@ -59,6 +59,8 @@ def _lacking_of_wrench(runs: Sequence[MeasuredRun]) -> dict[str, str]:
         out["wrench"] = "needs pose_act or pose_cmd in every run"
     elif not all(all_axes(r, "pose_act", "pose_cmd") for r in runs):
         out["wrench"] = "needs all axes of pose_act or pose_cmd: with motion off the axis of insertion the contact depends on each of them"
+    elif not all(r.record.has("pose_act") or follows_exactly(r.scenario) or all_axes(r, "wrench_meas") for r in runs):
+        out["wrench"] = "needs pose_act, or all axes of wrench_meas: the drives yield to each of them"
     elif not any(r.survey.contacts for r in runs):
         out["wrench"] = "needs a contact"
     elif not all(sides_of(r.scenario.mechanism).rigid or can_carry(r.scenario) for r in runs):
@@ -76,9 +78,14 @@ def _lacking_of_wrench(runs: Sequence[MeasuredRun]) -> dict[str, str]:
 def all_axes(run: MeasuredRun, *groups: str) -> bool:
     """Whether each axis that moves is on record in one of the ``groups``, which have the same axes. By symmetry none but z moves where all
     is centred."""
+    return (centred(run.scenario) and any(run.record.has(g) for g in groups)) or on_record(run, *groups)
+
+
+def on_record(run: MeasuredRun, *groups: str) -> bool:
+    """Whether each axis that the rig can move is on record in one of the ``groups``, which have the same axes."""
     moving = [part for part in GROUPS[groups[0]].parts if part not in run.scenario.rig.platform.still]
-    on_record = [g for g in groups if run.record.has(g)]
-    return centred(run.scenario) or all(any(f"{g}.{part}" not in run.record.absent for g in on_record) for part in moving)
+    measured = [g for g in groups if run.record.has(g)]
+    return all(any(f"{g}.{part}" not in run.record.absent for g in measured) for part in moving)
 
 
 def every_run_has(runs: Sequence[MeasuredRun], *groups: str) -> bool:

@@ -14,7 +14,7 @@ import numpy as np
 from hiltestbed.diagnosis.bridged import bridging_noise, interpolation_errors, kink_errors, lost, only_short_gaps, rms_differences
 from hiltestbed.diagnosis.driven import regression
 from hiltestbed.diagnosis.floors import floors
-from hiltestbed.diagnosis.lacking import every_run_has, lacking
+from hiltestbed.diagnosis.lacking import every_run_has, lacking, on_record
 from hiltestbed.diagnosis.links import CompensationLink, DynamicsLink, LinkRun, PlatformLink, WrenchLink, flat_pose
 from hiltestbed.diagnosis.low_pass import LowPass, low_pass_between
 from hiltestbed.diagnosis.noise import FEW_STEPS, POSE_PARTS, ForceNoise, few_levels, force_noise
@@ -309,7 +309,8 @@ def _force_run(run: MeasuredRun, layout: Layout, i: int, rows: int, least: Array
 def _pose_run(run: MeasuredRun, noise: Mapping[str, float], doubt: Array, rows: int) -> LinkRun:
     """A measured pose as position and small rotation vector; an attitude counts where all of it was measured.
 
-    An axis that was told to stay within a step or two of its converter, and did, does not count: its quantisation hides such motions.
+    An axis that was told to stay within a step or two of its converter, and did, does not count: its quantisation hides such motions. Where
+    drives carry A and not all that acts on them is on record, symmetry leaves the axis of insertion: noise moves the others a little.
     """
     valid = run.record.valid["pose_act"][:rows]
     level = np.maximum([noise.get(f"pose_act.{part}", 0.0) for part in ("px", "py", "pz", *ROTATIONS)], MIN_POSE_NOISE)
@@ -318,6 +319,9 @@ def _pose_run(run: MeasuredRun, noise: Mapping[str, float], doubt: Array, rows: 
     told = _pose_rounding(run, "pose_cmd")[:rows] * repetition_factor(run, "pose_cmd", rows)[:, :6]
     sigma = np.where(counted, np.sqrt(level**2 + told**2 + doubt**2), np.inf)
     sigma[:, [few_levels(run, f"pose_act.{part}") and _told_to_stay(run, part) for part in POSE_PARTS]] = np.inf
+    acting = [g for g in ("pose_cmd", "wrench_meas") if run.record.has(g)]
+    if not run.scenario.rig.platform.prescribed and not all(on_record(run, g) for g in acting):
+        sigma[:, [0, 1, 3, 4, 5]] = np.inf
     sigma[run.record.unknown("pose_cmd", GAP_MEMORY)[:rows]] = np.inf
     sigma[:UNUSED_END_ROWS] = sigma[run.record.ticks - UNUSED_END_ROWS :] = np.inf  # row 0 is the start, and stamps may be off by rows
     return LinkRun(run.scenario, np.nan_to_num(flat_pose(run.record.data["pose_act"][:rows])), sigma, run.touching(rows))

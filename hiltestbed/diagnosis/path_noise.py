@@ -28,11 +28,13 @@ from hiltestbed.diagnosis.settings import (
     SIGNIFICANCE_SIGMA,
     SMOOTHING_ROWS,
 )
+from hiltestbed.diagnosis.yielding import MAX_GAIN_ERROR, MAX_READING_SHIFT
 from hiltestbed.frames import Array
 from hiltestbed.measured import MeasuredRun
 from hiltestbed.measured.noise import MAD_TO_SIGMA
 from hiltestbed.replay import moves_linearly
 from hiltestbed.replay.compensation import central_rates
+from hiltestbed.replay.wrench import shifted
 from hiltestbed.scenario import Scenario
 
 
@@ -44,7 +46,9 @@ class Path:
         poses: (N, 7) at t_k. rates: (N, 6) twist at t_k; None: the slope of the tick that ends there.
         place, rate: white noise of poses [m] and rates [m/s], of an attitude times its lever arm. source: the group it comes from.
         rates_measured: whether the rates are on record. rounding: (N, 3) of each run, 1 sigma of the rounding error of the positions [m];
-        empty: there is none.
+        empty: there is none. unknown: changes of the poses (N, 6) [m, rad] that the data leave open, those of each run, one standard
+        deviation each; empty: there are none. yielded: (N, 6) of each run [m, rad], part of the path by which drives yielded to a force,
+        where only the command is on record.
     """
 
     poses: Sequence[Array]
@@ -54,6 +58,8 @@ class Path:
     source: str = "pose_act"
     rates_measured: bool = False
     rounding: Sequence[Array] = ()
+    unknown: Sequence[Sequence[Array]] = ()
+    yielded: Sequence[Array] = ()
 
 
 def noise_of(layout: Layout, path: Path) -> list[Array]:
@@ -222,6 +228,15 @@ def deflection_noise(layout: Layout, path: Path) -> list[Array]:
     bands = [2.0 * math.pi * r.scenario.rig.platform.nearest_bandwidth(r.scenario) for r in layout.runs]
     rates = path.rates and [r + band * d for r, band, d in zip(path.rates, bands, off, strict=True)]
     return _apart(layout, path, poses, rates)
+
+
+def misread(yielded: Sequence[Array], tick: float) -> list[list[Array]]:
+    """(N, 6) changes of the path of each run, one standard deviation each: for a force that the drives bore earlier, and for a larger one.
+
+    yielded: (N, 6) of each run, what the drives yielded to the force of the believed contact: what they made of the recorded force follows
+    its noise, and would explain it.
+    """
+    return [[shifted(y, MAX_READING_SHIFT / tick) - y, MAX_GAIN_ERROR * y] for y in yielded]
 
 
 def not_where_unsettled(layout: Layout, noise: Sequence[Array]) -> list[Array]:

@@ -29,27 +29,33 @@ from hiltestbed.diagnosis.path_noise import (
     deflection_noise,
     differentiated,
     diverged,
+    misread,
     moves_uniformly,
     noise_of,
     not_where_unsettled,
     rate_noise,
     smoothed_noise,
 )
+from hiltestbed.diagnosis.readings import choose_lever, choose_ring, choose_steps
+from hiltestbed.diagnosis.residual import Residual, square
 from hiltestbed.diagnosis.search import Explanation
 from hiltestbed.diagnosis.settings import (
     BLOCK_ROWS,
+    DETECTION,
     LEVER_ARM,
     MAX_PATH_NOISE,
     MODEL_ERROR,
     SMOOTHING_ROWS,
 )
 from hiltestbed.diagnosis.timing import may_be_stamp
+from hiltestbed.diagnosis.yielding import told_pose, yielded_under
 from hiltestbed.frames import Array
 from hiltestbed.measured import MeasuredRun
 from hiltestbed.measured.noise import finest_noise
-from hiltestbed.numerical_model.bodies import approach_state
 from hiltestbed.replay import follows_exactly
 from hiltestbed.signals import GROUPS
+
+CONTACT_ROUNDS = 4  # chosen: of force and yielding in turn: with drives ten times as stiff as the contact, the noise falls by 1000
 
 
 @dataclass(frozen=True)
@@ -83,12 +89,16 @@ def best_path(layout: Layout, platform: Explanation | None) -> BestPath:
         if not follows:
             extra = both(deflection_noise(layout, path), extra)
     else:
-        poses = _smooth_paths(layout, platform)
-        path = Path(poses, central_rates_of(layout, poses))
+        poses, flattened = _smooth_paths(layout, platform)
+        path = Path(poses, central_rates_of(layout, poses), unknown=[[f] for f in flattened] if any(f.any() for f in flattened) else ())
         noisy = platform is not None or any(r.record.has("pose_act") for r in layout.runs)
         extra = smoothed_noise(layout, path, platform is not None) if noisy else None
-        if _only_commanded(layout) and not follows:
+        if _only_commanded(layout):
+            assert layout.deflection is not None  # else the link is missing
+            path = replace(path, yielded=[found.yielded for found in layout.deflection])
+        if path.yielded and not follows:
             extra = not_where_unsettled(layout, both(deflection_noise(layout, path), rate_noise(layout, path)))
+            path = _under_the_contact(layout, path, extra)
     if not all(sides_of(r.scenario.mechanism).rigid for r in layout.runs):
         extra = extra or [np.zeros((n, 6)) for n in layout.whole]
         extra = [np.where(parted[:, None], np.inf, e) for parted, e in zip(diverged(layout, path), extra, strict=True)]
@@ -149,17 +159,41 @@ def make_wrench_link(layout: Layout, best: BestPath, rows: Sequence[int], decima
     link = link.through(layout.logged).with_rounding(best.path.rounding)
     if best.clocks_off or (differentiated(best.path) and best.jumps is None):
         link = link.with_unknown_rate()
-    if _only_commanded(layout):
-        assert layout.deflection is not None  # else the link is missing
-        if not all(follows_exactly(r.scenario) for r in layout.runs):
-            link = link.with_unknown_paths([found.misread(layout.scales.tick) for found in layout.deflection])
-        return link.commanded(_followed(layout), [found.yielded for found in layout.deflection])
+    if best.path.unknown:
+        link = link.with_unknown_paths(best.path.unknown)
+    if best.path.yielded:
+        return link.commanded(_followed(layout), best.path.yielded)
     return decimated(link) if decimate and best.jumps is None else link
 
 
 def _only_commanded(layout: Layout) -> bool:
     """Whether only the command shows where A went."""
     return all(r.record.has("pose_cmd") and not r.record.has("pose_act") for r in layout.runs)
+
+
+def _under_the_contact(layout: Layout, path: Path, noise: Sequence[Array]) -> Path:
+    """A commanded ``path`` with its yielding to a force, and changes for a force misread: with the force of the believed contact, where the
+    readings then show no more than with the recorded force.
+
+    The noise of the recorded force is in a path that yields to it as well as in the readings, and what filters it would explain them. The
+    force and the yielding to it are found in turn, which settles unless the contact is stiffer than the drives.
+    """
+    assert layout.deflection is not None  # else the link is missing
+    level, tick = layout.noise.get("wrench_meas.fz", 0.0), layout.scales.tick
+    out, tried, least = path, path, math.inf
+    for _ in range(CONTACT_ROUNDS):
+        link = wrench_link(layout, tried.poses, layout.whole, None, tried.rates, noise)
+        link = choose_steps(choose_ring(choose_lever(link)))
+        shown = [link.shown(i) for i in range(len(layout.runs))]
+        again = [yielded_under(*each, level) for each in zip(layout.runs, layout.deflection, shown, strict=True)]
+        tried = replace(tried, unknown=misread(again, tick))
+        left = square(Residual(link.with_unknown_paths(tried.unknown))(()))
+        if left > least + DETECTION:
+            break
+        out, least = tried, min(left, least)
+        poses = [poses_of(flat_pose(p) + a - y) for p, a, y in zip(tried.poses, again, tried.yielded, strict=True)]
+        tried = replace(tried, poses=poses, rates=central_rates_of(layout, poses), yielded=again)
+    return out
 
 
 def _followed(layout: Layout) -> list[Array]:
@@ -224,43 +258,38 @@ def _jumps(path: Array) -> Array:
     return np.linalg.norm(np.diff(path[:, :3], axis=0, prepend=path[:1, :3]), axis=1)
 
 
-def _smooth_paths(layout: Layout, platform: Explanation | None) -> list[Array]:
-    """(N, 7) of each run: the measured pose, smoothed about the best explanation of the platform where there is one.
+def _smooth_paths(layout: Layout, platform: Explanation | None) -> tuple[list[Array], list[Array]]:
+    """(N, 7) of each run: the measured pose, smoothed about the best explanation of the platform where there is one; and (N, 6) what that
+    cut off, roughly: what it cuts off once more (J. W. Tukey, Exploratory Data Analysis, 1977, "twicing").
 
     Axes that were not measured are those of the explanation, or were commanded.
     """
     near = None
     if platform is not None:
         near = platform_link(layout, layout.whole).with_timing(platform.residual.link.timing).paths(platform.chosen.effects())
-    out = []
+    out, flattened = [], []
     for i, run in enumerate(layout.runs):
-        told = _told(run)
+        told = told_pose(run) if run.record.has("pose_cmd") else None
         if not run.record.has("pose_act"):  # what the believed drives make of the command
             assert layout.deflection is not None  # else the link is missing
             assert told is not None
             away = layout.deflection[i].away
             out.append(poses_of(flat_pose(told) + away) if away.any() else told)
+            flattened.append(np.zeros_like(away))
             continue
+        flat = flat_pose(run.record.filled("pose_act"))
         about = near[i] if near is not None else told
-        centre = 0.0 if near is None else near[i][:, :3]
-        smooth = np.asarray(savgol_filter(run.record.filled("pose_act")[:, :3] - centre, SMOOTHING_ROWS, 3, axis=0)) + centre
-        if about is None:
-            out.append(np.concatenate([smooth, _smooth_attitude(run)], axis=1))
-            continue
-        absent = [name in run.record.absent for name in GROUPS["pose_act"].columns[:3]]
-        out.append(np.concatenate([np.where(absent, about[:, :3], smooth), about[:, 3:]], axis=1))
-    return out
-
-
-def _told(run: MeasuredRun) -> Array | None:
-    """(N, 7) the commanded pose one row later; None where there is none."""
-    if not run.record.has("pose_cmd"):
-        return None
-    return np.concatenate([approach_state(run.scenario)[None, :7], run.record.filled("pose_cmd")[:-1]])
-
-
-def _smooth_attitude(run: MeasuredRun) -> Array:
-    """(N, 4) the measured attitude, smoothed."""
-    flat = flat_pose(run.record.filled("pose_act"))
-    flat[:, 3:] = savgol_filter(flat[:, 3:], SMOOTHING_ROWS, 3, axis=0)
-    return poses_of(flat)[:, 3:]
+        centre, kept = np.zeros_like(flat), np.zeros(6, dtype=bool)
+        if near is not None:
+            centre[:, :3] = near[i][:, :3]
+        if about is not None:
+            kept[:3] = [name in run.record.absent for name in GROUPS["pose_act"].columns[:3]]
+            kept[3:] = True
+        smooth = np.asarray(savgol_filter(flat - centre, SMOOTHING_ROWS, 3, axis=0))
+        flattened.append(np.where(kept, 0.0, smooth - np.asarray(savgol_filter(smooth, SMOOTHING_ROWS, 3, axis=0))))
+        pose = poses_of(smooth + centre)
+        if about is not None:
+            pose[:, :3] = np.where(kept[:3], about[:, :3], pose[:, :3])
+            pose[:, 3:] = about[:, 3:]
+        out.append(pose)
+    return out, flattened

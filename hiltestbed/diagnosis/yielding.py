@@ -9,6 +9,7 @@ import numpy as np
 
 from hiltestbed.contact.mount_dynamics import borne
 from hiltestbed.contact.sides import sides_of
+from hiltestbed.diagnosis.lacking import all_axes
 from hiltestbed.diagnosis.links import flat_pose
 from hiltestbed.diagnosis.settings import BLOCK_ROWS
 from hiltestbed.frames import Array
@@ -40,29 +41,22 @@ class Deflection:
     doubt: Array
     noise: float = 0.0
 
-    def misread(self, tick: float) -> tuple[Array, Array]:
-        """(N, 6) changes of the deflection, one standard deviation each: for a force that the drives bore earlier, and for a larger one."""
-        return shifted(self.yielded, MAX_READING_SHIFT / tick) - self.yielded, MAX_GAIN_ERROR * self.yielded
-
 
 def deflection(run: MeasuredRun, noise: float, reading: Array | None = None, engaged: Engaged | None = None) -> Deflection | None:
     """Deflection of the believed rig from its command in one run; None where it cannot follow the command.
 
     Its error has one sign over whole blocks of rows, and counts like white noise that is larger by the root of a block. noise: [N] of the
-    force. reading: (N, 6) of the believed sensor; None: the record. It is shifted earlier by the believed delay of the sensor; where none
-    was measured, the pose is not compared once A has reached P. engaged: see :func:`engagement`.
+    force. reading: (N, 6) of the believed sensor; None: the record. It is shifted earlier by the believed delay of the sensor; where an
+    axis of it that acts was not measured, the pose is not compared once A has reached P. engaged: see :func:`engagement`.
     """
     scenario, command = run.scenario, np.ascontiguousarray(run.record.filled("pose_cmd"))
     if follows_exactly(scenario):
         nothing = np.zeros((len(command), 6))
         return Deflection(nothing, nothing, nothing)
-    recorded = run.record.filled("wrench_meas") if run.record.has("wrench_meas") else np.zeros((len(command), 6))
+    recorded = _recorded(run)
     reading = recorded if reading is None else reading
-    late = scenario.sensor.delay / scenario.tick
-    touching = run.survey.touching(len(reading), round(late), GATE_SIGMA * noise)[:, None]  # else it is noise: no load
-    wrench = shifted(np.where(touching, reading, 0.0), late)
-    rates = run.record.filled("twist_cmd") if run.record.has("twist_cmd") else None
-    told = flat_pose(np.vstack([approach_state(scenario)[:7], command[:-1]]))
+    touching, wrench = _load(run, reading, noise)
+    rates, told = _told_rates(run), flat_pose(told_pose(run))
     reached = _noiseless_pose(run)
     taken = 0.0 if engaged is None else engaged.taken
     path = replay_rig(scenario, command, rates, borne(scenario, wrench) + taken, recorded, reached)
@@ -77,7 +71,7 @@ def deflection(run: MeasuredRun, noise: float, reading: Array | None = None, eng
     off = [np.abs(shifted(yielded, way * MAX_READING_SHIFT / scenario.tick) - yielded) for way in (-1.0, 1.0)]
     doubt = math.sqrt(BLOCK_ROWS) * np.sqrt((MAX_GAIN_ERROR * yielded) ** 2 + np.maximum(*off) ** 2 + (UNREPLAYED_SHARE * departure) ** 2)
     doubt[: math.ceil(_settling(scenario) / scenario.tick)] = np.inf
-    if not run.record.has("wrench_meas"):
+    if not all_axes(run, "wrench_meas"):
         doubt[np.maximum.accumulate(told[:, 2] > -departure[2])] = np.inf
     if engaged is not None:  # sliding parts reverse within a tick; stiction of the drives retains the effect
         chattering = replay_rig(scenario, command, rates, borne(scenario, wrench) + taken, recorded, reached, engaged.between)
@@ -92,6 +86,36 @@ def deflection(run: MeasuredRun, noise: float, reading: Array | None = None, eng
         passed = np.std(flat_pose(noisy) - flat_pose(path), axis=0) if noisy is not None else passed
         doubt = np.hypot(doubt, passed * math.sqrt(max(1.0, _memory(scenario) / scenario.tick)))
     return Deflection(away, yielded, doubt, float(passed[:3].max()))
+
+
+def yielded_under(run: MeasuredRun, found: Deflection, reading: Array, noise: float) -> Array:
+    """`yielded` of a deflection that was ``found``, under another ``reading`` (N, 6); unchanged where the rig could not follow."""
+    _, wrench = _load(run, reading, noise)
+    command, recorded = np.ascontiguousarray(run.record.filled("pose_cmd")), _recorded(run)
+    path = replay_rig(run.scenario, command, _told_rates(run), borne(run.scenario, wrench), recorded, _noiseless_pose(run))
+    return found.yielded if path is None else flat_pose(path) - flat_pose(told_pose(run)) - (found.away - found.yielded)
+
+
+def _load(run: MeasuredRun, reading: Array, noise: float) -> tuple[np.ndarray, Array]:
+    """(N, 1) where there is a contact, outside of which the reading is noise; (N, 6) the wrench that the drives bear."""
+    late = run.scenario.sensor.delay / run.scenario.tick
+    touching = run.survey.touching(len(reading), round(late), GATE_SIGMA * noise)[:, None]
+    return touching, shifted(np.where(touching, reading, 0.0), late)
+
+
+def _recorded(run: MeasuredRun) -> Array:
+    """(N, 6) the measured wrench; zero where none was measured."""
+    return run.record.filled("wrench_meas") if run.record.has("wrench_meas") else np.zeros((run.record.ticks, 6))
+
+
+def _told_rates(run: MeasuredRun) -> Array | None:
+    """(N, 6) the commanded twist; None where it is not on record."""
+    return run.record.filled("twist_cmd") if run.record.has("twist_cmd") else None
+
+
+def told_pose(run: MeasuredRun) -> Array:
+    """(N, 7) the commanded pose one row later."""
+    return np.vstack([approach_state(run.scenario)[:7], run.record.filled("pose_cmd")[:-1]])
 
 
 def engagement(run: MeasuredRun) -> Engaged | None:

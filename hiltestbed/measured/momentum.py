@@ -59,11 +59,17 @@ class Momentum:
 
 
 def momentum(record: Record, scenario: Scenario, force: str, pose: str) -> Momentum | None:
-    """The momentum balance of force and pose; None if axes or rows are missing or nothing moves."""
+    """The momentum balance of force and pose; None if axes or rows are missing or nothing moves.
+
+    Torques that were not measured count as zero where a tip meets a plane, whose torque about the port is small, or all is centred. In a
+    cone or a latch they move the ports as much as the forces do.
+    """
     names = [*(f"{pose}.{p}" for p in PLACES), *(f"{force}.{f}" for f in FORCES)]
     if centred(scenario) and {names[2], names[5]} <= set(record.columns()):
         names = [name for name in names if name in record.columns()]
     if not set(names) <= set(record.columns()):
+        return None
+    if not (set(_wrench(force)) <= set(record.columns()) or scenario.mechanism.flat or centred(scenario)):
         return None
     known = np.all([record.measured(name) for name in names], axis=0)
     rows = np.flatnonzero(known)

@@ -27,6 +27,7 @@ from hiltestbed.simulation import simulate
 STIFFNESS, DAMPING, MASS, GAP, SPEED = 1e5, 400.0, 100.0, 0.0023, 0.06  # [N/m], [N s/m], [kg], [m], [m/s]
 RATE = 2000  # [Hz]
 FORCE_NOISE = 0.05  # [N]
+WAVE = 50.0  # [Hz], half the frequency that the filter cuts off
 
 
 def bounce() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -55,6 +56,20 @@ def layout_of(folder: Path, t: np.ndarray, place: np.ndarray, force: np.ndarray,
     (folder / "nominal.yaml").write_text(hiltestbed.dump_scenario(hiltestbed.load_scenario("02-bumper", contact | rig)), "utf-8")
     (folder / "dataset.yaml").write_text("scenario: nominal.yaml\nruns: [{file: run.parquet}]\naccept: [unit]\n", "utf-8")
     return lay_out(load_dataset(folder / "dataset.yaml"))
+
+
+def test_what_smoothing_cuts_off_is_known_up_to_its_own_share(tmp_path: Path) -> None:
+    """The filter leaves H of an oscillation, in phase: it cuts off 1 - H, and H (1 - H) of what it left, which then counts as unknown."""
+    t = np.arange(1200) / RATE
+    wave = np.sin(2.0 * math.pi * WAVE * t)
+    place = np.minimum(SPEED * t - GAP, 1e-3) + 1e-4 * wave
+    touches = place > 0.0
+    layout = layout_of(tmp_path, t, place, np.where(touches, STIFFNESS * place + DAMPING * np.gradient(place, t), 0.0), 5e-7)
+    passed = float(savgol_coeffs(SMOOTHING_ROWS, 3) @ np.cos(2.0 * math.pi * WAVE * np.arange(-15, 16) / RATE))
+    ((unknown,),) = best_path(layout, None).path.unknown
+    inside = slice(300, 1100)
+    size = float(unknown[inside, 2] @ wave[inside] / (wave[inside] @ wave[inside]))
+    assert size == pytest.approx(1e-4 * passed * (1.0 - passed), rel=0.01)
 
 
 def link_of(layout: Layout) -> WrenchLink:
