@@ -26,6 +26,7 @@ from hiltestbed.diagnosis.paths import (
     best_path,
     compared_share,
     make_wrench_link,
+    path_under,
     path_without_delay,
     with_clocks_off,
     with_filter_error,
@@ -274,6 +275,9 @@ def _investigate_wrench(
         explanation = search.after(explanation).explain(Residual(other))
     if given:
         explanation = replace(explanation, candidates=(*candidates, *given[0].causes))
+    if other := path_under(layout, path, wrench_link_of(explanation.residual), explanation.chosen.effects()):
+        path, link = other, make_wrench_link(layout, other, layout.rows)
+        explanation = search.after(explanation).explain(Residual(link.as_interpreted(wrench_link_of(explanation.residual))))
     chosen = wrench_link_of(explanation.residual)
     if tuple(run.rows for run in chosen.runs) != tuple(layout.rows):
         everything = make_wrench_link(layout, path, layout.rows)

@@ -19,7 +19,7 @@ from hiltestbed.diagnosis.decimation import decimated
 from hiltestbed.diagnosis.lacking import all_axes
 from hiltestbed.diagnosis.layout import Layout, platform_link, wrench_link
 from hiltestbed.diagnosis.links import WrenchLink, flat_pose
-from hiltestbed.diagnosis.links.base import NO_SHIFT, Timing
+from hiltestbed.diagnosis.links.base import NO_SHIFT, Effects, Timing
 from hiltestbed.diagnosis.links.platform import poses_of
 from hiltestbed.diagnosis.path_noise import (
     Path,
@@ -171,23 +171,33 @@ def _only_commanded(layout: Layout) -> bool:
     return all(r.record.has("pose_cmd") and not r.record.has("pose_act") for r in layout.runs)
 
 
-def _under_the_contact(layout: Layout, path: Path, noise: Sequence[Array]) -> Path:
-    """A commanded ``path`` with its yielding to a force, and changes for a force misread: with the force of the believed contact, where the
-    readings then show no more than with the recorded force.
+def path_under(layout: Layout, best: BestPath, link: WrenchLink, effects: Effects) -> BestPath | None:
+    """The commanded path with its yielding to the force that was found: of the contact with ``effects``, read as by ``link``; None where
+    nothing yields, or nothing was found."""
+    if not effects or not best.path.unknown or not best.path.yielded:
+        return None
+    assert best.path_noise is not None  # as something yields
+    return replace(best, path=_under_the_contact(layout, best.path, best.path_noise, link, effects))
+
+
+def _under_the_contact(layout: Layout, path: Path, noise: Sequence[Array], like: WrenchLink | None = None, effects: Effects = ()) -> Path:
+    """A commanded ``path`` with its yielding to a force, and changes for a force misread: with the force of the contact with ``effects``,
+    where the readings then show no more than with the force of the given path.
 
     The noise of the recorded force is in a path that yields to it as well as in the readings, and what filters it would explain them. The
     force and the yielding to it are found in turn, which settles unless the contact is stiffer than the drives.
     """
     assert layout.deflection is not None  # else the link is missing
     level, tick = layout.noise.get("wrench_meas.fz", 0.0), layout.scales.tick
+    borne = [e for e in effects if e.link not in ("sensor", "log")]
     out, tried, least = path, path, math.inf
     for _ in range(CONTACT_ROUNDS):
-        link = wrench_link(layout, tried.poses, layout.whole, None, tried.rates, noise)
-        link = choose_steps(choose_ring(choose_lever(link)))
-        shown = [link.shown(i) for i in range(len(layout.runs))]
+        link = wrench_link(layout, tried.poses, layout.whole, None, tried.rates, noise).commanded(_followed(layout), tried.yielded)
+        link = link.as_interpreted(like) if like else choose_steps(choose_ring(choose_lever(link)))
+        shown = [link.shown(i, borne) for i in range(len(layout.runs))]
         again = [yielded_under(*each, level) for each in zip(layout.runs, layout.deflection, shown, strict=True)]
         tried = replace(tried, unknown=misread(again, tick))
-        left = square(Residual(link.with_unknown_paths(tried.unknown))(()))
+        left = square(Residual(link.with_unknown_paths(tried.unknown))(effects))
         if left > least + DETECTION:
             break
         out, least = tried, min(left, least)
