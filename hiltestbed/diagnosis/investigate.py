@@ -264,20 +264,24 @@ def _investigate_wrench(
     if levered := other_lever(explanation):
         residual = Residual(levered)
         given = given and (stamped_late(layout, levered, found["compensation"]) or given)
-        explanation = search.after(explanation).explain(residual, given[0] if given else None)
+        late = given[0] if given else None
+        explanation = search.after(explanation).explain(residual, late)
     if not given and (stepped := other_steps(explanation)):
         explanation = search.after(explanation).explain(Residual(stepped))
     if not given and (pointed := with_point_contact(explanation)):
         explanation = search.after(explanation).explain(Residual(pointed))
     if given and other_reading_betters(explanation, given[1]):
-        explanation = search.explain(residual, given[1])
+        late = given[1]
+        explanation = search.explain(residual, late)
     elif not given and (other := with_time_grid(explanation)):
         explanation = search.after(explanation).explain(Residual(other))
+    chosen = wrench_link_of(explanation.residual)
+    if other := path_under(layout, path, chosen, explanation.chosen.effects()):
+        path = other
+        link = make_wrench_link(layout, path, layout.rows).as_interpreted(chosen)
+        explanation = search.after(explanation).explain(Residual(link), late)
     if given:
         explanation = replace(explanation, candidates=(*candidates, *given[0].causes))
-    if other := path_under(layout, path, wrench_link_of(explanation.residual), explanation.chosen.effects()):
-        path, link = other, make_wrench_link(layout, other, layout.rows)
-        explanation = search.after(explanation).explain(Residual(link.as_interpreted(wrench_link_of(explanation.residual))))
     chosen = wrench_link_of(explanation.residual)
     if tuple(run.rows for run in chosen.runs) != tuple(layout.rows):
         everything = make_wrench_link(layout, path, layout.rows)

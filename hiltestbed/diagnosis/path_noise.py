@@ -183,6 +183,11 @@ def _apart(layout: Layout, path: Path, poses: Sequence[Array], rates: Sequence[A
     return rms_differences(*links)
 
 
+def smoothed(values: Array) -> Array:
+    """(N, ...) values as a noisy pose is smoothed: by cubics (A. Savitzky, M. J. E. Golay, Anal. Chem. 36, 1964)."""
+    return np.asarray(savgol_filter(values, SMOOTHING_ROWS, 3, axis=0))
+
+
 def smoothed_noise(layout: Layout, path: Path, commanded: bool) -> list[Array]:
     """(N, 6) noise of the reading of each run due to a smoothed pose: to its noise, by replays of perturbed copies, and to the bends of a
     ``commanded`` motion, which smoothing cuts off; a motion that was only measured is taken as smooth.
@@ -193,7 +198,7 @@ def smoothed_noise(layout: Layout, path: Path, commanded: bool) -> list[Array]:
     place = layout.noise.get("pose_act.pz", 0.0)
 
     def moved(pose: Array, rates: Array | None) -> tuple[Array, Array | None]:
-        error = np.asarray(savgol_filter(place * rng.standard_normal((len(pose), 3)), SMOOTHING_ROWS, 3, axis=0))
+        error = smoothed(place * rng.standard_normal((len(pose), 3)))
         return _displaced(pose, error), None if rates is None else _displaced(rates, np.gradient(error, layout.scales.tick, axis=0))
 
     _, away = _perturbed(layout, path, moved)

@@ -12,7 +12,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.signal import savgol_filter
 
 from hiltestbed.contact.sides import sides_of
 from hiltestbed.diagnosis.decimation import decimated
@@ -34,6 +33,7 @@ from hiltestbed.diagnosis.path_noise import (
     noise_of,
     not_where_unsettled,
     rate_noise,
+    smoothed,
     smoothed_noise,
 )
 from hiltestbed.diagnosis.readings import choose_lever, choose_ring, choose_steps
@@ -45,7 +45,6 @@ from hiltestbed.diagnosis.settings import (
     LEVER_ARM,
     MAX_PATH_NOISE,
     MODEL_ERROR,
-    SMOOTHING_ROWS,
 )
 from hiltestbed.diagnosis.timing import may_be_stamp
 from hiltestbed.diagnosis.yielding import told_pose, yielded_under
@@ -295,8 +294,8 @@ def _smooth_paths(layout: Layout, platform: Explanation | None) -> tuple[list[Ar
         if about is not None:
             kept[:3] = [name in run.record.absent for name in GROUPS["pose_act"].columns[:3]]
             kept[3:] = True
-        smooth = np.asarray(savgol_filter(flat - centre, SMOOTHING_ROWS, 3, axis=0))
-        flattened.append(np.where(kept, 0.0, smooth - np.asarray(savgol_filter(smooth, SMOOTHING_ROWS, 3, axis=0))))
+        smooth = smoothed(flat - centre)
+        flattened.append(np.where(kept, 0.0, smooth - smoothed(smooth)))
         pose = poses_of(smooth + centre)
         if about is not None:
             pose[:, :3] = np.where(kept[:3], about[:, :3], pose[:, :3])

@@ -65,11 +65,12 @@ def momentum(record: Record, scenario: Scenario, force: str, pose: str) -> Momen
     cone or a latch they move the ports as much as the forces do.
     """
     names = [*(f"{pose}.{p}" for p in PLACES), *(f"{force}.{f}" for f in FORCES)]
-    if centred(scenario) and {names[2], names[5]} <= set(record.columns()):
+    symmetric = centred(scenario)
+    if symmetric and {names[2], names[5]} <= set(record.columns()):
         names = [name for name in names if name in record.columns()]
     if not set(names) <= set(record.columns()):
         return None
-    if not (set(_wrench(force)) <= set(record.columns()) or scenario.mechanism.flat or centred(scenario)):
+    if not (set(_wrench(force)) <= set(record.columns()) or scenario.mechanism.flat or symmetric):
         return None
     known = np.all([record.measured(name) for name in names], axis=0)
     rows = np.flatnonzero(known)
