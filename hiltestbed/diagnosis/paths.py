@@ -76,8 +76,7 @@ class BestPath:
 def best_path(layout: Layout, platform: Explanation | None) -> BestPath:
     """The path with the least noise that the data allow, with the poses as they are stamped."""
     explained, follows = platform is not None and platform.adequate, all(follows_exactly(r.scenario) for r in layout.runs)
-    known = [(path, noise_of(layout, path)) for path in _measured(layout)]
-    measured, path_noise = min(known, key=lambda k: max(_noise_ratio(layout, k[1]), MAX_PATH_NOISE), default=(None, None))
+    measured, path_noise = _least_noisy(layout, _measured(layout))
     if measured is not None and path_noise is not None and not _replay_is_better(layout, measured, path_noise, explained):
         path, extra = measured, path_noise
     elif platform is not None and platform.adequate:
@@ -234,6 +233,19 @@ def _measured(layout: Layout) -> list[Path]:
         twists = [r.record.filled("twist_act") for r in runs]
         out.insert(0, Path(poses, twists, place, max(_finest(r, "twist_act") for r in runs), rates_measured=True))
     return out
+
+
+def _least_noisy(layout: Layout, paths: Sequence[Path]) -> tuple[Path | None, list[Array] | None]:
+    """The first path whose noise is small, or else the one with the least; and its noise. None where there is no path."""
+    best, least, noise = None, math.inf, None
+    for path in paths:
+        found = noise_of(layout, path)
+        ratio = _noise_ratio(layout, found)
+        if best is None or ratio < least:
+            best, least, noise = path, ratio, found
+        if least <= MAX_PATH_NOISE:
+            break
+    return best, noise
 
 
 def _replay_is_better(layout: Layout, measured: Path, path_noise: Sequence[Array], explained: bool) -> bool:

@@ -55,7 +55,7 @@ def deflection(run: MeasuredRun, noise: float, reading: Array | None = None, eng
         return Deflection(nothing, nothing, nothing)
     recorded = _recorded(run)
     reading = recorded if reading is None else reading
-    touching, wrench = _load(run, reading, noise)
+    touching, wrench = _load(run, reading, noise, engaged)
     rates, told = _told_rates(run), flat_pose(told_pose(run))
     reached = _noiseless_pose(run)
     taken = 0.0 if engaged is None else engaged.taken
@@ -96,10 +96,16 @@ def yielded_under(run: MeasuredRun, found: Deflection, reading: Array, noise: fl
     return found.yielded if path is None else flat_pose(path) - flat_pose(told_pose(run)) - (found.away - found.yielded)
 
 
-def _load(run: MeasuredRun, reading: Array, noise: float) -> tuple[np.ndarray, Array]:
-    """(N, 1) where there is a contact, outside of which the reading is noise; (N, 6) the wrench that the drives bear."""
+def _load(run: MeasuredRun, reading: Array, noise: float, engaged: Engaged | None = None) -> tuple[np.ndarray, Array]:
+    """(N, 1) where there is a contact, outside of which the reading is noise; (N, 6) the wrench that the drives bear.
+
+    A mechanism that holds A still acts where its force passes through zero: the survey takes that for a gap, ``engaged`` tells.
+    """
     late = run.scenario.sensor.delay / run.scenario.tick
     touching = run.survey.touching(len(reading), round(late), GATE_SIGMA * noise)[:, None]
+    if engaged is not None:
+        acts = np.flatnonzero(engaged.wrench.any(axis=(1, 2)))
+        touching[np.unique(np.minimum(acts[:, None] + np.arange(round(late) + 1), len(reading) - 1))] = True
     return touching, shifted(np.where(touching, reading, 0.0), late)
 
 

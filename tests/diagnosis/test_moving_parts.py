@@ -6,11 +6,16 @@ import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from hiltestbed import diagnose, write_run
+from hiltestbed.diagnosis.links import flat_pose
 from hiltestbed.diagnosis.result import Finding
+from hiltestbed.diagnosis.yielding import deflection, engagement, told_pose
 from hiltestbed.gallery import find_scenario
+from hiltestbed.identification.samples import GATE_SIGMA
+from hiltestbed.measured import load_dataset
 from hiltestbed.scenario import load_scenario
 from tests.running import run
 from tests.slow import SLOW
@@ -18,8 +23,8 @@ from tests.slow import SLOW
 pytestmark = SLOW
 
 
-def found(folder: Path, name: str, duration: float, effects: list[dict[str, Any]]) -> Finding:
-    """The diagnosis of two runs, the second one at four fifths of the speed."""
+def recorded(folder: Path, name: str, duration: float, effects: list[dict[str, Any]]) -> Path:
+    """A dataset of two runs, the second one at four fifths of the speed."""
     file, entries = find_scenario(Path(name)), []
     for seed, part in enumerate((1.0, 0.8)):
         velocity = [part * v for v in load_scenario(file).approach.velocity]
@@ -27,7 +32,12 @@ def found(folder: Path, name: str, duration: float, effects: list[dict[str, Any]
         write_run(run(scenario), folder / f"run{seed}", rerun=False, report=False)
         entries.append({"file": f"run{seed}/trace.parquet", "set": {"approach.velocity": velocity}})
     (folder / "data.yaml").write_text(json.dumps({"scenario": str(file), "runs": entries}))
-    return diagnose(folder / "data.yaml").finding
+    return folder / "data.yaml"
+
+
+def found(folder: Path, name: str, duration: float, effects: list[dict[str, Any]]) -> Finding:
+    """The diagnosis of two such runs."""
+    return diagnose(recorded(folder, name, duration, effects)).finding
 
 
 @pytest.mark.parametrize(("name", "duration"), [("16-probe-drogue", 4.0), ("17-gripper", 3.0)])
@@ -46,3 +56,17 @@ def test_a_gain_is_told_by_what_comes_before_the_jaws_slip(tmp_path: Path) -> No
     (cause,) = finding.causes
     assert cause.effect == "sensor.gain"
     assert cause.parameters["factor"].estimate == pytest.approx(1.03, abs=0.001)
+
+
+def test_drives_yield_to_a_captured_ring_also_where_its_force_passes_through_zero(tmp_path: Path) -> None:
+    """The rings hold each other by 4 N m; from 4.50 to 4.56 s their force is below the noise of 0.3 N, as if they were apart."""
+    measured = load_dataset(recorded(tmp_path, "15-ring-docking", 4.7, [])).runs[0]
+    force, late = 0.3, round(measured.scenario.sensor.delay * measured.scenario.rate)  # [N], [ticks]
+    apart = ~measured.survey.touching(measured.record.ticks, late, GATE_SIGMA * force)
+    deflected = deflection(measured, force, engaged=engagement(measured))
+    assert deflected is not None
+    moved = flat_pose(measured.record.filled("pose_act")) - flat_pose(told_pose(measured))
+    gap = slice(9000, 9120)
+    assert apart[gap].all()
+    assert np.abs(moved[gap, 4]).min() > 1e-7  # [rad]
+    assert np.abs(moved - deflected.away)[gap, 4].max() < 0.05 * np.abs(moved[gap, 4]).min()
