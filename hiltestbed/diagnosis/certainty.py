@@ -12,7 +12,7 @@ from hiltestbed.diagnosis.fit import Fit, bounds_of, effects_at, fit, scales
 from hiltestbed.diagnosis.intervals import Spread, intervals
 from hiltestbed.diagnosis.residual import Residual, square
 from hiltestbed.diagnosis.search import Explanation
-from hiltestbed.diagnosis.timing import DELAY_EFFECTS, instants_off
+from hiltestbed.diagnosis.timing import DELAY_EFFECTS, fit_with_timing, instants_off, timing_found
 from hiltestbed.effects.search import Candidate
 from hiltestbed.frames import Array
 
@@ -106,7 +106,7 @@ def certainty(link: str, residual: Residual, found: Fit, candidates: Sequence[Ca
         off: [s] by which instants of the facility may be off, which no channel tells from a delay.
     """
     spread = intervals(residual, found)
-    spread = replace(spread, ends=_with_variants(residual, found, spread.ends, candidates))
+    spread = replace(spread, ends=_with_variants(residual, found, _with_timing(residual, found, spread.ends), candidates))
     if off:
         spread = replace(spread, ends=_with_instants(found, spread.ends, off))
     low, high, log = bounds_of(found.causes)
@@ -146,6 +146,20 @@ def _with_variants(residual: Residual, found: Fit, ends: Array, candidates: Sequ
             there, shift = intervals(residual, again).ends[own], np.abs(again.theta[own] - found.theta[here])
             out[here] = np.column_stack([np.minimum(out[here, 0], there[:, 0] - shift), np.maximum(out[here, 1], there[:, 1] + shift)])
     return out
+
+
+def _with_timing(residual: Residual, found: Fit, ends: Array) -> Array:
+    """(P, 2) ends of the intervals, wide enough for the timing of the link, where that was estimated as well.
+
+    A platform that answers later and one that is stamped later differ little: the bandwidth of a lag is known as well as the stamp.
+    """
+    shift = timing_found(residual.link)
+    if shift is None or not found.causes:
+        return ends
+    again = fit_with_timing(residual, found, shift, starts=[np.zeros(len(shift.names))])
+    own = slice(0, len(found.theta))
+    there, moved = intervals(residual, again).ends[own], np.abs(again.theta[own] - found.theta)
+    return np.column_stack([np.minimum(ends[:, 0], there[:, 0] - moved), np.maximum(ends[:, 1], there[:, 1] + moved)])
 
 
 def _with_instants(found: Fit, ends: Array, off: float) -> Array:

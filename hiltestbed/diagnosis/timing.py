@@ -214,9 +214,17 @@ def _bases(found: Explanation) -> list[Fit]:
     return [null_fit(found.residual), *once.values()]
 
 
-def fit_with_timing(residual: Residual, base: Fit, later: Candidate, known: float = math.inf) -> Fit:
-    """``base`` with the timing ``later`` fitted as well; ``known``: see :func:`fit`."""
-    return fit(residual, (*base.causes, later), [np.concatenate([base.theta, s]) for s in later.grid], tries=2, known=known)
+def timing_found(link: Link) -> Candidate | None:
+    """What of the timing of a link was estimated from its own record, as a hypothesis; None where it is as believed or as stamped."""
+    off = {name for name, value in link.timing.parameters().items() if value and name not in link.known}
+    ways = sorted((c for c in timing_candidates(link) if off <= set(c.names)), key=lambda c: len(c.names))
+    return ways[0] if off and ways else None
+
+
+def fit_with_timing(residual: Residual, base: Fit, later: Candidate, known: float = math.inf, starts: Sequence[Array] | None = None) -> Fit:
+    """``base`` with the timing ``later`` fitted as well, from ``starts``, by default its grid; ``known``: see :func:`fit`."""
+    begun = later.grid if starts is None else starts
+    return fit(residual, (*base.causes, later), [np.concatenate([base.theta, s]) for s in begun], tries=2, known=known)
 
 
 def _within_range(link: Link, found: Fit) -> bool:

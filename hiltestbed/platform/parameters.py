@@ -28,6 +28,7 @@ class PlatformParameters:
         drive: (3, NUMBERS) of a controller against dry friction on x, y, z, see :mod:`hiltestbed.platform.drive`; 0 for none.
         instants: number of instants per tick at which a sticking platform may move; 0: the physics steps. phase: by which they come
         before even parts of the tick, as a share of the time between two.
+        begun: share of the approach's rate at which lags and modes start, see :func:`hiltestbed.platform.effects.response.stepped`.
         step: response to a step of the command, packed, see :func:`hiltestbed.piecewise.packed`; without knots: the step itself.
     """
 
@@ -42,6 +43,7 @@ class PlatformParameters:
     drive: Array = field(default_factory=lambda: np.zeros((3, NUMBERS)))
     instants: int = 0
     phase: float = 0.0
+    begun: float = 1.0
     step: Array = field(default_factory=lambda: packed(()))
 
     @classmethod
@@ -59,7 +61,7 @@ class PlatformParameters:
 
 @dataclass(frozen=True)
 class Response:
-    """Parameters of n platforms as kernel inputs: delay, speed, play, stick (n,), scale (n, 3), drive (n, 3, NUMBERS),
+    """Parameters of n platforms as kernel inputs: delay, speed, play, stick, begun (n,), scale (n, 3), drive (n, 3, NUMBERS),
     lag and mode (n, S, 2), a frequency of 0 meaning none, step (n, PACKED)."""
 
     delay: Array
@@ -71,6 +73,7 @@ class Response:
     lag: Array
     mode: Array
     step: Array
+    begun: Array
 
 
 def stack(platforms: Sequence[PlatformParameters]) -> Response:
@@ -84,4 +87,5 @@ def stack(platforms: Sequence[PlatformParameters]) -> Response:
         return np.array([getattr(p, name) for p in platforms], dtype=float)
 
     lag, mode = filled([p.lag for p in platforms]), filled([p.mode for p in platforms])
-    return Response(rows("delay"), rows("speed"), rows("play"), rows("stick"), rows("scale"), rows("drive"), lag, mode, rows("step"))
+    alone = {name: rows(name) for name in ("delay", "speed", "play", "stick", "scale", "drive", "step", "begun")}
+    return Response(**alone, lag=lag, mode=mode)

@@ -166,7 +166,7 @@ class PlatformResponse:
         self.driven[i] = 0.0
         self.driven[i, :, PLACE], self.driven[i, :, RATE] = there, moving
         self.lagged[i, ..., 0] = self.shaken[i, ..., 0] = there[:, None]
-        self.lagged[i, ..., 1] = self.shaken[i, ..., 1] = moving[:, None]
+        self.lagged[i, ..., 1] = self.shaken[i, ..., 1] = self.parameters.begun[i] * moving[:, None]
 
     def advance(self, k: int, pose_cmd: Array) -> Array:
         """The path (n, m, 3) from t_k to t_(k+1), for the commanded pose (n, 7) of t_(k+1)."""

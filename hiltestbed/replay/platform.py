@@ -59,7 +59,7 @@ def replay_platform(
     out = np.empty((len(run), commands.shape[1], 3))
     _replay(
         commands, np.asarray(run), start, velocity, tick, late, at_start / tick, parts, count, steps, p.step, p.speed, p.play, p.stick,
-        p.scale, p.drive, lag, mode, ends, long, lag_long, mode_long, w, begun, lag_first, mode_first, moves, phase, out,
+        p.scale, p.drive, lag, mode, ends, long, lag_long, mode_long, w, begun, lag_first, mode_first, moves, phase, p.begun, out,
     )  # fmt: skip
     return out
 
@@ -105,7 +105,7 @@ def _kernels(numbers: Array, steps: Array, count: np.ndarray, base: float) -> Ar
 @njit(cache=True)
 def _replay(
     commands, run, start, velocity, h, late, at_start, parts, count, steps, response, speed, play, stick, scale, drive, lag, mode,
-    ends, long, lag_long, mode_long, w, begun, lag_first, mode_first, moves, phase, out,
+    ends, long, lag_long, mode_long, w, begun, lag_first, mode_first, moves, phase, eager, out,
 ):  # fmt: skip
     driven = np.zeros(STATE)
     saved = np.zeros((len(w[0]), 2))
@@ -136,7 +136,8 @@ def _replay(
             memory[:] = rest
             driven[:] = 0.0
             driven[PLACE] = lagged[:, 0] = shaken[:, 0] = rest
-            driven[RATE] = lagged[:, 1] = shaken[:, 1] = share * velocity[i, axis]
+            driven[RATE] = share * velocity[i, axis]
+            lagged[:, 1] = shaken[:, 1] = eager[i] * driven[RATE]
             out[i, 0, axis] = start[i, axis]
             if begun[i] > 0.0:
                 after = _answered(command, sums, learned, start[i, axis], velocity[i, axis], -late[i], h)

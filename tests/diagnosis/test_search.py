@@ -79,9 +79,22 @@ def test_a_drift_is_found_up_to_the_size_of_the_contact() -> None:
     assert all(c.low[0] <= -300.0 / 0.5 and c.high[0] >= 300.0 / 0.5 for c in drifts)
 
 
-def test_a_mode_integrated_step_by_step_is_one_that_answers_a_step_early() -> None:
-    frequency, ratio, steps = 12.0, 0.05, 20
-    w, dt = 2.0 * math.pi * frequency, H / steps
+@pytest.mark.parametrize(
+    ("kind", "parameters", "base", "steps", "left"),
+    [
+        ("platform.mode", {"frequency": 12.0, "damping_ratio": 0.05}, 1.0, 20, 0.05),
+        ("platform.lag", {"bandwidth": 31.83}, 0.0, 4, 5e-3),
+        ("platform.lag", {"bandwidth": 80.7}, 0.0, 20, 5e-3),
+    ],
+)
+def test_a_response_integrated_step_by_step_is_a_continuous_one(
+    kind: str, parameters: dict[str, float], base: float, steps: int, left: float
+) -> None:
+    """By semi-implicit Euler, from the start at the rate of the command on. ``left``: of what the step makes, what is not told.
+
+    Of a mode it is more, since its damper is driven by the command's rate over the step, in its middle.
+    """
+    w, ratio, dt = 2.0 * math.pi * next(iter(parameters.values())), parameters.get("damping_ratio", 0.7), H / steps
     link = platform_link()
     command = link.commands[0][:, 2]
     x, v, node = -0.0030, 0.03, np.concatenate([[-0.0030], command])
@@ -92,14 +105,13 @@ def test_a_mode_integrated_step_by_step_is_one_that_answers_a_step_early() -> No
         rate = (node[k + 1] - node[k]) / H
         for j in range(steps):
             u = node[k] + rate * (j + 1) * dt
-            v += dt * (w * w * (u - x) - 2.0 * ratio * w * (v - rate))
+            v += dt * (w * w * (u - x) - 2.0 * ratio * w * (v - base * rate))
             x += dt * v
         reached.append(x)
-    mode = {"frequency": frequency, "damping_ratio": ratio}
-    early, exact = (link.shown(0, [effect("platform.mode", {"steps": True, "ahead": a}, **mode)])[:, 2] for a in (dt, 0.0))
-    near, far = (float(np.max(np.abs(np.array(reached) - path))) for path in (early, exact))
-    assert near < 0.2 * far  # the step early is what the two differ by, but for the frequency and damping themselves
-    assert far < 2.0 * dt * 0.06 / (2.0 * ratio)  # a step at twice the speed of approach, magnified by the mode
+    told, exact = (link.shown(0, [effect(kind, {"steps": True, "ahead": a}, **parameters)])[:, 2] for a in (dt, 0.0))
+    near, far = (float(np.max(np.abs(np.array(reached) - path))) for path in (told, exact))
+    assert near < left * far
+    assert far < 2.0 * dt * 0.06 / (2.0 * min(ratio, 0.5))  # a step at twice the speed of approach, magnified by a mode
 
 
 def test_responses_that_are_integrated_step_by_step_look_no_further_than_the_command() -> None:

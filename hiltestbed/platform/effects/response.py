@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 from hiltestbed.effects.base import Effect, quantity
 from hiltestbed.effects.search import Candidate, Scales, candidate
@@ -17,12 +17,47 @@ if TYPE_CHECKING:
 LONGEST = 20.0  # ticks: longest delay that is searched for on a slow loop
 SLOW = 500.0  # [Hz] loop rate below which the frequencies that are searched are lowered in proportion
 LAG_DAMPING = 0.7
-AHEAD = "ahead"  # [s] part of a variant: a response integrated in time steps uses the command at the end of its step
+AHEAD = "ahead"  # [s] part of a variant: length of the time steps in which a facility integrates a response; see `stepped`
+LONGEST_STEP = 0.5  # [rad] chosen: of a response's own phase, longest step that is looked at; a facility's controller is far faster
 
 
 def pace(tick: float) -> float:
     """Factor by which the frequencies that are searched are lowered on a slow loop."""
     return min(1.0, 1.0 / (SLOW * tick))
+
+
+class Stepped(NamedTuple):
+    """The continuous response that one integrated in time steps equals: w [rad/s] and damping ratio zeta, fed ``lead`` [s] early.
+
+    begun: of a start at the rate of the command, the share of that rate at which the continuous response starts.
+    """
+
+    w: float
+    zeta: float
+    lead: float
+    begun: float
+
+
+def stepped(w: float, zeta: float, base: float, step: float) -> Stepped:
+    """The response x'' = w^2 (u - x) - 2 zeta w (x' - base u') by semi-implicit Euler with ``step`` [s] and u at the end of a step.
+
+    This is the usual way in a controller's code. Its poles z fulfil z^2 - (2 - w^2 h^2 - 2 zeta w h) z + 1 - 2 zeta w h = 0; those of the
+    continuous response are log(z) / h. It follows a ramp at the same distance, (1 - base) 2 zeta / w - h, and its first step is the same.
+    """
+    h = min(step, LONGEST_STEP / w)
+    if h <= 0.0:
+        return Stepped(w, zeta, 0.0, 1.0)
+    loss, stiff = 2.0 * zeta * w * h, (w * h) ** 2
+    real, square = 1.0 - 0.5 * (loss + stiff), stiff - 0.25 * (loss + stiff) ** 2  # of z: real part, square of the imaginary part
+    if loss >= 1.0 or square <= 0.0:  # two real poles: such a response neither lags by 0.7 nor rings
+        return Stepped(w, zeta, h, 1.0)
+    imaginary, decay = math.sqrt(square), -0.5 * math.log1p(-loss) / h
+    ringing = math.atan2(imaginary, real) / h
+    found = math.hypot(decay, ringing)
+    distance = (1.0 - base) * 2.0 * zeta / w - h  # [s] behind a ramp
+    kept, gained = real + decay / ringing * imaginary, imaginary / ringing  # after a step: of an error, of a difference in rate
+    begun = 1.0 + (distance * (1.0 - kept) + h * (stiff - (1.0 - base) * loss)) / gained
+    return Stepped(found, decay / found, (1.0 - base) * 2.0 * decay / found**2 - distance, begun)
 
 
 @register
@@ -65,8 +100,10 @@ class PlatformLag(Effect):
     vanishes = True
 
     def apply(self, p: PlatformParameters) -> None:
-        p.lag.append((2.0 * math.pi * self.bandwidth, LAG_DAMPING))
-        p.delay -= min(self.variant.get(AHEAD, 0.0), p.tick)
+        found = stepped(2.0 * math.pi * self.bandwidth, LAG_DAMPING, 0.0, min(self.variant.get(AHEAD, 0.0), p.tick))
+        p.lag.append((found.w, found.zeta))
+        p.delay -= found.lead
+        p.begun *= found.begun
 
     def worth(self, scenario: Scenario, frequency: float) -> float:
         return 2.0 * LAG_DAMPING / (2.0 * math.pi * self.bandwidth)
@@ -96,8 +133,10 @@ class PlatformMode(Effect):
     vanishes = True
 
     def apply(self, p: PlatformParameters) -> None:
-        p.mode.append((2.0 * math.pi * self.frequency, self.damping_ratio))
-        p.delay -= min(self.variant.get(AHEAD, 0.0), p.tick)
+        found = stepped(2.0 * math.pi * self.frequency, self.damping_ratio, 1.0, min(self.variant.get(AHEAD, 0.0), p.tick))
+        p.mode.append((found.w, found.zeta))
+        p.delay -= found.lead
+        p.begun *= found.begun
 
     @classmethod
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:
