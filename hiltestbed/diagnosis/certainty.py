@@ -151,7 +151,7 @@ def _with_variants(residual: Residual, found: Fit, ends: Array, candidates: Sequ
 def _with_timing(residual: Residual, found: Fit, ends: Array) -> Array:
     """(P, 2) ends of the intervals, wide enough for the timing of the link, where that was estimated as well.
 
-    A platform that answers later and one that is stamped later differ little: the bandwidth of a lag is known as well as the stamp.
+    A platform that answers later and one that is stamped later differ little: the bandwidth of a lag is known no better than the stamp.
     """
     shift = timing_found(residual.link)
     if shift is None or not found.causes:

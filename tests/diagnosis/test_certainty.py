@@ -10,7 +10,9 @@ import pytest
 
 from hiltestbed.diagnosis.certainty import Certainties, certainty
 from hiltestbed.diagnosis.fit import Fit, effects_at, fit
+from hiltestbed.diagnosis.intervals import intervals
 from hiltestbed.diagnosis.links import PlatformLink
+from hiltestbed.diagnosis.links.base import Timing
 from hiltestbed.diagnosis.residual import Residual, square
 from hiltestbed.effects import EFFECTS
 from hiltestbed.effects.search import Candidate, Scales
@@ -125,3 +127,18 @@ def test_the_interval_of_a_response_holds_however_finely_the_facility_steps_it()
         assert high - low < 0.1 * bandwidth  # of one bounce
         if steps == 20:
             assert not np.prod(certainty("platform", residual, found).ends[0] - bandwidth) < 0.0  # without the variant it does not
+
+
+def test_an_interval_holds_the_uncertainty_of_a_timing_that_was_estimated() -> None:
+    """Of a stamp that was found 0.3 ms late where it is not, a lag makes up by its bandwidth: 2 zeta / w less 0.3 ms."""
+    link = platform_link([effect("platform.lag", bandwidth=40.0)])
+    believed, off = Residual(link), Residual(link.with_timing(Timing(delay=0.3 * H)))
+    lag = candidate("platform.lag", ("bandwidth",), 2.0, 400.0)
+    right, wrong = (fit(residual, (lag,), [np.array([38.0])]) for residual in (believed, off))
+    lagging = 1.4 / (2.0 * np.pi)
+    assert lagging / wrong.theta[0] == pytest.approx(lagging / 40.0 - 0.3 * H, abs=0.05 * H)
+    low, high = intervals(off, wrong).ends[0]
+    assert not low <= 40.0 <= high
+    (low, high), (near, far) = certainty("platform", off, wrong).ends[0], certainty("platform", believed, right).ends[0]
+    assert low <= 40.0 <= high
+    assert (near, far) == tuple(intervals(believed, right).ends[0])  # as believed: nothing was estimated
