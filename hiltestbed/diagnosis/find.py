@@ -172,9 +172,17 @@ def _learned(
 
 
 def needless(beside: Learned, alone: Learned, named: int) -> bool:
-    """Whether curves alone do as well as curves beside ``named`` parameters of causes, with fewer numbers."""
-    as_good = alone.heldout.rms_after < beside.heldout.rms_after / (1.0 - MIN_HELDOUT_GAIN)
+    """Whether curves alone do as well as curves beside ``named`` parameters of causes, with fewer numbers.
+
+    Each left-out run counts alike: a pooled rms is that of the run that departs most, and a cause that acts in the others would be dropped.
+    """
+    as_good = _left(alone) < _left(beside) / (1.0 - MIN_HELDOUT_GAIN)
     return alone.carries_over and as_good and alone.numbers < beside.numbers + named
+
+
+def _left(law: Learned) -> float:
+    """The rms that a law leaves of left-out runs, as their geometric mean: that by which laws and causes are selected."""
+    return float(np.exp(np.mean(np.log([max(after, 1e-150) for _, after in law.heldout.per_run.values()]))))
 
 
 def _in_part(findings: Findings, verdict: Verdict, nearest: tuple[Named, ...]) -> tuple[Verdict, float | None]:
