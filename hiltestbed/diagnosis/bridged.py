@@ -76,7 +76,7 @@ def kink_errors(record: Record, group: str) -> Array:
     bends = record.bends.get(group)
     if bends is None:
         return np.zeros(record.data[group].shape)
-    size = np.abs(bends)
+    size = np.where(record.valid[group], np.abs(bends), 0.0)
     usual = np.array([float(np.median(x[x > 0.0])) if x.any() else 0.0 for x in size.T])
     peak = maximum_filter1d(size, KINK_ROWS, axis=0)
     return np.where(peak > KINK_RATIO * usual, 2.0 * peak, 0.0)

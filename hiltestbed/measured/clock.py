@@ -178,22 +178,26 @@ def _about(t: Array, at: Array) -> tuple[NDArray[np.intp], NDArray[np.intp], NDA
     return before, after, nearest, np.abs(t[nearest] - at)
 
 
-def bend(t: Array, values: Array, ticks: int, tick: float) -> Array | None:
-    """``(ticks,)`` difference of a cubic spline through the samples from linear interpolation; None if the rows are the loop's ticks.
+def bend(t: Array, values: Array, straight: Array, measured: NDArray[np.bool_], tick: float) -> Array | None:
+    """``(ticks,)`` difference of a cubic spline through the samples from the values at the ticks, interpolated linearly where none was
+    measured; None if the rows are the loop's ticks.
 
     For a curve with second derivative x'', linear interpolation is off by ``x'' h^2 / 8`` midway between samples at distance h; the error
-    of the spline is a fraction of this that decreases with h^2 (C. de Boor, A Practical Guide to Splines, 2001, chapter V). Arguments
-    as for :func:`to_ticks`.
+    of the spline is a fraction of this that decreases with h^2 (C. de Boor, A Practical Guide to Splines, 2001, chapter V).
+
+    Args:
+        t: ``(rows,)`` [s], strictly increasing. values: ``(rows,)``, NaN where missing.
+        straight, measured: ``(ticks,)`` values at the ticks and which of them were measured, of :func:`to_ticks`.
     """
     known = np.isfinite(values)
     t, values = t[known], values[known]
-    if len(t) < FEWEST:
+    if len(t) < FEWEST or not measured.any():
         return None
-    at = tick * np.arange(ticks, dtype=np.float64)
+    at = tick * np.arange(len(straight), dtype=np.float64)
     inside = (at > t[0]) & (at < t[-1])
     off = inside & (_about(t, at)[3] > ON_TICK * tick)
     if off.sum() <= OFF_TICKS * inside.sum():  # rows that the logger lost are gaps, not another clock
         return None
-    out = np.zeros(ticks)
-    out[off] = CubicSpline(t, values)(at[off]) - np.interp(at[off], t, values)
+    out = np.zeros(len(straight))
+    out[off] = CubicSpline(t, values)(at[off]) - np.interp(at[off], at[measured], straight[measured])
     return out

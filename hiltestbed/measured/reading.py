@@ -149,9 +149,10 @@ def _on_ticks(run: int, file: Path, channels: Mapping[str, tuple[Array, Clock]],
         if group not in data:
             shape = (ticks, len(GROUPS[group].parts))
             data[group], valid[group] = np.full(shape, np.nan), np.zeros(shape, dtype=bool)
-        samples = clock.t, column[clock.rows], ticks, scenario.tick
-        data[group][:, part], valid[group][:, part] = to_ticks(*samples, clock.interval)
-        bent = bend(*samples)
+        samples = clock.t, column[clock.rows]
+        straight, measured = to_ticks(*samples, ticks, scenario.tick, clock.interval)
+        data[group][:, part], valid[group][:, part] = straight, measured
+        bent = bend(*samples, straight, measured, scenario.tick)
         if bent is not None:
             bends.setdefault(group, np.zeros(data[group].shape))[:, part] = bent
             if clock.interval < BETWEEN * scenario.tick:

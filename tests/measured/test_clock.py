@@ -50,19 +50,20 @@ def test_interpolation_error_is_of_second_order() -> None:
     assert errors[0] / errors[1] > 3.0
 
 
-@pytest.mark.parametrize("rate", [250.0, 640.0])
+@pytest.mark.parametrize("rate", [250.0, 640.0, 870.0])
 def test_a_smooth_curve_through_the_samples_takes_off_what_straight_lines_miss(rate: float) -> None:
     """Away from the ends, of a sine: lines miss up to (w h)^2/8, a cubic spline less than 5/384 (w h)^4 (de Boor, 2001, chapter V)."""
     w, h = 20.0, 1.0 / rate
     t = 0.3 * h + h * np.arange(round(rate), dtype=np.float64)
     at = TICK * np.arange(1000, dtype=np.float64)
-    bent = bend(t, np.sin(w * t), 1000, TICK)
+    straight, measured = to_ticks(t, np.sin(w * t), 1000, TICK, h)
+    bent = bend(t, np.sin(w * t), straight, measured, TICK)
     assert bent is not None
     inside = (at > t[8]) & (at < t[-9])
-    lines = np.interp(at, t, np.sin(w * t))
-    missed = np.abs(lines - np.sin(w * at))[inside].max()
+    missed = np.abs(np.interp(at, t, np.sin(w * t)) - np.sin(w * at))[inside].max()
     assert missed == pytest.approx((w * h) ** 2 / 8, rel=0.1)
-    assert np.abs(lines + bent - np.sin(w * at))[inside].max() < 5.0 / 384.0 * (w * h) ** 4
+    filled = np.interp(at, at[measured], straight[measured])
+    assert np.abs(filled + bent - np.sin(w * at))[inside].max() < 5.0 / 384.0 * (w * h) ** 4
 
 
 def test_the_noise_of_samples_between_ticks_counts_as_much_as_that_of_ticks(tmp_path: Path) -> None:
@@ -105,7 +106,7 @@ def test_a_touch_between_two_rows_is_off_by_three_times_its_uncertainty_at_most(
 
 def test_rows_that_are_ticks_bend_nowhere_though_some_are_lost() -> None:
     t = np.delete(TICK * np.arange(1000, dtype=np.float64), [100, 101, 500])
-    assert bend(t, np.sin(20.0 * t), 1000, TICK) is None
+    assert bend(t, np.sin(20.0 * t), *to_ticks(t, np.sin(20.0 * t), 1000, TICK, TICK), TICK) is None
 
 
 def test_a_gap_and_what_lies_beyond_the_record_stay_empty() -> None:
