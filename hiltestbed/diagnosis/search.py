@@ -209,9 +209,26 @@ class Search:
             chosen, level = found[0], found
             leftovers = self.judge(residual, chosen.effects())
             adequate = noise_alone(leftovers)
+        if level is not singles and (fewer := self.needed(residual, chosen)) is not chosen:
+            chosen, more, leftovers = fewer, [fewer, *more], self.judge(residual, fewer.effects())
+            adequate = noise_alone(leftovers)
         null = null_fit(residual)
         result = Explanation(residual, self.candidates, null, chosen, adequate, True, leftovers, before, (*singles, *known), tuple(more))
         return result if not (adequate and chosen.causes) else with_rivals(result, self.judge)
+
+    def needed(self, residual: Residual, chosen: Fit) -> Fit:
+        """``chosen`` without the causes that only led to better estimates of the others: fitted again from where they stand beside them,
+        those do as well. A descent from the starts of a cause alone may end in another valley."""
+        for cause in chosen.causes if len(chosen.causes) > 1 and JITTER not in chosen.kinds else ():  # its likelihood is no sum of squares
+            others, theta = chosen.without([c is cause for c in chosen.causes].index(True))
+            most = max(self.beside, SELECTION_INADEQUATE) * inflation(chosen)
+            fewer = fit(residual, others, [theta], tries=1, known=chosen.score + most)
+            if fewer.score - chosen.score > most:
+                continue
+            need = self.beside if noise_alone(self.judge(residual, fewer.effects())) else SELECTION_INADEQUATE
+            if fewer.score - chosen.score <= need * inflation(chosen):
+                return self.needed(residual, fewer)
+        return chosen
 
     def _near(self, residual: Residual, base: Fit, found: Sequence[Fit]) -> Search:
         """The same search; where the best fit so far leaves only noise, only for causes that make a rival of it out of ``base``."""

@@ -349,3 +349,14 @@ def test_a_jitter_at_the_end_of_its_search_is_none(sigma: float, counts: bool) -
     found = jitter_beside(residual, null_fit(residual))
     assert (found is not None) == counts
     assert found is None or found.theta[0] == pytest.approx(sigma, rel=0.2)
+
+
+@pytest.mark.parametrize("damping", [1.0, 1.4])
+def test_a_cause_that_only_led_to_a_better_estimate_of_another_is_none(damping: float) -> None:
+    """A stiffness and a damping fitted together, where the damping is hidden as well, and where it is not."""
+    hidden = [effect("contact.stiffness", factor=1.3), *([effect("contact.damping", factor=damping)] if damping > 1.0 else [])]
+    residual = Residual(contact_link(hidden))
+    causes = [next(iter(EFFECTS[kind].candidates(SCALES))) for kind in ("contact.stiffness", "contact.damping")]
+    found = Search(tuple(causes)).needed(residual, fit(residual, causes, [[1.2, 1.1]]))
+    assert found.kinds == tuple(e.kind for e in hidden)
+    assert found.theta[0] == pytest.approx(1.3, rel=1e-3)
