@@ -50,7 +50,8 @@ def _on(residual: Residual, base: Fit, runs: Sequence[int]) -> Fit:
 def _rated(residual: Residual, base: Fit, tried: Sequence[tuple[Candidate, Sequence[Array]]]) -> list[Rated]:
     """The candidates that gain more than noise does, best first, with the best of their starts."""
     basis, known = _orthonormal(base.jacobian), base.effects()
-    scored = _scored(residual, base, basis, [[*known, c.at(theta)] for c, starts in tried for theta in starts])
+    trials = [([*known, c.at(theta)], bool(c.names)) for c, starts in tried for theta in starts]
+    scored = _scored(residual, base, basis, trials)
     r = _without(basis, base.residual)
     out: list[Rated] = []
     at = 0
@@ -66,17 +67,20 @@ def _rated(residual: Residual, base: Fit, tried: Sequence[tuple[Candidate, Seque
     return sorted(out, key=lambda item: -item[0])
 
 
-def _scored(residual: Residual, base: Fit, basis: Array, tried: Sequence[Effects]) -> Array:
-    """``(H, 2)`` of each trial: reduction of chi-square beside ``base``, by its size or along its direction; chi-square it leaves."""
+def _scored(residual: Residual, base: Fit, basis: Array, tried: Sequence[tuple[Effects, bool]]) -> Array:
+    """``(H, 2)`` of each trial: reduction of chi-square beside ``base``, as it stands or along its direction; chi-square it leaves.
+
+    tried: with whether it has a size that can be fitted; a number of whole ticks has none, and gains only as it stands.
+    """
     out = np.empty((len(tried), 2))
     r = _without(basis, base.residual)
     chunk = max(1, 40_000_000 // (8 * max(1, len(base.residual))))
     for start in range(0, len(tried), chunk):
-        for h, moved in enumerate(residual.many(tried[start : start + chunk]), start):
+        for h, moved in enumerate(residual.many([effects for effects, _ in tried[start : start + chunk]]), start):
             left = square(moved)
             d = _without(basis, moved - base.residual)
             length, along = square(d), float(np.einsum("m,m->", r, d))
-            gain = along**2 / length if length > 0 and along < 0 else 0.0
+            gain = (along**2 / length if tried[h][1] else -2.0 * along - length) if length > 0 and along < 0 else 0.0
             out[h] = max(base.chi2 - left, gain), left
     return out
 

@@ -154,7 +154,7 @@ def _better_timing(residual: Residual, chosen: Fit, bases: Sequence[Fit], fewer:
         for place in timing_candidates(link):
             known = cost(best) + 2.0 * DETECTION * inflation(best)  # twice the margin below: interpolation halves chi-square at most
             shifted = fit_with_timing(residual, base, place, known)
-            if _within_range(link, shifted):
+            if within_range(link, shifted):
                 fits.append(shifted)
                 best = min(best, shifted, key=cost)
     if not fits:
@@ -227,10 +227,13 @@ def fit_with_timing(residual: Residual, base: Fit, later: Candidate, known: floa
     return fit(residual, (*base.causes, later), [np.concatenate([base.theta, s]) for s in begun], tries=2, known=known)
 
 
-def _within_range(link: Link, found: Fit) -> bool:
+def within_range(link: Link, found: Fit) -> bool:
     """Whether the stamps and instants are off by less than the largest shifts: one that would have to be larger is none."""
-    shift, timing = found.causes[-1], link.timing.plus(_fitted_timing(found))
-    at_an_end = "old" not in shift.names and at_bound(shift, found.part(len(found.causes) - 1))  # all of an old twist is explicit Euler
+    shift, timing, theta = found.causes[-1], link.timing.plus(_fitted_timing(found)), found.part(len(found.causes) - 1)
+    if "old" in shift.names:  # all of an old twist is explicit Euler
+        old = shift.names.index("old")
+        shift, theta = shift.held(old, theta[old]), np.delete(theta, old)
+    at_an_end = at_bound(shift, theta)
     largest = (1.0 - BOUND_TOLERANCE) * MAX_STAMP_SHIFT_ROWS * link.runs[0].scenario.tick
     return not at_an_end and abs(timing.delay + timing.before) < largest
 

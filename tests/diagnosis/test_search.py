@@ -360,3 +360,19 @@ def test_a_cause_that_only_led_to_a_better_estimate_of_another_is_none(damping: 
     found = Search(tuple(causes)).needed(residual, fit(residual, causes, [[1.2, 1.1]]))
     assert found.kinds == tuple(e.kind for e in hidden)
     assert found.theta[0] == pytest.approx(1.3, rel=1e-3)
+
+
+class Late(Along):
+    """As many ticks late as a hypothesis says: n v of the first channel, and n^2 w of the second, little of it."""
+
+    def _replay(self, lanes: Sequence[Lane]) -> list[Array]:
+        counts = [effects[0].parameters()["ticks"] if effects else 0 for _, effects in lanes]
+        return [np.tile([1e3 * n, n**2, 0.0], (len(self.runs[0].measured), 1)) for n in counts]
+
+
+def test_a_number_of_ticks_is_rated_by_what_it_explains_as_it_stands() -> None:
+    """Twelve ticks lie best in the direction of what is on record, and are seven too many: a number of ticks has no other size."""
+    residual = Residual(Late(np.tile([5e3, 60.0, 0.0], (10, 1))))
+    rated = rate(residual, null_fit(residual), tuple(EFFECTS["dynamics.step_delay"].candidates(SCALES)), 3)
+    assert [c.fixed["ticks"] for _, c, _ in rated[:3]] in ([5, 4, 6], [5, 6, 4])
+    assert rated[0][0] == pytest.approx(10 * (5e3**2 + 60.0**2 - 35.0**2))

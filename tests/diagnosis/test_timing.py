@@ -347,3 +347,12 @@ def test_a_shift_that_would_have_to_be_larger_than_the_largest_is_none(rows: flo
     scale = candidates("platform.scale")[0]
     there = timing.timing_under(residual, fit(residual, (scale,), scale.grid))
     assert (there is not residual) is stamp
+
+
+@pytest.mark.parametrize(("rows", "old", "within"), [(1.0, 0.3, True), (1.0, 1.0, True), (2.25, 0.3, False)])
+def test_stamps_at_the_ends_of_their_search_are_none(rows: float, old: float, within: bool) -> None:
+    """Output and input as late as each other lie as far apart as with no stamps off; all of an old twist is explicit Euler, and no end."""
+    link = contact_link(seed=None)
+    shift = timing.shift_candidate(link, {"delay": timing.EITHER, "before": timing.EITHER, "old": timing.OLD_TWIST_RANGE})
+    fitted = replace(null_fit(Residual(link)), causes=(shift,), theta=np.array([rows * H, -rows * H, old]))
+    assert timing.within_range(link, fitted) is within
