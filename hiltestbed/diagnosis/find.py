@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy.stats import gmean
 
 from hiltestbed.diagnosis import judges, timing
 from hiltestbed.diagnosis.adequacy import contact_leftovers, noise_alone
@@ -182,7 +183,7 @@ def needless(beside: Learned, alone: Learned, named: int) -> bool:
 
 def _left(law: Learned) -> float:
     """The rms that a law leaves of left-out runs, as their geometric mean: that by which laws and causes are selected."""
-    return float(np.exp(np.mean(np.log([max(after, 1e-150) for _, after in law.heldout.per_run.values()]))))
+    return float(gmean([after for _, after in law.heldout.per_run.values()]))
 
 
 def _in_part(findings: Findings, verdict: Verdict, nearest: tuple[Named, ...]) -> tuple[Verdict, float | None]:

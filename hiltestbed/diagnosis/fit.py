@@ -180,6 +180,12 @@ def refit(residual: Residual, found: Fit, known: float = np.inf) -> Fit:
     return fit(residual, found.causes, [found.theta], tries=1, known=known) if found.causes else null_fit(residual)
 
 
+def refit_without(residual: Residual, found: Fit, index: int, known: float = np.inf) -> Fit:
+    """The other causes of a hypothesis, fitted again from where they stand beside that one; known: as of :func:`fit`."""
+    causes, theta = found.without(index)
+    return fit(residual, causes, [theta], tries=1, known=known) if causes else null_fit(residual)
+
+
 def scales(theta: Array, low: Array, high: Array, log: np.ndarray) -> Array:
     """d theta / d scaled parameter: theta itself on a logarithmic scale, else the larger of theta and a hundredth of the range."""
     width = np.where(np.isfinite(high - low), high - low, 1.0)

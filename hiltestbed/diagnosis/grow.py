@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from hiltestbed.diagnosis.adequacy import JITTER, noise_alone
-from hiltestbed.diagnosis.fit import Fit, fit, inflation
+from hiltestbed.diagnosis.fit import Fit, inflation, refit_without
 from hiltestbed.diagnosis.heldout import left_out
 from hiltestbed.diagnosis.residual import Residual
 from hiltestbed.diagnosis.search import Explanation, Search
@@ -60,8 +60,7 @@ def _pruned(residual: Residual, found: Fit, before: float) -> Fit:
         index = next((i for i, other in enumerate(found.causes) if other is c), None)
         if index is None or len(found.causes) == 1:
             continue
-        causes, theta = found.without(index)
-        fewer = fit(residual, causes, [theta], tries=1)
+        fewer = refit_without(residual, found, index)
         needed = _exceeds_threshold(found, fewer)
         after = log_heldout_rms(residual, fewer)
         if not needed or after < before:

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from hiltestbed.diagnosis.adequacy import JITTER, contact_leftovers, noise_alone
-from hiltestbed.diagnosis.fit import Fit, at_bound, fit, inflation
+from hiltestbed.diagnosis.fit import Fit, at_bound, fit, inflation, refit_without
 from hiltestbed.diagnosis.grow import log_heldout_rms
 from hiltestbed.diagnosis.invariance import varies
 from hiltestbed.diagnosis.residual import Residual, square
@@ -54,7 +54,7 @@ def confirmed(found: Explanation) -> Explanation | None:
     alone, residual, chosen = in_each_run(found), found.residual, found.chosen
     fewer, rivals = [], []
     for i, cause in enumerate(chosen.causes):
-        rest = _without(found, i)
+        rest = refit_without(residual, chosen, i)
         if not _same_size(found, alone, i) or not _improves_heldout(found, rest):
             return None
         near = chosen.score + AMBIGUITY * inflation(chosen)
@@ -153,17 +153,11 @@ def same_in_each(chosen: Fit, alone: list[list[Fit]], index: int, least: int) ->
 def _worthwhile_without_rival(found: Explanation, index: int) -> bool:
     """Whether a cause carries over to left-out runs beside the others, and no other effect does as well in its place."""
     residual, chosen = found.residual, found.chosen
-    fewer = _without(found, index)
+    fewer = refit_without(residual, chosen, index)
     if not _improves_heldout(found, fewer):
         return False
     margin = max(AMBIGUITY * inflation(chosen), RIVAL_MARGIN * (fewer.chi2 - chosen.chi2))
     return not any(rival.score < chosen.score + margin for rival in _replacements(found, residual, fewer, chosen.causes[index].kind))
-
-
-def _without(found: Explanation, index: int) -> Fit:
-    """The chosen fit without one cause."""
-    causes, theta = found.chosen.without(index)
-    return fit(found.residual, causes, [theta], tries=1) if causes else found.null
 
 
 def _improves_heldout(found: Explanation, fewer: Fit) -> bool:

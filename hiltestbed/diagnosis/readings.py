@@ -13,7 +13,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from hiltestbed.diagnosis.adequacy import JITTER
-from hiltestbed.diagnosis.fit import Fit, fit, inflation, null_fit, refit
+from hiltestbed.diagnosis.fit import Fit, fit, inflation, null_fit, refit, refit_without
 from hiltestbed.diagnosis.links import WrenchLink
 from hiltestbed.diagnosis.links.base import Effects
 from hiltestbed.diagnosis.residual import Residual, square
@@ -136,8 +136,7 @@ def other_lever(explanation: Explanation) -> WrenchLink | None:
 def _only_sets_the_lever(residual: Residual, chosen: Fit, index: int) -> bool:
     """Whether a cause with a lever of its own explains nothing beyond that lever."""
     there = residual.through(wrench_link_of(residual).interpreted(chosen.causes[index].variant["lever"]))
-    causes, theta = chosen.without(index)
-    fewer = fit(there, causes, [theta], tries=1) if causes else null_fit(there)
+    fewer = refit_without(there, chosen, index)
     return fewer.score < chosen.score + DETECTION * inflation(chosen)
 
 

@@ -66,7 +66,7 @@ class Richer:
             if not more or not _pays(more[0], best):
                 break
             best = more[0]
-        return self._needed(residual, best), tried
+        return self.search.needed(residual, best), tried
 
     def _beside(self, residual: Residual, single: Fit, known: Fit) -> list[Fit]:
         """Fits together with those of the ``known`` causes that the effect does not resemble."""
@@ -78,16 +78,6 @@ class Richer:
         theta = [value for i in other for value in known.part(i)]
         base = fit(residual, causes, [theta], tries=1)
         return replace(self.search, candidates=self.candidates).extend(residual, base)
-
-    def _needed(self, residual: Residual, found: Fit) -> Fit:
-        """The fit without the causes that have become redundant."""
-        for c in found.causes:
-            index = next(i for i, other in enumerate(found.causes) if other is c)
-            if len(found.causes) > 1:
-                causes, theta = found.without(index)
-                fewer = fit(residual, causes, [theta], tries=1)
-                found = found if _pays(found, fewer) else fewer
-        return found
 
 
 def _pays(more: Fit, fewer: Fit) -> bool:

@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 
 from hiltestbed.diagnosis.adequacy import JITTER, Leftover, contact_leftovers, noise_alone
-from hiltestbed.diagnosis.fit import Fit, fit, inflation, null_fit, refit
+from hiltestbed.diagnosis.fit import Fit, fit, inflation, null_fit, refit, refit_without
 from hiltestbed.diagnosis.jitter import again
 from hiltestbed.diagnosis.links.base import Effects
 from hiltestbed.diagnosis.rating import rate
@@ -219,14 +219,16 @@ class Search:
     def needed(self, residual: Residual, chosen: Fit) -> Fit:
         """``chosen`` without the causes that only led to better estimates of the others: fitted again from where they stand beside them,
         those do as well. A descent from the starts of a cause alone may end in another valley."""
-        for cause in chosen.causes if len(chosen.causes) > 1 and JITTER not in chosen.kinds else ():  # its likelihood is no sum of squares
-            others, theta = chosen.without([c is cause for c in chosen.causes].index(True))
-            most = max(self.beside, SELECTION_INADEQUATE) * inflation(chosen)
-            fewer = fit(residual, others, [theta], tries=1, known=chosen.score + most)
+        if len(chosen.causes) < 2 or JITTER in chosen.kinds:  # the likelihood of a jitter is no sum of squares
+            return chosen
+        share = inflation(chosen)
+        most = max(self.beside, SELECTION_INADEQUATE) * share
+        for index in range(len(chosen.causes)):
+            fewer = refit_without(residual, chosen, index, known=chosen.score + most)
             if fewer.score - chosen.score > most:
                 continue
             need = self.beside if noise_alone(self.judge(residual, fewer.effects())) else SELECTION_INADEQUATE
-            if fewer.score - chosen.score <= need * inflation(chosen):
+            if fewer.score - chosen.score <= need * share:
                 return self.needed(residual, fewer)
         return chosen
 
