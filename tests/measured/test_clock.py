@@ -104,6 +104,19 @@ def test_a_touch_between_two_rows_is_off_by_three_times_its_uncertainty_at_most(
         assert (np.abs(error) <= 3.0 * allowed + 1e-6).all()
 
 
+@pytest.mark.parametrize("rate", [500.0, 900.0, 1200.0, 1700.0])
+def test_noise_of_a_log_at_another_rate_is_no_kink(tmp_path: Path, rate: float) -> None:
+    """At most 3e-4 of the rows exceed the ratio, each with five ticks around it, and three times as many by chance in one record. Ticks
+    without a row, a seventh at 1700 Hz, are no kinks."""
+    loop, rng = np.arange(6000) / 2000.0, np.random.default_rng(5)
+    t = np.arange(int(loop[-1] * rate) + 1) / rate
+    logged = np.interp(t, loop, rng.standard_normal(6000))
+    pq.write_table(pa.table({"t": t, "wrench_meas.fz": logged}), tmp_path / "run.parquet")
+    record, _ = read_record(0, tmp_path / "run.parquet", {}, load_scenario("reference-bumper", {"rate": 2000, "duration": 3.0}))
+    assert record is not None
+    assert np.mean(kink_errors(record, "wrench_meas")[:, 2] > 0.0) < 5 * 1e-3
+
+
 def test_rows_that_are_ticks_bend_nowhere_though_some_are_lost() -> None:
     t = np.delete(TICK * np.arange(1000, dtype=np.float64), [100, 101, 500])
     assert bend(t, np.sin(20.0 * t), *to_ticks(t, np.sin(20.0 * t), 1000, TICK, TICK), TICK) is None
